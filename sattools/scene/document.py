@@ -1,0 +1,310 @@
+"""The scene document: a GeoJSON FeatureCollection of STAC Items with one `sattools` member.
+
+It is what the commands hand to each other, one document per line (see docs/scene.md).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sattools.errors import OutputExistsError, SceneError
+from sattools.scene.grid import Grid
+
+FORMAT_VERSION = 1
+COG_TYPE = "image/tiff; application=geotiff; profile=cloud-optimized"
+GEOTIFF_TYPE = "image/tiff; application=geotiff"
+STAC_EXTENSIONS = [
+    "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
+    "https://stac-extensions.github.io/view/v1.0.0/schema.json",
+]
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+def check_id(value: str, what: str) -> str:
+    """Return ``value`` if it can serve as a file name, else raise SceneError."""
+    if not isinstance(value, str) or not _ID.fullmatch(value):
+        raise SceneError(f"{what}: found id {value!r}, expected 1-128 letters, digits, '.', '_' or '-'")
+    return value
+
+
+@dataclass
+class Asset:
+    """One file of an item: its href is relative to the scene's root, or absolute."""
+
+    href: str
+    type: str = COG_TYPE
+    roles: list[str] = field(default_factory=lambda: ["data"])
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """STAC form."""
+        return {"href": self.href, "type": self.type, "roles": self.roles, **self.extra}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Asset:
+        """Inverse of `to_dict`."""
+        rest = {k: v for k, v in data.items() if k not in ("href", "type", "roles")}
+        return cls(
+            str(data["href"]), str(data.get("type", COG_TYPE)), list(data.get("roles", ["data"])), rest
+        )
+
+
+@dataclass
+class Item:
+    """One image: a STAC Item (1.1)."""
+
+    id: str
+    geometry: dict[str, Any] | None
+    bbox: list[float] | None
+    properties: dict[str, Any]
+    assets: dict[str, Asset] = field(default_factory=dict)
+
+    @property
+    def role(self) -> str:
+        """``train`` or ``test``."""
+        return str(self.properties.get("sattools:role", "train"))
+
+    @property
+    def sun(self) -> tuple[float, float] | None:
+        """(azimuth, elevation) of the sun in degrees from true north and the horizon, or None if unknown."""
+        azimuth = self.properties.get("view:sun_azimuth")
+        elevation = self.properties.get("view:sun_elevation")
+        if azimuth is None or elevation is None:
+            return None
+        return float(azimuth), float(elevation)
+
+    def to_dict(self) -> dict[str, Any]:
+        """STAC form."""
+        return {
+            "type": "Feature",
+            "stac_version": "1.1.0",
+            "stac_extensions": STAC_EXTENSIONS,
+            "id": self.id,
+            "geometry": self.geometry,
+            "bbox": self.bbox,
+            "properties": self.properties,
+            "links": [],
+            "assets": {name: asset.to_dict() for name, asset in self.assets.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Item:
+        """Inverse of `to_dict`; raises SceneError when a member is missing."""
+        try:
+            return cls(
+                check_id(data["id"], "scene item"),
+                data.get("geometry"),
+                data.get("bbox"),
+                dict(data["properties"]),
+                {name: Asset.from_dict(asset) for name, asset in data.get("assets", {}).items()},
+            )
+        except (KeyError, TypeError, AttributeError) as error:
+            raise SceneError(
+                "scene item: found a feature without id, properties or assets, expected a STAC Item"
+            ) from error
+
+
+@dataclass
+class Scene:
+    """Images of one place with everything the commands have made of them.
+
+    Attributes:
+        id: name of the area of interest.
+        root: absolute folder against which relative hrefs resolve and below which all outputs lie.
+        items: one per image.
+        grid: ground grid of the scene.
+        height_range_m: lowest and highest ellipsoidal height to look for the surface [m].
+        products: name -> href of scene-wide outputs (dsm, albedo, ...).
+        history: one entry a command: options, seconds, peak memory, versions, remarks.
+    """
+
+    id: str
+    root: Path
+    items: list[Item] = field(default_factory=list)
+    grid: Grid | None = None
+    height_range_m: tuple[float, float] | None = None
+    products: dict[str, str] = field(default_factory=dict)
+    history: list[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        check_id(self.id, "scene")
+        self.root = Path(os.path.abspath(self.root))
+
+    # ---- JSON -------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document as plain JSON types."""
+        boxes = [item.bbox for item in self.items if item.bbox]
+        document: dict[str, Any] = {
+            "type": "FeatureCollection",
+            "id": self.id,
+            "features": [item.to_dict() for item in self.items],
+            "sattools": {
+                "version": FORMAT_VERSION,
+                "root": str(self.root),
+                "grid": self.grid.to_dict() if self.grid else None,
+                "height_range_m": list(self.height_range_m) if self.height_range_m else None,
+                "products": self.products,
+                "history": self.history,
+            },
+        }
+        if boxes:
+            document["bbox"] = [
+                min(b[0] for b in boxes),
+                min(b[1] for b in boxes),
+                max(b[2] for b in boxes),
+                max(b[3] for b in boxes),
+            ]
+        return document
+
+    def to_json(self) -> str:
+        """The document in one line."""
+        return json.dumps(_finite(self.to_dict()), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str, source: str = "<stdin>", folder: Path | None = None) -> Scene:
+        """Parse a scene document.
+
+        Args:
+            text: the JSON.
+            source: name for error messages.
+            folder: what a relative `root` is relative to (the folder of the document); None = current folder.
+
+        Raises:
+            SceneError: not JSON, or not a scene document.
+        """
+        try:
+            data = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise SceneError(
+                f"{source}: found text that is not JSON ({error.msg} at line {error.lineno}, column {error.colno}), "
+                "expected a scene document"
+            ) from error
+        if not isinstance(data, dict) or data.get("type") != "FeatureCollection" or "sattools" not in data:
+            raise SceneError(
+                f"{source}: found JSON without a 'sattools' member, expected a scene document "
+                "(a FeatureCollection written by a sattools command)"
+            )
+        ours = data["sattools"]
+        if not isinstance(ours, dict) or ours.get("version") != FORMAT_VERSION:
+            found = ours.get("version") if isinstance(ours, dict) else ours
+            raise SceneError(f"{source}: found scene version {found!r}, expected {FORMAT_VERSION}")
+        if not isinstance(data.get("features"), list):
+            raise SceneError(
+                f"{source}: found no list of features, expected a FeatureCollection of STAC Items"
+            )
+        try:
+            height_range = ours.get("height_range_m")
+            scene = cls(
+                id=data.get("id", ""),
+                root=(folder or Path.cwd()) / str(ours.get("root", ".")),
+                items=[Item.from_dict(feature) for feature in data["features"]],
+                grid=Grid.from_dict(ours["grid"]) if ours.get("grid") else None,
+                height_range_m=(float(height_range[0]), float(height_range[1])) if height_range else None,
+                products={str(k): str(v) for k, v in (ours.get("products") or {}).items()},
+                history=list(ours.get("history") or []),
+            )
+        except SceneError as error:
+            raise SceneError(f"{source}: {error}") from error
+        except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
+            raise SceneError(
+                f"{source}: found a malformed scene member ({error}), expected a scene document"
+            ) from error
+        ids = [item.id for item in scene.items]
+        twice = {i for i in ids if ids.count(i) > 1}
+        if twice:
+            raise SceneError(
+                f"{source}: found item id {sorted(twice)[0]!r} more than once, expected unique ids"
+            )
+        return scene
+
+    @classmethod
+    def from_file(cls, path: Path | str) -> Scene:
+        """Read a `scene.json`; a relative root is relative to the file's folder."""
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise SceneError(f"{path}: cannot be read ({error}), expected a scene document") from error
+        return cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
+
+    # ---- files ------------------------------------------------------------------------------------------
+
+    def path(self, href: str) -> Path:
+        """Absolute path of ``href`` for reading: relative hrefs must stay below the root.
+
+        Raises:
+            SceneError: a relative href that leaves the root.
+        """
+        if Path(href).is_absolute():
+            return Path(href)
+        return self._below_root(href)
+
+    def output(self, relative: str, overwrite: bool = True) -> Path:
+        """Absolute path below the root for writing; makes its folder.
+
+        Raises:
+            SceneError: the path would leave the root (absolute, `..`, or through a symbolic link).
+            OutputExistsError: it exists and ``overwrite`` is False.
+        """
+        if Path(relative).is_absolute():
+            raise SceneError(f"{relative}: found an absolute output path, expected one below {self.root}")
+        path = self._below_root(relative)
+        if path.exists() and not overwrite:
+            raise OutputExistsError(f"{path}: exists already; give --overwrite to replace it")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SceneError(
+                f"{path.parent}: cannot be made ({error.strerror}), expected a writable root"
+            ) from error
+        return path
+
+    def href(self, path: Path) -> str:
+        """The relative href of a file below the root."""
+        return Path(path).resolve().relative_to(self.root.resolve()).as_posix()
+
+    def _below_root(self, relative: str) -> Path:
+        path = self.root / relative
+        if not path.resolve().is_relative_to(self.root.resolve()):
+            raise SceneError(
+                f"{relative}: leads outside the scene's root {self.root}, expected a path below it"
+            )
+        return path
+
+    def train_items(self) -> list[Item]:
+        """Items that are not held out."""
+        return [item for item in self.items if item.role == "train"]
+
+    def need_grid(self) -> Grid:
+        """The grid; SceneError when the scene has none yet."""
+        if self.grid is None:
+            raise SceneError(f"scene {self.id}: found no grid, expected one made by `sattools prep`")
+        return self.grid
+
+    def need_height_range(self) -> tuple[float, float]:
+        """The height range; SceneError when the scene has none yet."""
+        if self.height_range_m is None:
+            raise SceneError(f"scene {self.id}: found no height range, expected one made by `sattools prep`")
+        return self.height_range_m
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN: non-finite numbers become null."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+__all__ = ["COG_TYPE", "GEOTIFF_TYPE", "Asset", "Item", "Scene", "check_id"]

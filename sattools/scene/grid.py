@@ -1,0 +1,111 @@
+"""The ground grid: a north-up raster of square cells in a projected CRS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from affine import Affine
+
+from sattools.errors import SceneError
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A north-up grid of square cells; row 0 is the northernmost row.
+
+    Attributes:
+        crs: projected CRS in metres, e.g. ``"EPSG:32617"``.
+        left: easting of the left edge of the first column [m].
+        top: northing of the upper edge of the first row [m].
+        cell_size: edge of a cell [m].
+        width: number of columns.
+        height: number of rows.
+    """
+
+    crs: str
+    left: float
+    top: float
+    cell_size: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if not (self.cell_size > 0 and math.isfinite(self.cell_size)):
+            raise SceneError(f"grid: found cell size {self.cell_size}, expected a positive number of metres")
+        if self.width < 1 or self.height < 1:
+            raise SceneError(f"grid: found {self.width} x {self.height} cells, expected at least 1 x 1")
+
+    @classmethod
+    def from_bounds(cls, crs: str, bounds: tuple[float, float, float, float], cell_size: float) -> Grid:
+        """Smallest grid that covers ``bounds`` (west, south, east, north), edges on multiples of the cell size."""
+        west, south, east, north = bounds
+        if not (east > west and north > south):
+            raise SceneError(f"grid: found bounds {bounds}, expected west < east and south < north")
+        # 1e-6 of a cell keeps bounds that already lie on the lattice from growing by a cell
+        left = math.floor(west / cell_size + 1e-6) * cell_size
+        top = math.ceil(north / cell_size - 1e-6) * cell_size
+        width = max(1, math.ceil((east - left) / cell_size - 1e-6))
+        height = max(1, math.ceil((top - south) / cell_size - 1e-6))
+        return cls(crs, left, top, cell_size, width, height)
+
+    @property
+    def transform(self) -> Affine:
+        """Affine transform from (column, row) corner coordinates to (easting, northing)."""
+        return Affine(self.cell_size, 0.0, self.left, 0.0, -self.cell_size, self.top)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns), as numpy has them."""
+        return self.height, self.width
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(west, south, east, north) [m]."""
+        return (
+            self.left,
+            self.top - self.height * self.cell_size,
+            self.left + self.width * self.cell_size,
+            self.top,
+        )
+
+    def x(self) -> np.ndarray:
+        """Eastings of the cell centres, ``[W]`` float64."""
+        return self.left + (np.arange(self.width) + 0.5) * self.cell_size
+
+    def y(self) -> np.ndarray:
+        """Northings of the cell centres, ``[H]`` float64, falling."""
+        return self.top - (np.arange(self.height) + 0.5) * self.cell_size
+
+    def resized(self, cell_size: float) -> Grid:
+        """The same upper left corner with another cell size, covering at least the same area."""
+        width = math.ceil(self.width * self.cell_size / cell_size - 1e-6)
+        height = math.ceil(self.height * self.cell_size / cell_size - 1e-6)
+        return replace(self, cell_size=cell_size, width=max(1, width), height=max(1, height))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Grid:
+        """Inverse of `to_dict`; raises SceneError when a member is missing or of the wrong type."""
+        try:
+            return cls(
+                str(data["crs"]),
+                float(data["left"]),
+                float(data["top"]),
+                float(data["cell_size"]),
+                int(data["width"]),
+                int(data["height"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise SceneError(
+                f"grid: found {dict(data)}, expected crs, left, top, cell_size, width, height"
+            ) from error
+
+
+__all__ = ["Grid"]

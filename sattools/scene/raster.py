@@ -1,0 +1,188 @@
+"""Reading and writing rasters: the one I/O layer of the suite.
+
+Everything is written under a temporary name in the target's folder and renamed when complete, so that an interrupted command
+never leaves half a file.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from sattools.errors import InputError, SattoolsError
+from sattools.scene.grid import Grid
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``path``; rename it on success, remove it on any failure.
+
+    Raises:
+        SattoolsError: the folder is not writable or the disk is full.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".tmp" + path.suffix, dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise SattoolsError(
+            f"{path}: cannot be written ({error.strerror}), expected a writable folder"
+        ) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes files private; a product has the permissions any other new file would have
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except (OSError, RasterioError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise SattoolsError(f"{path}: cannot be written ({reason})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a UTF-8 text file atomically."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_cog(
+    path: Path,
+    array: np.ndarray,
+    grid: Grid,
+    *,
+    nodata: float | None = float("nan"),
+    units: str | None = None,
+    tags: Mapping[str, str] | None = None,
+    descriptions: Sequence[str] | None = None,
+) -> None:
+    """Write a cloud-optimised GeoTIFF.
+
+    Args:
+        path: target file.
+        array: ``[H, W]`` or ``[B, H, W]``; float64 is stored as float32, bool as uint8.
+        grid: its georeference; shapes must agree.
+        nodata: no-data value (NaN for float products).
+        units: unit of the bands, e.g. ``"m"``.
+        tags: dataset tags, e.g. the vertical datum.
+        descriptions: one name per band.
+
+    Raises:
+        SattoolsError: wrong shape, or the file cannot be written.
+    """
+    array = np.asarray(array)
+    if array.ndim == 2:
+        array = array[None]
+    if array.shape[1:] != grid.shape:
+        raise SattoolsError(f"{path}: found an array of {array.shape[1:]}, expected the grid's {grid.shape}")
+    if array.dtype == np.float64:
+        array = array.astype(np.float32)
+    elif array.dtype == bool:
+        array = array.astype(np.uint8)
+    is_float = np.issubdtype(array.dtype, np.floating)
+    with atomic(path) as temporary, warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(
+                driver="GTiff",
+                dtype=array.dtype,
+                count=array.shape[0],
+                height=grid.height,
+                width=grid.width,
+                crs=grid.crs,
+                transform=grid.transform,
+                nodata=nodata if is_float or nodata is None or np.isfinite(nodata) else None,
+            ) as data:
+                data.write(array)
+                if units:
+                    data.units = [units] * array.shape[0]
+                if descriptions:
+                    data.descriptions = tuple(descriptions)
+                data.update_tags(**(tags or {}))
+            with memory.open() as data:
+                rasterio.shutil.copy(
+                    data,
+                    temporary,
+                    driver="COG",
+                    compress="DEFLATE",
+                    predictor="YES",
+                    overview_resampling="average" if is_float else "nearest",
+                )
+
+
+def read_raster(path: Path) -> tuple[np.ndarray, Grid]:
+    """Read a georeferenced north-up raster.
+
+    Returns:
+        ``[B, H, W]`` array in the file's type (float no-data becomes NaN), and its grid.
+
+    Raises:
+        InputError: unreadable, without CRS, or not north-up with square cells.
+    """
+    with _opened(path) as data:
+        array = _read(data, path)
+        transform = data.transform
+        if data.crs is None:
+            raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
+        if (
+            abs(transform.b) > 1e-9
+            or abs(transform.d) > 1e-9
+            or abs(transform.a + transform.e) > 1e-6 * abs(transform.a)
+        ):
+            raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
+        grid = Grid(data.crs.to_string(), transform.c, transform.f, transform.a, data.width, data.height)
+        if np.issubdtype(array.dtype, np.floating) and data.nodata is not None and np.isfinite(data.nodata):
+            array = np.where(array == data.nodata, np.nan, array)
+    return array, grid
+
+
+def read_image(path: Path) -> np.ndarray:
+    """Read an image of any sensor geometry as ``[B, H, W]`` float32; no-data becomes NaN.
+
+    Raises:
+        InputError: missing, truncated or not an image.
+    """
+    with _opened(path) as data:
+        array = _read(data, path).astype(np.float32)
+        if data.nodata is not None and np.isfinite(data.nodata):
+            array[array == np.float32(data.nodata)] = np.nan
+    return array
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            data = rasterio.open(path)
+        except RasterioError as error:
+            if not Path(path).exists():
+                raise InputError(f"{path}: no such file, expected an image") from error
+            raise InputError(f"{path}: found no readable image ({str(error).splitlines()[0]})") from error
+        with data:
+            yield data
+
+
+def _read(data: rasterio.DatasetReader, path: Path) -> np.ndarray:
+    try:
+        return data.read()
+    except RasterioError as error:
+        raise InputError(
+            f"{path}: found a damaged or truncated image ({data.count} bands, {data.width} x {data.height} expected)"
+        ) from error
+
+
+__all__ = ["atomic", "read_image", "read_raster", "write_cog", "write_text"]
