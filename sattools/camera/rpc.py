@@ -1,0 +1,344 @@
+"""Rational polynomial cameras: from ground to pixel and back, in float64.
+
+Conventions: longitude, latitude in degrees (WGS84), heights in metres above the ellipsoid, pixels as (col, row) with
+(0, 0) at the centre of the first pixel (GDAL's RPC transformer counts from the corner: it differs by +0.5 in both).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sattools.errors import InputError
+
+Array = NDArray[np.float64]
+
+SCALARS = {
+    "LINE_OFF": "row_offset",
+    "SAMP_OFF": "col_offset",
+    "LAT_OFF": "lat_offset",
+    "LONG_OFF": "lon_offset",
+    "HEIGHT_OFF": "alt_offset",
+    "LINE_SCALE": "row_scale",
+    "SAMP_SCALE": "col_scale",
+    "LAT_SCALE": "lat_scale",
+    "LONG_SCALE": "lon_scale",
+    "HEIGHT_SCALE": "alt_scale",
+}
+VECTORS = {
+    "LINE_NUM_COEFF": "row_num",
+    "LINE_DEN_COEFF": "row_den",
+    "SAMP_NUM_COEFF": "col_num",
+    "SAMP_DEN_COEFF": "col_den",
+}
+
+_CHUNK = 1 << 14  # points evaluated at once: 20 monomials of a chunk stay in the second-level cache
+_MAX_ITERATIONS = 40
+_STEP_DEG = 1e-11  # Newton converges quadratically, so the error left after such a step is at rounding level
+
+
+def monomials(lon: Array, lat: Array, alt: Array) -> Array:
+    """The 20 cubic monomials of normalised coordinates in RPC00B order (STDI-0002, app. E), `[20, n]`."""
+    m = np.empty((20, lon.size))
+    lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
+    m[0] = 1.0
+    m[1], m[2], m[3] = lon, lat, alt
+    m[4], m[5], m[6] = lon * lat, lon * alt, lat * alt
+    m[7], m[8], m[9] = lon2, lat2, alt2
+    m[10] = m[4] * alt
+    m[11], m[12], m[13] = lon2 * lon, lon * lat2, lon * alt2
+    m[14], m[15], m[16] = lon2 * lat, lat2 * lat, lat * alt2
+    m[17], m[18], m[19] = lon2 * alt, lat2 * alt, alt2 * alt
+    return m
+
+
+def monomial_derivatives(lon: Array, lat: Array, alt: Array) -> tuple[Array, Array, Array]:
+    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`."""
+    dlon, dlat, dalt = np.zeros((3, 20, lon.size))
+    lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
+    dlon[1] = dlat[2] = dalt[3] = 1.0
+    dlon[4], dlon[5], dlon[7], dlon[10] = lat, alt, 2 * lon, lat * alt
+    dlon[11], dlon[12], dlon[13], dlon[14], dlon[17] = 3 * lon2, lat2, alt2, 2 * lon * lat, 2 * lon * alt
+    dlat[4], dlat[6], dlat[8], dlat[10] = lon, alt, 2 * lat, lon * alt
+    dlat[12], dlat[14], dlat[15], dlat[16], dlat[18] = 2 * lon * lat, lon2, 3 * lat2, alt2, 2 * lat * alt
+    dalt[5], dalt[6], dalt[9], dalt[10] = lon, lat, 2 * alt, lon * lat
+    dalt[13], dalt[16], dalt[17], dalt[18], dalt[19] = 2 * lon * alt, 2 * lat * alt, lon2, lat2, 3 * alt2
+    return dlon, dlat, dalt
+
+
+@dataclass(frozen=True, eq=False)
+class RPC:
+    """A rational polynomial camera (RPC00B). Offsets and scales in pixels, degrees and metres; coefficients `[20]`."""
+
+    row_offset: float
+    col_offset: float
+    lat_offset: float
+    lon_offset: float
+    alt_offset: float
+    row_scale: float
+    col_scale: float
+    lat_scale: float
+    lon_scale: float
+    alt_scale: float
+    row_num: Array
+    row_den: Array
+    col_num: Array
+    col_den: Array
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> RPC:
+        """Read the camera of an image or of a metadata file.
+
+        GeoTIFF and NITF (anything whose RPC GDAL finds), DIMAP 2 and 3 XML (Pléiades, SPOT, Pléiades Neo),
+        DigitalGlobe XML and `.RPB`, `_RPC.TXT` (IKONOS, Planet, SkySat, GDAL) and Sat-NeRF JSON are told apart by
+        content, not by name.
+        Raises InputError when the file is missing, unreadable, holds no RPC or an incomplete one.
+        """
+        from sattools.camera.rpc_formats import read_rpc_fields
+
+        return cls.from_tags(read_rpc_fields(Path(path)), source=str(path))
+
+    @classmethod
+    def from_tags(cls, tags: Mapping[str, Any], source: str = "RPC tags") -> RPC:
+        """Build from GDAL's RPC metadata (`LINE_OFF`, ..., `LINE_NUM_COEFF` = 20 numbers as text or sequence).
+
+        Raises InputError (naming `source` as the file) when a member is missing, not finite or of wrong length.
+        """
+        values: dict[str, Any] = {}
+        for key, name in SCALARS.items():
+            values[name] = _number(tags, key, source)
+        for key, name in VECTORS.items():
+            values[name] = _twenty(tags, key, source)
+        for key, name in SCALARS.items():
+            if key.endswith("SCALE") and values[name] == 0.0:
+                raise InputError(f"{source}: found {key} = 0, expected a scale different from 0")
+        return cls(**values)
+
+    # -- ground to pixel ------------------------------------------------------------------------------------------
+
+    def projection(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> tuple[Any, Any]:
+        """Pixel (col, row) of ground points; the arguments broadcast. Scalars in, scalars out."""
+        (x, y, z), shape = self._normalised(lon, lat, h)
+        col, row = np.empty(x.size), np.empty(x.size)
+        coefficients = self._coefficients()
+        for start in range(0, x.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            cn, cd, rn, rd = coefficients @ monomials(x[part], y[part], z[part])
+            col[part] = cn / cd
+            row[part] = rn / rd
+        col *= self.col_scale
+        col += self.col_offset
+        row *= self.row_scale
+        row += self.row_offset
+        return _shaped(col, shape), _shaped(row, shape)
+
+    def jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> Array:
+        """Derivatives of (col, row) by (lon, lat, h), `[..., 2, 3]`, in pixels per degree and pixels per metre."""
+        (x, y, z), shape = self._normalised(lon, lat, h)
+        _, _, jac = self._normalised_jacobian(x, y, z)
+        jac[:, 0] *= self.col_scale
+        jac[:, 1] *= self.row_scale
+        jac /= np.array([self.lon_scale, self.lat_scale, self.alt_scale])
+        return jac.reshape(*shape, 2, 3)
+
+    # -- pixel to ground ------------------------------------------------------------------------------------------
+
+    def localization(self, col: ArrayLike, row: ArrayLike, h: ArrayLike) -> tuple[Any, Any]:
+        """Longitude and latitude (degrees) where the pixel's line of sight meets height `h`; the arguments broadcast.
+
+        Newton's method on the projection itself, so `localization` inverts `projection` to rounding (<= 1e-9 degrees).
+        Points where it finds no solution (far outside the camera's validity) become NaN.
+        """
+        cols, rows, heights = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (col, row, h)))
+        shape = cols.shape
+        u = ((cols - self.col_offset) / self.col_scale).ravel()
+        v = ((rows - self.row_offset) / self.row_scale).ravel()
+        z = ((heights - self.alt_offset) / self.alt_scale).ravel()
+        x, y = np.empty(u.size), np.empty(u.size)
+        for start in range(0, u.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            x[part], y[part] = self._invert(u[part], v[part], z[part])
+        return (
+            _shaped(x * self.lon_scale + self.lon_offset, shape),
+            _shaped(y * self.lat_scale + self.lat_offset, shape),
+        )
+
+    def _invert(self, u: Array, v: Array, z: Array) -> tuple[Array, Array]:
+        x, y = np.zeros_like(u), np.zeros_like(u)
+        tolerance = _STEP_DEG / max(abs(self.lon_scale), abs(self.lat_scale))
+        tolerance = max(tolerance, 4 * np.finfo(np.float64).eps)
+        open_ = np.flatnonzero(np.isfinite(u) & np.isfinite(v) & np.isfinite(z))
+        done = np.zeros(u.size, bool)
+        for _ in range(_MAX_ITERATIONS):
+            if open_.size == 0:
+                break
+            c, r, jac = self._normalised_jacobian(x[open_], y[open_], z[open_])
+            du, dv = u[open_] - c, v[open_] - r
+            (a, b), (d, e) = jac[:, 0, :2].T, jac[:, 1, :2].T
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                det = a * e - b * d
+                step_x, step_y = (e * du - b * dv) / det, (a * dv - d * du) / det
+                length = np.hypot(step_x, step_y)
+                # A longer step than half the validity cube is not to be trusted: cubic terms would throw it far away.
+                damping = np.minimum(1.0, 0.5 / np.maximum(length, 1e-300))
+            good = np.isfinite(length)
+            x[open_] += np.where(good, step_x * damping, 0.0)
+            y[open_] += np.where(good, step_y * damping, 0.0)
+            converged = good & (length <= tolerance)
+            done[open_[converged]] = True
+            open_ = open_[good & ~converged]
+        # What rounding keeps from the tolerance is still a solution if the last step was tiny.
+        if open_.size:
+            c, r, _ = self._normalised_jacobian(x[open_], y[open_], z[open_])
+            done[open_] = np.hypot(u[open_] - c, v[open_] - r) < 1e-12
+        x[~done] = np.nan
+        y[~done] = np.nan
+        return x, y
+
+    # -- changed cameras ------------------------------------------------------------------------------------------
+
+    def shifted(self, dcol: float, drow: float) -> RPC:
+        """The camera whose projections lie (dcol, drow) pixels further right and down: an image-space bias."""
+        return replace(self, col_offset=self.col_offset + float(dcol), row_offset=self.row_offset + float(drow))
+
+    def cropped(self, col0: float, row0: float) -> RPC:
+        """The camera of a crop whose first pixel is pixel (col0, row0) of the full image."""
+        return self.shifted(-col0, -row0)
+
+    def with_affine(
+        self, matrix: ArrayLike, domain: tuple[float, float, float, float, float, float] | None = None, n: int = 12
+    ) -> tuple[RPC, float]:
+        """The camera after an affine change of the image, and how well it could be expressed.
+
+        `matrix` `[2, 3]` maps the old (col, row, 1) to the new (col, row). Numerators are refitted by least squares on
+        an n³ grid over `domain` (west, south, east, north, lowest, highest; default: the whole validity cube) with
+        denominators kept, which is exact for a shift and well conditioned otherwise. Returns (camera, largest
+        residual in pixels on a grid between the fitted points).
+        """
+        m = np.asarray(matrix, np.float64)
+        if m.shape != (2, 3) or not np.isfinite(m).all():
+            raise InputError(f"affine image correction: found an array of shape {m.shape}, expected a finite [2, 3]")
+        if np.array_equal(m[:, :2], np.eye(2)):
+            return self.shifted(m[0, 2], m[1, 2]), 0.0
+
+        def cube(count: int) -> tuple[Array, Array, Array]:
+            nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)  # Chebyshev: even error up to the faces
+            if domain is None:
+                low, high = -np.ones(3), np.ones(3)
+            else:
+                w, s, e, t, z0, z1 = domain
+                (p, q, k), _ = self._normalised([w, e], [s, t], [z0, z1])
+                low, high = np.array([p[0], q[0], k[0]]), np.array([p[1], q[1], k[1]])
+            axes = [(lo + hi) / 2 + (hi - lo) / 2 * nodes for lo, hi in zip(low, high, strict=True)]
+            x, y, z = (g.ravel() for g in np.meshgrid(*axes, indexing="ij"))
+            return x, y, z
+
+        def targets(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+            lon, lat = x * self.lon_scale + self.lon_offset, y * self.lat_scale + self.lat_offset
+            col, row = self.projection(lon, lat, z * self.alt_scale + self.alt_offset)
+            return m[0, 0] * col + m[0, 1] * row + m[0, 2], m[1, 0] * col + m[1, 1] * row + m[1, 2]
+
+        x, y, z = cube(n)
+        basis = monomials(x, y, z)
+        new_col, new_row = targets(x, y, z)
+        u, v = (new_col - self.col_offset) / self.col_scale, (new_row - self.row_offset) / self.row_scale
+        col_num: Array = np.linalg.lstsq(basis.T, u * (self.col_den @ basis), rcond=None)[0].astype(np.float64)
+        row_num: Array = np.linalg.lstsq(basis.T, v * (self.row_den @ basis), rcond=None)[0].astype(np.float64)
+        fitted = replace(self, col_num=col_num, row_num=row_num)
+        x, y, z = cube(n - 1)
+        want = targets(x, y, z)
+        lon, lat = x * self.lon_scale + self.lon_offset, y * self.lat_scale + self.lat_offset
+        got = fitted.projection(lon, lat, z * self.alt_scale + self.alt_offset)
+        return fitted, float(np.hypot(got[0] - want[0], got[1] - want[1]).max())
+
+    # -- writing --------------------------------------------------------------------------------------------------
+
+    def to_tags(self) -> dict[str, str]:
+        """GDAL's RPC metadata, every number with all its digits."""
+        tags = {key: repr(float(getattr(self, name))) for key, name in SCALARS.items()}
+        for key, name in VECTORS.items():
+            tags[key] = " ".join(repr(float(c)) for c in getattr(self, name))
+        return tags
+
+    def to_rpc_txt(self) -> str:
+        """The text of a `_RPC.TXT` file as GDAL and other software read it, every number with all its digits."""
+        units = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
+        lines = [f"{key}: {float(getattr(self, name))!r} {units[key.split('_')[0]]}" for key, name in SCALARS.items()]
+        for key, name in VECTORS.items():
+            lines += [f"{key}_{i + 1}: {float(c)!r}" for i, c in enumerate(getattr(self, name))]
+        return "\n".join(lines) + "\n"
+
+    def write(self, path: str | Path) -> None:
+        """Write `to_rpc_txt` to a file (name it `<image>_RPC.TXT` so that GDAL finds it beside the image)."""
+        Path(path).write_text(self.to_rpc_txt(), encoding="ascii", newline="\n")
+
+    # -- inner parts ----------------------------------------------------------------------------------------------
+
+    @property
+    def altitude_range(self) -> tuple[float, float]:
+        """Heights (m) over which the vendor fitted the camera."""
+        half = abs(self.alt_scale)
+        return self.alt_offset - half, self.alt_offset + half
+
+    def _coefficients(self) -> Array:
+        return np.stack([self.col_num, self.col_den, self.row_num, self.row_den])
+
+    def _normalised(
+        self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike
+    ) -> tuple[tuple[Array, Array, Array], tuple[int, ...]]:
+        lons, lats, heights = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (lon, lat, h)))
+        dlon = lons - self.lon_offset
+        if (np.abs(dlon) > 180.0).any():  # a camera near the date line asked with the other sign
+            dlon = dlon - 360.0 * np.round(dlon / 360.0)
+        x = (dlon / self.lon_scale).ravel()
+        y = ((lats - self.lat_offset) / self.lat_scale).ravel()
+        z = ((heights - self.alt_offset) / self.alt_scale).ravel()
+        return (x, y, z), lons.shape
+
+    def _normalised_jacobian(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        """Normalised (col, row) and their derivatives `[n, 2, 3]` by normalised coordinates."""
+        k = self._coefficients()
+        cn, cd, rn, rd = k @ monomials(x, y, z)
+        col, row = cn / cd, rn / rd
+        jac = np.empty((x.size, 2, 3))
+        for axis, derivative in enumerate(monomial_derivatives(x, y, z)):
+            dcn, dcd, drn, drd = k @ derivative
+            jac[:, 0, axis] = (dcn - col * dcd) / cd
+            jac[:, 1, axis] = (drn - row * drd) / rd
+        return col, row, jac
+
+
+def _shaped(values: Array, shape: tuple[int, ...]) -> Any:
+    return float(values[0]) if shape == () else values.reshape(shape)
+
+
+def _number(tags: Mapping[str, Any], key: str, source: str) -> float:
+    if key not in tags:
+        raise InputError(f"{source}: found an RPC without {key}, expected all of {', '.join(SCALARS)}")
+    try:
+        value = float(tags[key])
+    except (TypeError, ValueError):
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(f"{source}: found {key} = {str(tags[key])[:40]!r}, expected a finite number")
+    return value
+
+
+def _twenty(tags: Mapping[str, Any], key: str, source: str) -> Array:
+    if key in tags:
+        raw = tags[key].split() if isinstance(tags[key], str) else list(tags[key])
+    else:
+        raw = [tags[f"{key}_{i}"] for i in range(1, 21) if f"{key}_{i}" in tags]
+    try:
+        values = np.array([float(c) for c in raw], np.float64)
+    except (TypeError, ValueError):
+        values = np.full(len(raw), np.nan)
+    if values.size != 20 or not np.isfinite(values).all():
+        raise InputError(f"{source}: found {values.size} usable {key} members, expected 20 finite numbers")
+    values.flags.writeable = False
+    return values

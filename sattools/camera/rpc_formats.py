@@ -1,0 +1,205 @@
+"""Readers of vendors' RPC files; all return GDAL's names, with (0, 0) the centre of the first pixel."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+from sattools.camera.rpc import SCALARS, VECTORS
+from sattools.errors import InputError
+
+Fields = dict[str, Any]
+
+_UNITS = {"", "pixel", "pixels", "degree", "degrees", "deg", "meter", "meters", "metre", "metres", "m"}
+_TEXT_LIMIT = 64 << 20  # bytes; no metadata file is larger, and a raster without a known header must not be read whole
+_SATNERF = SCALARS | VECTORS  # its members are named as ours
+_RPB = {
+    "LINE_OFF": "LINEOFFSET",
+    "SAMP_OFF": "SAMPOFFSET",
+    "LAT_OFF": "LATOFFSET",
+    "LONG_OFF": "LONGOFFSET",
+    "HEIGHT_OFF": "HEIGHTOFFSET",
+    "LINE_SCALE": "LINESCALE",
+    "SAMP_SCALE": "SAMPSCALE",
+    "LAT_SCALE": "LATSCALE",
+    "LONG_SCALE": "LONGSCALE",
+    "HEIGHT_SCALE": "HEIGHTSCALE",
+    "LINE_NUM_COEFF": "LINENUMCOEF",
+    "LINE_DEN_COEFF": "LINEDENCOEF",
+    "SAMP_NUM_COEFF": "SAMPNUMCOEF",
+    "SAMP_DEN_COEFF": "SAMPDENCOEF",
+}
+
+
+def read_rpc_fields(path: Path) -> Fields:
+    """RPC members of any supported file, under GDAL's names. Raises InputError in one line."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(512)
+    except OSError as error:
+        raise InputError(f"{path}: found {error.strerror or error}, expected a readable file") from None
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if start.startswith(b"<"):
+        return _from_xml(path)
+    if start.startswith(b"{"):
+        return _from_json(path)
+    if b"\0" not in head and not head.startswith((b"NITF", b"NSIF")):
+        text = read_text(path)
+        if re.search(r"(?im)^\s*lineOffset\s*=", text):
+            return _from_rpb(path, text)
+        if re.search(r"(?im)^\s*LINE_OFF\s*[:=]", text):
+            return _from_rpc_txt(path, text)
+        raise InputError(f"{path}: found text without RPC members, expected `LINE_OFF: ...` or `lineOffset = ...`")
+    return _from_raster(path)
+
+
+def read_text(path: Path) -> str:
+    """Text of a metadata file: UTF-8 with or without byte order mark, else Latin-1; any line ends."""
+    try:
+        size = path.stat().st_size
+        if size > _TEXT_LIMIT:
+            raise InputError(f"{path}: found {size} bytes, expected a metadata file of less than {_TEXT_LIMIT} bytes")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: found {error.strerror or error}, expected a readable file") from None
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object from a file. Raises InputError when it is not one."""
+    try:
+        document = json.loads(read_text(path))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: found unreadable JSON ({error}), expected a JSON object") from None
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: found a JSON {type(document).__name__}, expected a JSON object")
+    return document
+
+
+def parse_xml(path: Path) -> Any:
+    """Root element of an XML file without entity expansion. Raises InputError when it is malformed."""
+    import defusedxml.ElementTree as ElementTree
+    from defusedxml import DefusedXmlException
+
+    try:
+        # Bytes, so that the declared encoding is obeyed; the reader knows a byte order mark.
+        return ElementTree.fromstring(path.read_bytes().strip())
+    except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:
+        raise InputError(f"{path}: found unreadable XML ({error}), expected DIMAP or DigitalGlobe metadata") from None
+    except OSError as error:
+        raise InputError(f"{path}: found {error.strerror or error}, expected a readable file") from None
+
+
+def local_name(element: Any) -> str:
+    """Tag of an XML element without its namespace."""
+    return str(element.tag).rsplit("}", 1)[-1]
+
+
+def find_all(element: Any, name: str) -> list[Any]:
+    """All descendants of that name, whatever their namespace."""
+    return [e for e in element.iter() if local_name(e) == name]
+
+
+def _from_xml(path: Path) -> Fields:
+    root = parse_xml(path)
+    if local_name(root) == "Dimap_Document":
+        return _from_dimap(path, root)
+    blocks = find_all(root, "RPB")
+    if blocks:
+        return _from_isd(blocks[0])
+    raise InputError(
+        f"{path}: found XML with root <{local_name(root)}> and no RPC that is understood, "
+        "expected <Dimap_Document> or DigitalGlobe XML with <RPB>"
+    )
+
+
+def _from_dimap(path: Path, root: Any) -> Fields:
+    """DIMAP: version 2 counts pixels from 1; version 3 (Pléiades Neo) renames members and states its first pixel."""
+    inverse = find_all(root, "Inverse_Model") or find_all(root, "GroundtoImage_Values")
+    validity = find_all(root, "RFM_Validity")
+    if not inverse or not validity:
+        raise InputError(
+            f"{path}: found DIMAP without an RPC, expected <Inverse_Model> and <RFM_Validity> (the RPC_*.XML file)"
+        )
+    fields: Fields = {local_name(e): (e.text or "").strip() for e in [*inverse[0], *validity[0]] if len(e) == 0}
+    first = {"FIRST_ROW": 1.0, "FIRST_COL": 1.0}
+    for domain in find_all(root, "ImagetoGround_Validity_Domain"):
+        first |= {local_name(e): float(e.text) for e in domain if local_name(e) in first and e.text}
+    for key, origin in (("LINE_OFF", "FIRST_ROW"), ("SAMP_OFF", "FIRST_COL")):
+        with contextlib.suppress(KeyError, ValueError):  # RPC.from_tags says what is missing
+            fields[key] = float(fields[key]) - first[origin]
+    return fields
+
+
+def _from_isd(block: Any) -> Fields:
+    texts = {local_name(e).upper(): (e.text or "").strip() for e in block.iter()}
+    return {key: texts[name] for key, name in _RPB.items() if name in texts}
+
+
+def _from_rpb(path: Path, text: str) -> Fields:
+    """`.RPB` (and `.IMD`-like) text: `name = value;`, lists in parentheses over several lines."""
+    values = {m[1].upper(): m[2] for m in re.finditer(r"(\w+)\s*=\s*(\([^)]*\)|[^;\n]*)", text)}
+    fields: Fields = {}
+    for key, name in _RPB.items():
+        if name in values:
+            raw = values[name].strip()
+            fields[key] = raw.strip("()").replace(",", " ") if raw.startswith("(") else raw.strip('"')
+    return fields
+
+
+def _from_rpc_txt(path: Path, text: str) -> Fields:
+    fields: Fields = {}
+    for line in text.split("\n"):
+        match = re.match(r"\s*(\w+)\s*[:=]\s*(.*?)\s*;?\s*$", line)
+        if match is None:
+            continue
+        key = match[1].upper()
+        if key in VECTORS:  # one line of 20 numbers
+            fields[key] = match[2]
+            continue
+        value, _, unit = match[2].partition(" ")
+        if key in SCALARS and unit.strip().lower() not in _UNITS:
+            raise InputError(f"{path}: found {key} in {unit.strip()!r}, expected pixels, degrees or meters")
+        fields[key] = value
+    return fields
+
+
+def _from_json(path: Path) -> Fields:
+    document = read_json(path)
+    rpc = document.get("rpc", document)
+    if not isinstance(rpc, dict) or not any(name in rpc for name in _SATNERF.values()):
+        raise InputError(f"{path}: found JSON without RPC members, expected `rpc` with row_offset, col_num, ...")
+    fields: Fields = {}
+    for key, name in _SATNERF.items():
+        if name in rpc:
+            fields[key] = rpc[name]
+        if key in VECTORS and not isinstance(fields.get(key, []), list):
+            raise InputError(f"{path}: found {name} that is no list, expected 20 numbers")
+    return fields
+
+
+def _from_raster(path: Path) -> Fields:
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as dataset:
+                fields = dict(dataset.tags(ns="RPC"))
+    except RasterioError as error:
+        reason = " ".join(str(error).split()).removeprefix(f"{path}: ").removeprefix(f"'{path}' ")
+        raise InputError(f"{path}: found no image or metadata that can be read ({reason})") from None
+    if not fields:
+        raise InputError(f"{path}: found an image without RPC, expected RPC tags or a metadata file beside it")
+    return fields
