@@ -51,9 +51,7 @@ class Asset:
     def from_dict(cls, data: Mapping[str, Any]) -> Asset:
         """Inverse of `to_dict`."""
         rest = {k: v for k, v in data.items() if k not in ("href", "type", "roles")}
-        return cls(
-            str(data["href"]), str(data.get("type", COG_TYPE)), list(data.get("roles", ["data"])), rest
-        )
+        return cls(str(data["href"]), str(data.get("type", COG_TYPE)), list(data.get("roles", ["data"])), rest)
 
 
 @dataclass
@@ -197,9 +195,7 @@ class Scene:
             found = ours.get("version") if isinstance(ours, dict) else ours
             raise SceneError(f"{source}: found scene version {found!r}, expected {FORMAT_VERSION}")
         if not isinstance(data.get("features"), list):
-            raise SceneError(
-                f"{source}: found no list of features, expected a FeatureCollection of STAC Items"
-            )
+            raise SceneError(f"{source}: found no list of features, expected a FeatureCollection of STAC Items")
         try:
             height_range = ours.get("height_range_m")
             scene = cls(
@@ -220,9 +216,7 @@ class Scene:
         ids = [item.id for item in scene.items]
         twice = {i for i in ids if ids.count(i) > 1}
         if twice:
-            raise SceneError(
-                f"{source}: found item id {sorted(twice)[0]!r} more than once, expected unique ids"
-            )
+            raise SceneError(f"{source}: found item id {sorted(twice)[0]!r} more than once, expected unique ids")
         return scene
 
     @classmethod
@@ -262,9 +256,7 @@ class Scene:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise SceneError(
-                f"{path.parent}: cannot be made ({error.strerror}), expected a writable root"
-            ) from error
+            raise SceneError(f"{path.parent}: cannot be made ({error.strerror}), expected a writable root") from error
         return path
 
     def href(self, path: Path) -> str:
@@ -274,9 +266,7 @@ class Scene:
     def _below_root(self, relative: str) -> Path:
         path = self.root / relative
         if not path.resolve().is_relative_to(self.root.resolve()):
-            raise SceneError(
-                f"{relative}: leads outside the scene's root {self.root}, expected a path below it"
-            )
+            raise SceneError(f"{relative}: leads outside the scene's root {self.root}, expected a path below it")
         return path
 
     def train_items(self) -> list[Item]:

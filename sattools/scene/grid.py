@@ -103,9 +103,7 @@ class Grid:
                 int(data["height"]),
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise SceneError(
-                f"grid: found {dict(data)}, expected crs, left, top, cell_size, width, height"
-            ) from error
+            raise SceneError(f"grid: found {dict(data)}, expected crs, left, top, cell_size, width, height") from error
 
 
 __all__ = ["Grid"]

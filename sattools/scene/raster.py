@@ -35,9 +35,7 @@ def atomic(path: Path) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".tmp" + path.suffix, dir=path.parent)
         os.close(handle)
     except OSError as error:
-        raise SattoolsError(
-            f"{path}: cannot be written ({error.strerror}), expected a writable folder"
-        ) from error
+        raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a writable folder") from error
     temporary = Path(name)
     try:
         yield temporary

@@ -1,0 +1,188 @@
+"""Scenes in, scenes out: reading, error handling, history and exit codes that all commands share.
+
+A command calls `run_scenes` (it transforms scenes) or `run_source` (it makes one). Exit codes: 0 done, 1 failed,
+2 usage, 3 some scenes failed and the others were passed on, 130/143 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools import __version__
+from sattools.cli.options import print_config
+from sattools.cli.progress import make_progress
+from sattools.errors import SattoolsError, SceneError
+from sattools.progress import Progress
+from sattools.settings import as_dict
+
+if TYPE_CHECKING:  # the document pulls in numpy, which --help can do without
+    from sattools.scene import Scene
+
+Work = Callable[["Scene", Progress], dict[str, Any] | None]
+
+
+@dataclass
+class Run:
+    """How a command was called."""
+
+    command: str
+    options: Any
+    dry_run: bool = False
+    print_config: bool = False
+
+
+def run_scenes(
+    run: Run,
+    scenes: tuple[str, ...],
+    work: Work,
+    emit: Callable[[Scene, dict[str, Any]], str] | None = None,
+    plan: str = "",
+) -> None:
+    """Apply ``work`` to every scene and pass the results on as soon as they are done.
+
+    Args:
+        run: the call.
+        scenes: paths of scene documents; empty or ``-`` = stdin, one scene per line.
+        work: changes the scene; what it returns goes into the history entry.
+        emit: makes the line for stdout from the scene and the history entry; None = the scene document.
+        plan: for --dry-run, what would be done.
+    """
+    if run.print_config:
+        print_config(run.command, run.options)
+        return
+    done, failed = 0, 0
+    seen: set[tuple[str, str]] = set()
+    for source, text in documents(scenes):
+        try:
+            scene = parse(source, text)
+            key = (str(scene.root), scene.id)
+            if key in seen:
+                raise SceneError(f"{source}: found scene id {scene.id!r} a second time, expected unique ids")
+            seen.add(key)
+            if run.dry_run:
+                click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}", err=True)
+                _print_line(scene.to_json())
+            else:
+                entry = _apply(run, scene, work)
+                _print_line(emit(scene, entry) if emit else scene.to_json())
+            done += 1
+        except SattoolsError as error:
+            failed += 1
+            report_error(run.command, error)
+    if done == failed == 0:
+        report_error(
+            run.command,
+            SceneError("stdin: found nothing, expected scene documents, one per line (did the command before fail?)"),
+        )
+        sys.exit(1)
+    if failed:
+        sys.exit(3 if done else 1)
+
+
+def run_source(run: Run, make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]], label: str) -> None:
+    """Make one scene and print it."""
+    if run.print_config:
+        print_config(run.command, run.options)
+        return
+    if run.dry_run:
+        click.echo(f"sattools {run.command}: would make {label}", err=True)
+        return
+    try:
+        start = time.perf_counter()
+        scene, extra = make(_progress(run.command, label))
+        _finish(run, scene, start, extra)
+        _print_line(scene.to_json())
+    except SattoolsError as error:
+        report_error(run.command, error)
+        sys.exit(1)
+
+
+def report_error(command: str, error: SattoolsError) -> None:
+    """One line on stderr."""
+    click.echo(f"sattools {command}: error: {' '.join(str(error).split())}", err=True)
+
+
+def _apply(run: Run, scene: Scene, work: Work) -> dict[str, Any]:
+    start = time.perf_counter()
+    extra = work(scene, _progress(run.command, scene.id))
+    return _finish(run, scene, start, extra)
+
+
+def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
+    from sattools.scene.raster import write_text
+
+    entry = {
+        "command": run.command,
+        "options": _plain(as_dict(run.options)) if run.options is not None else {},
+        "seconds": round(time.perf_counter() - start, 3),
+        # the kernel's high-water mark of the process, in KiB on Linux
+        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+        "versions": _versions(),
+        **(extra or {}),
+    }
+    scene.history.append(entry)
+    write_text(scene.output("scene.json"), scene.to_json() + "\n")
+    return entry
+
+
+def _versions() -> dict[str, str]:
+    found = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
+    for name in ("numpy", "torch", "rasterio"):
+        # only what the command really used: importing torch for its version costs seconds
+        if name in sys.modules:
+            found[name] = str(sys.modules[name].__version__)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _progress(command: str, label: str) -> Progress:
+    context = click.get_current_context(silent=True)
+    mode = (context.find_root().obj or {}).get("progress", "none") if context else "none"
+    return make_progress(mode, f"{command} {label}")
+
+
+def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:
+    """(name, text) of every scene; text None means that the name is a file still to be read."""
+    for name in scenes or ("-",):
+        if name != "-":
+            yield name, None
+            continue
+        if sys.stdin is None or sys.stdin.isatty():
+            raise click.UsageError("expected scene documents on stdin (from `sattools prep`) or the path of one")
+        for number, line in enumerate(sys.stdin, 1):
+            if line.strip():
+                yield f"stdin line {number}", line
+
+
+def parse(source: str, text: str | None) -> Scene:
+    from sattools.scene import Scene
+
+    return Scene.from_file(source) if text is None else Scene.from_json(text, source)
+
+
+def _print_line(line: str) -> None:
+    try:
+        print(line, flush=True)
+    except BrokenPipeError:
+        # nobody reads any more: stop quietly, and keep Python from complaining when it flushes stdout at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+__all__ = ["Run", "documents", "parse", "report_error", "run_scenes", "run_source"]

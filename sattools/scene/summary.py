@@ -1,0 +1,38 @@
+"""A scene in a few lines for people."""
+
+from __future__ import annotations
+
+from sattools.scene.document import Scene
+
+
+def summary(scene: Scene) -> str:
+    """Text with the images, the grid, the products and the history."""
+    lines = [f"scene {scene.id}  root {scene.root}"]
+    if scene.grid:
+        g = scene.grid
+        lines.append(
+            f"  grid {g.width} x {g.height} cells of {g.cell_size:g} m, {g.crs}, upper left {g.left:.2f} {g.top:.2f}"
+        )
+    if scene.height_range_m:
+        lines.append("  heights {:.1f} ... {:.1f} m above the ellipsoid".format(*scene.height_range_m))
+    lines.append(f"  {len(scene.items)} images, {len(scene.train_items())} for training")
+    for item in scene.items:
+        p = item.properties
+        parts = [f"    {item.id:24s} {str(p.get('datetime') or 'no date')[:16]:16s}"]
+        if item.sun:
+            parts.append("sun az {:5.1f} el {:4.1f}".format(*item.sun))
+        if p.get("view:off_nadir") is not None:
+            parts.append(f"off-nadir {p['view:off_nadir']:4.1f}")
+        if p.get("gsd") is not None:
+            parts.append(f"gsd {p['gsd']:.2f} m")
+        parts.append(item.role)
+        lines.append("  ".join(parts))
+    for name, href in scene.products.items():
+        lines.append(f"  product {name:16s} {href}")
+    for entry in scene.history:
+        lines.append(f"  {entry['command']:10s} {entry['seconds']:8.1f} s  {entry['peak_memory_mb']:7.0f} MB")
+        lines.extend(f"    {remark}" for remark in entry.get("remarks", []))
+    return "\n".join(lines)
+
+
+__all__ = ["summary"]

@@ -1,0 +1,94 @@
+"""Options of a stage as a dataclass whose fields carry their own help, choices and limits.
+
+The command line, `--print-config`, the scene's history and the QGIS plugin all read these fields, so an option is
+described in one place only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from dataclasses import MISSING, dataclass
+from typing import Any
+
+
+def option(default: Any, help: str, *, minimum: float | None = None, maximum: float | None = None) -> Any:
+    """A dataclass field with its help text, unit included, and inclusive limits."""
+    metadata = {"help": help, "minimum": minimum, "maximum": maximum}
+    if isinstance(default, list | dict):
+        return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class OptionSpec:
+    """One option, resolved from a dataclass field.
+
+    Attributes:
+        name: field name.
+        kind: `bool`, `int`, `float` or `str`.
+        choices: allowed values, or None.
+        optional: None is allowed.
+        multiple: the field is a list.
+        default: default value.
+        help: help text.
+        minimum, maximum: inclusive limits, or None.
+    """
+
+    name: str
+    kind: type
+    choices: tuple[str, ...] | None
+    optional: bool
+    multiple: bool
+    default: Any
+    help: str
+    minimum: float | None
+    maximum: float | None
+
+
+def specs(cls: type) -> list[OptionSpec]:
+    """The options of a dataclass, in order; fields without help are not options."""
+    hints = typing.get_type_hints(cls)
+    found = []
+    for item in dataclasses.fields(cls):
+        if "help" not in item.metadata:
+            continue
+        kind, choices, optional, multiple = _resolve(hints[item.name])
+        default = item.default_factory() if item.default_factory is not MISSING else item.default
+        found.append(
+            OptionSpec(
+                item.name,
+                kind,
+                choices,
+                optional,
+                multiple,
+                default,
+                item.metadata["help"],
+                item.metadata["minimum"],
+                item.metadata["maximum"],
+            )
+        )
+    return found
+
+
+def _resolve(hint: Any) -> tuple[type, tuple[str, ...] | None, bool, bool]:
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        inner = [a for a in typing.get_args(hint) if a is not type(None)]
+        kind, choices, _, multiple = _resolve(inner[0])
+        return kind, choices, True, multiple
+    if origin is list:
+        kind, choices, _, _ = _resolve(typing.get_args(hint)[0])
+        return kind, choices, False, True
+    if origin is typing.Literal:
+        return str, tuple(typing.get_args(hint)), False, False
+    return hint, None, False, False
+
+
+def as_dict(options: Any) -> dict[str, Any]:
+    """Resolved options as plain types."""
+    return dataclasses.asdict(options)
+
+
+__all__ = ["OptionSpec", "as_dict", "option", "specs"]
