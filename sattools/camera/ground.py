@@ -1,0 +1,164 @@
+"""Cameras over a projected ground grid: rays in its coordinates, directions of view, and the angle of its north.
+
+Directions are unit vectors (east, north, up) from the ground to the sensor or to the sun; azimuths count clockwise from
+north, in degrees. "True" north is the meridian's; grid north differs from it by the meridian convergence.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError
+
+from sattools.camera.rpc import RPC
+from sattools.errors import InputError
+
+Array = NDArray[np.float64]
+
+_A = 6378137.0  # WGS84 semi-major axis [m]
+_E2 = 6.69437999014e-3  # WGS84 first eccentricity squared
+
+
+def utm_crs(lon: float, lat: float) -> str:
+    """`EPSG:326zz` or `EPSG:327zz`, the UTM zone of a place (without the exceptions around Norway)."""
+    zone = math.floor((lon + 180.0) / 6.0) % 60 + 1
+    return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"
+
+
+@lru_cache(maxsize=32)
+def _transformer(source: str, target: str) -> Transformer:
+    try:
+        return Transformer.from_crs(source, target, always_xy=True)
+    except CRSError as error:
+        raise InputError(
+            f"CRS {source} or {target}: found {str(error).splitlines()[0]}, expected a known CRS"
+        ) from None
+
+
+def check_projected(crs: str) -> str:
+    """The CRS as given, or InputError if it is unknown or not projected in metres."""
+    try:
+        parsed = CRS.from_user_input(crs)
+    except CRSError as error:
+        raise InputError(f"CRS {crs!r}: found {str(error).splitlines()[0]}, expected e.g. EPSG:32617") from None
+    if not parsed.is_projected or any(abs(a.unit_conversion_factor - 1.0) > 1e-9 for a in parsed.axis_info[:2]):
+        raise InputError(f"CRS {crs!r}: found one that is not projected in metres, expected e.g. EPSG:32617")
+    return crs
+
+
+def to_geographic(crs: str, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
+    """(lon, lat) in degrees of grid coordinates in metres."""
+    return _transformer(crs, "EPSG:4326").transform(x, y)
+
+
+def from_geographic(crs: str, lon: ArrayLike, lat: ArrayLike) -> tuple[Any, Any]:
+    """Grid coordinates in metres of (lon, lat) in degrees."""
+    return _transformer("EPSG:4326", crs).transform(lon, lat)
+
+
+def project(rpc: RPC, crs: str, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Any, Any]:
+    """Pixel (col, row) of points given in the ground CRS [m]; x, y, z broadcast."""
+    xs, ys = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    lon, lat = to_geographic(crs, xs, ys)
+    return rpc.projection(lon, lat, z)
+
+
+def localize(rpc: RPC, crs: str, col: ArrayLike, row: ArrayLike, z: ArrayLike) -> tuple[Any, Any]:
+    """Grid coordinates (x, y) [m] where the pixel's line of sight meets height z [m]; the arguments broadcast."""
+    return from_geographic(crs, *rpc.localization(col, row, z))
+
+
+def ground_rays(rpc: RPC, crs: str, cols: ArrayLike, rows: ArrayLike, z0: float, z1: float) -> tuple[Array, Array]:
+    """Lines of sight: grid coordinates `[..., 2]` of each pixel at heights z0 and z1 [m].
+
+    Between the two a satellite's ray is straight in a projected CRS to far below a millimetre over some hundred metres.
+    """
+    low = np.stack(localize(rpc, crs, cols, rows, z0), axis=-1)
+    high = np.stack(localize(rpc, crs, cols, rows, z1), axis=-1)
+    return low, high
+
+
+def metres_per_degree(lat: float, h: float = 0.0) -> tuple[float, float]:
+    """Metres of one degree of longitude and of latitude at a place on the WGS84 ellipsoid."""
+    phi = math.radians(lat)
+    w2 = 1.0 - _E2 * math.sin(phi) ** 2
+    east = (_A / math.sqrt(w2) + h) * math.cos(phi)
+    north = _A * (1.0 - _E2) / w2**1.5 + h
+    return math.radians(east), math.radians(north)
+
+
+def view_direction(rpc: RPC, lon: float, lat: float, h: float) -> Array:
+    """Unit vector (east, north, up), true north, from a ground point to the sensor.
+
+    It is the direction that does not move the pixel: the cross product of the two rows of the projection's Jacobian.
+    """
+    east, north = metres_per_degree(lat, h)
+    jac = rpc.jacobian(lon, lat, h) / np.array([east, north, 1.0])
+    d = np.cross(jac[0], jac[1])
+    d = d / np.linalg.norm(d)
+    return d if d[2] >= 0 else -d
+
+
+def direction(azimuth_deg: ArrayLike, elevation_deg: ArrayLike) -> Array:
+    """Unit vectors `[..., 3]` (east, north, up) of azimuth (clockwise from north) and elevation above the horizon."""
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    flat = np.cos(elevation)
+    return np.stack([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)], axis=-1)
+
+
+def azimuth_elevation(vector: ArrayLike) -> tuple[Any, Any]:
+    """Azimuth in [0, 360) and elevation in degrees of vectors `[..., 3]`; inverse of `direction`."""
+    v = np.asarray(vector, np.float64)
+    azimuth = np.degrees(np.arctan2(v[..., 0], v[..., 1])) % 360.0
+    elevation = np.degrees(np.arctan2(v[..., 2], np.hypot(v[..., 0], v[..., 1])))
+    return azimuth[()], elevation[()]
+
+
+def convergence_deg(crs: str, lon: float, lat: float) -> float:
+    """True azimuth of grid north in degrees: grid azimuth = true azimuth - convergence."""
+    step = 1e-4
+    x, y = from_geographic(crs, [lon, lon], [lat - step, lat + step])
+    return -math.degrees(math.atan2(x[1] - x[0], y[1] - y[0]))
+
+
+def to_grid_north(vector: ArrayLike, convergence: float) -> Array:
+    """Directions `[..., 3]` relative to true north, expressed relative to grid north (convergence in degrees)."""
+    v = np.asarray(vector, np.float64)
+    c, s = math.cos(math.radians(convergence)), math.sin(math.radians(convergence))
+    return np.stack([c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1], v[..., 2]], axis=-1)
+
+
+def grid_direction(azimuth_deg: float, elevation_deg: float, crs: str, lon: float, lat: float) -> Array:
+    """Unit vector (east, north, up) in the grid's axes of an azimuth from true north, as metadata give it."""
+    return to_grid_north(direction(azimuth_deg, elevation_deg), convergence_deg(crs, lon, lat))
+
+
+def ground_sample_distance(rpc: RPC, lon: float, lat: float, h: float) -> float:
+    """Geometric mean of the edges of a pixel on level ground [m]."""
+    east, north = metres_per_degree(lat, h)
+    jac = rpc.jacobian(lon, lat, h)[:, :2] / np.array([east, north])
+    return float(abs(np.linalg.det(jac)) ** -0.5)
+
+
+__all__ = [
+    "azimuth_elevation",
+    "check_projected",
+    "convergence_deg",
+    "direction",
+    "from_geographic",
+    "grid_direction",
+    "ground_rays",
+    "ground_sample_distance",
+    "localize",
+    "metres_per_degree",
+    "project",
+    "to_geographic",
+    "to_grid_north",
+    "utm_crs",
+    "view_direction",
+]
