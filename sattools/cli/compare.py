@@ -1,0 +1,66 @@
+"""`sattools compare`: score a DSM, maps and views against references."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
+from sattools.cli.pipe import Run, report_error, run_scenes
+from sattools.compare.stage import CompareOptions
+from sattools.errors import SattoolsError
+from sattools.progress import Progress
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("compare")
+@scene_argument
+@dataclass_options(CompareOptions)
+@common_options
+def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Score the scene's DSM against a reference: JSON on stdout, a table on stderr, a difference map in the scene.
+
+    Either `--truth DIR` (contest layout), or `--dsm REF` with `--classes CLS`; a simulated scene brings its own truth.
+    With `--predicted DSM` a file is scored and no scene is read.
+    """
+    options = build(CompareOptions, values)
+    if options.predicted is not None:
+        _compare_file(options, overwrite, dry_run, print_config)
+        return
+
+    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+        from sattools.compare.stage import compare, table
+
+        figures = compare(options, scene, progress, overwrite)
+        click.echo(table(figures), err=True)
+        return {"errors": figures}
+
+    def emit(scene: Scene, entry: dict[str, Any]) -> str:
+        from sattools.compare.stage import to_json
+
+        return to_json(entry["errors"])
+
+    run = Run("compare", options, dry_run, print_config)
+    run_scenes(run, scenes, work, emit, "score the DSM")
+
+
+def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:
+    from sattools.compare.stage import compare_file, table, to_json
+
+    if show:
+        print_config("compare", options)
+        return
+    if dry_run:
+        click.echo(f"sattools compare: would score {options.predicted}", err=True)
+        return
+    try:
+        figures = compare_file(options, overwrite)
+    except SattoolsError as error:
+        report_error("compare", error)
+        sys.exit(1)
+    click.echo(table(figures), err=True)
+    click.echo(to_json(figures))

@@ -1,0 +1,213 @@
+"""Error figures of height maps, parameter maps and images against a reference. Pure functions of arrays, no I/O."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sattools.errors import InputError
+
+WATER = 9
+CLASSES: dict[str, tuple[int, ...]] = {"ground": (2,), "trees": (5,), "buildings": (6,)}
+"""Names of the classes scored on their own, and their codes in the class map (ASPRS LAS codes)."""
+
+CLIP_M = 10.0
+FILL_METHOD = "nearest"
+
+
+def clip_to_reference(predicted: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """`predicted` in metres limited to [lowest - 10 m, highest + 10 m] of the finite reference; NaN stays NaN."""
+    return np.clip(predicted, np.nanmin(reference) - CLIP_M, np.nanmax(reference) + CLIP_M)
+
+
+def fill_holes(predicted: np.ndarray) -> np.ndarray:
+    """`predicted` [H, W] with each NaN replaced by the nearest finite height; raises InputError if there is none."""
+    holes = ~np.isfinite(predicted)
+    if not holes.any():
+        return predicted
+    if holes.all():
+        raise InputError("prediction: found no height at all, expected at least one")
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
+    return predicted[tuple(nearest)]
+
+
+def nmad(difference: np.ndarray) -> float:
+    """Normalised median absolute deviation 1.4826 median|d - median(d)|, the spread that outliers do not move.
+
+    Höhle & Höhle (2009), doi:10.1016/j.isprsjprs.2009.02.003.
+    """
+    return float(1.4826 * np.median(np.abs(difference - np.median(difference))))
+
+
+def height_errors(
+    predicted: np.ndarray,
+    reference: np.ndarray,
+    classes: np.ndarray | None = None,
+    filled: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """Error table of a registered prediction; all arrays [H, W] in metres, NaN = no height.
+
+    Reference cells that are NaN or of class 9 (water) do not count. Errors are over cells with a prediction;
+    `completeness`, `within_1m` and `within_2_5m` are shares of *all* counted reference cells, so a hole is never
+    within; `mae_filled` is the mean |difference| over all of them with holes filled from `filled` (default: the
+    nearest predicted cell). Raises InputError where nothing can be compared.
+    """
+    counted = np.isfinite(reference)
+    if classes is not None:
+        if classes.shape != reference.shape:
+            raise InputError(f"class map: found shape {classes.shape}, expected {reference.shape}")
+        counted &= classes != WATER
+    if not counted.any():
+        raise InputError("reference: found no height outside water, expected at least one")
+    clipped = clip_to_reference(predicted, np.where(counted, reference, np.nan))
+    difference = clipped - reference
+    seen = counted & np.isfinite(difference)
+    if not seen.any():
+        raise InputError("prediction: found no height on a cell of the reference, expected at least one")
+    total = int(counted.sum())
+    absolute = np.abs(difference)
+    complete = clip_to_reference(
+        fill_holes(predicted if filled is None else filled), np.where(counted, reference, np.nan)
+    )
+    result: dict[str, Any] = _errors(difference[seen])
+    result |= {
+        "completeness": float(seen.sum() / total),
+        "within_1m": float((absolute[seen] <= 1.0).sum() / total),
+        "within_2_5m": float((absolute[seen] <= 2.5).sum() / total),
+        "mae_filled": float(np.abs(complete - reference)[counted].mean()),
+        "filled_by": FILL_METHOD,
+        "cells": total,
+        "cells_predicted": int(seen.sum()),
+    }
+    if classes is not None:
+        result["classes"] = {
+            name: _class_errors(difference, seen, counted & np.isin(classes, codes)) for name, codes in CLASSES.items()
+        }
+    return result
+
+
+def _errors(difference: np.ndarray) -> dict[str, Any]:
+    absolute = np.abs(difference.astype(np.float64))
+    return {
+        "mae": float(absolute.mean()),
+        "rmse": float(np.sqrt((absolute**2).mean())),
+        "median": float(np.median(absolute)),
+        "nmad": nmad(difference),
+        "bias": float(difference.mean(dtype=np.float64)),
+    }
+
+
+def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> dict[str, Any]:
+    total, n = int(member.sum()), int((seen & member).sum())
+    empty = dict.fromkeys(("mae", "rmse", "median", "nmad", "bias"))
+    errors: Mapping[str, Any] = _errors(difference[seen & member]) if n else empty
+    return {**errors, "n": n, "completeness": n / total if total else None}
+
+
+def map_errors(predicted: np.ndarray, reference: np.ndarray) -> dict[str, float | int | None]:
+    """Errors of a parameter map (albedo, w, b, c, theta, ...) over cells finite in both; arrays of one shape.
+
+    `nrmse` = RMSE / mean of the reference; `correlation` Pearson's; `nrmse_constant`: what a constant map at the
+    reference's mean would score, so a map above it has found nothing; `nrmse_scaled`: after the one common factor
+    `scale` that fits best (least squares), since absolute radiance is often known up to a factor only.
+    Raises InputError where shapes differ or nothing is common.
+    """
+    if predicted.shape != reference.shape:
+        raise InputError(f"parameter map: found shape {predicted.shape}, expected {reference.shape}")
+    both = np.isfinite(predicted) & np.isfinite(reference)
+    if not both.any():
+        raise InputError("parameter map: found no cell in common with its reference, expected overlap")
+    p, r = predicted[both].astype(np.float64), reference[both].astype(np.float64)
+    mean = float(r.mean())
+    rmse = float(np.sqrt(((p - r) ** 2).mean()))
+    scale = float((p * r).sum() / (p * p).sum()) if (p * p).sum() > 0 else 1.0
+    scaled = float(np.sqrt(((scale * p - r) ** 2).mean()))
+    varied = all(v.std() > 1e-9 * np.abs(v).max() for v in (p, r))  # rounding alone makes no correlation
+    return {
+        "rmse": rmse,
+        "nrmse": rmse / mean if mean else None,
+        "correlation": float(np.corrcoef(p, r)[0, 1]) if varied else None,
+        "nrmse_constant": float(r.std() / mean) if mean else None,
+        "nrmse_scaled": scaled / mean if mean else None,
+        "scale": scale,
+        "n": int(both.sum()),
+    }
+
+
+def psnr(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = None, peak: float = 1.0) -> float:
+    """Peak signal-to-noise ratio in dB of images [B, H, W]; `valid` [H, W] restricts it; inf for equal images."""
+    square = (image.astype(np.float64) - reference) ** 2
+    mse = float(square.mean() if valid is None else square[:, valid].mean())
+    return 10 * math.log10(peak**2 / mse) if mse > 0 else math.inf
+
+
+def ssim(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = None, peak: float = 1.0) -> float:
+    """Structural similarity of images [B, H, W], mean over bands and valid pixels.
+
+    Gaussian window of σ = 1.5 as in Wang et al. (2004), doi:10.1109/TIP.2003.819861.
+    """
+    from skimage.metrics import structural_similarity
+
+    _, similarity = structural_similarity(
+        image.astype(np.float64),
+        reference.astype(np.float64),
+        channel_axis=0,
+        data_range=peak,
+        gaussian_weights=True,
+        use_sample_covariance=False,
+        full=True,
+    )
+    return float(similarity.mean() if valid is None else similarity[:, valid].mean())
+
+
+def image_average(psnr_db: float, ssim_value: float, lpips_value: float | None) -> float | None:
+    """AVG = (10^(-PSNR/10) + sqrt(1 - SSIM) + LPIPS) / 3; None without LPIPS, as two terms compare with nothing."""
+    if lpips_value is None:
+        return None
+    return (10 ** (-psnr_db / 10) + math.sqrt(max(1 - ssim_value, 0.0)) + lpips_value) / 3
+
+
+def image_errors(
+    image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = None, peak: float = 1.0
+) -> dict[str, float | None]:
+    """`psnr`, `ssim`, `lpips`, `avg` of two images [B, H, W] in [0, peak]; `lpips` is None where it is unavailable.
+
+    Pixels outside `valid` [H, W] are set equal before windows are formed, and are not counted.
+    """
+    if image.shape != reference.shape:
+        raise InputError(f"image: found shape {image.shape}, expected {reference.shape}")
+    ok = np.isfinite(image).all(axis=0) & np.isfinite(reference).all(axis=0)
+    if valid is not None:
+        ok &= valid
+    if not ok.any():
+        raise InputError("image: found no valid pixel, expected at least one")
+    image, reference = np.where(ok, image, 0.0), np.where(ok, reference, 0.0)
+    p, s, perceptual = psnr(image, reference, ok, peak), ssim(image, reference, ok, peak), lpips(image, reference, peak)
+    return {"psnr": p, "ssim": s, "lpips": perceptual, "avg": image_average(p, s, perceptual)}
+
+
+def lpips(image: np.ndarray, reference: np.ndarray, peak: float = 1.0) -> float | None:
+    """Perceptual distance (Zhang et al. 2018, AlexNet) of images [3, H, W]; None where package or weights are absent.
+
+    Weights are only taken from the disk (torch's hub cache), never downloaded.
+    """
+    import importlib.util
+
+    if image.shape[0] != 3 or importlib.util.find_spec("lpips") is None:
+        return None
+    from pathlib import Path
+
+    import lpips as package
+    import torch
+
+    if not any((Path(torch.hub.get_dir()) / "checkpoints").glob("alexnet-*.pth")):
+        return None
+    model = package.LPIPS(net="alex", verbose=False)
+    pair = [torch.from_numpy(array / peak * 2 - 1).float()[None] for array in (image, reference)]
+    with torch.no_grad():
+        return float(model(*pair))

@@ -1,0 +1,252 @@
+"""The compare stage: registration, error table, difference map."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sattools.compare.metrics import fill_holes, height_errors, image_errors, map_errors
+from sattools.compare.registration import Registration, register, search_margin, shifted
+from sattools.compare.resample import moved, padded, resampled
+from sattools.compare.truth import Truth, read_dfc2019, read_reference
+from sattools.errors import InputError, SceneError
+from sattools.progress import Progress, silent
+from sattools.scene.document import Scene
+from sattools.scene.grid import Grid
+from sattools.scene.raster import read_image, read_raster, write_cog, write_text
+from sattools.settings import option
+
+
+@dataclass
+class CompareOptions:
+    """Options of `sattools compare`."""
+
+    truth: str | None = option(None, "Folder of reference files in the layout that --protocol names.")
+    protocol: Literal["dfc2019"] = option("dfc2019", "Layout of --truth.")
+    dsm: str | None = option(None, "Reference DSM (any georeferenced raster), instead of --truth.")
+    classes: str | None = option(None, "Class map beside --dsm: 2 ground, 5 trees, 6 building, 9 water.")
+    predicted: str | None = option(None, "DSM to score, instead of the scene's; then no scene is read.")
+    aoi: str | None = option(None, "Name of the tile in --truth [default: the scene's id].")
+    register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
+        "ncc", "ncc: whole cells, then mean height; nuth-kaab: parts of cells; z: mean height only; none."
+    )
+    region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
+    map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")  # noqa: RUF009
+    views: bool = option(False, "Also score the rendered images of held-out views.")
+    out: str | None = option(None, "With --predicted: folder for the difference map.")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A scored DSM.
+
+    Attributes:
+        figures: the table, keys as `sattools compare` prints them.
+        difference: [H, W] registered prediction minus reference in metres, on `grid`; NaN = not scored.
+        grid: grid of the reference.
+    """
+
+    figures: dict[str, Any]
+    difference: np.ndarray
+    grid: Grid
+    registration: Registration
+
+
+def compare_dsm(
+    predicted: np.ndarray | Path | str,
+    truth: Truth,
+    grid: Grid | None = None,
+    method: Literal["ncc", "nuth-kaab", "z", "none"] = "ncc",
+) -> Comparison:
+    """Score a DSM: a file, or an array [H, W] in metres (NaN = hole) with its `grid`, in any CRS.
+
+    Raises InputError where nothing can be compared.
+    """
+    if isinstance(predicted, np.ndarray):
+        heights = predicted
+    else:
+        array, grid = read_raster(Path(predicted))
+        heights = array[0]
+    if grid is None:
+        raise InputError("prediction: found an array without a grid, expected both")
+    reference = np.where(truth.counted(), truth.heights, np.float32(np.nan))
+    margin = search_margin(reference.shape) if method in ("ncc", "nuth-kaab") else 0
+    wide = resampled(heights, grid, padded(truth.grid, margin))
+    if not np.isfinite(wide).any():
+        raise InputError(f"prediction: found no height within {truth.name}, expected overlap")
+    found = register(wide, reference, method, margin)
+    registered = shifted(wide, found.columns, found.rows, margin) + found.up
+    filled = shifted(fill_holes(wide), found.columns, found.rows, margin) + found.up
+    figures = height_errors(registered, reference, truth.classes, filled)
+    difference = np.clip(registered, np.nanmin(reference) - 10, np.nanmax(reference) + 10) - reference
+    figures |= {
+        "shift_m": [round(value, 4) for value in found.metres(truth.grid.cell_size)],
+        "registration": {"method": found.method, "correlation": found.correlation},
+        "protocol": truth.protocol,
+        "reference": truth.name,
+        "mask": truth.mask_text(),
+    }
+    return Comparison(figures, difference, truth.grid, found)
+
+
+def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
+    """The reference that the options name, else the truth that a simulated scene brings along."""
+    if options.truth and options.dsm:
+        raise InputError("compare: found both --truth and --dsm, expected one of them")
+    if options.truth:
+        aoi = options.aoi or (scene.id if scene else None)
+        if aoi is None:
+            raise InputError("compare: found --truth without a scene, expected --aoi NAME as well")
+        truth = read_dfc2019(options.truth, aoi)
+    elif options.dsm:
+        truth = read_reference(options.dsm, options.classes)
+    elif scene and "truth_dsm" in scene.products:
+        classes = scene.products.get("truth_classes")
+        truth = read_reference(scene.path(scene.products["truth_dsm"]), scene.path(classes) if classes else None)
+    else:
+        raise InputError("compare: found no reference, expected --truth DIR or --dsm FILE")
+    return truth.within(options.region) if options.region else truth
+
+
+def compare(
+    options: CompareOptions, scene: Scene, progress: Progress = silent, overwrite: bool = False
+) -> dict[str, Any]:
+    """Score a scene's DSM (and maps and views where asked for); writes `compare/difference.tif`, `.png`, `errors.json`.
+
+    Returns the table; raises SceneError where the scene has no DSM.
+    """
+    if "dsm" not in scene.products:
+        raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
+    truth = read_truth(options, scene)
+    outputs = {
+        name: scene.output(f"compare/{name}", overwrite) for name in ("difference.tif", "difference.png", "errors.json")
+    }
+    progress(0.1, "registering")
+    result = compare_dsm(scene.path(scene.products["dsm"]), truth, method=options.register)
+    figures: dict[str, Any] = {"scene": scene.id, **result.figures}
+    if options.map:
+        progress(0.6, "parameter maps")
+        figures["parameters"] = {
+            name: _compare_map(scene, name, reference, result) for name, reference in map(_name_and_file, options.map)
+        }
+    if options.views:
+        progress(0.7, "views")
+        figures |= compare_views(scene)
+    progress(0.8, "difference map")
+    write_difference(result, outputs["difference.tif"], outputs["difference.png"])
+    write_text(outputs["errors.json"], to_json(figures, indent=1) + "\n")
+    scene.products |= {
+        "difference": scene.href(outputs["difference.tif"]),
+        "errors": scene.href(outputs["errors.json"]),
+    }
+    progress(1.0, "done")
+    return figures
+
+
+def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, Any]:
+    """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
+    assert options.predicted is not None  # the caller chooses this function by it
+    truth = read_truth(options)
+    result = compare_dsm(Path(options.predicted), truth, method=options.register)
+    if options.out:
+        from sattools.scene.document import Scene as Folder
+
+        place = Folder(id="compare", root=Path(options.out))
+        write_difference(result, place.output("difference.tif", overwrite), place.output("difference.png", overwrite))
+    return {"predicted": options.predicted, **result.figures}
+
+
+def compare_views(scene: Scene) -> dict[str, Any]:
+    """Image figures of every item with both a `rendered` and a `radiance` asset, and their means.
+
+    Raises SceneError where there is none.
+    """
+    views: dict[str, dict[str, float | None]] = {}
+    for item in scene.items:
+        if {"rendered", "radiance"} <= item.assets.keys():
+            rendered, radiance = (read_image(scene.path(item.assets[name].href)) for name in ("rendered", "radiance"))
+            views[item.id] = {"role": item.role, **image_errors(rendered, radiance)}  # type: ignore[dict-item]
+    if not views:
+        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --views`")
+    held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
+    means: dict[str, Any] = {}
+    for key in ("psnr", "ssim", "lpips", "avg"):
+        values = [figures[key] for figures in held_out]
+        known = [value for value in values if value is not None]
+        means[key] = float(np.mean(known)) if len(known) == len(values) else None
+    return {**means, "views": views}
+
+
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:
+    if name not in scene.products:
+        raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
+    predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
+    array, grid = read_raster(reference)
+    if predicted.shape[0] != array.shape[0]:
+        raise InputError(f"{reference}: found {array.shape[0]} bands, expected {predicted.shape[0]} as in {name}")
+    # a map lies where its surface lies: it moves with the DSM
+    east, north, _ = result.registration.metres(result.grid.cell_size)
+    return map_errors(resampled(predicted, predicted_grid, moved(grid, -east, -north)), array.astype(np.float32))
+
+
+def _name_and_file(text: str) -> tuple[str, Path]:
+    name, separator, file = text.partition("=")
+    if not (separator and name and file):
+        raise InputError(f"--map: found {text!r}, expected NAME=FILE")
+    return name, Path(file)
+
+
+def write_difference(result: Comparison, tif: Path, png: Path) -> None:
+    """Signed difference as a COG and as a picture."""
+    from sattools.compare.picture import difference_picture
+
+    title = f"{result.figures['reference']}: MAE {result.figures['mae']:.2f} m"
+    write_cog(tif, result.difference, result.grid, units="m", tags={"CONTENT": "registered prediction minus reference"})
+    difference_picture(result.difference, result.grid, title, png)
+
+
+def to_json(figures: Mapping[str, Any], indent: int | None = None) -> str:
+    """The figures as JSON; what is infinite (the PSNR of equal images) becomes null, which JSON can say."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: plain(inner) for key, inner in value.items()}
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return json.dumps(plain(figures), indent=indent, allow_nan=False)
+
+
+def table(figures: Mapping[str, Any]) -> str:
+    """The figures for people: a few lines of text."""
+    east, north, up = figures["shift_m"]
+    name = figures.get("scene") or figures.get("predicted", "")
+    lines = [
+        f"{name} against {figures['reference']} ({figures['protocol']})",
+        f"  MAE {figures['mae']:.3f} m   holes filled {figures['mae_filled']:.3f} m   RMSE {figures['rmse']:.3f} m   "
+        f"median {figures['median']:.3f} m   NMAD {figures['nmad']:.3f} m",
+        f"  completeness {100 * figures['completeness']:.2f} %   within 1 m {100 * figures['within_1m']:.1f} %   "
+        f"within 2.5 m {100 * figures['within_2_5m']:.1f} %   of {figures['cells']} cells",
+        f"  shift {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up ({figures['registration']['method']})",
+        f"  scored: {figures['mask']}",
+    ]
+    for name, errors in figures.get("classes", {}).items():
+        if errors["n"]:
+            lines.append(f"  {name:9s} MAE {errors['mae']:.3f} m   median {errors['median']:.3f} m   n {errors['n']}")
+    for name, errors in figures.get("parameters", {}).items():
+        lines.append(
+            f"  {name:9s} NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
+            f"one factor {_text(errors['nrmse_scaled'])})   correlation {_text(errors['correlation'])}"
+        )
+    if "psnr" in figures:
+        lines.append("  views     " + "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg")))
+    return "\n".join(lines)
+
+
+def _text(value: float | None) -> str:
+    return "n/a" if value is None else f"{value:.3f}"

@@ -1,0 +1,164 @@
+"""Reference surfaces: the layout of the 2019 IEEE GRSS Data Fusion Contest, or any georeferenced DSM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sattools.compare.metrics import WATER
+from sattools.compare.resample import resampled
+from sattools.errors import InputError
+from sattools.scene.grid import Grid
+from sattools.scene.raster import read_image, read_raster
+
+DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none
+CORRECTED_CLASSES = ("JAX_004", "JAX_260")  # their first class map misses water; users of the contest mask with _v2
+HEIGHT_LIMITS_M = (-1000.0, 9500.0)  # anything else is some file's idea of "no data"
+UNLABELLED = 65
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A reference surface.
+
+    Attributes:
+        name: for messages and tables.
+        protocol: `dfc2019` or `dsm`.
+        grid: ground grid of both arrays.
+        heights: [H, W] float32 in metres, NaN = not known.
+        classes: [H, W] uint8 class codes (2 ground, 5 trees, 6 building, 9 water, 17 bridge, 65 unlabelled), or None.
+        region: part of the reference that is used, for the report.
+    """
+
+    name: str
+    protocol: str
+    grid: Grid
+    heights: np.ndarray
+    classes: np.ndarray | None = None
+    region: str | None = None
+
+    def counted(self) -> np.ndarray:
+        """[H, W] bool: cells that are scored, known and not water."""
+        known = np.isfinite(self.heights)
+        return known if self.classes is None else known & (self.classes != WATER)
+
+    def mask_text(self) -> str:
+        """What is scored, in words."""
+        text = "cells with a reference height"
+        if self.classes is not None:
+            text += f" that are not water (class {WATER})"
+        return text + (f", region {self.region}" if self.region else "")
+
+    def within(self, region: str) -> Truth:
+        """The same reference, known only inside `region`: west, east, north, south (a half) or `W,S,E,N` in its CRS."""
+        inside = region_mask(self.grid, region)
+        return replace(self, heights=np.where(inside, self.heights, np.float32(np.nan)), region=region)
+
+
+def region_mask(grid: Grid, region: str) -> np.ndarray:
+    """[H, W] bool of the cells whose centre lies in `region`. Raises InputError for a region it cannot read."""
+    west, south, east, north = grid.bounds
+    middle_x, middle_y = (west + east) / 2, (south + north) / 2
+    halves = {
+        "west": (west, south, middle_x, north),
+        "east": (middle_x, south, east, north),
+        "south": (west, south, east, middle_y),
+        "north": (west, middle_y, east, north),
+    }
+    if region in halves:
+        box = halves[region]
+    else:
+        try:
+            a, b, c, d = (float(value) for value in region.replace(",", " ").split())
+        except ValueError as error:
+            raise InputError(
+                f"region: found {region!r}, expected west, east, north, south or four numbers W,S,E,N"
+            ) from error
+        box = (a, b, c, d)
+    x, y = grid.x(), grid.y()
+    mask: np.ndarray = ((y >= box[1]) & (y <= box[3]))[:, None] & ((x >= box[0]) & (x <= box[2]))[None]
+    if not mask.any():
+        raise InputError(f"region: found no reference cell in {region!r}, expected a part of {grid.bounds}")
+    return mask
+
+
+def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
+    """Truth of one contest tile, e.g. `JAX_068`: `<AOI>_DSM.tif`, `_DSM.txt`, `_CLS.tif` or `_CLS_v2.tif`.
+
+    `_DSM.txt` holds the easting of the left edge, the northing of the *bottom* edge, the size in cells and the cell
+    size. Raises InputError for missing or contradictory files.
+    """
+    folder = Path(folder)
+    heights = _heights(folder / f"{aoi}_DSM.tif")
+    grid = _dfc2019_grid(folder / f"{aoi}_DSM.txt", heights.shape, _dfc2019_crs(folder / f"{aoi}_DSM.tif", aoi))
+    path = folder / f"{aoi}_CLS.tif"
+    corrected = folder / f"{aoi}_CLS_v2.tif"
+    if aoi in CORRECTED_CLASSES and corrected.exists():
+        path = corrected
+    classes = read_image(path)[0]
+    if classes.shape != heights.shape:
+        raise InputError(f"{path}: found {classes.shape} cells, expected {heights.shape} as in {aoi}_DSM.tif")
+    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes))
+
+
+def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
+    """Any georeferenced DSM as reference, with an optional class map in any grid. Raises InputError."""
+    dsm = Path(dsm)
+    array, grid = read_raster(dsm)
+    from pyproj import CRS
+
+    if not CRS.from_user_input(grid.crs).is_projected:
+        raise InputError(f"{dsm}: found the geographic CRS {grid.crs}, expected a projected one in metres")
+    codes = None
+    if classes is not None:
+        code_array, code_grid = read_raster(Path(classes))
+        same = code_grid == grid
+        found = code_array[0].astype(np.float32)
+        codes = _class_codes(found if same else resampled(found, code_grid, grid, nearest=True))
+    return Truth(dsm.stem, "dsm", grid, _known(array[0]), codes)
+
+
+def _heights(path: Path) -> np.ndarray:
+    return _known(read_image(path)[0])
+
+
+def _known(heights: np.ndarray) -> np.ndarray:
+    heights = heights.astype(np.float32)
+    low, high = HEIGHT_LIMITS_M
+    return np.where((heights > low) & (heights < high), heights, np.float32(np.nan))
+
+
+def _class_codes(classes: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(classes), classes, UNLABELLED).astype(np.uint8)
+
+
+def _dfc2019_crs(dsm: Path, aoi: str) -> str:
+    import rasterio
+
+    with rasterio.open(dsm) as data:
+        if data.crs is not None:
+            return str(data.crs.to_string())
+    try:
+        return DFC2019_CRS[aoi[:3]]
+    except KeyError as error:
+        known = " or ".join(f"{prefix}_*" for prefix in DFC2019_CRS)
+        raise InputError(f"{dsm}: found no CRS and the area {aoi!r}, expected {known}") from error
+
+
+def _dfc2019_grid(path: Path, shape: tuple[int, ...], crs: str) -> Grid:
+    try:
+        left, bottom, size, cell_size = (float(value) for value in path.read_text(encoding="ascii").split())
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}), expected easting, northing, size, cell size"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            f"{path}: found other text, expected four numbers: easting, northing, size, cell size"
+        ) from error
+    height, width = shape
+    if (height, width) != (int(size), int(size)):
+        raise InputError(f"{path}: found a size of {size:.0f} cells, expected {height} x {width} as in the DSM")
+    return Grid(crs, left, bottom + size * cell_size, cell_size, width, height)

@@ -1,0 +1,52 @@
+"""`sattools compare` on the command line."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import write_cog
+
+GRID = Grid("EPSG:32617", 436000.0, 3357800.0, 1.0, 60, 60)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    scene = Scene(
+        "SIM_1", tmp_path / "work", grid=GRID, products={"dsm": "dsm.tif", "truth_dsm": "truth/SIM_1_DSM.tif"}
+    )
+    heights = np.zeros(GRID.shape, np.float32)
+    heights[20:30, 20:40] = 10
+    write_cog(scene.output("truth/SIM_1_DSM.tif"), heights, GRID)
+    write_cog(scene.output("dsm.tif"), heights + 2, GRID)
+    return scene
+
+
+def test_scene_on_stdin_gives_json_on_stdout_and_a_table_on_stderr(scene):
+    result = CliRunner().invoke(main, ["compare", "--register", "none"], input=scene.to_json() + "\n")
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    assert figures["mae"] == pytest.approx(2.0)
+    assert figures["scene"] == "SIM_1"
+    assert "MAE 2.000 m" in result.stderr
+    again = CliRunner().invoke(main, ["compare"], input=scene.to_json() + "\n")
+    assert again.exit_code == 1
+    assert "--overwrite" in again.stderr
+
+
+def test_files_are_scored_without_a_scene(scene):
+    predicted, reference = scene.root / "dsm.tif", scene.root / "truth/SIM_1_DSM.tif"
+    result = CliRunner().invoke(main, ["compare", "--predicted", str(predicted), "--dsm", str(reference)])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["shift_m"] == pytest.approx([0.0, 0.0, -2.0])
+
+
+def test_missing_reference_is_one_line_and_exit_code_1(scene):
+    result = CliRunner().invoke(main, ["compare", "--predicted", str(scene.root / "dsm.tif"), "--dsm", "nowhere.tif"])
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert "nowhere.tif: no such file" in result.stderr
+    assert result.stdout == ""

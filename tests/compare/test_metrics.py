@@ -1,0 +1,171 @@
+"""Figures worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sattools.compare.metrics import (
+    fill_holes,
+    height_errors,
+    image_average,
+    image_errors,
+    map_errors,
+    nmad,
+    psnr,
+    ssim,
+)
+from sattools.errors import InputError
+
+NAN = np.nan
+
+
+def test_errors_of_four_cells():
+    figures = height_errors(np.array([[1.0, 2.0], [3.0, 7.0]]), np.array([[1.0, 1.0], [1.0, 4.0]]))
+    # differences 0, 1, 2, 3
+    assert figures["mae"] == 1.5
+    assert figures["rmse"] == pytest.approx(math.sqrt(3.5))
+    assert figures["median"] == 1.5
+    assert figures["nmad"] == pytest.approx(1.4826)  # |d - 1.5| = 1.5, 0.5, 0.5, 1.5
+    assert figures["bias"] == 1.5
+    assert figures["completeness"] == 1.0
+    assert (figures["within_1m"], figures["within_2_5m"]) == (0.5, 0.75)
+    assert figures["mae_filled"] == figures["mae"]
+
+
+def test_median_is_of_the_absolute_difference():
+    assert height_errors(np.array([[-1.0, 1.0, 1.0, -1.0]]), np.zeros((1, 4)))["median"] == 1.0
+
+
+def test_a_hole_costs_completeness_within_shares_and_the_filled_error():
+    reference = np.array([[0.0, 0.0, 0.0, 9.0]])
+    predicted = np.array([[0.0, 0.0, 0.0, NAN]])
+    figures = height_errors(predicted, reference)
+    assert figures["mae"] == 0.0
+    assert figures["completeness"] == 0.75
+    assert figures["within_1m"] == 0.75
+    assert figures["mae_filled"] == pytest.approx(9 / 4)  # filled with 0 from beside it
+    assert (figures["cells"], figures["cells_predicted"]) == (4, 3)
+
+
+def test_water_and_unknown_reference_cells_do_not_count():
+    reference = np.array([[0.0, 0.0, NAN, 0.0]])
+    classes = np.array([[2, 9, 2, 65]], dtype=np.uint8)
+    figures = height_errors(np.array([[1.0, 50.0, 50.0, 3.0]]), reference, classes)
+    assert figures["mae"] == 2.0  # cells 0 and 3; unlabelled ground (65) counts
+    assert figures["cells"] == 2
+
+
+def test_a_hole_on_water_costs_nothing():
+    figures = height_errors(np.array([[1.0, NAN]]), np.zeros((1, 2)), np.array([[2, 9]]))
+    assert figures["completeness"] == 1.0
+
+
+def test_prediction_is_clipped_to_ten_metres_around_the_reference():
+    figures = height_errors(np.array([[-500.0, 0.0, 5.0, 900.0]]), np.array([[0.0, 0.0, 5.0, 5.0]]))
+    assert figures["mae"] == pytest.approx((10 + 0 + 0 + 10) / 4)
+
+
+def test_water_does_not_widen_the_clipping():
+    figures = height_errors(np.array([[900.0, 0.0]]), np.array([[0.0, 300.0]]), np.array([[2, 9]]))
+    assert figures["mae"] == 10.0
+
+
+def test_classes_are_scored_apart():
+    reference = np.zeros((1, 6))
+    predicted = np.array([[1.0, 3.0, 4.0, NAN, 0.5, 7.0]])
+    classes = np.array([[2, 2, 5, 5, 6, 17]])
+    by_class = height_errors(predicted, reference, classes)["classes"]
+    assert set(by_class) == {"ground", "trees", "buildings"}
+    assert (by_class["ground"]["mae"], by_class["ground"]["n"]) == (2.0, 2)
+    assert (by_class["trees"]["mae"], by_class["trees"]["n"], by_class["trees"]["completeness"]) == (4.0, 1, 0.5)
+    assert (by_class["buildings"]["mae"], by_class["buildings"]["n"]) == (0.5, 1)
+
+
+def test_a_class_that_is_not_there_has_no_figures():
+    trees = height_errors(np.zeros((1, 2)), np.zeros((1, 2)), np.array([[2, 2]]))["classes"]["trees"]
+    assert trees["n"] == 0
+    assert trees["mae"] is None
+    assert trees["completeness"] is None
+
+
+def test_nmad_is_the_standard_deviation_of_normal_noise_and_ignores_outliers():
+    noise = np.random.default_rng(0).normal(3.0, 2.0, 100_000)
+    noise[:5000] = 1e4
+    assert nmad(noise) == pytest.approx(2.0, rel=0.08)  # 5 % outliers raise it by about 6 %
+
+
+def test_holes_take_the_nearest_height():
+    filled = fill_holes(np.array([[1.0, NAN, NAN, NAN, 8.0]]))
+    np.testing.assert_array_equal(filled[0, [0, 1, 3, 4]], [1.0, 1.0, 8.0, 8.0])
+
+
+@pytest.mark.parametrize(
+    ("predicted", "reference", "message"),
+    [
+        (np.full((2, 2), NAN), np.zeros((2, 2)), "prediction"),
+        (np.zeros((2, 2)), np.full((2, 2), NAN), "reference"),
+    ],
+)
+def test_nothing_to_compare_is_an_error(predicted, reference, message):
+    with pytest.raises(InputError, match=message):
+        height_errors(predicted, reference)
+
+
+def test_class_map_of_another_size_is_an_error():
+    with pytest.raises(InputError, match="class map"):
+        height_errors(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((3, 3)))
+
+
+def test_parameter_map_figures():
+    reference = np.array([0.2, 0.4, NAN, 0.6])
+    figures = map_errors(np.array([0.1, 0.2, 0.9, 0.3]), reference)
+    assert figures["rmse"] == pytest.approx(math.sqrt((0.01 + 0.04 + 0.09) / 3))
+    assert figures["nrmse"] == pytest.approx(figures["rmse"] / 0.4)
+    assert figures["correlation"] == pytest.approx(1.0)
+    assert figures["nrmse_constant"] == pytest.approx(math.sqrt(0.08 / 3) / 0.4)
+    assert figures["scale"] == pytest.approx(2.0)
+    assert figures["nrmse_scaled"] == pytest.approx(0.0, abs=1e-12)
+    assert figures["n"] == 3
+
+
+def test_constant_parameter_map_scores_as_the_baseline_and_correlates_with_nothing():
+    reference = np.array([0.2, 0.4, 0.6])
+    figures = map_errors(np.full(3, 0.4), reference)
+    assert figures["nrmse"] == pytest.approx(figures["nrmse_constant"])
+    assert figures["correlation"] is None
+
+
+def test_psnr_of_a_known_noise_and_of_equal_images():
+    image = np.full((3, 20, 20), 0.5)
+    assert psnr(image, image) == math.inf
+    assert psnr(image + 0.1, image) == pytest.approx(20.0)
+    valid = np.zeros((20, 20), bool)
+    valid[:10] = True
+    worse = image.copy()
+    worse[:, 10:] = 0
+    assert psnr(worse + 0.01, image, valid) == pytest.approx(40.0)
+
+
+def test_ssim_is_one_for_equal_images_and_falls_with_noise():
+    rng = np.random.default_rng(0)
+    image = rng.random((3, 40, 40))
+    assert ssim(image, image) == pytest.approx(1.0)
+    slight, strong = (ssim(image + rng.normal(0, s, image.shape), image) for s in (0.05, 0.3))
+    assert 0.9 < slight < 1
+    assert strong < 0.8
+
+
+def test_avg_follows_its_formula_and_needs_lpips():
+    assert image_average(20.0, 0.75, 0.2) == pytest.approx((0.01 + 0.5 + 0.2) / 3)
+    assert image_average(20.0, 0.75, None) is None
+
+
+def test_pixels_without_a_value_are_not_scored():
+    image = np.full((1, 30, 30), 0.5)
+    hole = image.copy()
+    hole[:, 4:9, 4:9] = NAN
+    figures = image_errors(hole, image)
+    assert figures["psnr"] == math.inf
+    assert figures["ssim"] == pytest.approx(1.0)
+    assert figures["lpips"] is None

@@ -1,0 +1,255 @@
+"""Reading references, and the whole comparison of a DSM with them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+
+from sattools.compare import (
+    CompareOptions,
+    Truth,
+    compare,
+    compare_dsm,
+    compare_file,
+    read_dfc2019,
+    read_reference,
+    table,
+)
+from sattools.compare.truth import region_mask
+from sattools.errors import InputError, OutputExistsError, SceneError
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import read_raster, write_cog
+
+GRID = Grid("EPSG:32617", 436000.0, 3357800.0, 0.5, 160, 160)
+
+
+def city(size: int = 160) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    heights = np.zeros((size, size), np.float32)
+    for _ in range(25):
+        row, column = rng.integers(0, size - 15, 2)
+        heights[row : row + rng.integers(6, 15), column : column + rng.integers(6, 15)] = rng.uniform(3, 20)
+    return heights
+
+
+def write_contest_tile(folder, aoi, heights, classes, corrected=None):
+    size = heights.shape[0]
+    files = {f"{aoi}_DSM.tif": heights, f"{aoi}_CLS.tif": classes}
+    if corrected is not None:
+        files[f"{aoi}_CLS_v2.tif"] = corrected
+    for name, array in files.items():
+        with rasterio.open(
+            folder / name, "w", driver="GTiff", width=size, height=size, count=1, dtype=array.dtype
+        ) as data:
+            data.write(array, 1)
+    (folder / f"{aoi}_DSM.txt").write_text(f"436000.0\n3357720.0\n{size}.000\n0.500000\n")
+
+
+def test_contest_tile_lies_where_its_text_file_says(tmp_path):
+    write_contest_tile(tmp_path, "JAX_068", city(), np.full((160, 160), 2, np.uint8))
+    truth = read_dfc2019(tmp_path, "JAX_068")
+    assert truth.grid == GRID  # the file gives the southern edge: 3357720 + 160 * 0.5 = 3357800
+    assert truth.protocol == "dfc2019"
+
+
+def test_omaha_is_in_zone_15_and_other_places_are_refused(tmp_path):
+    for aoi in ("OMA_001", "XYZ_001"):
+        write_contest_tile(tmp_path, aoi, city(), np.full((160, 160), 2, np.uint8))
+    assert read_dfc2019(tmp_path, "OMA_001").grid.crs == "EPSG:32615"
+    with pytest.raises(InputError, match="XYZ_001"):
+        read_dfc2019(tmp_path, "XYZ_001")
+
+
+@pytest.mark.parametrize(("aoi", "water"), [("JAX_004", 9), ("JAX_068", 2)])
+def test_corrected_classes_replace_the_first_ones_of_two_tiles_only(tmp_path, aoi, water):
+    plain, corrected = np.full((160, 160), 2, np.uint8), np.full((160, 160), 9, np.uint8)
+    write_contest_tile(tmp_path, aoi, city(), plain, corrected)
+    assert read_dfc2019(tmp_path, aoi).classes[0, 0] == water
+
+
+def test_contest_files_that_contradict_each_other_are_refused(tmp_path):
+    write_contest_tile(tmp_path, "JAX_001", city(), np.full((160, 160), 2, np.uint8))
+    (tmp_path / "JAX_001_DSM.txt").write_text("436000 3357720 512 0.5")
+    with pytest.raises(InputError, match="512"):
+        read_dfc2019(tmp_path, "JAX_001")
+    (tmp_path / "JAX_001_DSM.txt").write_text("left bottom")
+    with pytest.raises(InputError, match="four numbers"):
+        read_dfc2019(tmp_path, "JAX_001")
+    (tmp_path / "JAX_001_DSM.txt").unlink()
+    with pytest.raises(InputError, match=r"JAX_001_DSM\.txt"):
+        read_dfc2019(tmp_path, "JAX_001")
+
+
+def test_no_data_values_of_a_reference_become_nan(tmp_path):
+    heights = city()
+    heights[:10] = -9999
+    write_cog(tmp_path / "ref.tif", heights, GRID, nodata=None)
+    truth = read_reference(tmp_path / "ref.tif")
+    assert np.isnan(truth.heights[:10]).all()
+    assert np.isfinite(truth.heights[10:]).all()
+
+
+def test_geographic_reference_is_refused(tmp_path):
+    write_cog(tmp_path / "ref.tif", np.zeros((20, 20), np.float32), Grid("EPSG:4326", -81.0, 30.0, 1e-5, 20, 20))
+    with pytest.raises(InputError, match="projected"):
+        read_reference(tmp_path / "ref.tif")
+
+
+def test_class_map_of_another_grid_is_carried_over_by_nearest_cell(tmp_path):
+    write_cog(tmp_path / "ref.tif", city(), GRID)
+    classes = np.repeat(np.array([[2, 6]], np.uint8), 40, axis=1).repeat(80, axis=0)
+    write_cog(tmp_path / "cls.tif", classes, GRID.resized(1.0), nodata=None)
+    truth = read_reference(tmp_path / "ref.tif", tmp_path / "cls.tif")
+    assert truth.classes.shape == (160, 160)
+    assert (truth.classes[:, :80] == 2).all()
+    assert (truth.classes[:, 80:] == 6).all()
+
+
+def test_regions_are_halves_or_boxes():
+    assert region_mask(GRID, "west")[:, :80].all()
+    assert not region_mask(GRID, "west")[:, 80:].any()
+    assert region_mask(GRID, "north")[:80].all()
+    assert region_mask(GRID, "436000,3357790,436010,3357800").sum() == 20 * 20
+    with pytest.raises(InputError, match="region"):
+        region_mask(GRID, "centre")
+    with pytest.raises(InputError, match="no reference cell"):
+        region_mask(GRID, "0 0 1 1")
+
+
+def truth_of(heights, classes=None):
+    return Truth("tile", "dsm", GRID, heights, classes)
+
+
+def test_shift_of_a_georeferenced_prediction_is_reported_in_metres():
+    truth = truth_of(city())
+    # the file says 3 m further east and 2 m further north than it should, and heights 1.25 m too high
+    displaced = replace(GRID, left=GRID.left + 3.0, top=GRID.top + 2.0)
+    result = compare_dsm(truth.heights + 1.25, truth, displaced)
+    east, north, up = result.figures["shift_m"]
+    assert (east, north) == (-3.0, -2.0)
+    # mean over the cells of the overlap
+    assert up == pytest.approx(-1.25, abs=1e-4)
+    assert result.figures["mae"] < 1e-5
+    assert compare_dsm(truth.heights + 1.25, truth, displaced, "none").figures["mae"] > 1
+
+
+def test_only_the_known_half_of_a_reference_counts_and_the_rest_may_be_missing():
+    heights = city()
+    heights[:, 80:] = np.nan
+    predicted = np.where(np.isfinite(heights), heights, np.float32(np.nan))
+    figures = compare_dsm(predicted, truth_of(heights), GRID).figures
+    assert figures["completeness"] == 1.0
+    assert figures["cells"] == 80 * 160
+
+
+def test_a_region_is_scored_alone():
+    heights = city()
+    predicted = heights.copy()
+    predicted[:, 80:] += 7
+    east = compare_dsm(predicted, truth_of(heights).within("east"), GRID, "none").figures
+    west = compare_dsm(predicted, truth_of(heights).within("west"), GRID, "none").figures
+    assert east["mae"] == pytest.approx(7.0, abs=1e-4)
+    assert west["mae"] == 0.0
+    assert west["mask"].endswith("region west")
+
+
+def test_prediction_in_another_crs_and_cell_size_scores_as_well():
+    y, x = np.mgrid[:160, :160] * 0.05
+    truth = truth_of((5 * np.sin(x) + 4 * np.cos(y)).astype(np.float32))
+    from pyproj import Transformer
+    from rasterio.warp import reproject
+
+    # the neighbouring UTM zone, where the tile is turned by some 3 degrees
+    east, north = Transformer.from_crs("EPSG:32617", "EPSG:32616", always_xy=True).transform(436040.0, 3357760.0)
+    grid = Grid("EPSG:32616", round(east) - 60, round(north) + 60, 1.0, 120, 120)
+    other = np.full(grid.shape, np.nan, np.float32)
+    reproject(
+        truth.heights, other, src_transform=GRID.transform, src_crs=GRID.crs, dst_transform=grid.transform,
+        dst_crs=grid.crs, dst_nodata=np.nan, resampling=1,
+    )  # fmt: skip
+    assert np.isfinite(other).any()
+    figures = compare_dsm(other, truth, grid, "none").figures
+    # two bilinear interpolations of slopes up to 0.5 m a cell
+    assert figures["mae"] < 0.02
+    assert figures["completeness"] > 0.97
+
+
+def test_a_hole_of_the_prediction_stays_a_hole_of_the_same_size():
+    heights = city()
+    predicted = heights.copy()
+    predicted[40:60, 40:80] = np.nan
+    figures = compare_dsm(predicted, truth_of(heights), GRID).figures
+    assert figures["completeness"] == pytest.approx(1 - 20 * 40 / 160**2)
+    assert figures["mae_filled"] > figures["mae"]
+
+
+def test_prediction_of_another_place_is_an_error():
+    with pytest.raises(InputError, match="no height within tile"):
+        compare_dsm(city(), truth_of(city()), replace(GRID, left=GRID.left + 5000))
+
+
+@pytest.fixture
+def scene(tmp_path):
+    scene = Scene("SIM_1", tmp_path / "work", grid=GRID)
+    write_cog(scene.output("dsm.tif"), city() + 0.5, GRID)
+    write_cog(scene.output("theta.tif"), np.full(GRID.shape, 20, np.float32), GRID)
+    write_cog(scene.output("truth/SIM_1_DSM.tif"), city(), GRID)
+    write_cog(scene.output("truth/SIM_1_CLS.tif"), np.full(GRID.shape, 2, np.uint8), GRID, nodata=None)
+    scene.products = {"dsm": "dsm.tif", "theta": "theta.tif"}
+    return scene
+
+
+def test_a_scene_is_scored_and_the_difference_map_written(scene):
+    truth = scene.root / "truth"
+    options = CompareOptions(
+        dsm=str(truth / "SIM_1_DSM.tif"), classes=str(truth / "SIM_1_CLS.tif"), register="none",
+        map=[f"theta={scene.root}/theta.tif"],
+    )  # fmt: skip
+    figures = compare(options, scene)
+    assert figures["mae"] == pytest.approx(0.5)
+    assert figures["classes"]["ground"]["mae"] == pytest.approx(0.5)
+    assert figures["parameters"]["theta"]["rmse"] == 0.0
+    difference, grid = read_raster(scene.root / "compare/difference.tif")
+    assert grid == GRID
+    np.testing.assert_allclose(difference[0], 0.5, atol=1e-5)
+    assert (scene.root / "compare/difference.png").read_bytes()[:4] == b"\x89PNG"
+    assert json.loads((scene.root / "compare/errors.json").read_text())["mae"] == figures["mae"]
+    assert "MAE 0.500 m" in table(figures)
+    with pytest.raises(OutputExistsError):
+        compare(options, scene)
+    compare(options, scene, overwrite=True)
+
+
+def test_a_simulated_scene_brings_its_own_truth(scene):
+    with pytest.raises(InputError, match="no reference"):
+        compare(CompareOptions(), scene)
+    scene.products["truth_dsm"] = "truth/SIM_1_DSM.tif"
+    assert compare(CompareOptions(), scene)["mae"] < 1e-5
+
+
+def test_a_scene_without_a_dsm_is_an_error(scene):
+    del scene.products["dsm"]
+    with pytest.raises(SceneError, match="no DSM"):
+        compare(CompareOptions(dsm="x.tif"), scene)
+
+
+def test_a_file_is_scored_without_a_scene(scene, tmp_path):
+    options = CompareOptions(
+        predicted=str(scene.root / "dsm.tif"), dsm=str(scene.root / "truth/SIM_1_DSM.tif"), out=str(tmp_path / "out")
+    )
+    figures = compare_file(options)
+    assert figures["shift_m"] == pytest.approx([0.0, 0.0, -0.5])
+    assert (tmp_path / "out/difference.tif").exists()
+
+
+def test_lidar_of_jax_068_is_read(data_dir):
+    truth = read_dfc2019(data_dir / "dfc2019/Track3-Truth", "JAX_068")
+    assert truth.grid.shape == (512, 512)
+    assert truth.grid.cell_size == 0.5
+    assert truth.grid.bounds == pytest.approx((436078.995946, 3357495.999923, 436334.995946, 3357751.999923))
+    assert truth.counted().sum() == 512 * 256  # the west half
+    assert not truth.counted()[:, 256:].any()
+    assert (np.nanmin(truth.heights), np.nanmax(truth.heights)) == pytest.approx((-21.95, 29.22), abs=0.01)
+    assert set(np.unique(truth.classes)) == {2, 5, 6, 65}
