@@ -139,12 +139,16 @@ class RPC:
 
     def jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> Array:
         """Derivatives of (col, row) by (lon, lat, h), `[..., 2, 3]`, in pixels per degree and pixels per metre."""
+        return self.projection_and_jacobian(lon, lat, h)[1]
+
+    def projection_and_jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> tuple[Array, Array]:
+        """Pixels `[..., 2]` (col, row) and their derivatives `[..., 2, 3]` by (lon, lat, h) in one evaluation."""
         (x, y, z), shape = self._normalised(lon, lat, h)
-        _, _, jac = self._normalised_jacobian(x, y, z)
-        jac[:, 0] *= self.col_scale
-        jac[:, 1] *= self.row_scale
+        col, row, jac = self._normalised_jacobian(x, y, z)
+        pixel = np.stack([col * self.col_scale + self.col_offset, row * self.row_scale + self.row_offset], axis=-1)
+        jac *= np.array([self.col_scale, self.row_scale])[:, None]
         jac /= np.array([self.lon_scale, self.lat_scale, self.alt_scale])
-        return jac.reshape(*shape, 2, 3)
+        return pixel.reshape(*shape, 2), jac.reshape(*shape, 2, 3)
 
     # -- pixel to ground ------------------------------------------------------------------------------------------
 

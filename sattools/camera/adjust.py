@@ -1,0 +1,288 @@
+"""Bundle adjustment: image-space corrections of RPC cameras from tie points, together with the points themselves.
+
+The correction of view v is a shift of its projections (the usual model for RPCs of one satellite scene: Fraser and
+Hanley 2003, "Bias compensation in rational functions for IKONOS satellite imagery"), or an affine map of the pixel
+where held-out tie points ask for it. Without ground control a common movement of everything cannot be seen; it is fixed
+by making the sum of the shifts' lengths least, a robust mean of zero, so that one view that is far off does not drag
+the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.camera.bundle import Block, Solution, residual_norm, solve, triangulate
+from sattools.camera.rpc import RPC
+from sattools.camera.tracks import Tracks
+from sattools.errors import InputError
+from sattools.progress import Progress, silent
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AdjustOptions:
+    """How the cameras are corrected; pixels are those of the images."""
+
+    model: str = "auto"  # "shift", "affine", or "auto": affine only where held-out tie points gain
+    min_gain: float = 0.15  # share by which held-out squared residuals must fall for "affine"
+    max_residual_px: float = 3.0  # larger residuals are no tie points, whatever the spread
+    min_points: int = 12  # views with fewer tie points keep their camera
+    outlier_px: float = 6.0  # a correction that long, and 5 times the median, makes a view an outlier
+
+
+@dataclass(frozen=True)
+class ViewAdjustment:
+    """What was found for one view; residuals are lengths in pixels over its accepted tie points."""
+
+    name: str
+    shift_px: tuple[float, float]  # (col, row) added to the projection at the image's centre
+    matrix: tuple[tuple[float, float, float], tuple[float, float, float]]  # old (col, row, 1) to new (col, row)
+    tie_points: int
+    median_before_px: float
+    rms_before_px: float
+    median_after_px: float
+    rms_after_px: float
+    outlier: bool
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """Result of `adjust`.
+
+    `points` are (lon, lat, h) `[n, 3]` of the accepted ground points, `tracks` their observations, `residuals` `[m, 2]`
+    observed minus projected pixel of each observation with the corrected cameras.
+    """
+
+    rpcs: list[RPC]
+    views: list[ViewAdjustment]
+    model: str
+    tracks: Tracks
+    points: Array
+    residuals: Array
+    median_before_px: float
+    median_after_px: float
+    rms_after_px: float
+    rejected: int  # observations dropped as false matches
+    remarks: list[str] = field(default_factory=list)
+
+    def heights(self) -> Array:
+        """Heights of the ground points seen by three views or more (of all, where there are too few of these), [m]."""
+        sizes = self.tracks.sizes()
+        many = sizes >= 3
+        return self.points[many if many.sum() >= 30 else slice(None), 2]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types for JSON."""
+        views = [
+            {
+                "id": v.name,
+                "shift_px": list(v.shift_px),
+                "matrix": [list(row) for row in v.matrix],
+                "tie_points": v.tie_points,
+                "median_before_px": v.median_before_px,
+                "rms_before_px": v.rms_before_px,
+                "median_after_px": v.median_after_px,
+                "rms_after_px": v.rms_after_px,
+                "outlier": v.outlier,
+                "remark": v.remark,
+            }
+            for v in self.views
+        ]
+        return {
+            "model": self.model,
+            "ground_points": self.tracks.n_points,
+            "observations": len(self.tracks.point),
+            "rejected_observations": self.rejected,
+            "median_before_px": self.median_before_px,
+            "median_after_px": self.median_after_px,
+            "rms_after_px": self.rms_after_px,
+            "remarks": self.remarks,
+            "views": views,
+        }
+
+    def to_text(self) -> str:
+        """The residual report for people."""
+        lines = [
+            f"Bundle adjustment of {len(self.views)} views, correction per view: {self.model}",
+            f"{self.tracks.n_points} ground points, {len(self.tracks.point)} observations, "
+            f"{self.rejected} rejected as false matches",
+            f"median residual {self.median_before_px:.2f} px before, {self.median_after_px:.2f} px after "
+            f"(root mean square {self.rms_after_px:.2f} px)",
+            "",
+            "shift: pixels added to the projection (col, row) at the image's centre; residuals in pixels",
+            f"{'view':24s} {'points':>6s} {'shift col':>9s} {'row':>8s} {'med before':>10s} {'after':>6s} "
+            f"{'rms before':>10s} {'after':>6s}",
+        ]
+        for v in self.views:
+            note = ("  OUTLIER VIEW" if v.outlier else "") + (f"  {v.remark}" if v.remark else "")
+            lines.append(
+                f"{v.name:24s} {v.tie_points:6d} {v.shift_px[0]:9.2f} {v.shift_px[1]:8.2f} "
+                f"{v.median_before_px:10.2f} {v.median_after_px:6.2f} "
+                f"{v.rms_before_px:10.2f} {v.rms_after_px:6.2f}{note}"
+            )
+        return "\n".join([*lines, *(f"note: {r}" for r in self.remarks)]) + "\n"
+
+
+def adjust(
+    rpcs: Sequence[RPC],
+    names: Sequence[str],
+    sizes: Sequence[tuple[int, int]],
+    tracks: Tracks,
+    options: AdjustOptions | None = None,
+    progress: Progress = silent,
+) -> Adjustment:
+    """Correct cameras from tie points.
+
+    Args:
+        rpcs, names, sizes: camera, name and (height, width) [px] of each view.
+        tracks: tie points, false matches among them.
+
+    Raises: InputError when there are too few tie points to adjust anything.
+    """
+    options = options or AdjustOptions()
+    if options.model not in ("auto", "shift", "affine"):
+        raise InputError(f"adjustment: found model {options.model!r}, expected auto, shift or affine")
+    if tracks.n_points < options.min_points:
+        raise InputError(
+            f"tie points: found {tracks.n_points} between the images, expected at least {options.min_points} "
+            "(do the images overlap and show the same place?)"
+        )
+    block = Block(list(rpcs), list(sizes), tracks)
+
+    # Shifts first; they decide which observations are tie points at all.
+    progress(0.0, "adjusting shifts")
+    solution = solve(block, affine=False)
+    inlier = _inliers(block, solution, options.max_residual_px)
+    block, _ = block.kept(inlier)
+    counts = np.bincount(block.tracks.view, minlength=len(rpcs))
+    weak = counts < options.min_points
+    if weak.any():
+        block, _ = block.kept(~weak[block.tracks.view])
+    if block.tracks.n_points < options.min_points:
+        raise InputError(
+            f"tie points: found {block.tracks.n_points} that agree with the cameras, expected at least "
+            f"{options.min_points} (do the RPCs belong to these images?)"
+        )
+    progress(0.4, "adjusting shifts again")
+    solution = solve(block, affine=False, start_px=2.0)
+    remarks: list[str] = []
+    model = "shift"
+    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, options, remarks)):
+        progress(0.7, "adjusting affine corrections")
+        model = "affine"
+        solution = solve(block, affine=True, start_px=2.0)
+    inlier = _inliers(block, solution, options.max_residual_px)
+    block, points = block.kept(inlier, solution.points)
+    weak |= np.bincount(block.tracks.view, minlength=len(rpcs)) == 0
+    rejected = len(tracks.point) - len(block.tracks.point)
+
+    raw = np.zeros_like(solution.parameters)
+    before = residual_norm(block, triangulate(block, raw, points), raw)
+    final_points = triangulate(block, solution.parameters, points)
+    final = block.residuals(final_points, solution.parameters)
+    after = np.hypot(final[:, 0], final[:, 1])
+
+    matrices = [block.matrix(v, solution.parameters) for v in range(len(rpcs))]
+    shifts = solution.parameters[:, :2]
+    length = np.hypot(shifts[:, 0], shifts[:, 1])
+    limit = max(options.outlier_px, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
+    corrected, views = [], []
+    for v, (rpc, name) in enumerate(zip(rpcs, names, strict=True)):
+        domain = block.domain(v)
+        camera, misfit = rpc.with_affine(matrices[v], domain)
+        if misfit > 0.01:
+            remarks.append(f"{name}: its affine correction is met by the RPC to {misfit:.3f} px only")
+        corrected.append(camera)
+        seen = block.tracks.view == v
+        remark = ""
+        if weak[v]:
+            remark = f"too few tie points ({counts[v]} agree with the others): camera left as it is"
+            remarks.append(f"{name}: {remark}")
+        outlier = bool(length[v] > limit)
+        if outlier:
+            usual = float(np.median(length))
+            remarks.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {usual:.1f} px); corrected")
+        first, second = ((float(a), float(b), float(c)) for a, b, c in matrices[v])
+        views.append(
+            ViewAdjustment(
+                name,
+                (float(shifts[v, 0]), float(shifts[v, 1])),
+                (first, second),
+                int(seen.sum()),
+                _median(before[seen]),
+                _rms(before[seen]),
+                _median(after[seen]),
+                _rms(after[seen]),
+                outlier,
+                remark,
+            )
+        )
+    parts = block.components(~weak)
+    if parts > 1:
+        remarks.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
+    progress(1.0, "adjusted")
+    return Adjustment(
+        corrected,
+        views,
+        model,
+        block.tracks,
+        block.geographic(final_points),
+        final,
+        _median(before),
+        _median(after),
+        _rms(after),
+        rejected,
+        remarks,
+    )
+
+
+def _inliers(block: Block, solution: Solution, max_residual: float) -> NDArray[np.bool_]:
+    norm = residual_norm(block, solution.points, solution.parameters)
+    # Rayleigh-distributed lengths: median = 1.177 sigma; 4 sigma keeps all but 3 in 10000 true ones.
+    limit = min(max_residual, max(1.0, 4.0 * float(np.median(norm)) / 1.177))
+    return norm < limit
+
+
+def _affine_gains(block: Block, options: AdjustOptions, remarks: list[str]) -> bool:
+    """Whether affine corrections fitted on four fifths of the points predict the other fifth clearly better."""
+    sizes = block.tracks.sizes()
+    if int((sizes >= 3).sum()) < 20 * len(block.rpcs):
+        return False
+    held_point = (np.arange(block.tracks.n_points) % 5 == 2) & (sizes >= 3)
+    held = held_point[block.tracks.point]
+    scores = []
+    for affine in (False, True):
+        fitted = solve(block.kept(~held)[0], affine=affine, start_px=2.0)
+        test, _ = block.kept(held)
+        points = triangulate(test, fitted.parameters)
+        # Each view gets the same say, and a few false matches do not decide.
+        norm2 = np.minimum(residual_norm(test, points, fitted.parameters), 2.0) ** 2
+        per_view = np.bincount(test.tracks.view, norm2, len(block.rpcs)) / np.maximum(
+            np.bincount(test.tracks.view, minlength=len(block.rpcs)), 1
+        )
+        scores.append(float(per_view[per_view > 0].mean()))
+    gain = 1.0 - scores[1] / max(scores[0], 1e-12)
+    chosen = gain >= options.min_gain
+    remarks.append(
+        f"affine corrections change the mean squared residual of held-out tie points by {-100 * gain:+.1f} % "
+        f"({scores[0]:.3f} to {scores[1]:.3f} px²): {'used' if chosen else 'not used'}"
+    )
+    return chosen
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if values.size else float("nan")
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+__all__ = ["AdjustOptions", "Adjustment", "ViewAdjustment", "adjust"]

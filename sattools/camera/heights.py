@@ -1,0 +1,180 @@
+"""The range of heights in a scene, found from the images alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.camera.ground import project
+from sattools.camera.rpc import RPC
+from sattools.errors import InputError
+from sattools.progress import Progress, silent
+
+Array = NDArray[np.float64]
+Bounds = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class HeightOptions:
+    """How the height range is found."""
+
+    tail: float = 0.005  # share of tie points beyond either end that may be false
+    margin: float = 0.2  # of the range between the ends, added at both
+    min_margin_m: float = 6.0
+    max_cells: int = 40_000  # of the coarse plane sweep
+    max_planes: int = 96
+
+
+def tie_point_range(heights: Array, options: HeightOptions | None = None) -> tuple[float, float]:
+    """Robust lowest and highest of tie point heights, without margin. Raises InputError without any."""
+    options = options or HeightOptions()
+    heights = heights[np.isfinite(heights)]
+    if heights.size == 0:
+        raise InputError("height range: found no tie points, expected images that overlap")
+    low, high = np.quantile(heights, [options.tail, 1.0 - options.tail])
+    return float(low), float(high)
+
+
+def estimate_height_range(
+    heights: Array,
+    grays: Sequence[NDArray[np.float32]],
+    rpcs: Sequence[RPC],
+    crs: str,
+    bounds: Bounds,
+    options: HeightOptions | None = None,
+    progress: Progress = silent,
+) -> tuple[float, float]:
+    """Heights (lowest, highest, m above the ellipsoid) between which the surface lies, without any ground truth.
+
+    Tie points give the bulk. They seldom lie on the few highest roofs, so a coarse plane sweep (correlation of all views on
+    the ground, height by height) over twice the range above and half below looks for coherent patches beyond it.
+
+    Args:
+        heights: of tie points `[n]` [m].
+        grays: images `[H, W]`, NaN = no data. rpcs: their corrected cameras.
+        bounds: (west, south, east, north) in `crs` [m].
+    """
+    options = options or HeightOptions()
+    low, high = tie_point_range(heights, options)
+    span = max(high - low, 2.0 * options.min_margin_m)
+    search = (low - 0.5 * span, high + 2.0 * span)
+    planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
+    counts = sweep_histogram(grays, rpcs, crs, bounds, planes, options.max_cells, progress)
+    low, high = extend_range(low, high, planes, counts)
+    margin = max(options.margin * (high - low), options.min_margin_m)
+    return low - margin, high + margin
+
+
+def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple[float, float]:
+    """Widen [low, high] to the planes outside it on which clearly more cells agree than by chance.
+
+    Chance is what the planes outside hold at the median; a plane counts from five Poisson deviations above it and from
+    one in two thousand cells on.
+    """
+    outside = (planes < low) | (planes > high)
+    if not outside.any():
+        return low, high
+    chance = float(np.median(counts[outside]))
+    needed = max(chance + 5.0 * np.sqrt(chance + 1.0), counts.sum() / 2000.0)
+    found = planes[outside & (counts >= needed)]
+    if found.size == 0:
+        return low, high
+    return min(low, float(found.min())), max(high, float(found.max()))
+
+
+def sweep_histogram(
+    grays: Sequence[NDArray[np.float32]],
+    rpcs: Sequence[RPC],
+    crs: str,
+    bounds: Bounds,
+    planes: Array,
+    max_cells: int = 40_000,
+    progress: Progress = silent,
+) -> Array:
+    """Number of ground cells `[planes]` whose best correlation lies on each plane, coherent with its neighbours.
+
+    The score of a cell at a height is the mean zero-mean normalised correlation of all pairs of views in a window of
+    5 x 5 cells, which costs one pass over the views: (|sum z|^2 - sum |z|^2) / (n (n - 1)).
+    """
+    import cv2
+
+    west, south, east, north = bounds
+    cell = float(np.sqrt((east - west) * (north - south) / max_cells))
+    width, height = max(8, int((east - west) / cell)), max(8, int((north - south) / cell))
+    x, y = west + (np.arange(width) + 0.5) * cell, north - (np.arange(height) + 0.5) * cell
+    nodes_x, nodes_y = np.linspace(x[0], x[-1], 5), np.linspace(y[0], y[-1], 5)
+    smoothed = [_blurred(g, r, crs, bounds, float(planes[0]), cell) for g, r in zip(grays, rpcs, strict=True)]
+
+    window = np.ones((5, 5), np.uint8)
+    best = np.full((height, width), -1.0)
+    winner = np.full((height, width), -1, np.int32)
+    for k, plane in enumerate(planes):
+        progress(k / len(planes), "height range")
+        total, own, views = (np.zeros((height, width)) for _ in range(3))
+        for (gray, valid), rpc in zip(smoothed, rpcs, strict=True):
+            col, row = project(rpc, crs, nodes_x[None], nodes_y[:, None], float(plane))
+            to_image = _affine(nodes_x, nodes_y, x, y, col, row)
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            value = cv2.warpAffine(gray, to_image, (width, height), flags=flags, borderValue=0)
+            seen = cv2.warpAffine(valid, to_image, (width, height), flags=flags, borderValue=0)
+            mean = cv2.blur(value, (5, 5))
+            variance = cv2.blur(value * value, (5, 5)) - mean * mean
+            good = (cv2.erode(seen, window) > 0.99) & (variance > 1e-6)
+            # Mean and deviation are those around each cell, not of the window they are summed over: nearly the same
+            # where they vary slowly, and one filter for all views instead of one per pair.
+            z_v = np.where(good, (value - mean) / np.sqrt(np.maximum(variance, 1e-6)), 0.0)
+            views += good
+            total += z_v
+            own += z_v * z_v
+        power, own = cv2.blur(total * total, (5, 5)), cv2.blur(own, (5, 5))
+        score = np.where(views >= 2, (power - own) / np.maximum(views * (views - 1), 1), -1.0)
+        better = score > best
+        best[better], winner[better] = score[better], k
+    return _coherent_counts(winner, best, len(planes))
+
+
+def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int) -> Array:
+    """Cells per plane whose winner agrees with at least 6 of its 8 neighbours within two planes."""
+    padded = np.pad(winner, 1, constant_values=-100)
+    height, width = winner.shape
+    agree = np.zeros(winner.shape, int)
+    for dr in (0, 1, 2):
+        for dc in (0, 1, 2):
+            if (dr, dc) != (1, 1):
+                agree += np.abs(padded[dr : dr + height, dc : dc + width] - winner) <= 2
+    # A winner at either end of the search may have its true maximum outside.
+    good = (agree >= 6) & (score > 0.2) & (winner > 0) & (winner < n - 1)
+    return np.bincount(winner[good], minlength=n).astype(np.float64)
+
+
+def _blurred(
+    gray: NDArray[np.float32], rpc: RPC, crs: str, bounds: Bounds, z: float, cell: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Image smoothed to the cell size and scaled to unit spread, and its validity, both float32."""
+    import cv2
+
+    west, south, east, north = bounds
+    x, y = (west + east) / 2, (south + north) / 2
+    col, row = project(rpc, crs, [x, x + cell, x], [y, y, y + cell], z)
+    pixels = float(np.sqrt(abs((col[1] - col[0]) * (row[2] - row[0]) - (col[2] - col[0]) * (row[1] - row[0]))))
+    valid = np.isfinite(gray)
+    spread = float(np.std(gray[valid])) if valid.any() else 1.0
+    filled = np.where(valid, (gray - (gray[valid].mean() if valid.any() else 0.0)) / max(spread, 1e-6), 0.0)
+    smooth = cv2.GaussianBlur(filled.astype(np.float32), (0, 0), max(0.5 * pixels, 0.3))
+    return np.asarray(smooth, np.float32), valid.astype(np.float32)
+
+
+def _affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any], col: Array, row: Array) -> Array:
+    """Least squares map `[2, 3]` from cell (column, row) to pixel (col, row)."""
+    cell_x, cell_y = x[1] - x[0], y[1] - y[0]
+    gx, gy = np.meshgrid((nodes_x - x[0]) / cell_x, (nodes_y - y[0]) / cell_y)
+    design = np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)], 1)
+    solution = np.linalg.lstsq(design, np.stack([col.ravel(), row.ravel()], 1), rcond=None)[0]
+    return np.asarray(solution.T, np.float64)
+
+
+__all__ = ["HeightOptions", "estimate_height_range", "extend_range", "sweep_histogram", "tie_point_range"]

@@ -1,0 +1,139 @@
+"""Matching of feature descriptors between two views whose geometry is roughly known."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Matches = NDArray[np.intp]
+
+RATIO = 0.85  # of squared distances to the best and to the second best (0.92 of distances)
+MAX_DISTANCE2 = 0.55  # squared distance of unit descriptors that is no match any more
+
+
+def frame(run: Array) -> tuple[Array, Array, float]:
+    """Unit vectors along and across the run of height, and the metres of run per metre of height."""
+    length = float(np.hypot(*run))
+    along = run / length if length > 1e-6 else np.array([1.0, 0.0])
+    return along, np.array([-along[1], along[0]]), length
+
+
+def free_matches(
+    ground_a: Array,
+    descriptor_a: NDArray[np.float32],
+    ground_b: Array,
+    descriptor_b: NDArray[np.float32],
+    run: Array,
+    half_height: float,
+    half_bias: float,
+) -> Matches:
+    """Mutual best matches `[m, 2]` among all features whose distance agrees with the height range and camera errors."""
+    if len(ground_a) < 2 or len(ground_b) < 2:
+        return np.empty((0, 2), np.intp)
+    along, across, length = frame(run)
+    distance = 2.0 - 2.0 * (descriptor_a @ descriptor_b.T)
+    off_along = np.abs(_differences(ground_a @ along, ground_b @ along))
+    off_across = np.abs(_differences(ground_a @ across, ground_b @ across))
+    distance[(off_along > half_height * length + half_bias) | (off_across > half_bias)] = 4.0
+    best_b = distance.argmin(1)
+    best_a = distance.argmin(0)
+    index = np.arange(len(ground_a))
+    best = distance[index, best_b]
+    second = np.partition(distance, 1, axis=1)[:, 1]
+    good = (best_a[best_b] == index) & (best < RATIO * second) & (best < MAX_DISTANCE2)
+    return np.stack([index[good], best_b[good]], 1)
+
+
+def corridor_matches(
+    ground_a: Array,
+    descriptor_a: NDArray[np.float32],
+    ground_b: Array,
+    descriptor_b: NDArray[np.float32],
+    run: Array,
+    half_height: float,
+    half_width: float,
+) -> tuple[Matches, NDArray[np.float32]]:
+    """Mutual best matches `[m, 2]` inside narrow corridors, and their squared descriptor distances."""
+    from scipy.spatial import cKDTree
+
+    none = np.empty((0, 2), np.intp), np.empty(0, np.float32)
+    if len(ground_a) == 0 or len(ground_b) == 0:
+        return none
+    along, across, length = frame(run)
+    # Scaled so that the corridor is a square of half width 1: a Chebyshev ball of the tree.
+    scale = np.stack([along / (half_height * length + half_width), across / half_width], 1)
+    near = cKDTree(ground_a @ scale).sparse_distance_matrix(
+        cKDTree(ground_b @ scale), 1.0, p=np.inf, output_type="coo_matrix"
+    )
+    a, b = near.row.astype(np.intp), near.col.astype(np.intp)
+    if a.size == 0:
+        return none
+    order = np.lexsort((b, a))
+    a, b = a[order], b[order]
+    distance = np.empty(a.size, np.float32)
+    for start in range(0, a.size, 1 << 15):
+        part = slice(start, start + (1 << 15))
+        distance[part] = 2.0 - 2.0 * np.einsum("nk,nk->n", descriptor_a[a[part]], descriptor_b[b[part]])
+    best_for_a, ratio_a = _best(a, distance, len(ground_a))
+    best_for_b, ratio_b = _best(b, distance, len(ground_b))
+    index = np.arange(a.size)
+    good = (best_for_a[a] == index) & (best_for_b[b] == index) & (distance < MAX_DISTANCE2)
+    good &= (ratio_a[a] < RATIO) & (ratio_b[b] < RATIO)
+    return np.stack([a[good], b[good]], 1), distance[good]
+
+
+def vote(ground_a: Array, ground_b: Array, run: Array, pixel_m: float) -> tuple[Array, Array, float]:
+    """Shift of view b against view a as most matches see it.
+
+    Returns (unit vectors `[k, 2]`, shifts `[k]` in metres along them, weight): across the run only, or along both axes
+    for lines of sight so parallel that height hardly moves anything; nothing without a clear majority.
+    """
+    none = np.empty((0, 2)), np.empty(0), 0.0
+    along, across, length = frame(run)
+    axes = np.array([across]) if length > 0.03 else np.array([along, across])
+    if len(ground_a) < 8:
+        return none
+    amounts = []
+    support = np.ones(len(ground_a), bool)
+    for axis in axes:
+        values = (ground_b - ground_a) @ axis
+        centre = _mode(values, 1.5 * pixel_m)
+        near = np.abs(values - centre) < 2.0 * pixel_m
+        amounts.append(float(np.median(values[near])))
+        support &= near
+    # Chance agreement: false matches spread over the window would put few into the peak.
+    if support.sum() < max(8, 0.1 * len(ground_a)):
+        return none
+    return axes, np.array(amounts), float(support.sum())
+
+
+def _mode(values: Array, width: float) -> float:
+    """Centre of the interval of +-width that holds most values."""
+    ordered = np.sort(values)
+    count = np.searchsorted(ordered, ordered + width, "right") - np.searchsorted(ordered, ordered - width, "left")
+    best = np.flatnonzero(count == count.max())
+    return float(ordered[best[len(best) // 2]])
+
+
+def _differences(a: Array, b: Array) -> NDArray[np.float32]:
+    centre = a.mean()
+    return (a - centre).astype(np.float32)[:, None] - (b - centre).astype(np.float32)[None]
+
+
+def _best(owner: Matches, distance: NDArray[np.float32], count: int) -> tuple[Matches, NDArray[np.float32]]:
+    """For each owner the entry of least distance (-1 if none) and the ratio of the least to the second least."""
+    order = np.lexsort((distance, owner))
+    ranked = owner[order]
+    first = np.flatnonzero(np.r_[True, ranked[1:] != ranked[:-1]])
+    best = np.full(count, -1, np.intp)
+    best[ranked[first]] = order[first]
+    ratio = np.zeros(count, np.float32)
+    second = first + 1
+    has = second < len(order)
+    has[has] = ranked[second[has]] == ranked[first[has]]
+    ratio[ranked[first[has]]] = distance[order[first[has]]] / np.maximum(distance[order[second[has]]], 1e-6)
+    return best, ratio
+
+
+__all__ = ["corridor_matches", "frame", "free_matches", "vote"]

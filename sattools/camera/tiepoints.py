@@ -1,0 +1,298 @@
+"""Tie points between satellite images of different dates: local features, matched where the cameras allow it.
+
+Each image is resampled to north-up ground axes (an affine map per image), so that rotation and scale hardly differ
+between views and descriptors need not be invariant to them; contrast is normalised in a window, which takes most of the
+season and haze away. A feature's position is then its pixel, put on the ground at a reference height. The same point
+seen by two views at height z lies (z_ref - z)(t_b - t_a) apart, t being the horizontal run of a view's line of sight
+per metre of height: along that direction the search covers the height range, across it only the cameras' errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.camera.bundle import robust_gauge
+from sattools.camera.ground import localize, project
+from sattools.camera.matching import corridor_matches, free_matches, vote
+from sattools.camera.rpc import RPC
+from sattools.camera.tracks import Tracks, build_tracks
+from sattools.errors import InputError
+from sattools.progress import Progress, silent
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TiePointOptions:
+    """How tie points are sought. Pixels are those of the images at their own resolution."""
+
+    max_features: int = 4000  # per image, spread evenly
+    coarse_features: int = 1500  # strongest ones, for the search without knowing the cameras' errors
+    max_bias_px: float = 120.0  # largest error of a camera that the coarse search allows
+    corridor_px: float = 3.0  # half width across the line of sight once the coarse errors are known
+    max_height_m: float = 600.0  # half of the height range of the coarse search
+    contrast_window_px: float = 12.0
+    max_image_px: int = 6_000_000  # larger images are matched at a lower resolution
+    max_pairs: int = 200
+
+
+@dataclass(frozen=True)
+class View:
+    """What tie points need of an image: grey values `[H, W]` (NaN = no data) and its camera."""
+
+    name: str
+    gray: NDArray[np.float32]
+    rpc: RPC
+
+
+@dataclass
+class Features:
+    """Features of one view: pixels `[n, 2]` (col, row), descriptors `[n, 128]` of unit length, strongest first."""
+
+    pixel: Array
+    descriptor: NDArray[np.float32]
+    ground: Array = field(default_factory=lambda: np.empty((0, 2)))  # [n, 2] at the reference height
+    tangent: Array = field(default_factory=lambda: np.zeros(2))  # d(x, y)/dz of the view's lines of sight
+
+    def place(self, rpc: RPC, crs: str, z_ref: float) -> None:
+        """Put the features on the ground at a height."""
+        dz = 50.0
+        low = np.stack(localize(rpc, crs, self.pixel[:, 0], self.pixel[:, 1], z_ref), -1)
+        high = np.stack(localize(rpc, crs, self.pixel[:, 0], self.pixel[:, 1], z_ref + dz), -1)
+        self.ground = low
+        self.tangent = np.median((high - low) / dz, axis=0) if len(low) else np.zeros(2)
+
+
+def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Grey values less their local mean over their local deviation, as 8 bit, and where they are valid."""
+    import cv2
+
+    valid = np.isfinite(gray)
+    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), sigma)
+    filled = np.where(valid, gray, 0.0).astype(np.float32)
+    safe = np.maximum(weight, 1e-3)
+    mean = cv2.GaussianBlur(filled, (0, 0), sigma) / safe
+    variance = cv2.GaussianBlur(filled * filled, (0, 0), sigma) / safe - mean * mean
+    # Flat areas must stay flat: noise is not amplified below 2 % of the image's own spread.
+    spread = float(np.std(filled[valid])) if valid.any() else 1.0
+    floor = max((0.02 * spread) ** 2, 1e-12)
+    scaled = 128.0 + 48.0 * (filled - mean) / np.sqrt(np.maximum(variance, floor))
+    return np.asarray(np.where(valid, np.clip(scaled, 0, 255), 128), np.uint8), valid
+
+
+def extract_features(view: View, crs: str, z_ref: float, options: TiePointOptions) -> Features:
+    """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself."""
+    import cv2
+
+    image, valid = normalised_contrast(view.gray, options.contrast_window_px)
+    height, width = image.shape
+    to_image, out_width, out_height = _north_up(view.rpc, crs, width, height, z_ref, options.max_image_px)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    shrink = float(np.sqrt(abs(np.linalg.det(to_image[:, :2]))))
+    if shrink > 1.2:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * shrink), np.uint8)
+    upright = cv2.warpAffine(image, to_image, (out_width, out_height), flags=flags, borderValue=128)
+    usable = cv2.warpAffine(valid.astype(np.uint8), to_image, (out_width, out_height), flags=flags, borderValue=0)
+    usable = cv2.erode(usable, np.ones((17, 17), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+
+    sift = cv2.SIFT.create(contrastThreshold=0.015, edgeThreshold=12)
+    keypoints = list(sift.detect(upright, usable))
+    if not keypoints:
+        return Features(np.empty((0, 2)), np.empty((0, 128), np.float32))
+    position = np.array([k.pt for k in keypoints])
+    response = np.array([k.response for k in keypoints])
+    chosen = spread_evenly(position, response, options.max_features)
+    seen: set[tuple[float, float, float]] = set()
+    kept = []
+    for index in chosen:
+        k = keypoints[index]
+        key = (k.pt[0], k.pt[1], k.size)  # SIFT returns a point once per dominant orientation
+        if key not in seen:
+            seen.add(key)
+            kept.append(cv2.KeyPoint(k.pt[0], k.pt[1], k.size, 0.0, k.response, k.octave))
+    described, descriptor = sift.compute(upright, kept)
+    pt = np.array([k.pt for k in described])
+    pixel = pt @ to_image[:, :2].T + to_image[:, 2]
+    # Hellinger distance discriminates better than Euclidean (Arandjelovic and Zisserman 2012, "RootSIFT").
+    root = np.sqrt(descriptor / np.maximum(descriptor.sum(1, keepdims=True), 1e-6)).astype(np.float32)
+    return Features(pixel, root)
+
+
+def spread_evenly(position: Array, strength: Array, count: int, cells: int = 16) -> NDArray[np.intp]:
+    """Indices of about `count` points, the strongest of each cell of a `cells`² grid first; strongest first overall."""
+    order = np.argsort(-strength, kind="stable")
+    low, high = position.min(0), position.max(0)
+    cell = np.minimum(((position - low) / np.maximum(high - low, 1e-9) * cells).astype(int), cells - 1)
+    label = (cell[:, 0] * cells + cell[:, 1])[order]
+    by_cell = np.argsort(label, kind="stable")
+    sizes = np.bincount(label, minlength=cells * cells)
+    first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    rank = np.empty(len(order), int)
+    rank[by_cell] = np.arange(len(order)) - first[label[by_cell]]
+    # A cell's surplus fills up what empty cells leave: the rank within the cell decides, then the strength.
+    best = np.argsort(rank, kind="stable")[:count]
+    return order[np.sort(best)]
+
+
+def choose_pairs(tangents: Array, max_pairs: int) -> list[tuple[int, int]]:
+    """Pairs of views to match: all, or where too many those whose lines of sight differ least."""
+    n = len(tangents)
+    pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
+    if len(pairs) <= max_pairs:
+        return pairs
+    distance = {p: float(np.hypot(*(tangents[p[0]] - tangents[p[1]]))) for p in pairs}
+    per_view = max(2, 2 * max_pairs // n)
+    wanted: set[tuple[int, int]] = {(a, a + 1) for a in range(n - 1)}
+    for a in range(n):
+        near = sorted((p for p in pairs if a in p), key=lambda p: (distance[p], p))
+        wanted.update(near[:per_view])
+    return sorted(wanted)
+
+
+def find_tie_points(
+    views: Sequence[View], crs: str, options: TiePointOptions | None = None, progress: Progress = silent
+) -> Tracks:
+    """Tie points of overlapping images.
+
+    Args:
+        views: images with their cameras. crs: projected ground CRS [m].
+
+    Returns: tracks; each is one ground point seen in two or more images.
+    Raises: InputError when fewer than two views are given.
+    """
+    options = options or TiePointOptions()
+    if len(views) < 2:
+        raise InputError(f"tie points: found {len(views)} image, expected at least 2")
+    z_ref = float(np.median([v.rpc.alt_offset for v in views]))
+    features = []
+    for k, view in enumerate(views):
+        progress(0.5 * k / len(views), f"features of {view.name}")
+        features.append(extract_features(view, crs, z_ref, options))
+        features[-1].place(view.rpc, crs, z_ref)
+    tangents = np.array([f.tangent for f in features])
+    pairs = choose_pairs(tangents, options.max_pairs)
+    pixel_m = np.array([_pixel_size(v, crs, z_ref) for v in views])
+
+    # Coarse: strong features, whole height range, large camera errors. Its result is each view's error across the
+    # direction of height, and the range of heights.
+    shifts, seen = [], []
+    for k, (a, b) in enumerate(pairs):
+        progress(0.5 + 0.25 * k / len(pairs), "coarse matching")
+        fa, fb = features[a], features[b]
+        found = free_matches(
+            fa.ground[: options.coarse_features],
+            fa.descriptor[: options.coarse_features],
+            fb.ground[: options.coarse_features],
+            fb.descriptor[: options.coarse_features],
+            fb.tangent - fa.tangent,
+            options.max_height_m,
+            2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
+        )
+        seen.append(found)
+        shifts.append(vote(fa.ground[found[:, 0]], fb.ground[found[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
+    bias = coarse_bias(pairs, shifts, tangents)
+
+    heights = []
+    for (a, b), found in zip(pairs, seen, strict=True):
+        fa, fb = features[a], features[b]
+        run = fb.tangent - fa.tangent
+        length = float(np.hypot(*run))
+        if length < 0.05 or len(found) == 0:
+            continue
+        apart = (fb.ground[found[:, 1]] - bias[b]) - (fa.ground[found[:, 0]] - bias[a])
+        along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
+        good = np.abs(across) < options.corridor_px * pixel_m[a]
+        heights.append(z_ref - along[good] / length)
+    low, high = _height_window(np.concatenate(heights) if heights else np.empty(0), z_ref, options)
+
+    # Fine: all features, narrow corridors.
+    z_mid = 0.5 * (low + high)
+    for f, view in zip(features, views, strict=True):
+        f.place(view.rpc, crs, z_mid)
+    matches = []
+    for k, (a, b) in enumerate(pairs):
+        progress(0.75 + 0.25 * k / len(pairs), "fine matching")
+        fa, fb = features[a], features[b]
+        half = options.corridor_px * max(pixel_m[a], pixel_m[b])
+        found, score = corridor_matches(
+            fa.ground - bias[a],
+            fa.descriptor,
+            fb.ground - bias[b],
+            fb.descriptor,
+            fb.tangent - fa.tangent,
+            0.5 * (high - low),
+            half,
+        )
+        matches.append((a, b, found, score))
+    progress(1.0, "tie points")
+    return build_tracks([f.pixel for f in features], matches)
+
+
+def coarse_bias(
+    pairs: Sequence[tuple[int, int]], shifts: Sequence[tuple[Array, Array, float]], tangents: Array
+) -> Array:
+    """Ground shift `[n, 2]` of each view from the shifts of pairs, each known in one or two directions.
+
+    Least absolute deviations by reweighting. Common shifts and those that mean another height cannot be seen; among all
+    equal solutions the one with the smallest corrections (robustly) is taken.
+    """
+    n = len(tangents)
+    rows, values, weights = [], [], []
+    for (a, b), (axes, amounts, weight) in zip(pairs, shifts, strict=True):
+        for axis, amount in zip(axes, amounts, strict=True):
+            row = np.zeros(2 * n)
+            row[2 * b : 2 * b + 2], row[2 * a : 2 * a + 2] = axis, -axis
+            rows.append(row)
+            values.append(amount)
+            weights.append(weight)
+    if not rows:
+        return np.zeros((n, 2))
+    design, target, base = np.array(rows), np.array(values), np.sqrt(np.array(weights))
+    w = base.copy()
+    solution = np.zeros(2 * n)
+    for _ in range(30):
+        solution = np.linalg.lstsq(design * w[:, None], target * w, rcond=1e-8)[0]
+        residual = np.abs(design @ solution - target)
+        w = base / np.sqrt(np.maximum(residual, 0.1))
+    bias = solution.reshape(n, 2)
+    # A common shift moves all alike; a common height h moves view v by h times its tangent.
+    movement = np.concatenate([np.tile(np.eye(2), (n, 1, 1)), tangents[:, :, None]], axis=2)
+    return bias - movement @ robust_gauge(bias, movement)
+
+
+def _height_window(heights: Array, z_ref: float, options: TiePointOptions) -> tuple[float, float]:
+    """Height range of the fine search: the bulk of the coarse heights, widened."""
+    if heights.size < 20:
+        return z_ref - options.max_height_m, z_ref + options.max_height_m
+    low, high = np.percentile(heights, [5, 95])
+    margin = max(0.5 * (high - low), 20.0)
+    return float(low - margin), float(high + margin)
+
+
+def _pixel_size(view: View, crs: str, z: float) -> float:
+    row, col = (np.array(view.gray.shape) - 1) / 2
+    x, y = localize(view.rpc, crs, [col, col + 1, col], [row, row, row + 1], z)
+    return float(np.sqrt(abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]))))
+
+
+def _north_up(rpc: RPC, crs: str, width: int, height: int, z: float, max_px: int) -> tuple[Array, int, int]:
+    """Affine map `[2, 3]` from a north-up raster to the image, and the raster's size."""
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], float)
+    x, y = localize(rpc, crs, corners[:, 0], corners[:, 1], z)
+    west, east, south, north = x.min(), x.max(), y.min(), y.max()
+    area = abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+    cell = float(np.sqrt(area / (width * height)))
+    cell = max(cell, float(np.sqrt((east - west) * (north - south) / max_px)))
+    n_cols, n_rows = int((east - west) / cell) + 1, int((north - south) / cell) + 1
+    gc, gr = (g.ravel() for g in np.meshgrid(np.linspace(0, n_cols, 9), np.linspace(0, n_rows, 9)))
+    col, row = project(rpc, crs, west + gc * cell, north - gr * cell, z)
+    design = np.stack([gc, gr, np.ones_like(gc)], 1)
+    solution = np.linalg.lstsq(design, np.stack([col, row], 1), rcond=None)[0]
+    return solution.T.astype(np.float64), n_cols, n_rows
+
+
+__all__ = ["Features", "TiePointOptions", "View", "coarse_bias", "find_tie_points"]
