@@ -50,8 +50,8 @@ def estimate_height_range(
 ) -> tuple[float, float]:
     """Heights (lowest, highest, m above the ellipsoid) between which the surface lies, without any ground truth.
 
-    Tie points give the bulk. They seldom lie on the few highest roofs, so a coarse plane sweep (correlation of all views on
-    the ground, height by height) over twice the range above and half below looks for coherent patches beyond it.
+    Tie points give the bulk. They seldom lie on the few highest roofs, so a coarse plane sweep (correlation of all
+    views on the ground, height by height) over twice the range above and half below looks for coherent patches beyond it.
 
     Args:
         heights: of tie points `[n]` [m].
@@ -130,8 +130,8 @@ def sweep_histogram(
             views += good
             total += z_v
             own += z_v * z_v
-        power, own = cv2.blur(total * total, (5, 5)), cv2.blur(own, (5, 5))
-        score = np.where(views >= 2, (power - own) / np.maximum(views * (views - 1), 1), -1.0)
+        pairs = cv2.blur(total * total, (5, 5)) - cv2.blur(own, (5, 5))
+        score = np.where(views >= 2, pairs / np.maximum(views * (views - 1), 1), -1.0)
         better = score > best
         best[better], winner[better] = score[better], k
     return _coherent_counts(winner, best, len(planes))
