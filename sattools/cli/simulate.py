@@ -1,0 +1,38 @@
+"""`sattools simulate`: make a scene with known truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options
+from sattools.cli.pipe import Run, run_source
+from sattools.progress import Progress
+from sattools.simulate.stage import SimulateOptions
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("simulate")
+@click.option("--out", type=click.Path(path_type=Path), help="Root folder of the scene  [default: the id]")
+@dataclass_options(SimulateOptions)
+@common_options
+def command(out: Path | None, overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Make a ray-traced scene with RPC cameras, several dates and suns, and its truth; print the scene document.
+
+    The scene is ready for `sattools fit`, with exact RPCs. To exercise `prep` instead, give it the folder `images`
+    (its RPC tags carry --bias-px) and `--metadata` the folder `metadata`.
+    """
+    options = build(SimulateOptions, values)
+
+    def make(progress: Progress) -> tuple[Scene, dict[str, Any] | None]:
+        from sattools.simulate.stage import simulate
+
+        scene = simulate(options, out or Path(options.id), progress, overwrite)
+        errors = [item.properties["sattools:simulated"]["rpc_fit_error_px"] for item in scene.items]
+        return scene, {"rpc_fit_error_px": max(errors)}
+
+    run_source(Run("simulate", options, dry_run, print_config), make, f"scene {options.id}")

@@ -1,0 +1,86 @@
+"""Files of a simulated scene: images with RPC tags, metadata, truth."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sattools.camera.rpc import RPC, SCALARS, VECTORS
+from sattools.scene.document import Scene
+from sattools.scene.grid import Grid
+from sattools.scene.raster import atomic, write_cog, write_text
+from sattools.simulate.world import World
+
+
+def write_sensor_image(
+    path: Path, image: np.ndarray, rpc: RPC | None = None, tags: dict[str, str] | None = None
+) -> None:
+    """An image [B, H, W] in sensor geometry as GeoTIFF, with the camera in its RPC tags."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    bands, height, width = image.shape
+    with warnings.catch_warnings(), atomic(path) as temporary:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(
+            temporary,
+            "w",
+            driver="GTiff",
+            count=bands,
+            height=height,
+            width=width,
+            dtype=image.dtype,
+            compress="deflate",
+            predictor=3 if np.issubdtype(image.dtype, np.floating) else 2,
+            tiled=True,
+            blockxsize=256,
+            blockysize=256,
+        ) as data:
+            data.write(image)
+            data.update_tags(**(tags or {}))
+            if rpc is not None:
+                data.update_tags(ns="RPC", **rpc.to_tags())
+
+
+def sat_nerf_metadata(
+    name: str, rpc: RPC, shape: tuple[int, int], sun: tuple[float, float], date: str, corners: list[list[float]]
+) -> dict[str, Any]:
+    """The JSON that Sat-NeRF keeps beside an image; sun = (azimuth, elevation) in degrees, corners as [lon, lat]."""
+    middle = np.mean(corners, axis=0).tolist()
+    members = {name: getattr(rpc, name) for name in (*SCALARS.values(), *VECTORS.values())}
+    return {
+        "img": name,
+        "height": shape[0],
+        "width": shape[1],
+        "sun_elevation": f"{sun[1]:+.4f}",
+        "sun_azimuth": f"{sun[0]:.4f}",
+        "acquisition_date": date,
+        "geojson": {"type": "Polygon", "coordinates": [corners], "center": middle},
+        "rpc": {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in members.items()},
+    }
+
+
+def write_truth(scene: Scene, world: World, grid: Grid) -> None:
+    """`truth/<id>_DSM.tif`, `_CLS.tif`, `_ALBEDO.tif` and `_DSM.txt` (the contest's layout); names them as products."""
+    east, north = np.meshgrid(grid.x(), grid.y())
+    rasters: dict[str, tuple[str, np.ndarray, float | None, str | None]] = {
+        "truth_dsm": ("DSM", world.surface(east, north).astype(np.float32), float("nan"), "m"),
+        "truth_classes": ("CLS", world.on_grid(world.classes, grid), None, None),
+        "truth_albedo": ("ALBEDO", world.on_grid(world.albedo, grid).transpose(2, 0, 1), float("nan"), None),
+    }
+    for product, (suffix, array, nodata, units) in rasters.items():
+        href = f"truth/{scene.id}_{suffix}.tif"
+        write_cog(scene.output(href), array, grid, nodata=nodata, units=units)
+        scene.products[product] = href
+    west, south, _, _ = grid.bounds
+    text = f"{west:.6f}\n{south:.6f}\n{grid.width:.6f}\n{grid.cell_size:.6f}\n"
+    write_text(scene.output(f"truth/{scene.id}_DSM.txt"), text)
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """A JSON file, one member a line."""
+    write_text(path, json.dumps(document, indent=1) + "\n")

@@ -1,0 +1,262 @@
+"""The simulate stage: a ray-traced scene with known truth."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sattools.camera.ground import from_geographic, grid_direction, utm_crs
+from sattools.camera.rpc import RPC
+from sattools.camera.sun import sun_position
+from sattools.progress import Progress, silent
+from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
+from sattools.scene.grid import Grid
+from sattools.settings import option
+from sattools.simulate.camera import Pushbroom, fit_rpc
+from sattools.simulate.files import sat_nerf_metadata, write_json, write_sensor_image, write_truth
+from sattools.simulate.sensor import SKY_COLOUR, Radiometry, digital_numbers, sun_colour
+from sattools.simulate.world import World
+
+BORDER_PX = 8
+SKY_STRIDE = 8
+BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
+
+
+@dataclass
+class SimulateOptions:
+    """Options of `sattools simulate`."""
+
+    id: str = option("SIM_001", "Name of the scene.")
+    terrain: Literal["city"] = option("city", "What is built: city (streets, houses, courts, a tower).")
+    size: float = option(128.0, "Edge of the square scene [m].", minimum=32, maximum=1024)
+    views: int = option(12, "Number of images.", minimum=1, maximum=200)
+    dates: int = option(6, "Number of dates over which they are spread.", minimum=1, maximum=200)
+    test_views: int = option(0, "How many of them are held out (role test).", minimum=0)
+    gsd: float = option(0.5, "Edge of a pixel across the line of sight [m].", minimum=0.1, maximum=10)
+    off_nadir: float = option(26.0, "Largest off-nadir angle [degrees].", minimum=0, maximum=45)
+    bias_px: float = option(0.0, "Error of the RPCs in the images' tags, radius per view [px].", minimum=0)
+    noise: float = option(1.0, "Sensor noise relative to a usual one.", minimum=0)
+    bits: int = option(11, "11: linear numbers in 16-bit files; 8: tone-mapped.", minimum=8, maximum=11)
+    trees: bool = option(True, "Plant trees.")
+    lon: float = option(-81.66, "Longitude of the scene [degrees].", minimum=-180, maximum=180)
+    lat: float = option(30.35, "Latitude of the scene [degrees].", minimum=-60, maximum=60)
+    seed: int = option(0, "Seed of everything that is drawn.", minimum=0)
+
+
+@dataclass(frozen=True)
+class View:
+    """One image to be taken.
+
+    Attributes:
+        id: name; time: UTC; sun, sensor: (azimuth from true north, elevation) in degrees.
+        camera: exact; rpc: fitted to it; rpc_error_px: largest error of the fit.
+        shape: (rows, columns); radiometry: of its date; bias: (columns, rows) error of the delivered RPC.
+    """
+
+    id: str
+    time: datetime
+    sun: tuple[float, float]
+    sensor: tuple[float, float]
+    camera: Pushbroom
+    rpc: RPC
+    rpc_error_px: float
+    shape: tuple[int, int]
+    radiometry: Radiometry
+    bias: tuple[float, float]
+    role: str
+
+
+def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, overwrite: bool = False) -> Scene:
+    """Make a scene below `root`; the same options give the same files.
+
+    Writes `images/` (digital numbers, RPC tags with the bias asked for), `metadata/` (Sat-NeRF JSON with the same
+    RPCs), `rpc/` (the true RPCs, which the scene's items use), `truth/` (DSM, classes, albedo on the scene's grid;
+    per view the share of sunlit ground and the height seen). Raises OutputExistsError where a scene is there already.
+    """
+    scene = Scene(options.id, Path(root))
+    scene.output("scene.json", overwrite)
+    crs = utm_crs(options.lon, options.lat)
+    grid = _grid(options, crs)
+    seeds = np.random.SeedSequence(options.seed).spawn(3)
+    progress(0.0, "building")
+    world = _world(options, grid, np.random.default_rng(seeds[0]))
+    low, high = float(world.height.min()), float(world.height.max())
+    scene.grid = grid
+    scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
+    write_truth(scene, world, grid)
+    progress(0.05, "compiling the ray tracer")
+    from sattools.simulate.trace import sky_share
+
+    sky = sky_share(world, SKY_STRIDE)
+    views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
+    noise_seeds = seeds[2].spawn(len(views))
+    with ThreadPoolExecutor(max_workers=min(len(views), _threads())) as pool:
+        jobs = pool.map(lambda pair: _take(scene, options, world, sky, *pair), zip(views, noise_seeds, strict=True))
+        for number, item in enumerate(jobs, 1):
+            scene.items.append(item)
+            progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
+    return scene
+
+
+def plan_views(
+    options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
+) -> list[View]:
+    """Cameras, dates and suns: directions spread by the golden angle, mornings some 60 days apart."""
+    west, south, east, north = grid.bounds
+    x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
+    corners = np.array([(e, n, h) for e in (west, east) for n in (south, north) for h in heights])
+    tilts = np.linspace(min(5.0, options.off_nadir), options.off_nadir, options.views)[rng.permutation(options.views)]
+    turn = rng.uniform(0, 360)
+    dates = [Radiometry.draw(rng) for _ in range(options.dates)]
+    days = [
+        datetime(2014, 10, 5, tzinfo=UTC) + timedelta(days=62 * k + int(rng.integers(20))) for k in range(options.dates)
+    ]
+    test = (
+        set(range(1, options.views, max(1, options.views // max(options.test_views, 1))))
+        if options.test_views
+        else set()
+    )
+    views = []
+    for k in range(options.views):
+        date = k % options.dates
+        # half past ten in the morning by the sun, give or take
+        minutes = 60 * (10.5 - options.lon / 15) + rng.uniform(-25, 25)
+        time = (days[date] + timedelta(minutes=minutes)).replace(microsecond=0)
+        azimuth = float((turn + 137.508 * k) % 360)
+        sensor = (azimuth, 90.0 - float(tilts[k]))
+        view = grid_direction(*sensor, grid.crs, options.lon, options.lat)
+        camera = Pushbroom.towards(np.array([x, y, z]), view, options.gsd, (1, 1), float(rng.uniform(-8, 8)))
+        camera, shape = _framed(camera, corners)
+        rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
+        angle = rng.uniform(0, 2 * np.pi)
+        bias = options.bias_px * np.sqrt(rng.uniform()) * np.array([np.cos(angle), np.sin(angle)])
+        views.append(
+            View(
+                f"{options.id}_{k + 1:03d}", time, sun_position(time, options.lon, options.lat), sensor, camera, rpc,
+                error, shape, dates[date], (float(bias[0]), float(bias[1])),
+                "test" if k in test and len(test) < options.views else "train",
+            )
+        )  # fmt: skip
+    return views
+
+
+def _grid(options: SimulateOptions, crs: str) -> Grid:
+    x, y = (float(v) for v in from_geographic(crs, options.lon, options.lat))
+    cells = max(1, round(options.size / options.gsd))
+    half = cells * options.gsd / 2
+    left, top = round(x - half), round(y + half)
+    return Grid(crs, float(left), float(top), options.gsd, cells, cells)
+
+
+def _world(options: SimulateOptions, grid: Grid, rng: np.random.Generator) -> World:
+    from sattools.simulate.city import build_city
+
+    west, south, east, north = grid.bounds
+    centre = ((west + east) / 2, (south + north) / 2)
+    return build_city(centre, east - west, options.gsd / 2, BASE_M, rng, trees=options.trees)
+
+
+def _framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int, int]]:
+    """The camera with its first pixel moved so that the image just holds the corners [N, 3], and the image's shape."""
+    from dataclasses import replace
+
+    col, row = camera.project(corners)
+    left, top = np.floor(col.min()) - BORDER_PX, np.floor(row.min()) - BORDER_PX
+    shape = int(np.ceil(row.max()) - top) + BORDER_PX, int(np.ceil(col.max()) - left) + BORDER_PX
+    return replace(camera, col0=camera.col0 - left, row0=camera.row0 - top), shape
+
+
+def _take(
+    scene: Scene, options: SimulateOptions, world: World, sky: np.ndarray, view: View, seed: np.random.SeedSequence
+) -> Item:
+    """Render one view and write its files."""
+    from sattools.simulate.trace import render
+
+    assert scene.grid is not None  # set before the views are taken
+    camera = view.camera
+    sun = grid_direction(*view.sun, scene.grid.crs, options.lon, options.lat)
+    low, high = float(world.height.min()) - 2.0, float(world.height.max()) + 2.0
+    radiance, lit, height = render(
+        world.height, world.slope_x, world.slope_y, world.albedo, world.wall_albedo, world.windows, sky, SKY_STRIDE,
+        world.cell_size, world.turn, np.array(world.centre), camera.origin, camera.velocity, camera.look, camera.across,
+        camera.focal, camera.col0, camera.row0, view.shape, 2, sun, sun_colour(view.sun[1]), SKY_COLOUR, low, high,
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    image = digital_numbers(radiance, view.radiometry, options.noise, 8 if options.bits == 8 else 11, rng)
+    delivered = view.rpc.shifted(*view.bias)
+    date = view.time.strftime("%Y-%m-%dT%H:%M:%SZ")
+    files = {
+        "image": f"images/{view.id}.tif",
+        "rpc": f"rpc/{view.id}_RPC.TXT",
+        "metadata": f"metadata/{view.id}.json",
+        "truth_lit": f"truth/views/{view.id}_LIT.tif",
+        "truth_height": f"truth/views/{view.id}_HEIGHT.tif",
+    }
+    write_sensor_image(
+        scene.output(files["image"]), image, delivered, {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
+    )
+    view.rpc.write(scene.output(files["rpc"]))
+    corners = _footprint(view, float(np.median(height)))
+    metadata = sat_nerf_metadata(
+        f"{view.id}.tif", delivered, view.shape, view.sun, view.time.strftime("%Y%m%d%H%M%S"), corners
+    )
+    write_json(scene.output(files["metadata"]), metadata)
+    write_sensor_image(scene.output(files["truth_lit"]), lit[None].astype(np.float32))
+    write_sensor_image(scene.output(files["truth_height"]), height[None])
+    properties: dict[str, Any] = {
+        "datetime": date,
+        "platform": "simulated",
+        "gsd": options.gsd,
+        "proj:code": None,
+        "proj:shape": list(view.shape),
+        "view:sun_azimuth": round(view.sun[0], 4),
+        "view:sun_elevation": round(view.sun[1], 4),
+        "view:azimuth": round(view.sensor[0], 4),
+        "view:off_nadir": round(90 - view.sensor[1], 4),
+        "sattools:role": view.role,
+        "sattools:simulated": {
+            "gain": view.radiometry.gain.round(6).tolist(),
+            "haze": view.radiometry.haze.round(6).tolist(),
+            "rpc_bias_px": [round(v, 6) for v in view.bias],
+            "rpc_fit_error_px": view.rpc_error_px,
+        },
+    }
+    assets = {
+        "image": Asset(files["image"], GEOTIFF_TYPE, ["data"]),
+        "rpc": Asset(files["rpc"], "text/plain", ["metadata"]),
+        "metadata": Asset(files["metadata"], "application/json", ["metadata"]),
+        "truth_lit": Asset(files["truth_lit"], GEOTIFF_TYPE, ["truth"]),
+        "truth_height": Asset(files["truth_height"], GEOTIFF_TYPE, ["truth"]),
+    }
+    lons, lats = [c[0] for c in corners], [c[1] for c in corners]
+    ring = [*corners, corners[0]]
+    return Item(
+        view.id,
+        {"type": "Polygon", "coordinates": [ring]},
+        [min(lons), min(lats), max(lons), max(lats)],
+        properties,
+        assets,
+    )
+
+
+def _footprint(view: View, height: float) -> list[list[float]]:
+    """[lon, lat] of the image's corners at a height, anticlockwise as GeoJSON wants it."""
+    rows, columns = view.shape
+    col = np.array([-0.5, -0.5, columns - 0.5, columns - 0.5])
+    row = np.array([-0.5, rows - 0.5, rows - 0.5, -0.5])
+    lon, lat = view.rpc.localization(col, row, height)
+    return [[float(a), float(b)] for a, b in zip(lon, lat, strict=True)]
+
+
+def _threads() -> int:
+    asked = os.environ.get("NUMBA_NUM_THREADS", "")
+    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
+
+
+__all__ = ["SimulateOptions", "View", "plan_views", "simulate"]

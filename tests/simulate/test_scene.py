@@ -1,0 +1,166 @@
+"""A whole simulated scene."""
+
+import ast
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import sattools.simulate
+from sattools.camera.ground import project
+from sattools.camera.rpc import RPC
+from sattools.cli import main
+from sattools.compare import read_dfc2019, read_reference
+from sattools.errors import OutputExistsError
+from sattools.scene import Scene
+from sattools.scene.raster import read_image, read_raster
+from sattools.simulate import SimulateOptions, simulate
+
+SMALL = {"size": 48.0, "views": 3, "dates": 2, "bias_px": 2.0, "gsd": 0.5, "test_views": 1}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    return simulate(SimulateOptions(**SMALL), tmp_path_factory.mktemp("sim"))
+
+
+def digest(folder: Path) -> dict[str, str]:
+    """Check sum of every file below a folder."""
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def test_document_survives_a_round_trip_and_names_existing_files(scene):
+    again = Scene.from_json(scene.to_json())
+    assert [item.id for item in again.items] == ["SIM_001_001", "SIM_001_002", "SIM_001_003"]
+    for item in again.items:
+        for asset in item.assets.values():
+            assert again.path(asset.href).is_file(), asset.href
+    for href in again.products.values():
+        assert again.path(href).is_file()
+    assert sum(item.role == "test" for item in again.items) == 1
+
+
+def test_images_are_eleven_bit_numbers_with_contrast_and_hardly_any_saturation(scene):
+    for item in scene.items:
+        image = read_image(scene.path(item.assets["image"].href))
+        assert image.shape[0] == 3
+        assert image.max() <= 2047
+        assert (image == 2047).mean() < 0.001
+        low, high = np.percentile(image, (5, 95))
+        assert high > 3 * low
+
+
+def test_rpc_of_the_scene_is_exact_and_that_of_the_image_has_the_bias(scene):
+    for item in scene.items:
+        true = RPC.from_file(scene.path(item.assets["rpc"].href))
+        tagged = RPC.from_file(scene.path(item.assets["image"].href))
+        metadata = RPC.from_file(scene.path(item.assets["metadata"].href))
+        bias = item.properties["sattools:simulated"]["rpc_bias_px"]
+        assert 0 < np.hypot(*bias) <= 2
+        at = (-81.66, 30.35, -20.0)
+        delta = np.subtract(tagged.projection(*at), true.projection(*at))
+        assert delta == pytest.approx(bias, abs=1e-5)
+        assert metadata.projection(*at) == pytest.approx(tagged.projection(*at), abs=1e-9)
+        assert item.properties["sattools:simulated"]["rpc_fit_error_px"] < 0.001
+
+
+def test_heights_seen_by_a_view_agree_with_the_truth_where_its_pixels_lie(scene):
+    """Carry truth cells into a view: where the view sees a roof or the ground, both give one height."""
+    truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
+    east, north = np.meshgrid(grid.x(), grid.y())
+    for item in scene.items:
+        rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
+        seen = read_image(scene.path(item.assets["truth_height"].href))[0]
+        col, row = project(rpc, grid.crs, east, north, truth[0])
+        c, r = np.rint(col).astype(int), np.rint(row).astype(int)
+        assert c.min() >= 0
+        assert r.min() >= 0
+        assert c.max() < seen.shape[1]
+        assert r.max() < seen.shape[0]
+        difference = seen[r, c] - truth[0]
+        # hidden cells show what stands before them, which is higher: nothing may be seen through a surface
+        assert np.quantile(np.abs(difference), 0.6) < 0.15
+        # rounding to whole pixels touches the far side of edges and crowns in a few cells
+        assert (difference < -0.5).mean() < 0.05
+
+
+def test_truth_reads_as_reference_in_both_layouts(scene):
+    contest = read_dfc2019(scene.root / "truth", "SIM_001")
+    plain = read_reference(scene.path(scene.products["truth_dsm"]), scene.path(scene.products["truth_classes"]))
+    assert contest.grid == plain.grid == scene.grid
+    np.testing.assert_array_equal(contest.heights, plain.heights)
+    np.testing.assert_array_equal(contest.classes, plain.classes)
+    assert {2, 6} <= set(np.unique(plain.classes))
+    low, high = scene.height_range_m
+    assert low < plain.heights.min() < plain.heights.max() < high
+
+
+def test_suns_come_from_dates_and_metadata_gives_the_same(scene):
+    for item in scene.items:
+        document = json.loads(scene.path(item.assets["metadata"].href).read_text())
+        azimuth, elevation = item.sun
+        assert 90 < azimuth < 180  # mornings
+        assert 25 < elevation < 75
+        assert float(document["sun_azimuth"]) == pytest.approx(azimuth, abs=1e-3)
+        assert float(document["sun_elevation"]) == pytest.approx(elevation, abs=1e-3)
+        assert document["acquisition_date"][:4] == item.properties["datetime"][:4]
+    assert len({item.properties["datetime"][:10] for item in scene.items}) == 2
+
+
+def test_same_seed_same_files_other_seed_other_city(scene, tmp_path):
+    same = simulate(SimulateOptions(**SMALL), tmp_path / "same")
+    assert digest(same.root) == digest(scene.root)
+    other = simulate(SimulateOptions(**SMALL, seed=1), tmp_path / "other")
+    a, b = (read_raster(s.path(s.products["truth_dsm"]))[0] for s in (scene, other))
+    assert np.abs(a - b).max() > 3
+
+
+def test_eight_bit_images_are_tone_mapped(tmp_path):
+    options = SimulateOptions(**{**SMALL, "views": 1, "bits": 8})
+    scene = simulate(options, tmp_path)
+    image = read_raster_dtype(scene.path(scene.items[0].assets["image"].href))
+    assert image == "uint8"
+
+
+def read_raster_dtype(path: Path) -> str:
+    import rasterio
+
+    with rasterio.open(path) as data:
+        return str(data.dtypes[0])
+
+
+def test_an_existing_scene_is_not_replaced_unasked(tmp_path):
+    runner = CliRunner()
+    arguments = ["simulate", "--out", str(tmp_path / "s"), "--size", "32", "--views", "1"]
+    first = runner.invoke(main, arguments)
+    assert first.exit_code == 0, first.output
+    document = json.loads(first.stdout)
+    assert document["sattools"]["history"][0]["command"] == "simulate"
+    assert document["sattools"]["history"][0]["rpc_fit_error_px"] < 0.001
+    second = runner.invoke(main, arguments)
+    assert second.exit_code == 1
+    assert "--overwrite" in second.stderr
+    assert runner.invoke(main, [*arguments, "--overwrite"]).exit_code == 0
+    with pytest.raises(OutputExistsError):
+        simulate(SimulateOptions(), tmp_path / "s")
+
+
+def test_simulation_imports_nothing_of_the_renderer_that_it_tests():
+    folder = Path(sattools.simulate.__file__).parent
+    imported = set()
+    for file in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                imported.add(node.module or "")
+    forbidden = ("torch", "sattools.render", "sattools.field", "sattools.fit", "sattools.prior", "sattools.reflectance")
+    assert [name for name in imported if name.startswith(forbidden)] == []
+    code = "import sys, sattools.simulate.stage, sattools.simulate.trace; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
