@@ -35,7 +35,7 @@ class Registration:
 
     def metres(self, cell_size: float) -> tuple[float, float, float]:
         """Shift as (east, north, up) in metres."""
-        return self.columns * cell_size, -self.rows * cell_size, self.up
+        return self.columns * cell_size, (-self.rows or 0.0) * cell_size, self.up  # no -0.0
 
 
 def pyramid_levels(shape: tuple[int, int]) -> int:
@@ -237,7 +237,7 @@ def _search(
     for (dr, dc), (count, score) in zip(trials, scores, strict=True):
         if count >= enough and score > best + 1e-12:
             best, found = score, (rows + dr, columns + dc)
-    return *found, float(best) if np.isfinite(best) else 0.0
+    return *found, min(float(best), 1.0) if np.isfinite(best) else 0.0
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

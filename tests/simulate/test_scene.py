@@ -90,6 +90,31 @@ def test_heights_seen_by_a_view_agree_with_the_truth_where_its_pixels_lie(scene)
         assert (difference < -0.5).mean() < 0.05
 
 
+def test_numbers_of_sunlit_ground_are_its_reflectance_seen_through_the_cameras(scene):
+    """Reflectance carried into each view by its RPC explains the numbers there, band by band."""
+    truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
+    albedo, _ = read_raster(scene.path(scene.products["truth_albedo"]))
+    classes, _ = read_raster(scene.path(scene.products["truth_classes"]))
+    east, north = np.meshgrid(grid.x(), grid.y())
+    for item in scene.items:
+        rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
+        image, lit, seen = (
+            read_image(scene.path(item.assets[name].href)) for name in ("image", "truth_lit", "truth_height")
+        )
+        col, row = (np.rint(v).astype(int) for v in project(rpc, grid.crs, east, north, truth[0]))
+        use = (classes[0] == 2) & (lit[0, row, col] == 1) & (np.abs(seen[0, row, col] - truth[0]) < 0.1)
+        assert use.sum() > 1000
+        for band in range(3):
+            likeness = {
+                (dr, dc): np.corrcoef(image[band, row + dr, col + dc][use], albedo[band][use])[0, 1]
+                for dr, dc in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+            }
+            # a pixel is the mean of some four cells, of which one is compared: that costs a part of the fine grain
+            assert likeness[0, 0] > 0.85
+            # one pixel aside it must be worse, or the cameras would be off by half a pixel
+            assert likeness[0, 0] > max(v for k, v in likeness.items() if k != (0, 0)) + 0.1
+
+
 def test_truth_reads_as_reference_in_both_layouts(scene):
     contest = read_dfc2019(scene.root / "truth", "SIM_001")
     plain = read_reference(scene.path(scene.products["truth_dsm"]), scene.path(scene.products["truth_classes"]))
