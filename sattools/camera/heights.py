@@ -51,7 +51,8 @@ def estimate_height_range(
     """Heights (lowest, highest, m above the ellipsoid) between which the surface lies, without any ground truth.
 
     Tie points give the bulk. They seldom lie on the few highest roofs, so a coarse plane sweep (correlation of all
-    views on the ground, height by height) over twice the range above and half below looks for coherent patches beyond it.
+    views on the ground, height by height) over twice the range above and half below looks for coherent patches
+    beyond it.
 
     Args:
         heights: of tie points `[n]` [m].

@@ -1,0 +1,74 @@
+"""`sattools prep`: images with RPC cameras become a scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options
+from sattools.cli.pipe import Run, report_error, run_source
+from sattools.errors import InputError
+from sattools.prep.options import PrepOptions
+from sattools.progress import Progress
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("prep")
+@click.argument("images", nargs=-1, type=click.Path(path_type=Path), metavar="IMAGE...")
+@dataclass_options(PrepOptions)
+@click.option("--aoi", help="GeoJSON file of the area of interest; with --dfc2019 the name of an area such as JAX_068.")
+@click.option(
+    "--bounds",
+    nargs=4,
+    type=float,
+    metavar="W S E N",
+    help="Area of interest, in --crs if that is given, else in degrees.",
+)
+@click.option("--dfc2019", type=click.Path(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
+@common_options
+def command(
+    images: tuple[Path, ...],
+    aoi: str | None,
+    bounds: tuple[float, float, float, float] | None,
+    dfc2019: Path | None,
+    overwrite: bool,
+    dry_run: bool,
+    print_config: bool,
+    **values: Any,
+) -> None:
+    """Correct the cameras of images that show one place, find the height range, and print the scene.
+
+    Images: GeoTIFF with RPC tags, NITF, or any raster with DIMAP or DigitalGlobe XML, .RPB, _RPC.TXT or Sat-NeRF JSON
+    beside it or in --metadata.
+    """
+    if not images and dfc2019 is None and not print_config:
+        raise click.UsageError("expected IMAGE... or --dfc2019 ROOT --aoi AREA")
+    if images and dfc2019 is not None:
+        raise click.UsageError("expected either IMAGE... or --dfc2019, found both")
+    options = replace(build(PrepOptions, values), aoi=aoi, bounds=list(bounds or ()))
+    paths = list(images)
+    if dfc2019 is not None:
+        from sattools.prep.dfc2019 import find_images
+
+        if aoi is None:
+            raise click.UsageError("--dfc2019 expects --aoi with the name of an area such as JAX_068")
+        try:
+            paths, folder = find_images(dfc2019, aoi)
+        except InputError as error:
+            report_error("prep", error)
+            raise SystemExit(1) from None
+        metadata = options.metadata or (str(folder) if folder else None)
+        options = replace(options, id=options.id or aoi, metadata=metadata, aoi=None)
+
+    def make(progress: Progress) -> tuple[Scene, dict[str, Any]]:
+        from sattools.prep.stage import prepare
+
+        return prepare(paths, options, progress, overwrite)
+
+    label = options.id or f"a scene of {len(paths)} images"
+    run_source(Run("prep", options, dry_run, print_config), make, label)

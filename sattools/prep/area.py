@@ -1,0 +1,75 @@
+"""The area asked for: bounds on the command line or a GeoJSON polygon."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sattools.camera.ground import check_projected, from_geographic
+from sattools.camera.rpc_formats import read_json
+from sattools.errors import InputError
+from sattools.prep.layout import Bounds
+
+
+def bounds_from_geojson(path: Path, crs: str) -> Bounds:
+    """Bounds in `crs` [m] of all polygons of a GeoJSON file; longitude and latitude unless the file names a CRS."""
+    document = read_json(path)
+    points = np.array(list(_positions(document)), dtype=np.float64).reshape(-1, 2)
+    if len(points) < 3 or not np.isfinite(points).all():
+        raise InputError(f"{path}: found no polygon, expected GeoJSON with the area of interest")
+    named = ((document.get("crs") or {}).get("properties") or {}).get("name", "")
+    if named and "CRS84" not in named and not named.endswith("4326"):
+        return _transformed(points, str(named), crs, str(path))
+    if np.abs(points[:, 0]).max() > 360 or np.abs(points[:, 1]).max() > 90:
+        raise InputError(f"{path}: found coordinates that are no degrees, expected longitude and latitude (RFC 7946)")
+    return _box(*from_geographic(crs, points[:, 0], points[:, 1]))
+
+
+def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | None) -> Bounds:
+    """Bounds in `crs` from `--bounds W S E N`: in the CRS given with them, else in degrees."""
+    west, south, east, north = (float(v) for v in numbers)
+    if not (west < east and south < north):
+        raise InputError(f"bounds: found {west:g} {south:g} {east:g} {north:g}, expected west < east and south < north")
+    if given_crs is not None:
+        check_projected(given_crs)
+        return west, south, east, north
+    if max(abs(west), abs(east)) > 360 or max(abs(south), abs(north)) > 90:
+        raise InputError("bounds: found numbers that are no degrees, expected --crs with bounds in metres")
+    t = np.linspace(0, 1, 5)
+    x, y = np.meshgrid(west + t * (east - west), south + t * (north - south))
+    return _box(*from_geographic(crs, x.ravel(), y.ravel()))
+
+
+def _transformed(points: np.ndarray, source: str, crs: str, path: str) -> Bounds:
+    from pyproj import Transformer
+    from pyproj.exceptions import CRSError
+
+    try:
+        transformer = Transformer.from_crs(source, crs, always_xy=True)
+    except CRSError:
+        raise InputError(f"{path}: found CRS {source!r}, expected a known one") from None
+    return _box(*transformer.transform(points[:, 0], points[:, 1]))
+
+
+def _box(x: np.ndarray, y: np.ndarray) -> Bounds:
+    return float(np.min(x)), float(np.min(y)), float(np.max(x)), float(np.max(y))
+
+
+def _positions(node: Any) -> list[tuple[float, float]]:
+    """All positions of a GeoJSON object."""
+    if isinstance(node, dict):
+        if "coordinates" in node:
+            return _positions(node["coordinates"])
+        parts = node.get("features") or node.get("geometries") or [node.get("geometry")]
+        return [p for part in parts for p in _positions(part)]
+    if isinstance(node, list) and node:
+        if len(node) >= 2 and all(isinstance(v, int | float) for v in node[:2]):
+            return [(float(node[0]), float(node[1]))]
+        return [p for part in node for p in _positions(part)]
+    return []
+
+
+__all__ = ["bounds_from_geojson", "bounds_from_numbers"]

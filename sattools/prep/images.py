@@ -1,0 +1,233 @@
+"""Images as they come: opening, checking, reading a window, and writing the scene's own copy."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from sattools.camera import RPC
+from sattools.errors import InputError
+from sattools.prep.metadata import Metadata, from_tags, read_sidecar, sidecars
+from sattools.scene.raster import atomic
+
+
+@dataclass
+class Source:
+    """One input image: its file, what is known about it, and the part of it that is used."""
+
+    id: str
+    path: Path
+    size: tuple[int, int]  # (height, width)
+    bands: int
+    dtype: str
+    rpc: RPC
+    metadata: Metadata
+    window: tuple[int, int, int, int] = (0, 0, 0, 0)  # col0, row0, width, height
+    remarks: list[str] = field(default_factory=list)
+
+
+def image_id(path: Path) -> str:
+    """The item's name: the file's stem with everything odd replaced."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "_", path.stem).lstrip("._-")[:128]
+    if not name:
+        raise InputError(f"{path}: found a name without letters or digits, expected one that can serve as an id")
+    return name
+
+
+def check_ids(images: Sequence[Path]) -> list[str]:
+    """Ids of all images; InputError when there are fewer than two images or two have the same id."""
+    if len(images) < 2:
+        found = f"{images[0]}: found this one image only" if images else "prep: found no image"
+        raise InputError(f"{found}, expected at least 2 images of one place")
+    ids = [image_id(p) for p in images]
+    twice = [i for i, n in Counter(ids).items() if n > 1]
+    if twice:
+        paths = [str(p) for p, i in zip(images, ids, strict=True) if i == twice[0]]
+        raise InputError(f"{paths[1]}: found id {twice[0]!r}, which {paths[0]} has too, expected unique file names")
+    return ids
+
+
+def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
+    """Open an image, find its camera and metadata.
+
+    What `metadata_dir` holds comes before what lies beside the image, and that before the image's own tags.
+    Raises InputError: missing, unreadable, no RPC, metadata of another crop.
+    """
+    with opened(path) as data:
+        size = (data.height, data.width)
+        bands, dtype = data.count, str(data.dtypes[0])
+        tags, rpc_tags = data.tags(), data.tags(ns="RPC")
+    if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
+        raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
+    metadata = Metadata()
+    remarks = []
+    folders = [f for f in (metadata_dir, path.parent) if f is not None]
+    for sidecar in sidecars(path, folders):
+        try:
+            part = read_sidecar(sidecar)
+        except InputError:
+            # Beside an image may lie anything; what the user pointed to must be readable.
+            if metadata_dir is not None and sidecar.parent == metadata_dir:
+                raise
+            if sidecar.suffix.lower() == ".json":
+                raise
+            remarks.append(f"{sidecar.name}: not understood, left aside")
+            continue
+        if part.size is not None and part.size != size:
+            raise InputError(
+                f"{sidecar}: found metadata of an image of {part.size[1]} x {part.size[0]} pixels, "
+                f"expected {size[1]} x {size[0]} as {path.name} has"
+            )
+        metadata = metadata.filled(part)
+    metadata = metadata.filled(from_tags(tags, path.stem))
+    if metadata.rpc is None:
+        if not rpc_tags:
+            where = " or ".join(str(f) for f in folders)
+            raise InputError(f"{path}: found no RPC, expected RPC tags in the image or a metadata file in {where}")
+        metadata.rpc = RPC.from_tags(rpc_tags, source=str(path))
+        metadata.rpc_source = str(path)
+    return Source(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), remarks)
+
+
+def read_gray(source: Source) -> NDArray[np.float32]:
+    """Mean of the bands over the source's window `[H, W]`, NaN where a band has no data.
+
+    Raises InputError: truncated, or a band without any data. Adds a remark where pixels are not finite.
+    """
+    col, row, width, height = source.window
+    total = np.zeros((height, width), np.float32)
+    valid = np.ones((height, width), bool)
+    nonzero = np.zeros((height, width), bool)
+    with opened(source.path) as data:
+        for band in range(1, data.count + 1):
+            values = _read(data, source, band, Window(col, row, width, height))
+            good = np.isfinite(values) if np.issubdtype(values.dtype, np.floating) else np.ones(values.shape, bool)
+            if not good.all() and band == 1:
+                share = 100.0 * (1.0 - good.mean())
+                source.remarks.append(f"{share:.2g} % of the pixels are NaN and were masked")
+            if data.nodata is not None:
+                good &= values != data.nodata
+            low, high = (values[good].min(), values[good].max()) if good.any() else (0, 0)
+            if low == high:
+                what = f"{low:g} everywhere" if good.any() else "no-data or NaN everywhere"
+                raise InputError(f"{source.path}: found band {band} to be {what}, expected an image")
+            nonzero |= values != 0
+            valid &= good
+            total += np.where(good, values, 0).astype(np.float32)
+    if not valid.any():
+        raise InputError(f"{source.path}: found no pixel that is valid in all bands, expected an image")
+    # Vendors fill the frame around an image with 0 in all bands without saying so.
+    return np.where(valid & nonzero, total / source.bands, np.nan).astype(np.float32)
+
+
+def value_range(source: Source) -> tuple[float, float]:
+    """Smallest and largest finite value of the window that is not no-data."""
+    col, row, width, height = source.window
+    low, high = np.inf, -np.inf
+    with opened(source.path) as data:
+        for band in range(1, data.count + 1):
+            values = _read(data, source, band, Window(col, row, width, height))
+            good = np.isfinite(values)
+            if data.nodata is not None:
+                good &= values != data.nodata
+            if good.any():
+                low, high = min(low, float(values[good].min())), max(high, float(values[good].max()))
+    return low, high
+
+
+def significant_bits(source: Source, highest: float) -> int | None:
+    """Bits of the pixel values: the vendor's word if the values agree with it, else the fewest that hold them."""
+    if np.issubdtype(np.dtype(source.dtype), np.floating):
+        return None
+    stored = 8 * np.dtype(source.dtype).itemsize
+    if stored == 8:
+        return 8
+    said = source.metadata.bits
+    if said is not None and said < stored and highest < 2**said:
+        return said
+    return next((b for b in (8, 10, 11, 12, 14, 16) if highest < 2**b), stored)
+
+
+def write_image(source: Source, rpc: RPC, target: Path) -> None:
+    """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
+
+    Raises: InputError when the source cannot be read; SattoolsError when the target cannot be written.
+    """
+    col, row, width, height = source.window
+    with opened(source.path) as data:
+        profile = {
+            "driver": "GTiff",
+            "width": width,
+            "height": height,
+            "count": data.count,
+            "dtype": data.dtypes[0],
+            "tiled": True,
+            "blockxsize": 256,
+            "blockysize": 256,
+            "compress": "deflate",
+            "predictor": 3 if np.issubdtype(np.dtype(source.dtype), np.floating) else 2,
+            "interleave": "pixel" if data.count > 1 else "band",
+            "bigtiff": "if_safer",
+        }
+        if data.nodata is not None:
+            profile["nodata"] = data.nodata
+        with atomic(target) as temporary, rasterio.open(temporary, "w", **profile) as out:
+            strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
+            for first in range(0, height, strip):
+                rows = min(strip, height - first)
+                for band in range(1, data.count + 1):
+                    values = _read(data, source, band, Window(col, row + first, width, rows))
+                    out.write(values, band, window=Window(0, first, width, rows))
+            out.descriptions = data.descriptions
+            out.update_tags(ns="RPC", **rpc.to_tags())
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[rasterio.DatasetReader]:
+    """A raster in any geometry. Raises InputError when it cannot be opened."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            data = rasterio.open(path)
+        except RasterioError as error:
+            if not path.exists():
+                raise InputError(f"{path}: no such file, expected an image") from None
+            raise InputError(f"{path}: found no readable image ({str(error).splitlines()[0]})") from None
+        with data:
+            if data.count == 0:
+                raise InputError(f"{path}: found a container without bands, expected an image")
+            yield data
+
+
+def _read(data: rasterio.DatasetReader, source: Source, band: int, window: Window) -> NDArray[np.generic]:
+    try:
+        return np.asarray(data.read(band, window=window))
+    except (RasterioError, ValueError):
+        raise InputError(
+            f"{source.path}: found a damaged or truncated image in band {band}, "
+            f"expected {data.width} x {data.height} pixels"
+        ) from None
+
+
+__all__ = [
+    "Source",
+    "check_ids",
+    "image_id",
+    "load_source",
+    "opened",
+    "read_gray",
+    "significant_bits",
+    "value_range",
+    "write_image",
+]

@@ -1,0 +1,117 @@
+"""Where images lie on the ground: footprints, which belong together, the default area, the grid's cells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
+from shapely.geometry.polygon import orient
+
+from sattools.camera import RPC
+from sattools.camera.ground import from_geographic, project
+
+Array = NDArray[np.float64]
+Bounds = tuple[float, float, float, float]
+Window = tuple[int, int, int, int]  # col0, row0, width, height
+
+
+def outline(rpc: RPC, window: Window, height: float, per_side: int = 4) -> Array:
+    """Longitudes and latitudes `[n, 2]` of a window's outer edge at a height; NaN where the camera does not reach."""
+    col, row, width, rows = window
+    t = np.arange(per_side) / per_side
+    edge = np.concatenate([[t, 0 * t], [1 + 0 * t, t], [1 - t, 1 + 0 * t], [0 * t, 1 - t]], axis=1)
+    return np.stack(rpc.localization(col - 0.5 + edge[0] * width, row - 0.5 + edge[1] * rows, height), -1)
+
+
+def footprint(rpc: RPC, window: Window, height: float) -> Polygon:
+    """Footprint polygon in longitude and latitude, counter-clockwise as GeoJSON wants it."""
+    return orient(Polygon(outline(rpc, window, height)))
+
+
+def ground_polygon(rpc: RPC, window: Window, height: float, crs: str) -> Polygon:
+    """Footprint in the ground CRS [m]; empty where the camera does not reach it."""
+    points = outline(rpc, window, height)
+    if not np.isfinite(points).all():
+        return Polygon()
+    x, y = from_geographic(crs, points[:, 0], points[:, 1])
+    polygon = Polygon(np.stack([x, y], -1)) if np.isfinite(x).all() and np.isfinite(y).all() else Polygon()
+    return polygon if polygon.is_valid else Polygon()
+
+
+def groups(polygons: Sequence[Polygon]) -> list[list[int]]:
+    """Indices of polygons that overlap, directly or through others; the largest group first."""
+    left, found = set(range(len(polygons))), []
+    while left:
+        seed = min(left)
+        group, border = {seed}, [seed]
+        while border:
+            k = border.pop()
+            touching = {j for j in left - group if polygons[k].intersects(polygons[j])}
+            group |= touching
+            border += sorted(touching)
+        left -= group
+        found.append(sorted(group))
+    return sorted(found, key=lambda g: (-len(g), g))
+
+
+def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 400) -> Bounds | None:
+    """Bounding box (west, south, east, north) of what at least `share` of the polygons (and two of them) cover."""
+    from shapely import contains_xy
+
+    boxes = np.array([p.bounds for p in polygons if not p.is_empty])
+    if len(boxes) == 0:
+        return None
+    west, south, east, north = boxes[:, 0].min(), boxes[:, 1].min(), boxes[:, 2].max(), boxes[:, 3].max()
+    cell = max(east - west, north - south) / cells
+    x = np.arange(west + cell / 2, east, cell)
+    y = np.arange(south + cell / 2, north, cell)
+    gx, gy = np.meshgrid(x, y)
+    count = np.zeros(gx.shape, int)
+    for polygon in polygons:
+        if not polygon.is_empty:
+            count += contains_xy(polygon, gx, gy)
+    enough = count >= max(2, math.ceil(share * len(polygons)))
+    if not enough.any():
+        return None
+    cols, rows = np.flatnonzero(enough.any(0)), np.flatnonzero(enough.any(1))
+    half = cell / 2
+    return (
+        float(x[cols[0]] - half),
+        float(y[rows[0]] - half),
+        float(x[cols[-1]] + half),
+        float(y[rows[-1]] + half),
+    )
+
+
+def default_cell_size(gsd: float) -> float:
+    """The round cell size (0.5, 1, 2, 5, 10 ... m) nearest above a ground sample distance [m], 10 % grace."""
+    exponent = math.floor(math.log10(gsd))
+    for step in (1.0, 2.0, 5.0, 10.0):
+        size = step * 10.0**exponent
+        if size >= 0.9 * gsd:
+            break
+    return round(size, 6)
+
+
+def crop_window(
+    rpc: RPC, crs: str, bounds: Bounds, heights: tuple[float, float], size: tuple[int, int], margin: int
+) -> Window:
+    """Part of an image (height, width) that may show the area at any of the heights, with a margin in pixels.
+
+    Width or height is 0 where the image does not see the area.
+    """
+    west, south, east, north = bounds
+    t = np.linspace(0.0, 1.0, 5)
+    x, y, z = np.meshgrid(west + t * (east - west), south + t * (north - south), np.array(heights))
+    col, row = project(rpc, crs, x.ravel(), y.ravel(), z.ravel())
+    if not (np.isfinite(col).all() and np.isfinite(row).all()):
+        return (0, 0, 0, 0)
+    col0, col1 = max(0, math.floor(col.min()) - margin), min(size[1], math.ceil(col.max()) + margin + 1)
+    row0, row1 = max(0, math.floor(row.min()) - margin), min(size[0], math.ceil(row.max()) + margin + 1)
+    return (col0, row0, max(0, col1 - col0), max(0, row1 - row0))
+
+
+__all__ = ["common_bounds", "crop_window", "default_cell_size", "footprint", "ground_polygon", "groups", "outline"]

@@ -1,0 +1,231 @@
+"""What vendors say about an image: camera, time, sun, platform, bits; from sidecar files and from image tags."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sattools.camera import RPC
+from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_json, read_text
+from sattools.errors import InputError
+
+PLATFORMS = {
+    "WV01": "WorldView-1",
+    "WV02": "WorldView-2",
+    "WV03": "WorldView-3",
+    "WV04": "WorldView-4",
+    "GE01": "GeoEye-1",
+    "QB02": "QuickBird-2",
+    "IK01": "IKONOS",
+    "PHR1A": "Pleiades-1A",
+    "PHR1B": "Pleiades-1B",
+    "SPOT6": "SPOT-6",
+    "SPOT7": "SPOT-7",
+    "PNEO3": "Pleiades-Neo-3",
+    "PNEO4": "Pleiades-Neo-4",
+}
+# Height of the orbit [km]: only the small difference between incidence and off-nadir angle depends on it.
+ORBIT_KM = {
+    "WorldView-1": 496,
+    "WorldView-2": 770,
+    "WorldView-3": 617,
+    "WorldView-4": 617,
+    "GeoEye-1": 681,
+    "QuickBird-2": 450,
+    "IKONOS": 681,
+}
+DEFAULT_ORBIT_KM = 650
+EARTH_KM = 6371.0
+
+_TIME_TEXT = (
+    re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d+)?)"),
+    re.compile(r"(?<!\d)(\d{4})(\d\d)(\d\d)_?(\d\d)(\d\d)(\d\d)(?!\d{2})"),
+)
+
+
+@dataclass
+class Metadata:
+    """What is known about an image; None = unknown."""
+
+    rpc: RPC | None = None
+    rpc_source: str | None = None
+    size: tuple[int, int] | None = None  # (height, width) the metadata were made for
+    time: datetime | None = None
+    sun: tuple[float, float] | None = None  # azimuth from true north, elevation [degrees]
+    platform: str | None = None
+    bits: int | None = None
+
+    def filled(self, other: Metadata) -> Metadata:
+        """This, completed by another source where it is silent."""
+        ours = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Metadata(**{k: getattr(other, k) if v is None else v for k, v in ours.items()})
+
+
+def parse_time(text: Any) -> datetime | None:
+    """UTC time from ISO text or `YYYYMMDDhhmmss`, wherever it stands in the text; None when there is no valid one."""
+    for pattern in _TIME_TEXT:
+        match = pattern.search(str(text))
+        if match:
+            year, month, day, hour, minute = (int(n) for n in match.groups()[:5])
+            second = float(match[6])
+            try:
+                return datetime(year, month, day, hour, minute, int(second), int(1e6 * (second % 1)), tzinfo=UTC)
+            except ValueError:
+                return None
+    return None
+
+
+def parse_angle(value: Any, low: float, high: float) -> float | None:
+    """An angle from a number or text such as "+33.5"; None when missing or impossible such as -999."""
+    try:
+        angle = float(str(value).strip())
+    except ValueError:
+        return None
+    return angle if math.isfinite(angle) and low <= angle <= high else None
+
+
+def parse_sun(azimuth: Any, elevation: Any) -> tuple[float, float] | None:
+    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there."""
+    a, e = parse_angle(azimuth, -360.0, 360.0), parse_angle(elevation, -90.0, 90.0)
+    return None if a is None or e is None else (a % 360.0, e)
+
+
+def find_platform(text: str) -> str | None:
+    """The platform whose code occurs in a file name, title or satellite identifier."""
+    for code, name in PLATFORMS.items():
+        if re.search(rf"(?<![A-Z]{{2}}){code}", text.upper()):
+            return name
+    if re.search(r"_ssc?\d+d?\d*_", text.lower()):
+        return "SkySat"
+    return None
+
+
+def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
+    """Metadata files that belong to an image by their names, in the order of folders, then of `_NAMES`."""
+    stem = image.stem.lower()
+    core = re.sub(r"^(img|dim|rpc)_", "", stem)
+    # Airbus writes IMG_<name>_R1C1.TIF beside DIM_<name>.XML and RPC_<name>.XML
+    core_tile = re.sub(r"_r\d+c\d+$", "", core)
+    names = [f"{stem}.json", f"{stem}_rpc.txt", f"{stem}.rpb", f"{stem}.xml", f"{stem}.imd"]
+    names += [f"{stem}_metadata.json", f"{stem}_rpc.xml", f"{stem}.rpc"]
+    for c in dict.fromkeys((core, core_tile)):
+        names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
+    found = []
+    for folder in folders:
+        listing = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file()}
+        found += [listing[n] for n in dict.fromkeys(names) if n in listing and listing[n] != image]
+    return list(dict.fromkeys(found))
+
+
+def read_sidecar(path: Path) -> Metadata:
+    """All that one metadata file says. Raises InputError when it cannot be read."""
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return _from_json(path)
+    if suffix == ".xml":
+        return _from_xml(path)
+    if suffix == ".imd":
+        return _from_imd(path)
+    return Metadata(rpc=RPC.from_file(path), rpc_source=str(path))
+
+
+def from_tags(tags: Mapping[str, str], name: str) -> Metadata:
+    """What image tags (NITF header fields, GML of JPEG 2000) and the file name say, where the sidecars are silent."""
+    everything = " ".join(tags.values())
+    title = tags.get("NITF_FTITLE", "") + " " + tags.get("NITF_IID2", "")
+    time = None
+    # GDAL fills the NITF date with a constant of its own; only an image with a vendor's title says when it was taken.
+    if title.strip() and tags.get("NITF_OSTAID", "").strip() != "GDAL":
+        time = parse_time(tags.get("NITF_IDATIM", ""))
+    airbus = re.search(r"DS_(PHR1[AB]|SPOT[67]|PNEO[34])_(\d{14})\d?", everything + " " + name)
+    if time is None and airbus:
+        time = parse_time(airbus[2])
+    if time is None:
+        time = parse_time(tags.get("ACQUISITIONDATETIME", "")) or parse_time(name)
+    platform = find_platform(airbus[1] if airbus else f"{title} {name}")
+    bits = tags.get("NITF_ABPP", "").strip()
+    sun = parse_sun(tags.get("NITF_USE00A_SUN_AZ"), tags.get("NITF_USE00A_SUN_EL"))
+    return Metadata(time=time, platform=platform, bits=int(bits) if bits.isdigit() else None, sun=sun)
+
+
+def _from_json(path: Path) -> Metadata:
+    document = read_json(path)
+    if document.get("type") in ("Feature", "FeatureCollection"):
+        properties = document.get("properties") or {}
+        sun = parse_sun(properties.get("view:sun_azimuth"), properties.get("view:sun_elevation"))
+        return Metadata(
+            time=parse_time(properties.get("datetime")), platform=properties.get("platform") or None, sun=sun
+        )
+    size = None
+    if isinstance(document.get("height"), int) and isinstance(document.get("width"), int):
+        size = (document["height"], document["width"])
+    has_rpc = "rpc" in document or "row_offset" in document
+    return Metadata(
+        rpc=RPC.from_file(path) if has_rpc else None,
+        rpc_source=str(path) if has_rpc else None,
+        size=size,
+        time=parse_time(document.get("acquisition_date", document.get("datetime"))),
+        sun=parse_sun(document.get("sun_azimuth"), document.get("sun_elevation")),
+    )
+
+
+def _from_xml(path: Path) -> Metadata:
+    root = parse_xml(path)
+
+    def first(*names: str) -> str | None:
+        for name in names:
+            for element in find_all(root, name):
+                if element.text and element.text.strip():
+                    return str(element.text).strip()
+        return None
+
+    if local_name(root) == "Dimap_Document":
+        date, clock = first("IMAGING_DATE"), first("IMAGING_TIME")
+        located = find_all(root, "Located_Geometric_Values")
+        centre = [e for e in located if any((k.text or "").strip() == "Center" for k in find_all(e, "LOCATION_TYPE"))]
+        block = (centre or located or [root])[0]
+        angles = {local_name(e): e.text for e in block.iter()}
+        mission, index = first("MISSION"), first("MISSION_INDEX")
+        names = {"PHLEIADES": "PHR", "PLEIADES": "PHR"}
+        code = names.get((mission or "").upper(), (mission or "").upper().replace("-", "")) + (index or "")
+        model = bool(find_all(root, "Inverse_Model") or find_all(root, "GroundtoImage_Values"))
+        bits = first("NBITS_VALID", "BIT_DEPTH") if not model else None
+        return Metadata(
+            rpc=RPC.from_file(path) if model else None,
+            rpc_source=str(path) if model else None,
+            time=parse_time(f"{date}T{clock}") if date and clock else None,
+            platform=find_platform(code),
+            bits=int(bits) if bits and bits.isdigit() and 0 < int(bits) <= 32 else None,
+            sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION")),
+        )
+    model = bool(find_all(root, "RPB"))
+    return Metadata(
+        rpc=RPC.from_file(path) if model else None,
+        rpc_source=str(path) if model else None,
+        time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME") or ""),
+        platform=find_platform(first("SATID") or ""),
+        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL")),
+    )
+
+
+def _from_imd(path: Path) -> Metadata:
+    values = {m[1].upper(): m[2].strip().strip('"') for m in re.finditer(r"(\w+)\s*=\s*([^;\n]+)", read_text(path))}
+    if not values:
+        raise InputError(f"{path}: found no `name = value;` lines, expected DigitalGlobe image metadata (.IMD)")
+
+    def first(*names: str) -> str | None:
+        return next((values[n] for n in names if n in values), None)
+
+    return Metadata(
+        time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME") or ""),
+        platform=find_platform(first("SATID") or ""),
+        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL")),
+    )
+
+
+__all__ = ["Metadata", "find_platform", "from_tags", "parse_angle", "parse_time", "read_sidecar", "sidecars"]

@@ -1,0 +1,32 @@
+"""Options of the prep stage, apart from its code so that the command line starts fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from sattools.settings import option
+
+
+@dataclass
+class PrepOptions:
+    """Options of `sattools prep`."""
+
+    metadata: str | None = option(None, "Folder with metadata files named like the images (JSON, XML, RPB, RPC.TXT).")
+    out: str = option(".", "Folder in which the scene's own folder is made.")
+    id: str | None = option(None, "Name of the scene [default: what the image names have in common].")
+    crs: str | None = option(None, "Ground CRS, projected in metres [default: UTM zone of the place].")
+    cell_size: float | None = option(
+        None, "Cell size of the ground grid in metres [default: from the pixels].", minimum=1e-3
+    )
+    correction: Literal["auto", "shift", "affine", "none"] = option(
+        "auto", "Camera correction: a shift per image, an affine map, what tie points ask for (auto), or none."
+    )
+    min_height: float | None = option(None, "Lowest height of the surface, m above the ellipsoid [default: found].")
+    max_height: float | None = option(None, "Highest height of the surface, m above the ellipsoid [default: found].")
+    holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")  # noqa: RUF009
+    aoi: str | None = None  # GeoJSON file of the area of interest
+    bounds: list[float] = field(default_factory=list)  # west, south, east, north
+
+
+__all__ = ["PrepOptions"]

@@ -1,0 +1,266 @@
+"""The prep stage: images with RPC cameras become a scene with corrected cameras, angles, heights and a grid."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.camera import RPC
+from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
+from sattools.camera.ground import check_projected, ground_sample_distance, utm_crs
+from sattools.camera.heights import estimate_height_range
+from sattools.camera.tiepoints import View, find_tie_points
+from sattools.errors import InputError, OutputExistsError
+from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
+from sattools.prep.images import Source, check_ids, load_source, read_gray, write_image
+from sattools.prep.items import describe, tie_point_features
+from sattools.prep.layout import (
+    Bounds,
+    common_bounds,
+    crop_window,
+    default_cell_size,
+    ground_polygon,
+    groups,
+    outline,
+)
+from sattools.prep.options import PrepOptions
+from sattools.progress import Progress, part, silent
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import write_text
+
+_BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
+_FINAL_MARGIN_PX = 16
+_SEARCH_HEIGHT_M = 600.0
+
+
+def prepare(
+    images: Sequence[Path], options: PrepOptions, progress: Progress = silent, overwrite: bool = False
+) -> tuple[Scene, dict[str, Any]]:
+    """Make a scene of images that show one place.
+
+    Below `options.out/<scene id>`: `images/<item>.tif` (same pixels, corrected RPC tags, cropped to the area asked
+    for), `rpc/<item>_RPC.TXT`, `tie_points.geojson`, `adjustment.json`, `adjustment.txt`. Everything is checked before
+    anything is written.
+
+    Returns: the scene, and remarks and figures for its history.
+    Raises: InputError (one line, naming the file) for images that cannot be used; OutputExistsError.
+    """
+    images = [Path(p) for p in images]
+    ids = check_ids(images)
+    unknown = sorted(set(options.holdout) - set(ids))
+    if unknown:
+        raise InputError(f"holdout: found {unknown[0]!r}, expected one of {', '.join(ids[:4])} ...")
+    scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
+    if not overwrite and scene.path("scene.json").exists():
+        raise OutputExistsError(f"{scene.path('scene.json')}: exists already; give --overwrite to replace it")
+    metadata_dir = Path(options.metadata) if options.metadata else None
+    if metadata_dir is not None and not metadata_dir.is_dir():
+        raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
+
+    progress(0.0, "reading metadata")
+    sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
+    crs = check_projected(options.crs) if options.crs else _default_crs(sources)
+    check_places(sources, crs)
+    remarks: list[str] = []
+    asked = _asked_bounds(options, crs)
+    if asked is not None:
+        sources = _cropped_to_area(sources, crs, asked, remarks)
+
+    grays = []
+    for k, source in enumerate(sources):
+        progress(0.02 + 0.08 * k / len(sources), f"reading {source.id}")
+        grays.append(read_gray(source))
+    cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
+    views = [View(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
+    tracks = find_tie_points(views, crs, progress=part(progress, 0.1, 0.55))
+    model = "shift" if options.correction == "none" else options.correction
+    result = adjust(
+        cameras,
+        [s.id for s in sources],
+        [(g.shape[0], g.shape[1]) for g in grays],
+        tracks,
+        AdjustOptions(model=model),
+        part(progress, 0.55, 0.75),
+    )
+    if options.correction == "none":
+        remarks.append("cameras were left as they are (correction none)")
+        result = replace(result, rpcs=cameras)
+    remarks += result.remarks
+    heights = _height_range(options, result, grays, crs, asked, part(progress, 0.75, 0.85))
+    grid = _grid(options, sources, result.rpcs, crs, heights, asked)
+
+    scene.grid, scene.height_range_m = grid, heights
+    full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
+    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
+        progress(0.85 + 0.15 * k / len(sources), f"writing {source.id}")
+        if asked is not None:
+            source.window = crop_window(rpc, crs, grid.bounds, heights, source.size, _FINAL_MARGIN_PX)
+            if min(source.window[2:]) < 1:
+                raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
+        camera = rpc.cropped(source.window[0], source.window[1])
+        write_image(source, camera, scene.output(f"images/{source.id}.tif"))
+        write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
+        item = describe(source, camera, result.views[k], grid, heights)
+        item.properties["sattools:role"] = "test" if source.id in options.holdout else "train"
+        scene.items.append(item)
+        remarks += [f"{source.id}: {r}" for r in source.remarks]
+    _write_reports(scene, result)
+    progress(1.0, "done")
+    return scene, {
+        "remarks": remarks,
+        "adjustment": {
+            "model": result.model,
+            "median_before_px": round(result.median_before_px, 3),
+            "median_after_px": round(result.median_after_px, 3),
+            "outlier_views": [v.name for v in result.views if v.outlier],
+        },
+    }
+
+
+def common_name(ids: Sequence[str]) -> str:
+    """What image names have in common, up to a separator; `scene` when that is nothing."""
+    first, last = min(ids), max(ids)
+    n = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
+    head = first[:n]
+    cut = max(head.rfind(s) for s in "_-.")
+    return (head[:cut].rstrip("_-.") if cut > 0 else "") or "scene"
+
+
+def check_places(sources: Sequence[Source], crs: str) -> None:
+    """Raise InputError when images do not lie together, naming the one whose RPC is of another place."""
+    polygons = []
+    for s in sources:
+        polygon = ground_polygon(s.rpc, s.window, s.rpc.alt_offset, crs)
+        if polygon.is_empty:
+            raise InputError(
+                f"{s.path}: found an RPC that does not reach the image's pixels or the ground around the other images, "
+                f"expected the RPC of this image (from {s.metadata.rpc_source})"
+            )
+        polygons.append(polygon)
+    found = groups(polygons)
+    if len(found) == 1:
+        return
+    if len(found[0]) == 1 or len(found[0]) == len(found[1]):
+        raise InputError(
+            f"{sources[found[1][0]].path}: found no overlap with {sources[found[0][0]].path}, "
+            "expected images of one place"
+        )
+    stray = found[1][0]
+    lon, lat = np.nanmean(outline(sources[stray].rpc, sources[stray].window, sources[stray].rpc.alt_offset), axis=0)
+    distance = polygons[stray].distance(polygons[found[0][0]]) / 1000.0
+    raise InputError(
+        f"{sources[stray].path}: found its RPC at {lat:.4f} N {lon:.4f} E, {distance:.1f} km from the other images, "
+        f"expected images that overlap (RPC from {sources[stray].metadata.rpc_source})"
+    )
+
+
+def _default_crs(sources: Sequence[Source]) -> str:
+    centres = [s.rpc.localization((s.size[1] - 1) / 2, (s.size[0] - 1) / 2, s.rpc.alt_offset) for s in sources]
+    lon, lat = np.nanmedian(np.array(centres), axis=0)
+    if not (np.isfinite(lon) and np.isfinite(lat)):
+        raise InputError(f"{sources[0].path}: found RPCs that do not reach the images' pixels, expected their own RPCs")
+    return utm_crs(float(lon), float(lat))
+
+
+def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
+    if options.aoi and options.bounds:
+        raise InputError("area: found both --aoi and --bounds, expected one of them")
+    if options.aoi:
+        return bounds_from_geojson(Path(options.aoi), crs)
+    return bounds_from_numbers(options.bounds, crs, options.crs) if options.bounds else None
+
+
+def _cropped_to_area(sources: list[Source], crs: str, asked: Bounds, remarks: list[str]) -> list[Source]:
+    """Sources with windows that surely hold the area; those that do not see it are left out."""
+    kept = []
+    for s in sources:
+        low, high = s.rpc.altitude_range
+        middle = 0.5 * (low + high)
+        heights = max(low, middle - _SEARCH_HEIGHT_M), min(high, middle + _SEARCH_HEIGHT_M)
+        window = crop_window(s.rpc, crs, asked, heights, s.size, _BIAS_MARGIN_PX)
+        if window[2] < 64 or window[3] < 64:
+            remarks.append(f"{s.id}: does not show the area, left out")
+            continue
+        s.window = window
+        kept.append(s)
+    if len(kept) < 2:
+        w, south, e, n = asked
+        raise InputError(
+            f"area {w:.1f} {south:.1f} {e:.1f} {n:.1f} ({crs}): found {len(kept)} of {len(sources)} images that show "
+            "it, expected an area inside the images"
+        )
+    return kept
+
+
+def _height_range(
+    options: PrepOptions,
+    result: Adjustment,
+    grays: Sequence[NDArray[np.float32]],
+    crs: str,
+    asked: Bounds | None,
+    progress: Progress,
+) -> tuple[float, float]:
+    low, high = options.min_height, options.max_height
+    if low is None or high is None:
+        heights = result.heights()
+        middle = float(np.median(heights))
+        polygons = [
+            ground_polygon(r, (0, 0, g.shape[1], g.shape[0]), middle, crs)
+            for r, g in zip(result.rpcs, grays, strict=True)
+        ]
+        bounds = asked or common_bounds(polygons)
+        if bounds is None:
+            raise InputError("images: found no ground that two of them show, expected images that overlap")
+        found = estimate_height_range(heights, grays, result.rpcs, crs, bounds, progress=progress)
+        low, high = (found[0] if low is None else low), (found[1] if high is None else high)
+    if not low < high:
+        raise InputError(f"heights: found lowest {low:g} m and highest {high:g} m, expected lowest < highest")
+    return round(float(low), 2), round(float(high), 2)
+
+
+def _grid(
+    options: PrepOptions,
+    sources: Sequence[Source],
+    rpcs: Sequence[RPC],
+    crs: str,
+    heights: tuple[float, float],
+    asked: Bounds | None,
+) -> Grid:
+    middle = 0.5 * (heights[0] + heights[1])
+    windows = [(0, 0, s.window[2], s.window[3]) for s in sources]
+    polygons = [ground_polygon(r, w, middle, crs) for r, w in zip(rpcs, windows, strict=True)]
+    covered = common_bounds(polygons)
+    if covered is None:
+        raise InputError("images: found no ground that half of them show, expected images that overlap")
+    sizes = []
+    for rpc, (_, _, width, height) in zip(rpcs, windows, strict=True):
+        lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, middle)
+        sizes.append(ground_sample_distance(rpc, lon, lat, middle))
+    cell = options.cell_size or default_cell_size(float(np.median(sizes)))
+    return Grid.from_bounds(crs, asked or covered, cell)
+
+
+def _write_reports(scene: Scene, result: Adjustment) -> None:
+    write_text(scene.output("adjustment.json"), json.dumps(_no_nan(result.to_dict()), indent=1) + "\n")
+    write_text(scene.output("adjustment.txt"), result.to_text())
+    write_text(scene.output("tie_points.geojson"), tie_point_features(result))
+    scene.products["adjustment"] = "adjustment.json"
+    scene.products["adjustment_report"] = "adjustment.txt"
+    scene.products["tie_points"] = "tie_points.geojson"
+
+
+def _no_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _no_nan(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_no_nan(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+__all__ = ["PrepOptions", "check_places", "common_name", "prepare"]
