@@ -17,10 +17,9 @@ if TYPE_CHECKING:
 
 
 @click.command("simulate")
-@click.option("--out", type=click.Path(path_type=Path), help="Root folder of the scene  [default: the id]")
 @dataclass_options(SimulateOptions)
 @common_options
-def command(out: Path | None, overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
     """Make a ray-traced scene with RPC cameras, several dates and suns, and its truth; print the scene document.
 
     The scene is ready for `sattools fit`, with exact RPCs. To exercise `prep` instead, give it the folder `images`
@@ -31,7 +30,7 @@ def command(out: Path | None, overwrite: bool, dry_run: bool, print_config: bool
     def make(progress: Progress) -> tuple[Scene, dict[str, Any] | None]:
         from sattools.simulate.stage import simulate
 
-        scene = simulate(options, out or Path(options.id), progress, overwrite)
+        scene = simulate(options, Path(options.out) / options.id, progress, overwrite)
         errors = [item.properties["sattools:simulated"]["rpc_fit_error_px"] for item in scene.items]
         return scene, {"rpc_fit_error_px": max(errors)}
 

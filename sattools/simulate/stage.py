@@ -33,6 +33,7 @@ class SimulateOptions:
     """Options of `sattools simulate`."""
 
     id: str = option("SIM_001", "Name of the scene.")
+    out: str = option(".", "Folder in which the scene's own folder is made.")
     terrain: Literal["city"] = option("city", "What is built: city (streets, houses, courts, a tower).")
     size: float = option(128.0, "Edge of the square scene [m].", minimum=32, maximum=1024)
     views: int = option(12, "Number of images.", minimum=1, maximum=200)
@@ -213,12 +214,20 @@ def _take(
         "datetime": date,
         "platform": "simulated",
         "gsd": options.gsd,
-        "proj:code": None,
+        "proj:code": scene.grid.crs,
         "proj:shape": list(view.shape),
         "view:sun_azimuth": round(view.sun[0], 4),
         "view:sun_elevation": round(view.sun[1], 4),
         "view:azimuth": round(view.sensor[0], 4),
         "view:off_nadir": round(90 - view.sensor[1], 4),
+        "view:incidence_angle": round(90 - view.sensor[1], 4),  # the made-up Earth is flat: both are one
+        "sattools:view_direction": (-view.camera.look).round(8).tolist(),
+        "sattools:sun": "time and place",
+        "sattools:sun_direction": sun.round(8).tolist(),
+        "sattools:bits": 8 if image.dtype == np.uint8 else 11,
+        "sattools:dtype": str(image.dtype),
+        "sattools:bands": 3,
+        "sattools:value_range": [float(image.min()), float(image.max())],
         "sattools:role": view.role,
         "sattools:simulated": {
             "gain": view.radiometry.gain.round(6).tolist(),

@@ -173,7 +173,7 @@ def test_an_existing_scene_is_not_replaced_unasked(tmp_path):
     assert "--overwrite" in second.stderr
     assert runner.invoke(main, [*arguments, "--overwrite"]).exit_code == 0
     with pytest.raises(OutputExistsError):
-        simulate(SimulateOptions(), tmp_path / "s")
+        simulate(SimulateOptions(), tmp_path / "s/SIM_001")
 
 
 def test_simulation_imports_nothing_of_the_renderer_that_it_tests():
