@@ -11,10 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sattools.compare.metrics import fill_holes, height_errors, image_errors, map_errors
+from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, image_errors, map_errors
 from sattools.compare.registration import Registration, register, search_margin, shifted
 from sattools.compare.resample import moved, padded, resampled
-from sattools.compare.truth import Truth, read_dfc2019, read_reference
+from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Scene
@@ -72,7 +72,7 @@ def compare_dsm(
         heights = predicted
     else:
         array, grid = read_raster(Path(predicted))
-        heights = array[0]
+        heights = known_heights(array[0])
     if grid is None:
         raise InputError("prediction: found an array without a grid, expected both")
     reference = np.where(truth.counted(), truth.heights, np.float32(np.nan))
@@ -84,7 +84,7 @@ def compare_dsm(
     registered = shifted(wide, found.columns, found.rows, margin) + found.up
     filled = shifted(fill_holes(wide), found.columns, found.rows, margin) + found.up
     figures = height_errors(registered, reference, truth.classes, filled)
-    difference = np.clip(registered, np.nanmin(reference) - 10, np.nanmax(reference) + 10) - reference
+    difference = clip_to_reference(registered, reference) - reference
     figures |= {
         "shift_m": [round(value, 4) for value in found.metres(truth.grid.cell_size)],
         "registration": {"method": found.method, "correlation": found.correlation},

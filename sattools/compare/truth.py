@@ -117,14 +117,15 @@ def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
         same = code_grid == grid
         found = code_array[0].astype(np.float32)
         codes = _class_codes(found if same else resampled(found, code_grid, grid, nearest=True))
-    return Truth(dsm.stem, "dsm", grid, _known(array[0]), codes)
+    return Truth(dsm.stem, "dsm", grid, known_heights(array[0]), codes)
 
 
 def _heights(path: Path) -> np.ndarray:
-    return _known(read_image(path)[0])
+    return known_heights(read_image(path)[0])
 
 
-def _known(heights: np.ndarray) -> np.ndarray:
+def known_heights(heights: np.ndarray) -> np.ndarray:
+    """`heights` in metres as float32, NaN where they cannot be heights on Earth but some file's "no data"."""
     heights = heights.astype(np.float32)
     low, high = HEIGHT_LIMITS_M
     return np.where((heights > low) & (heights < high), heights, np.float32(np.nan))

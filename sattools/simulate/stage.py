@@ -11,12 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sattools.camera.ground import from_geographic, grid_direction, utm_crs
+from sattools.camera.ground import check_projected, from_geographic, grid_direction, to_geographic, utm_crs
 from sattools.camera.rpc import RPC
 from sattools.camera.sun import sun_position
+from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.grid import Grid
+from sattools.scene.raster import read_raster
 from sattools.settings import option
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.files import sat_nerf_metadata, write_json, write_sensor_image, write_truth
@@ -25,6 +27,7 @@ from sattools.simulate.world import World
 
 BORDER_PX = 8
 SKY_STRIDE = 8
+DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
 
 
@@ -35,6 +38,8 @@ class SimulateOptions:
     id: str = option("SIM_001", "Name of the scene.")
     out: str = option(".", "Folder in which the scene's own folder is made.")
     terrain: Literal["city"] = option("city", "What is built: city (streets, houses, courts, a tower).")
+    dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.")
+    classes: str | None = option(None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.")
     size: float = option(128.0, "Edge of the square scene [m].", minimum=32, maximum=1024)
     views: int = option(12, "Number of images.", minimum=1, maximum=200)
     dates: int = option(6, "Number of dates over which they are spread.", minimum=1, maximum=200)
@@ -45,8 +50,8 @@ class SimulateOptions:
     noise: float = option(1.0, "Sensor noise relative to a usual one.", minimum=0)
     bits: int = option(11, "11: linear numbers in 16-bit files; 8: tone-mapped.", minimum=8, maximum=11)
     trees: bool = option(True, "Plant trees.")
-    lon: float = option(-81.66, "Longitude of the scene [degrees].", minimum=-180, maximum=180)
-    lat: float = option(30.35, "Latitude of the scene [degrees].", minimum=-60, maximum=60)
+    lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
+    lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
     seed: int = option(0, "Seed of everything that is drawn.", minimum=0)
 
 
@@ -82,11 +87,9 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     """
     scene = Scene(options.id, Path(root))
     scene.output("scene.json", overwrite)
-    crs = utm_crs(options.lon, options.lat)
-    grid = _grid(options, crs)
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
-    world = _world(options, grid, np.random.default_rng(seeds[0]))
+    grid, world = _world(options, np.random.default_rng(seeds[0]))
     low, high = float(world.height.min()), float(world.height.max())
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
@@ -111,6 +114,7 @@ def plan_views(
     """Cameras, dates and suns: directions spread by the golden angle, mornings some 60 days apart."""
     west, south, east, north = grid.bounds
     x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
+    lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
     corners = np.array([(e, n, h) for e in (west, east) for n in (south, north) for h in heights])
     tilts = np.linspace(min(5.0, options.off_nadir), options.off_nadir, options.views)[rng.permutation(options.views)]
     turn = rng.uniform(0, 360)
@@ -127,11 +131,11 @@ def plan_views(
     for k in range(options.views):
         date = k % options.dates
         # half past ten in the morning by the sun, give or take
-        minutes = 60 * (10.5 - options.lon / 15) + rng.uniform(-25, 25)
+        minutes = 60 * (10.5 - lon / 15) + rng.uniform(-25, 25)
         time = (days[date] + timedelta(minutes=minutes)).replace(microsecond=0)
         azimuth = float((turn + 137.508 * k) % 360)
         sensor = (azimuth, 90.0 - float(tilts[k]))
-        view = grid_direction(*sensor, grid.crs, options.lon, options.lat)
+        view = grid_direction(*sensor, grid.crs, lon, lat)
         camera = Pushbroom.towards(np.array([x, y, z]), view, options.gsd, (1, 1), float(rng.uniform(-8, 8)))
         camera, shape = _framed(camera, corners)
         rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
@@ -139,7 +143,7 @@ def plan_views(
         bias = options.bias_px * np.sqrt(rng.uniform()) * np.array([np.cos(angle), np.sin(angle)])
         views.append(
             View(
-                f"{options.id}_{k + 1:03d}", time, sun_position(time, options.lon, options.lat), sensor, camera, rpc,
+                f"{options.id}_{k + 1:03d}", time, sun_position(time, lon, lat), sensor, camera, rpc,
                 error, shape, dates[date], (float(bias[0]), float(bias[1])),
                 "test" if k in test and len(test) < options.views else "train",
             )
@@ -147,20 +151,36 @@ def plan_views(
     return views
 
 
-def _grid(options: SimulateOptions, crs: str) -> Grid:
+def _world(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
+    """The scene's grid and the ground under it."""
+    if options.dsm is not None:
+        return _world_of_dsm(options, rng)
+    from sattools.simulate.city import build_city
+
+    crs = utm_crs(options.lon, options.lat)
     x, y = (float(v) for v in from_geographic(crs, options.lon, options.lat))
     cells = max(1, round(options.size / options.gsd))
     half = cells * options.gsd / 2
-    left, top = round(x - half), round(y + half)
-    return Grid(crs, float(left), float(top), options.gsd, cells, cells)
-
-
-def _world(options: SimulateOptions, grid: Grid, rng: np.random.Generator) -> World:
-    from sattools.simulate.city import build_city
-
+    grid = Grid(crs, float(round(x - half)), float(round(y + half)), options.gsd, cells, cells)
     west, south, east, north = grid.bounds
     centre = ((west + east) / 2, (south + north) / 2)
-    return build_city(centre, east - west, options.gsd / 2, BASE_M, rng, trees=options.trees)
+    return grid, build_city(centre, east - west, options.gsd / 2, BASE_M, rng, trees=options.trees)
+
+
+def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
+    from sattools.simulate.terrain import build_terrain, window
+
+    assert options.dsm is not None  # the caller has looked
+    heights, whole = read_raster(Path(options.dsm))
+    check_projected(whole.crs)
+    grid, wide, (rows, columns) = window(whole, options.size, DSM_MARGIN_M)
+    classes = None
+    if options.classes is not None:
+        codes, code_grid = read_raster(Path(options.classes))
+        if code_grid != whole:
+            raise InputError(f"{options.classes}: found {code_grid}, expected the grid of {options.dsm}: {whole}")
+        classes = codes[0][np.ix_(rows, columns)]
+    return grid, build_terrain(heights[0][np.ix_(rows, columns)], wide, classes, options.gsd / 2, rng)
 
 
 def _framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int, int]]:
@@ -181,7 +201,7 @@ def _take(
 
     assert scene.grid is not None  # set before the views are taken
     camera = view.camera
-    sun = grid_direction(*view.sun, scene.grid.crs, options.lon, options.lat)
+    sun = grid_direction(*view.sun, scene.grid.crs, view.rpc.lon_offset, view.rpc.lat_offset)
     low, high = float(world.height.min()) - 2.0, float(world.height.max()) + 2.0
     radiance, lit, height = render(
         world.height, world.slope_x, world.slope_y, world.albedo, world.wall_albedo, world.windows, sky, SKY_STRIDE,

@@ -1,0 +1,129 @@
+"""A world over a given surface model: real relief, made-up colours."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sattools.errors import InputError
+from sattools.scene.grid import Grid
+from sattools.simulate.city import BUILDING, GROUND, TREES, WATER
+from sattools.simulate.materials import albedo_map, code, grain
+from sattools.simulate.world import World
+
+STEP_M = 1.5  # neighbours that differ by more are parted by a wall, others joined by a slope
+ROOFS = ("gravel", "membrane", "tar", "tiles", "slate", "metal")
+OPEN_GROUND = ("grass", "soil", "pavement")
+
+
+def build_terrain(
+    heights: np.ndarray, grid: Grid, classes: np.ndarray | None, cell_size: float, rng: np.random.Generator
+) -> World:
+    """World of a DSM [H, W] in metres on `grid`, cut into cells of about `cell_size` metres.
+
+    Unknown heights take the nearest known one. Slopes are joined linearly, steps of more than 1.5 m stay walls.
+    Colours are drawn by class (2 ground, 5 trees, 6 building, 9 water; everything is ground without `classes`).
+    Raises InputError where no height is known.
+    """
+    known = np.isfinite(heights)
+    if not known.any():
+        raise InputError("DSM: found no height within the scene, expected some")
+    if not known.all():
+        from scipy.ndimage import distance_transform_edt
+
+        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        heights = heights[tuple(nearest)]
+    factor = max(1, round(grid.cell_size / cell_size))
+    cell = grid.cell_size / factor
+    surface, slope_x, slope_y = _joined(heights.astype(np.float64), grid.cell_size, factor)
+    if classes is None:
+        classes = np.full(heights.shape, GROUND, np.uint8)
+    codes, tint = _materials(classes, _stepped(heights, grid.cell_size), rng)
+    fine_classes, fine_codes, fine_tint = (_repeated(a, factor) for a in (classes.astype(np.uint8), codes, tint))
+    wall = np.full((*surface.shape, 3), 0.3, np.float32)
+    wall[fine_classes == TREES] = (0.05, 0.08, 0.035)
+    west, south, east, north = grid.bounds
+    return World(
+        ((west + east) / 2, (south + north) / 2),
+        0.0,
+        cell,
+        surface.astype(np.float32),
+        slope_x.astype(np.float32),
+        slope_y.astype(np.float32),
+        fine_classes,
+        albedo_map(fine_codes, fine_tint, cell, rng),
+        wall,
+        (fine_classes == BUILDING).astype(np.uint8),
+    )
+
+
+def _repeated(array: np.ndarray, factor: int) -> np.ndarray:
+    return array.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def _joined(heights: np.ndarray, cell: float, factor: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height and slopes of the fine cells: bilinear between cells where the relief is smooth, level plates at steps."""
+    from scipy.ndimage import map_coordinates
+
+    rows, columns = heights.shape
+    at_rows = (np.arange(rows * factor) + 0.5) / factor - 0.5
+    at_columns = (np.arange(columns * factor) + 0.5) / factor - 0.5
+    smooth = map_coordinates(heights, np.meshgrid(at_rows, at_columns, indexing="ij"), order=1, mode="nearest")
+    stepped = _repeated(_stepped(heights, cell), factor)
+    slope_y, slope_x = np.gradient(smooth, cell / factor)
+    surface = np.where(stepped, _repeated(heights, factor), smooth)
+    return surface, np.where(stepped, 0.0, slope_x), np.where(stepped, 0.0, slope_y)
+
+
+def _stepped(heights: np.ndarray, cell: float) -> np.ndarray:
+    """Cells [H, W] bool beside a wall: more than 1.5 m between neighbours, and steeper than any slope (56°)."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    return np.asarray(maximum_filter(heights, 3) - minimum_filter(heights, 3) > STEP_M + 3 * cell)
+
+
+def _materials(classes: np.ndarray, stepped: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Material code and tint of every cell: patches of open ground, one roof for each level of a building."""
+    from scipy.ndimage import distance_transform_edt, gaussian_filter, label
+
+    patches = np.stack([gaussian_filter(grain(classes.shape, 1.0, rng), 6.0) for _ in OPEN_GROUND])
+    codes = np.array([code(name) for name in OPEN_GROUND], np.uint8)[patches.argmax(axis=0)]
+    tint = np.ones(classes.shape, np.float32)
+    codes[classes == TREES] = code("leaves")
+    codes[classes == WATER] = code("water")
+    roof = classes == BUILDING
+    buildings, count = label(roof & ~stepped)
+    if count:  # the cells along walls belong to the nearest roof
+        nearest = distance_transform_edt(buildings == 0, return_distances=False, return_indices=True)
+        buildings = buildings[tuple(nearest)]
+    roofs = np.array([code(name) for name in rng.choice(ROOFS, count + 1)], np.uint8)
+    tints = rng.uniform(0.8, 1.25, count + 1).astype(np.float32)
+    codes[roof], tint[roof] = roofs[buildings[roof]], tints[buildings[roof]]
+    return codes, tint
+
+
+def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tuple[np.ndarray, np.ndarray]]:
+    """The square of at most `size_m` in the middle of `grid`, and the grid that has `margin_m` more on every side.
+
+    Third: the rows and columns of `grid` that fill the wider one; beyond its edge they run backwards, as in a mirror.
+    Raises InputError where `grid` is smaller than 16 m.
+    """
+    cells = min(round(size_m / grid.cell_size), grid.width, grid.height)
+    if cells * grid.cell_size < 16:
+        raise InputError(f"DSM: found an extent of {cells * grid.cell_size:.0f} m, expected 16 m or more")
+    top, left = (grid.height - cells) // 2, (grid.width - cells) // 2
+    margin = math.ceil(margin_m / grid.cell_size)
+
+    def part(row: int, column: int, count: int) -> Grid:
+        size = grid.cell_size
+        return Grid(grid.crs, grid.left + column * size, grid.top - row * size, size, count, count)
+
+    wide = cells + 2 * margin
+    index = _mirrored(top - margin, wide, grid.height), _mirrored(left - margin, wide, grid.width)
+    return part(top, left, cells), part(top - margin, left - margin, wide), index
+
+
+def _mirrored(start: int, count: int, size: int) -> np.ndarray:
+    folded = np.arange(start, start + count) % (2 * size)
+    return np.where(folded < size, folded, 2 * size - 1 - folded)
