@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _LOSS_PX = 0.7  # width of the Cauchy loss once it is tight
 _LINEAR_PRIOR_PX = 2.0  # expected size of affine terms at the image's edge; fixes what tie points cannot see
 _SHIFT_PRIOR_PX = 1e4  # only to keep the normal equations solvable
+_GAUGE_HEIGHT_M = 300.0  # movement in height worth half a pixel of one view's shift
 _HEIGHT_PRIOR_M = 1e3  # likewise, for points on nearly parallel rays
 
 
@@ -129,7 +130,9 @@ def solve(block: Block, affine: bool, start_px: float = 30.0, max_iterations: in
 
     The problem is nearly linear, so the wide loss finds the basin even when a view is tens of pixels off.
     """
-    points, parameters = block.start(), np.zeros((len(block.rpcs), 6))
+    parameters = np.zeros((len(block.rpcs), 6))
+    # Heights as the raw cameras have them: the common movement that tie points cannot see starts near zero.
+    points = triangulate(block, parameters)
     width = start_px
     for iteration in range(max_iterations):
         step_points, step_parameters = _step(block, points, parameters, width if iteration else 1e6, affine)
@@ -138,7 +141,11 @@ def solve(block: Block, affine: bool, start_px: float = 30.0, max_iterations: in
         if width <= _LOSS_PX and np.abs(step_parameters).max() < 1e-3:
             break
         width = max(_LOSS_PX, 0.5 * width) if iteration else width
-    return _regauged(block, points, parameters)
+    solution = _regauged(block, points, parameters)
+    for _ in range(2):  # where the common movement was large, it was not quite a shift
+        step_points, step_parameters = _step(block, solution.points, solution.parameters, _LOSS_PX, affine)
+        solution = Solution(solution.points + step_points, solution.parameters + step_parameters)
+    return _regauged(block, solution.points, solution.parameters)
 
 
 def triangulate(block: Block, parameters: Array, points: Array | None = None, iterations: int = 12) -> Array:
@@ -244,8 +251,7 @@ def robust_gauge(shift: Array, design: Array) -> Array:
     move = np.zeros(3)
     for _ in range(60):
         normal = np.einsum("v,vki,vkj->ij", weight, design, design)
-        ridge = 1e-4 * np.trace(normal[:2, :2]) + 1e-12
-        normal += np.diag([1e-12, 1e-12, ridge])
+        normal += np.diag([1e-12, 1e-12, _GAUGE_HEIGHT_M**-2.0])
         move = np.linalg.solve(normal, np.einsum("v,vki,vk->i", weight, design, shift))
         left = shift - design @ move
         weight = 1.0 / np.maximum(np.hypot(left[:, 0], left[:, 1]), 0.05)

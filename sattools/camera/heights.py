@@ -73,13 +73,13 @@ def estimate_height_range(
 def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple[float, float]:
     """Widen [low, high] to the planes outside it on which clearly more cells agree than by chance.
 
-    Chance is what the planes outside hold at the median; a plane counts from five Poisson deviations above it and from
+    Chance is what nine tenths of the planes outside stay below; a plane counts from five Poisson deviations above it and from
     one in two thousand cells on.
     """
     outside = (planes < low) | (planes > high)
     if not outside.any():
         return low, high
-    chance = float(np.median(counts[outside]))
+    chance = float(np.quantile(counts[outside], 0.9))
     needed = max(chance + 5.0 * np.sqrt(chance + 1.0), counts.sum() / 2000.0)
     found = planes[outside & (counts >= needed)]
     if found.size == 0:
@@ -135,10 +135,13 @@ def sweep_histogram(
         score = np.where(views >= 2, pairs / np.maximum(views * (views - 1), 1), -1.0)
         better = score > best
         best[better], winner[better] = score[better], k
-    return _coherent_counts(winner, best, len(planes))
+    # A correlation over 25 cells of unrelated views scatters by 1/5, its mean over the pairs by less; the best of all
+    # planes reaches some three deviations by chance.
+    pairs_seen = max(1.0, len(rpcs) * (len(rpcs) - 1) / 2)
+    return _coherent_counts(winner, best, len(planes), max(0.2, 0.2 * 3.5 / float(np.sqrt(pairs_seen))))
 
 
-def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int) -> Array:
+def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int, least: float) -> Array:
     """Cells per plane whose winner agrees with at least 6 of its 8 neighbours within two planes."""
     padded = np.pad(winner, 1, constant_values=-100)
     height, width = winner.shape
@@ -148,7 +151,7 @@ def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int) -> Array:
             if (dr, dc) != (1, 1):
                 agree += np.abs(padded[dr : dr + height, dc : dc + width] - winner) <= 2
     # A winner at either end of the search may have its true maximum outside.
-    good = (agree >= 6) & (score > 0.2) & (winner > 0) & (winner < n - 1)
+    good = (agree >= 6) & (score > least) & (winner > 0) & (winner < n - 1)
     return np.bincount(winner[good], minlength=n).astype(np.float64)
 
 

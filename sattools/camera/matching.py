@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Matches = NDArray[np.intp]
 
-RATIO = 0.85  # of squared distances to the best and to the second best (0.92 of distances)
-MAX_DISTANCE2 = 0.55  # squared distance of unit descriptors that is no match any more
+RATIO = 0.65  # of squared distances to the best and to the second best (0.8 of distances: Lowe 2004, section 7.1)
+MAX_DISTANCE2 = 0.45  # squared distance of unit descriptors that is no match any more
 
 
 def frame(run: Array) -> tuple[Array, Array, float]:

@@ -243,7 +243,12 @@ def _grid(
         lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, middle)
         sizes.append(ground_sample_distance(rpc, lon, lat, middle))
     cell = options.cell_size or default_cell_size(float(np.median(sizes)))
-    return Grid.from_bounds(crs, asked or covered, cell)
+    if asked is not None:
+        return Grid.from_bounds(crs, asked, cell)
+    # A rim, so that the surface still covers the area when it is moved by some metres onto a reference.
+    west, south, east, north = covered
+    rim = 0.02 * max(east - west, north - south)
+    return Grid.from_bounds(crs, (west - rim, south - rim, east + rim, north + rim), cell)
 
 
 def _write_reports(scene: Scene, result: Adjustment) -> None:
