@@ -1,0 +1,7 @@
+"""Samples along rays, compositing, sun visibility, shading."""
+
+from sattools.render.surface import render
+from sattools.render.view import Quadrature, Rays
+from sattools.render.visibility import sun_visibility
+
+__all__ = ["Quadrature", "Rays", "render", "sun_visibility"]

@@ -1,0 +1,35 @@
+"""Options of `sattools fit`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sattools.settings import option
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What `fit` does; the field's help texts are the command's help."""
+
+    loss: Literal["mse", "mse-gamma", "raw-gamma", "raw-log"] = option(
+        "raw-gamma", "Photometric loss (RawNeRF weights for raw-*)."
+    )
+    robust: float = option(0.1, "Residual, in tone-mapped units, from which it counts less; 0 = off.", minimum=0)
+    shadow: Literal["none", "geometric"] = option("geometric", "Sun visibility model.")
+    resolution: float | None = option(None, "Finest cell of the surface [m] (default: the scene grid's).", minimum=0.01)
+    stages: int = option(3, "Number of grids, each twice as fine as the one before.", minimum=1, maximum=6)
+    epochs: list[int] = option([40, 30, 12], "Passes over all views per stage, coarse to fine (the last is repeated).")
+    softness: list[float] = option([4.0, 1.5, 0.8, 0.5], "Softness s of the surface [m] at the stage limits.")
+    smooth: float = option(0.02, "Weight of the height smoothness.", minimum=0)
+    prior_weight: float = option(0.3, "Weight of the depth prior, where the scene has one.", minimum=0)
+    height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
+    pose: bool = option(True, "Refine one shift per view during the fit.")
+    budget: float | None = option(None, "Seconds after which the fit stops and keeps what it has.", minimum=0)
+    holdout: list[str] = option([], "Item id to leave out of training (repeatable).")
+    seed: int = option(0, "Seed of everything random.", minimum=0)
+    device: Literal["auto", "cpu", "cuda"] = option("auto", "Where to compute.")
+    resume: bool = option(False, "Continue an interrupted fit from its last checkpoint.")
+
+
+__all__ = ["FitOptions"]

@@ -1,0 +1,93 @@
+"""The trainable surface scene: height and albedo on the ground grid, colour per image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass
+class SurfaceScene:
+    """Everything the fit learns.
+
+    The radiance of a cell towards image j is gain_j * (l * albedo) + offset_j with irradiance l = v + (1 - v) * ambient_j and sun
+    visibility v (the EO-NeRF form, with the whole light of a sunlit cell as unit).
+
+    Attributes:
+        height: ``[H, W]`` ellipsoidal height [m].
+        albedo: ``[H, W, C]``.
+        gain, offset: ``[V, C]``; the first view's are 1 and 0.
+        ambient: ``[V, C]`` share of the light that reaches a shaded cell.
+        pose: ``[V, 2]`` (east, north) shift of each view's rays [m]; not trained by gradient.
+    """
+
+    height: Tensor
+    albedo: Tensor
+    gain: Tensor
+    offset: Tensor
+    ambient: Tensor
+    pose: Tensor
+
+    def colour(self, index: int, visibility: Tensor | None) -> Tensor:
+        """Radiance ``[H, W, C]`` of every cell towards image ``index``; visibility ``[H, W]`` or None = all lit."""
+        light = self.albedo
+        if visibility is not None:
+            v = visibility[..., None]
+            light = light * (v + (1 - v) * self.ambient[index])
+        return self.gain[index] * light + self.offset[index]
+
+    def trainable(self) -> dict[str, Tensor]:
+        """Tensors that gradient descent changes."""
+        return {
+            "height": self.height,
+            "albedo": self.albedo,
+            "gain": self.gain,
+            "offset": self.offset,
+            "ambient": self.ambient,
+        }
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All tensors, for saving."""
+        return {**self.trainable(), "pose": self.pose}
+
+    def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
+        """The scene on another grid with the same upper left corner.
+
+        Args:
+            shape: new (rows, columns).
+            extent: new cell size over old, per (row, column) axis.
+        """
+        maps = torch.cat([self.height[None], self.albedo.permute(2, 0, 1)])[None].detach()
+        rows, cols = shape
+        old_rows, old_cols = self.height.shape
+        y = ((torch.arange(rows) + 0.5) * extent[0]) / old_rows * 2 - 1
+        x = ((torch.arange(cols) + 0.5) * extent[1]) / old_cols * 2 - 1
+        where = torch.stack([x.expand(rows, cols), y[:, None].expand(rows, cols)], dim=-1)[None].to(maps)
+        finer = torch.nn.functional.grid_sample(maps, where, padding_mode="border", align_corners=False)[0]
+        return SurfaceScene(
+            finer[0].contiguous(),
+            finer[1:].permute(1, 2, 0).contiguous(),
+            self.gain.detach().clone(),
+            self.offset.detach().clone(),
+            self.ambient.detach().clone(),
+            self.pose.clone(),
+        )
+
+
+def start_scene(
+    height: float, shape: tuple[int, int], albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float
+) -> SurfaceScene:
+    """A flat surface with a first albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``."""
+    return SurfaceScene(
+        torch.full(shape, float(height)),
+        albedo.clone(),
+        gain.clone(),
+        offset.clone(),
+        torch.full_like(gain, ambient),
+        torch.zeros(gain.shape[0], 2),
+    )
+
+
+__all__ = ["SurfaceScene", "start_scene"]

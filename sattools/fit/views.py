@@ -1,0 +1,144 @@
+"""Images as the fit wants them: resampled to the ground grid at one reference height, with parallel rays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sattools.camera.ground import grid_direction, ground_rays, project, to_geographic
+from sattools.camera.rpc import RPC
+from sattools.scene.grid import Grid
+
+
+@dataclass(frozen=True)
+class View:
+    """One image on the ground grid.
+
+    Attributes:
+        id: item id.
+        target: ``[H, W, C]`` float32 linear radiance where the cell's ray crosses the reference height; 0 where masked.
+        mask: ``[H, W]`` uint8, 1 where the image has a value.
+        slope: (east, north) displacement per metre of height, from the ground to the sensor.
+        z_ref: reference height [m].
+        sun: unit vector (east, north, up) in the grid's frame, or None if unknown.
+        spread_m: largest deviation of a true line of sight from the parallel one within the height range [m].
+    """
+
+    id: str
+    target: np.ndarray
+    mask: np.ndarray
+    slope: tuple[float, float]
+    z_ref: float
+    sun: tuple[float, float, float] | None
+    spread_m: float
+
+
+def line_of_sight(rpc: RPC, grid: Grid, z_ref: float, z_range: tuple[float, float]) -> tuple[tuple[float, float], float]:
+    """Common slope of a view's rays over the grid, and how far a ray strays from it [m].
+
+    Returns:
+        (east, north) metres per metre of height, and the largest deviation within ``z_range``.
+    """
+    west, south, east, north = grid.bounds
+    x, y = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5))
+    col, row = project(rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
+    low, high = z_range
+    start, end = ground_rays(rpc, grid.crs, col, row, low, high)
+    slopes = (end - start) / (high - low)  # [25, 2]
+    slope = slopes.mean(axis=0)
+    reach = max(high - z_ref, z_ref - low)
+    spread = float(np.abs(slopes - slope).max() * reach)
+    return (float(slope[0]), float(slope[1])), spread
+
+
+def make_view(
+    item_id: str,
+    image: np.ndarray,
+    rpc: RPC,
+    grid: Grid,
+    z_ref: float,
+    z_range: tuple[float, float],
+    sun: tuple[float, float] | None,
+) -> View:
+    """Resample an image to the grid at height ``z_ref``, averaged over a cell.
+
+    Args:
+        item_id: name.
+        image: ``[C, h, w]`` float32 linear radiance, NaN where invalid.
+        rpc: its camera.
+        grid: ground grid of the wanted cell size.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+        sun: (azimuth, elevation) from true north and horizon [degrees], or None.
+    """
+    import cv2
+
+    x, y = np.meshgrid(grid.x(), grid.y())
+    col, row = project(rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
+    col = col.reshape(grid.shape)
+    row = row.reshape(grid.shape)
+    valid = np.isfinite(image).all(axis=0)
+    filled = np.where(valid, image, 0.0).astype(np.float32)
+    blur = _cell_blur(col, row)
+    # normalised convolution: masked pixels neither darken their neighbours nor spread
+    weight = valid.astype(np.float32)
+    if max(blur) > 0.3:
+        kernel = {"ksize": (0, 0), "sigmaX": max(blur[0], 1e-3), "sigmaY": max(blur[1], 1e-3)}
+        weight = cv2.GaussianBlur(weight, **kernel, borderType=cv2.BORDER_REPLICATE)
+        filled = np.stack(
+            [cv2.GaussianBlur(band, **kernel, borderType=cv2.BORDER_REPLICATE) for band in filled]
+        ) / np.maximum(weight, 1e-6)
+    map_col, map_row = col.astype(np.float32), row.astype(np.float32)
+    target = np.stack(
+        [cv2.remap(band, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for band in filled], axis=-1
+    )
+    seen = cv2.remap(weight, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    height, width = image.shape[1:]
+    mask = (seen > 0.9) & (col >= 0) & (row >= 0) & (col <= width - 1) & (row <= height - 1)
+    slope, spread = line_of_sight(rpc, grid, z_ref, z_range)
+    direction = None
+    if sun is not None:
+        west, south, east, north = grid.bounds
+        lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
+        vector = grid_direction(sun[0], sun[1], grid.crs, float(lon), float(lat))
+        direction = (float(vector[0]), float(vector[1]), float(vector[2]))
+    target[~mask] = 0.0
+    return View(item_id, target.astype(np.float32), mask.astype(np.uint8), slope, z_ref, direction, spread)
+
+
+def _cell_blur(col: np.ndarray, row: np.ndarray) -> tuple[float, float]:
+    """Gaussian sigma in pixels (columns, rows) that brings an image's resolution to the grid's."""
+    h, w = col.shape
+    middle = (slice(h // 2, h // 2 + 2), slice(w // 2, w // 2 + 2))
+    if h < 2 or w < 2:
+        return 0.0, 0.0
+    c, r = col[middle], row[middle]
+    along_col = math.hypot(c[0, 1] - c[0, 0], c[1, 0] - c[0, 0])
+    along_row = math.hypot(r[0, 1] - r[0, 0], r[1, 0] - r[0, 0])
+    # a pixel and a cell are boxes: sigma^2 of a box of width f is f^2 / 12
+    return tuple(math.sqrt(max(0.0, f * f - 1) / 12) for f in (along_col, along_row))  # type: ignore[return-value]
+
+
+def match_colours(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and offset per view and band that bring each image's mean and spread to the first one's.
+
+    Returns:
+        gain ``[V, C]`` and offset ``[V, C]`` with target = gain * reference + offset.
+    """
+    means, spreads = [], []
+    for view in views:
+        pixels = view.target[view.mask > 0]
+        low, middle, high = np.percentile(pixels, [16, 50, 84], axis=0)
+        means.append(middle)
+        spreads.append(np.maximum(high - low, 1e-4))
+    gain = np.array(spreads) / spreads[0]
+    offset = np.array(means) - gain * means[0]
+    return gain.astype(np.float32), offset.astype(np.float32)
+
+
+
+
+__all__ = ["View", "line_of_sight", "make_view", "match_colours"]
