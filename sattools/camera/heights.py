@@ -73,8 +73,8 @@ def estimate_height_range(
 def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple[float, float]:
     """Widen [low, high] to the planes outside it on which clearly more cells agree than by chance.
 
-    Chance is what nine tenths of the planes outside stay below; a plane counts from five Poisson deviations above it and from
-    one in two thousand cells on.
+    Chance is what nine tenths of the planes outside stay below; a plane counts from five Poisson deviations above
+    it and from one in two thousand cells on.
     """
     outside = (planes < low) | (planes > high)
     if not outside.any():

@@ -32,7 +32,7 @@ def free_matches(
     if len(ground_a) < 2 or len(ground_b) < 2:
         return np.empty((0, 2), np.intp)
     along, across, length = frame(run)
-    distance = 2.0 - 2.0 * (descriptor_a @ descriptor_b.T)
+    distance = np.maximum(2.0 - 2.0 * (descriptor_a @ descriptor_b.T), 1e-4)
     off_along = np.abs(_differences(ground_a @ along, ground_b @ along))
     off_across = np.abs(_differences(ground_a @ across, ground_b @ across))
     distance[(off_along > half_height * length + half_bias) | (off_across > half_bias)] = 4.0
@@ -132,7 +132,8 @@ def _best(owner: Matches, distance: NDArray[np.float32], count: int) -> tuple[Ma
     second = first + 1
     has = second < len(order)
     has[has] = ranked[second[has]] == ranked[first[has]]
-    ratio[ranked[first[has]]] = distance[order[first[has]]] / np.maximum(distance[order[second[has]]], 1e-6)
+    nearest, next_best = (np.maximum(distance[order[k[has]]], 1e-4) for k in (first, second))  # 0 / 0: ambiguous
+    ratio[ranked[first[has]]] = nearest / next_best
     return best, ratio
 
 

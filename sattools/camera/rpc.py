@@ -325,8 +325,8 @@ def _number(tags: Mapping[str, Any], key: str, source: str) -> float:
     if key not in tags:
         raise InputError(f"{source}: found an RPC without {key}, expected all of {', '.join(SCALARS)}")
     try:
-        value = float(tags[key])
-    except (TypeError, ValueError):
+        value = float(str(tags[key]).split()[0])  # GDAL passes on units from a _RPC.TXT file: "5124.00 pixels"
+    except (IndexError, ValueError):
         value = float("nan")
     if not np.isfinite(value):
         raise InputError(f"{source}: found {key} = {str(tags[key])[:40]!r}, expected a finite number")

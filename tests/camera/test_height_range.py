@@ -1,0 +1,56 @@
+"""The height range holds ground and roofs, without any truth."""
+
+import numpy as np
+import pytest
+from synthetic_views import ALT0, LAT0, LON0, hills, parallel_rpc, render, texture
+
+from sattools.camera.ground import from_geographic
+from sattools.camera.heights import estimate_height_range, extend_range, sweep_histogram, tie_point_range
+from sattools.errors import InputError
+
+RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.15, 0.3), (-0.3, -0.1)]
+X, Y = from_geographic("EPSG:32633", LON0, LAT0)
+BOUNDS = (X - 45, Y - 45, X + 45, Y + 45)
+
+
+def tower(east, north):
+    """Hills with a block of 24 x 24 m, 40 m high."""
+    return np.where((np.abs(east - 10) < 12) & (np.abs(north + 5) < 12), 40.0, hills(east, north))
+
+
+def test_a_few_wild_tie_points_do_not_set_the_ends():
+    heights = np.r_[np.linspace(0, 20, 1000), -300, 500]
+    assert tie_point_range(heights) == pytest.approx((0.1, 19.9), abs=0.1)
+
+
+def test_no_tie_points_are_an_error():
+    with pytest.raises(InputError, match="found no tie points"):
+        tie_point_range(np.array([np.nan]))
+
+
+def test_the_range_is_widened_to_planes_that_clearly_agree_only():
+    planes = np.arange(0.0, 100.0, 2.0)
+    counts = np.full(50, 3.0)
+    counts[5:15] = 500.0
+    assert extend_range(10.0, 28.0, planes, counts) == (10.0, 28.0)
+    counts[40] = 60.0
+    assert extend_range(10.0, 28.0, planes, counts) == (10.0, 80.0)
+
+
+def test_the_sweep_peaks_at_the_height_of_a_plain():
+    ground = texture()
+    images = [render(ground, r, height=lambda e, n: 0 * e + 12.0) for r in RUNS]
+    planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
+    counts = sweep_histogram(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    assert planes[counts.argmax()] == pytest.approx(ALT0 + 12.0, abs=2.0)
+    assert counts[np.abs(planes - ALT0 - 12) <= 4].sum() > 0.9 * counts.sum()
+
+
+def test_a_tower_without_tie_points_is_inside_the_range():
+    ground = texture()
+    images = [render(ground, r, height=tower) for r in RUNS]
+    bulk = ALT0 + np.linspace(-8, 8, 200)  # tie points on the hills only
+    cameras = [parallel_rpc(r) for r in RUNS]
+    low, high = estimate_height_range(bulk, images, cameras, "EPSG:32633", BOUNDS)
+    assert low < ALT0 - 8.0
+    assert ALT0 + 40.0 < high < ALT0 + 65.0
