@@ -1,0 +1,275 @@
+"""`prep` makes a scene of images, and refuses what it cannot use in one line with nothing written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
+
+from sattools.camera import RPC
+from sattools.camera.ground import from_geographic
+from sattools.cli import main
+from sattools.errors import InputError, OutputExistsError
+from sattools.prep.dfc2019 import find_images
+from sattools.prep.options import PrepOptions
+from sattools.prep.stage import common_name, prepare
+from sattools.scene import Scene
+
+RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3)]
+
+
+def write(path, image, rpc=None, **profile):
+    image = np.asarray(image)
+    image = image[None] if image.ndim == 2 else image
+    count, height, width = image.shape
+    options = {"driver": "GTiff", "width": width, "height": height, "count": count, "dtype": image.dtype}
+    with rasterio.open(path, "w", **options, **profile) as out:
+        out.write(image)
+        if rpc is not None:
+            out.update_tags(ns="RPC", **rpc.to_tags())
+    return path
+
+
+@pytest.fixture(scope="module")
+def pixels():
+    ground = texture()
+    return [render(ground, r).clip(1, 2047).astype(np.uint16) for r in RUNS]
+
+
+@pytest.fixture
+def images(tmp_path, pixels):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    return [
+        write(folder / f"city_{k}.tif", p, parallel_rpc(r).shifted(0, 5.0 * (k == 2)))
+        for k, (p, r) in enumerate(zip(pixels, RUNS, strict=True))
+    ]
+
+
+@pytest.fixture
+def options(tmp_path):
+    return PrepOptions(out=str(tmp_path / "out"))
+
+
+def refused(images, options, words):
+    with pytest.raises(InputError, match=words) as caught:
+        prepare(images, options)
+    assert "\n" not in str(caught.value)
+    from pathlib import Path
+
+    assert not [p for p in Path(options.out).rglob("*") if p.is_file()]
+
+
+def test_a_scene_with_corrected_cameras(images, pixels, options):
+    meta = {"sun_azimuth": "150.0", "sun_elevation": "+40.0", "acquisition_date": "20200621103000"}
+    images[0].with_suffix(".json").write_text(json.dumps(meta))
+    scene, extra = prepare(images, replace(options, holdout=["city_1"]))
+    assert scene.id == "city"
+    assert [i.id for i in scene.items] == ["city_0", "city_1", "city_2"]
+    assert [i.role for i in scene.items] == ["train", "test", "train"]
+    assert scene.grid.crs == "EPSG:32633"
+    assert scene.grid.cell_size == 0.5
+    low, high = scene.height_range_m
+    assert low < ALT0 - 8 < ALT0 + 8 < high < low + 60
+    for item, before in zip(scene.items, pixels, strict=True):
+        with rasterio.open(scene.path(item.assets["image"].href)) as image:
+            assert np.array_equal(image.read(1), before)
+            assert image.crs is None
+            tags = RPC.from_tags(image.tags(ns="RPC"))
+        written = RPC.from_file(scene.path(item.assets["rpc"].href))
+        # GDAL hands its tags out with 15 digits
+        assert (tags.col_offset, tags.row_offset) == pytest.approx((written.col_offset, written.row_offset), abs=1e-9)
+        assert tags.col_num == pytest.approx(written.col_num, rel=1e-12)
+    p = scene.items[0].properties
+    assert p["datetime"] == "2020-06-21T10:30:00Z"
+    assert (p["view:sun_azimuth"], p["view:sun_elevation"], p["sattools:sun"]) == (150.0, 40.0, "metadata")
+    assert p["gsd"] == pytest.approx(0.5, abs=1e-3)
+    # line of sight 0.3 east, 0.05 north per metre: zenith angle atan(0.304), azimuth atan2(0.3, 0.05)
+    assert p["view:incidence_angle"] == pytest.approx(16.92, abs=0.01)
+    assert p["view:azimuth"] == pytest.approx(80.54, abs=0.01)
+    assert (p["sattools:bits"], p["sattools:dtype"], p["sattools:bands"]) == (8, "uint16", 1)  # none above 255
+    assert extra["adjustment"]["median_after_px"] < 0.2
+    assert "city_1: sun unknown: neither sun angles nor a time were found" in extra["remarks"]
+    points = json.loads(scene.path("tie_points.geojson").read_text())
+    assert points["features"][0]["geometry"]["coordinates"][0] == pytest.approx(LON0, abs=0.01)
+    assert "median residual" in scene.path("adjustment.txt").read_text()
+    assert len(json.loads(scene.path("adjustment.json").read_text())["views"]) == 3
+    assert Scene.from_json(scene.to_json()).to_json() == scene.to_json()
+
+
+def test_relative_errors_of_cameras_are_undone(images, options):
+    scene, _ = prepare(images, options)
+    shifts = np.array([i.properties["sattools:rpc_shift_px"] for i in scene.items])
+    undone = shifts + np.array([[0, 0], [0, 0], [0, 5.0]])
+    design = np.array([[[2, 0, -2 * x], [0, -2, 2 * y]] for x, y in RUNS], float).reshape(-1, 3)
+    left = undone.ravel() - design @ np.linalg.lstsq(design, undone.ravel(), rcond=None)[0]
+    assert np.abs(left).max() < 0.15
+
+
+def test_sun_is_computed_from_the_time_when_metadata_have_none(images, options):
+    for path in images:
+        path.with_suffix(".json").write_text(json.dumps({"acquisition_date": "20200621110000"}))
+    scene, _ = prepare(images, options)
+    p = scene.items[0].properties
+    assert p["sattools:sun"] == "time and place"
+    # near noon on midsummer's day at 46 N: 90 - 46 + 23.44 = 67.4
+    assert p["view:sun_elevation"] == pytest.approx(67.4, abs=0.1)
+
+
+def test_an_area_crops_images_and_their_cameras(images, options):
+    x, y = from_geographic("EPSG:32633", LON0, LAT0)
+    area = [x - 20, y - 15, x + 20, y + 15]
+    scene, _ = prepare(images, replace(options, crs="EPSG:32633", bounds=area))
+    assert scene.grid.bounds == pytest.approx(area, abs=0.5)
+    for item, path in zip(scene.items, images, strict=True):
+        col, row, width, height = item.properties["sattools:source_window"]
+        assert width < 200
+        with rasterio.open(path) as whole, rasterio.open(scene.path(item.assets["image"].href)) as crop:
+            assert np.array_equal(whole.read(1)[row : row + height, col : col + width], crop.read(1))
+        middle = 0.5 * sum(scene.height_range_m)
+        inside = RPC.from_file(scene.path(item.assets["rpc"].href)).projection(LON0, LAT0, middle)
+        assert 0 < inside[0] < width
+        assert 0 < inside[1] < height
+
+
+def test_correction_none_keeps_the_cameras(images, options):
+    scene, extra = prepare(images, replace(options, correction="none"))
+    assert RPC.from_file(scene.path("rpc/city_2_RPC.TXT")).to_tags() == RPC.from_file(images[2]).to_tags()
+    assert "cameras were left as they are (correction none)" in extra["remarks"]
+
+
+def test_an_existing_scene_is_kept_unless_told_otherwise(images, options, tmp_path):
+    (tmp_path / "out/city").mkdir(parents=True)
+    (tmp_path / "out/city/scene.json").write_text("{}")
+    with pytest.raises(OutputExistsError, match="--overwrite"):
+        prepare(images, options)
+    prepare(images, options, overwrite=True)
+
+
+def test_one_image_is_refused(images, options):
+    refused(images[:1], options, "found this one image only")
+
+
+def test_two_images_with_one_id_are_refused(images, options, tmp_path):
+    (tmp_path / "b").mkdir()
+    twin = tmp_path / "b" / "city_0.tif"
+    twin.write_bytes(images[0].read_bytes())
+    refused([images[0], twin], options, "found id 'city_0', which")
+
+
+def test_an_image_without_rpc_is_refused(images, options, pixels):
+    write(images[1], pixels[1])
+    refused(images, options, r"city_1\.tif: found no RPC")
+
+
+def test_an_rpc_of_another_place_is_refused(images, options, pixels):
+    write(images[1], pixels[1], replace(parallel_rpc(RUNS[1]), lon_offset=15.5))
+    refused(images, options, r"city_1\.tif: found its RPC at 46\.0000 N 15\.5000 E, 38\.\d km from the other images")
+
+
+def test_images_that_do_not_overlap_are_refused(images, options, pixels):
+    write(images[1], pixels[1], replace(parallel_rpc(RUNS[1]), lat_offset=46.1))
+    refused(images[:2], options, "found no overlap with")
+
+
+def test_images_of_different_ground_are_refused(images, options):
+    other = render(texture(seed=9), RUNS[1]).clip(1, 2047).astype(np.uint16)
+    write(images[1], other, parallel_rpc(RUNS[1]))
+    refused(images[:2], options, "tie points: found")
+
+
+def test_a_truncated_image_is_refused(images, options):
+    data = images[1].read_bytes()
+    images[1].write_bytes(data[: len(data) // 2])
+    refused(images, options, r"city_1\.tif: found")
+
+
+def test_a_band_without_data_is_refused(images, options, pixels):
+    write(images[1], np.stack([pixels[1], np.zeros_like(pixels[1])]), parallel_rpc(RUNS[1]))
+    refused(images, options, r"city_1\.tif: found band 2 to be 0 everywhere")
+    write(images[1], np.full(pixels[1].shape, np.nan, np.float32), parallel_rpc(RUNS[1]))
+    refused(images, options, "no-data or NaN everywhere")
+
+
+def test_nan_pixels_are_masked_and_mentioned(images, options, pixels):
+    holed = pixels[1].astype(np.float32)
+    holed[50:80, 60:110] = np.nan
+    write(images[1], holed, parallel_rpc(RUNS[1]))
+    scene, extra = prepare(images, options)
+    assert any(r.startswith("city_1: 2.4 % of the pixels are NaN") for r in extra["remarks"])
+    assert scene.items[1].properties["sattools:value_range"][1] > 0
+
+
+@pytest.mark.parametrize("where", ["beside the image", "in the metadata folder"])
+def test_unreadable_json_is_refused(images, options, tmp_path, where):
+    folder = tmp_path / "m"
+    folder.mkdir()
+    target = images[1].with_suffix(".json") if where == "beside the image" else folder / "city_1.json"
+    target.write_text('{"rpc": ')
+    refused(images, replace(options, metadata=str(folder)), r"city_1\.json: found unreadable JSON")
+
+
+def test_metadata_of_another_crop_are_refused(images, options):
+    images[1].with_suffix(".json").write_text(json.dumps({"height": 100, "width": 100}))
+    refused(images, options, "metadata of an image of 100 x 100 pixels, expected 260 x 240")
+
+
+def test_an_area_outside_is_refused(images, options):
+    refused(images, replace(options, bounds=[16.0, 46.0, 16.01, 46.01]), "found 0 of 3 images that show it")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"metadata": "/nowhere"}, "found no such folder"),
+        ({"crs": "EPSG:4326"}, "not projected in metres"),
+        ({"holdout": ["city_9"]}, "holdout: found 'city_9'"),
+        ({"bounds": [1.0, 2.0, 3.0, 4.0], "aoi": "a.geojson"}, "found both --aoi and --bounds"),
+    ],
+)
+def test_wrong_options_are_refused(images, options, change, words):
+    refused(images, replace(options, **change), words)
+
+
+def test_names_of_scenes():
+    assert common_name(["JAX_068_001_RGB", "JAX_068_016_RGB"]) == "JAX_068"
+    assert common_name(["a", "b"]) == "scene"
+
+
+def test_contest_images_are_found_by_area(tmp_path):
+    for name in ("Track3-RGB-1/JAX_068_002_RGB.tif", "Track3-RGB-1/JAX_004_001_RGB.tif", "rpc_raw/JAX_068/x.json"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    images, folder = find_images(tmp_path, "JAX_068")
+    assert [p.name for p in images] == ["JAX_068_002_RGB.tif"]
+    assert folder == tmp_path / "rpc_raw/JAX_068"
+    with pytest.raises(InputError, match="found no Track3-RGB"):
+        find_images(tmp_path, "OMA_001")
+    with pytest.raises(InputError, match="expected an area of the contest"):
+        find_images(tmp_path, "../../etc")
+
+
+def test_the_command_prints_one_scene_line(images, tmp_path):
+    result = CliRunner().invoke(main, ["prep", *map(str, images), "--out", str(tmp_path / "o"), "--id", "town"])
+    assert result.exit_code == 0, result.output
+    scene = Scene.from_json(result.stdout)
+    assert result.stdout.count("\n") == 1
+    assert scene.id == "town"
+    assert scene.history[-1]["command"] == "prep"
+    assert (tmp_path / "o/town/scene.json").exists()
+
+
+def test_the_command_says_in_one_line_what_is_wrong(images, tmp_path):
+    result = CliRunner().invoke(main, ["prep", str(images[0]), "--out", str(tmp_path / "o")])
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert "expected at least 2 images" in result.stderr
+
+
+def test_the_command_without_images_is_a_usage_error():
+    assert CliRunner().invoke(main, ["prep"]).exit_code == 2
+    assert CliRunner().invoke(main, ["prep", "--dfc2019", "/nowhere"]).exit_code == 2
