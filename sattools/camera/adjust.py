@@ -160,24 +160,24 @@ def adjust(
     progress(0.0, "adjusting shifts")
     solution = solve(block, affine=False)
     inlier = _inliers(block, solution, options.max_residual_px)
-    block, _ = block.kept(inlier)
+    block, points = block.kept(inlier, solution.points)
     counts = np.bincount(block.tracks.view, minlength=len(rpcs))
     weak = counts < options.min_points
     if weak.any():
-        block, _ = block.kept(~weak[block.tracks.view])
+        block, points = block.kept(~weak[block.tracks.view], points)
     if block.tracks.n_points < options.min_points:
         raise InputError(
             f"tie points: found {block.tracks.n_points} that agree with the cameras, expected at least "
             f"{options.min_points} (do the RPCs belong to these images?)"
         )
     progress(0.4, "adjusting shifts again")
-    solution = solve(block, affine=False, start_px=2.0)
+    solution = solve(block, False, Solution(points, solution.parameters))
     remarks: list[str] = []
     model = "shift"
-    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, options, remarks)):
+    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, remarks)):
         progress(0.7, "adjusting affine corrections")
         model = "affine"
-        solution = solve(block, affine=True, start_px=2.0)
+        solution = solve(block, True, solution)
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
     weak |= np.bincount(block.tracks.view, minlength=len(rpcs)) == 0
@@ -250,7 +250,7 @@ def _inliers(block: Block, solution: Solution, max_residual: float) -> NDArray[n
     return norm < limit
 
 
-def _affine_gains(block: Block, options: AdjustOptions, remarks: list[str]) -> bool:
+def _affine_gains(block: Block, start: Solution, options: AdjustOptions, remarks: list[str]) -> bool:
     """Whether affine corrections fitted on four fifths of the points predict the other fifth clearly better."""
     sizes = block.tracks.sizes()
     if int((sizes >= 3).sum()) < 20 * len(block.rpcs):
@@ -258,10 +258,11 @@ def _affine_gains(block: Block, options: AdjustOptions, remarks: list[str]) -> b
     held_point = (np.arange(block.tracks.n_points) % 5 == 2) & (sizes >= 3)
     held = held_point[block.tracks.point]
     scores = []
+    train, train_points = block.kept(~held, start.points)
+    test, test_points = block.kept(held, start.points)
     for affine in (False, True):
-        fitted = solve(block.kept(~held)[0], affine=affine, start_px=2.0)
-        test, _ = block.kept(held)
-        points = triangulate(test, fitted.parameters)
+        fitted = solve(train, affine, Solution(train_points, start.parameters))
+        points = triangulate(test, fitted.parameters, test_points)
         # Each view gets the same say, and a few false matches do not decide.
         norm2 = np.minimum(residual_norm(test, points, fitted.parameters), 2.0) ** 2
         per_view = np.bincount(test.tracks.view, norm2, len(block.rpcs)) / np.maximum(

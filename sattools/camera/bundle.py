@@ -125,22 +125,26 @@ def residual_norm(block: Block, points: Array, parameters: Array) -> Array:
     return np.hypot(residual[:, 0], residual[:, 1])
 
 
-def solve(block: Block, affine: bool, start_px: float = 30.0, max_iterations: int = 30) -> Solution:
-    """Points and corrections under a Cauchy loss that tightens from `start_px` (graduated non-convexity).
+def solve(block: Block, affine: bool, initial: Solution | None = None, max_iterations: int = 30) -> Solution:
+    """Points and corrections under a Cauchy loss that tightens (graduated non-convexity).
 
-    The problem is nearly linear, so the wide loss finds the basin even when a view is tens of pixels off.
+    The problem is nearly linear, so the wide loss finds the basin even when a view is tens of pixels off; from an
+    `initial` solution of the same points the loss starts narrow.
     """
-    parameters = np.zeros((len(block.rpcs), 6))
-    # Heights as the raw cameras have them: the common movement that tie points cannot see starts near zero.
-    points = triangulate(block, parameters)
-    width = start_px
+    if initial is None:
+        parameters = np.zeros((len(block.rpcs), 6))
+        # Heights as the raw cameras have them: the common movement that tie points cannot see starts near zero.
+        points, width = triangulate(block, parameters), 30.0
+    else:
+        points, parameters, width = initial.points.copy(), initial.parameters.copy(), 1.5
     for iteration in range(max_iterations):
-        step_points, step_parameters = _step(block, points, parameters, width if iteration else 1e6, affine)
+        first = initial is None and iteration == 0
+        step_points, step_parameters = _step(block, points, parameters, 1e6 if first else width, affine)
         points += step_points
         parameters += step_parameters
         if width <= _LOSS_PX and np.abs(step_parameters).max() < 1e-3:
             break
-        width = max(_LOSS_PX, 0.5 * width) if iteration else width
+        width = width if first else max(_LOSS_PX, 0.5 * width)
     solution = _regauged(block, points, parameters)
     for _ in range(2):  # where the common movement was large, it was not quite a shift
         step_points, step_parameters = _step(block, solution.points, solution.parameters, _LOSS_PX, affine)

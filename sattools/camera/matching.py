@@ -40,7 +40,8 @@ def free_matches(
     best_a = distance.argmin(0)
     index = np.arange(len(ground_a))
     best = distance[index, best_b]
-    second = np.partition(distance, 1, axis=1)[:, 1]
+    distance[index, best_b] = 4.0
+    second = distance.min(1)
     good = (best_a[best_b] == index) & (best < RATIO * second) & (best < MAX_DISTANCE2)
     return np.stack([index[good], best_b[good]], 1)
 

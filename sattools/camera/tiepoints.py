@@ -38,6 +38,7 @@ class TiePointOptions:
     contrast_window_px: float = 12.0
     max_image_px: int = 6_000_000  # larger images are matched at a lower resolution
     max_pairs: int = 200
+    coarse_pairs: int = 80  # the coarse search needs several neighbours per view, not all
 
 
 @dataclass(frozen=True)
@@ -180,8 +181,9 @@ def find_tie_points(
     # Coarse: strong features, whole height range, large camera errors. Its result is each view's error across the
     # direction of height, and the range of heights.
     shifts, seen = [], []
-    for k, (a, b) in enumerate(pairs):
-        progress(0.5 + 0.25 * k / len(pairs), "coarse matching")
+    coarse = choose_pairs(tangents, min(options.coarse_pairs, options.max_pairs))
+    for k, (a, b) in enumerate(coarse):
+        progress(0.5 + 0.25 * k / len(coarse), "coarse matching")
         fa, fb = features[a], features[b]
         found = free_matches(
             fa.ground[: options.coarse_features],
@@ -194,10 +196,10 @@ def find_tie_points(
         )
         seen.append(found)
         shifts.append(vote(fa.ground[found[:, 0]], fb.ground[found[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
-    bias = coarse_bias(pairs, shifts, tangents)
+    bias = coarse_bias(coarse, shifts, tangents)
 
     heights = []
-    for (a, b), found in zip(pairs, seen, strict=True):
+    for (a, b), found in zip(coarse, seen, strict=True):
         fa, fb = features[a], features[b]
         run = fb.tangent - fa.tangent
         length = float(np.hypot(*run))

@@ -182,15 +182,19 @@ def write_image(source: Source, rpc: RPC, target: Path) -> None:
         }
         if data.nodata is not None:
             profile["nodata"] = data.nodata
-        with atomic(target) as temporary, rasterio.open(temporary, "w", **profile) as out:
-            strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
-            for first in range(0, height, strip):
-                rows = min(strip, height - first)
-                for band in range(1, data.count + 1):
-                    values = _read(data, source, band, Window(col, row + first, width, rows))
-                    out.write(values, band, window=Window(0, first, width, rows))
-            out.descriptions = data.descriptions
-            out.update_tags(ns="RPC", **rpc.to_tags())
+        # Through memory: on a full disk GDAL closes a broken file without an error, Python's own write does not.
+        with rasterio.MemoryFile() as memory:
+            with memory.open(**profile) as out:
+                strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
+                for first in range(0, height, strip):
+                    rows = min(strip, height - first)
+                    for band in range(1, data.count + 1):
+                        values = _read(data, source, band, Window(col, row + first, width, rows))
+                        out.write(values, band, window=Window(0, first, width, rows))
+                out.descriptions = data.descriptions
+                out.update_tags(ns="RPC", **rpc.to_tags())
+            with atomic(target) as temporary:
+                temporary.write_bytes(memory.getbuffer())
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import View, find_tie_points
-from sattools.errors import InputError, OutputExistsError
+from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
 from sattools.prep.images import Source, check_ids, load_source, read_gray, write_image
 from sattools.prep.items import describe, tie_point_features
@@ -59,6 +60,7 @@ def prepare(
     scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
     if not overwrite and scene.path("scene.json").exists():
         raise OutputExistsError(f"{scene.path('scene.json')}: exists already; give --overwrite to replace it")
+    _check_writable(scene.root)
     metadata_dir = Path(options.metadata) if options.metadata else None
     if metadata_dir is not None and not metadata_dir.is_dir():
         raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
@@ -158,6 +160,13 @@ def check_places(sources: Sequence[Source], crs: str) -> None:
         f"{sources[stray].path}: found its RPC at {lat:.4f} N {lon:.4f} E, {distance:.1f} km from the other images, "
         f"expected images that overlap (RPC from {sources[stray].metadata.rpc_source})"
     )
+
+
+def _check_writable(root: Path) -> None:
+    """Say at once, not after the work, that nothing can be written."""
+    folder = next(p for p in (root, *root.parents) if p.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise SattoolsError(f"{folder}: cannot be written to, expected a writable folder for {root}")
 
 
 def _default_crs(sources: Sequence[Source]) -> str:
