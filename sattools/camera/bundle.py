@@ -137,17 +137,20 @@ def solve(block: Block, affine: bool, initial: Solution | None = None, max_itera
         points, width = triangulate(block, parameters), 30.0
     else:
         points, parameters, width = initial.points.copy(), initial.parameters.copy(), 1.5
+    before = np.inf
     for iteration in range(max_iterations):
         first = initial is None and iteration == 0
-        step_points, step_parameters = _step(block, points, parameters, 1e6 if first else width, affine)
+        step_points, step_parameters, cost = _step(block, points, parameters, 1e6 if first else width, affine)
         points += step_points
         parameters += step_parameters
-        if width <= _LOSS_PX and np.abs(step_parameters).max() < 1e-3:
+        # Not the step: along a common movement it may wander without any effect.
+        if width <= _LOSS_PX and before - cost < 2e-5 * cost:
             break
+        before = cost if width <= _LOSS_PX else np.inf
         width = width if first else max(_LOSS_PX, 0.5 * width)
     solution = _regauged(block, points, parameters)
     for _ in range(2):  # where the common movement was large, it was not quite a shift
-        step_points, step_parameters = _step(block, solution.points, solution.parameters, _LOSS_PX, affine)
+        step_points, step_parameters, _ = _step(block, solution.points, solution.parameters, _LOSS_PX, affine)
         solution = Solution(solution.points + step_points, solution.parameters + step_parameters)
     return _regauged(block, solution.points, solution.parameters)
 
@@ -180,11 +183,12 @@ def _point_blocks(block: Block, residual: Array, jacobian: Array, weight: Array)
     return np.linalg.inv(normal), np.stack([np.bincount(owner, r, count) for r in right.T], -1)
 
 
-def _step(block: Block, points: Array, parameters: Array, width: float, affine: bool) -> tuple[Array, Array]:
-    """One Gauss-Newton step by the Schur complement of the points."""
+def _step(block: Block, points: Array, parameters: Array, width: float, affine: bool) -> tuple[Array, Array, float]:
+    """One Gauss-Newton step by the Schur complement of the points, and the Cauchy loss before it."""
     n_views, size = len(block.rpcs), 6 if affine else 2
     residual, jacobian, basis = block.linearised(points, parameters)
     weight = _weights(residual, width)
+    cost = -float(np.log(weight).sum())
     inverse, right = _point_blocks(block, residual, jacobian, weight)
     view, owner = block.tracks.view, block.tracks.point
 
@@ -226,7 +230,7 @@ def _step(block: Block, points: Array, parameters: Array, width: float, affine: 
     rest = right - np.stack([np.bincount(owner, p, block.tracks.n_points) for p in pulled.T], -1)
     full = np.zeros((n_views, 6))
     full[:, :size] = step
-    return np.einsum("nij,nj->ni", inverse, rest), full
+    return np.einsum("nij,nj->ni", inverse, rest), full, cost
 
 
 def _regauged(block: Block, points: Array, parameters: Array) -> Solution:
