@@ -12,7 +12,7 @@ from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
 from sattools.camera import RPC
 from sattools.camera.ground import from_geographic
 from sattools.cli import main
-from sattools.errors import InputError, OutputExistsError
+from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.prep.dfc2019 import find_images
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import common_name, prepare
@@ -273,3 +273,28 @@ def test_the_command_says_in_one_line_what_is_wrong(images, tmp_path):
 def test_the_command_without_images_is_a_usage_error():
     assert CliRunner().invoke(main, ["prep"]).exit_code == 2
     assert CliRunner().invoke(main, ["prep", "--dfc2019", "/nowhere"]).exit_code == 2
+
+
+def test_heights_given_by_hand_are_taken(images, options):
+    scene, _ = prepare(images, replace(options, min_height=50.0, max_height=160.0))
+    assert scene.height_range_m == (50.0, 160.0)
+    with pytest.raises(InputError, match=r"lowest 160 m and highest 50 m"):
+        prepare(images, replace(options, min_height=160.0, max_height=50.0), overwrite=True)
+
+
+def test_a_full_disk_leaves_no_half_written_image(images, options, monkeypatch):
+    from pathlib import Path
+
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(SattoolsError, match=r"city_0\.tif: cannot be written \(No space left on device\)"):
+        prepare(images, options)
+    assert not [p for p in Path(options.out).rglob("*") if p.is_file()]
+
+
+def test_an_output_folder_that_is_a_file_is_refused_before_any_work(images, options, tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(SattoolsError, match="expected a writable folder"):
+        prepare(images, options)
