@@ -1,0 +1,321 @@
+"""Hapke's bidirectional reflectance of a rough particulate surface.
+
+Hapke (1981, 1984, 1986), with the double Henyey-Greenstein phase function, the second H function approximation (Hapke 2002, Icarus 157,
+523-534, equation 13) and macroscopic roughness (`sattools.reflectance.roughness`):
+
+    BRF = pi r / mu0 = (w/4) K {p(g) [1 + B(g)] + H(mu0e) H(mue) - 1}
+    p(g) = (1-b^2) [(1-c) / (1 + 2b cos g + b^2)^(3/2) + c / (1 - 2b cos g + b^2)^(3/2)]        c is the weight of the back lobe
+    B(g) = b0 / (1 + tan(g/2) / h)
+    H(x) = 1 / {1 - w x [r0 + (1/2 - r0 x) ln((1+x)/x)]},   r0 = (1 - sqrt(1-w)) / (1 + sqrt(1-w))
+
+Values and gradients are finite on the closed domain: both directions anywhere in the upper hemisphere, theta-bar 1e-4 to 60 degrees,
+w and b 0 to 0.99, c 0 to 1. At the horizon itself the limit is taken, beyond it the BRF is 0 with zero gradients.
+
+Bounds beyond the valid range: w is held at `W_MAX` (at w = 1 the derivative is infinite), |b| at `B_MAX` (at b = 1 the lobe is a spike),
+theta-bar between `THETA_MIN` and `THETA_MAX` degrees; at a bound the gradient is 0. b0, c and h > 0 are taken as they come.
+
+Kinks, where one of the two one-sided derivatives or their mean is returned:
+- psi = 0 and psi = 180 degrees (the principal plane): psi is the modulus of an azimuth; the mean is returned;
+- i = e: the two cases of the roughness meet with equal values but different slopes; the mean is returned;
+- g = 0 with b0 > 0, with respect to sun and view only: B is a cone; 0 is returned for its part;
+- i = 90 or e = 90 degrees: the BRF drops to 0; the derivative from above the horizon is returned;
+- i = e = 90 degrees: at psi = 180 the BRF tends to 0 at a rate that depends on the direction of approach; at psi = 0 it is infinite (the radiance
+  is not) and the denominator is held at `sattools.reflectance.roughness.Z_MIN`.
+
+First derivatives only, through `torch.autograd`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sattools.reflectance import roughness
+from sattools.reflectance.angles import Angles, as_tensors, measure, pull_back, squares
+from sattools.reflectance.blocks import Blocks
+
+W_MAX = 1 - 1e-6
+B_MAX = 0.999
+THETA_MIN = 5e-5
+THETA_MAX = 80.0
+_DEGREE = math.pi / 180
+# keeps the derivative of the modulus finite at g = 0 and g = 180 degrees
+_MODULUS2_MIN = 1e-24
+
+
+class _Lobes(NamedTuple):
+    """Phase function and opposition effect, with what their reverse needs."""
+
+    b: Tensor
+    front: Tensor
+    back: Tensor
+    width: Tensor
+    p: Tensor
+    # of the opposition effect: |sun - view|, |sun + view|, 1 / (h plus + minus), 1 + B
+    minus: Tensor | None
+    plus: Tensor | None
+    rate: Tensor | None
+    boost: Tensor | None
+
+
+class _Multiple(NamedTuple):
+    """H functions of the effective cosines, with what their reverse needs."""
+
+    w: Tensor
+    r0: Tensor
+    gamma: Tensor
+    shrink: Tensor
+    xlo: Tensor
+    xhi: Tensor
+    log_lo: Tensor
+    log_hi: Tensor
+    hlo: Tensor
+    hhi: Tensor
+
+
+def _lobes(angles: Angles, b: Tensor, c: Tensor, b0: Tensor | None, h: Tensor) -> _Lobes:
+    b = b.clamp(-B_MAX, B_MAX)
+    width = (1 - b) * (1 + b)
+    gap2 = (1 - b) ** 2
+    # 1 + 2b cos g + b^2 and its sibling as sums of positive terms
+    front, back = torch.rsqrt(gap2 + b * angles.plus2), torch.rsqrt(gap2 + b * angles.minus2)
+    front3 = front * front * front
+    p = width * (front3 + c * (back * back * back - front3))
+    if b0 is None:
+        return _Lobes(b, front, back, width, p, None, None, None, None)
+    minus = angles.minus2.clamp_min(_MODULUS2_MIN).sqrt()
+    plus = angles.plus2.clamp_min(_MODULUS2_MIN).sqrt()
+    rate = 1 / (h * plus + minus)
+    return _Lobes(b, front, back, width, p, minus, plus, rate, 1 + b0 * h * plus * rate)
+
+
+def _multiple(facet: roughness.Facet, w: Tensor, t: Tensor) -> _Multiple:
+    w = w.clamp_max(W_MAX)
+    gamma = torch.sqrt(1 - w)
+    r0 = (1 - gamma) / (1 + gamma)
+    shrink = torch.rsqrt(1 + math.pi * t * t)
+    xlo, xhi = shrink * facet.alo, shrink * facet.ahi
+    log_lo, log_hi = torch.log((1 + xlo) / xlo), torch.log((1 + xhi) / xhi)
+    hlo = 1 / (1 - w * xlo * (r0 + (0.5 - r0 * xlo) * log_lo))
+    hhi = 1 / (1 - w * xhi * (r0 + (0.5 - r0 * xhi) * log_hi))
+    return _Multiple(w, r0, gamma, shrink, xlo, xhi, log_lo, log_hi, hlo, hhi)
+
+
+def _h_rates(m: _Multiple, x: Tensor, log: Tensor, h: Tensor, g_h: Tensor) -> tuple[Tensor, Tensor]:
+    """Gradients of x and w through H(x)."""
+    g_f = -g_h * h * h
+    r0x = m.r0 * x
+    tail = 0.5 - r0x
+    mid = m.r0 + tail * log
+    g_x = -g_f * m.w * (mid - r0x * log - tail / (1 + x))
+    slope = m.gamma * (1 + m.gamma) * (1 + m.gamma)
+    g_w = -g_f * x * (mid + m.w * (1 - x * log) / slope)
+    return g_x, g_w
+
+
+def _tangent(theta_deg: Tensor) -> Tensor:
+    return torch.tan(theta_deg.clamp(THETA_MIN, THETA_MAX) * _DEGREE)
+
+
+def _inside(value: Tensor, low: float, high: float) -> Tensor:
+    return ((value >= low) & (value <= high)).to(value.dtype)
+
+
+class _Hapke(torch.autograd.Function):
+    """The model with its reverse written out, evaluated block by block; operands in the order of `hapke`, b0 None for no opposition."""
+
+    @staticmethod
+    def forward(ctx: Any, keep: bool, *operands: Tensor | None) -> Tensor:
+        vectors, rest = operands[:3], operands[3:]
+        shapes = [v.shape[:-1] for v in vectors if v is not None] + [p.shape for p in rest if p is not None]
+        normal = vectors[0]
+        assert normal is not None
+        blocks = Blocks(tuple(torch.broadcast_shapes(*shapes)), normal.is_cuda)
+        out = normal.new_empty(blocks.shape)
+        kept: list[tuple] = []
+        for block in blocks.ranges:
+            parts = _cut(blocks, block, operands)
+            n, s, v, w, b, c, theta, b0, h = parts
+            angles = measure(n, s, v)
+            t = _tangent(theta)
+            facet = roughness.forward(angles, t)
+            lobes = _lobes(angles, b, c, b0, h)
+            multiple = _multiple(facet, w, t)
+            p = lobes.p if lobes.boost is None else lobes.p * lobes.boost
+            inner = p + (multiple.hlo * multiple.hhi - 1)
+            blocks.cut(out, block).copy_((0.25 * facet.lit) * (multiple.w * facet.k) * inner)
+            if keep:
+                kept.append((t, facet, lobes, multiple, inner))
+        if keep:
+            ctx.blocks = blocks
+            flat: list[Tensor | None] = list(operands)
+            for t, facet, lobes, multiple, inner in kept:
+                flat += [t, *facet, *lobes, *multiple, inner]
+            ctx.save_for_backward(*flat)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        saved = ctx.saved_tensors
+        needed = ctx.needs_input_grad[1:]
+        operands, blocks = saved[:9], ctx.blocks
+        sizes = (1, len(roughness.Facet._fields), len(_Lobes._fields), len(_Multiple._fields), 1)
+        total: list[Tensor | None] = [None] * 9
+        position = 9
+        for block in blocks.ranges:
+            chunks = []
+            for size in sizes:
+                chunks.append(saved[position : position + size])
+                position += size
+            state = (chunks[0][0], roughness.Facet(*chunks[1]), _Lobes(*chunks[2]), _Multiple(*chunks[3]), chunks[4][0])
+            parts = _cut(blocks, block, operands)
+            found = _reverse(parts, state, blocks.cut(grads[0], block), needed)
+            for index, gradient in enumerate(found):
+                if gradient is None or not needed[index]:
+                    continue
+                operand, trailing = operands[index], int(index < 3)
+                part = gradient.sum_to_size(parts[index].shape)
+                if len(blocks.ranges) == 1:
+                    total[index] = part
+                elif blocks.is_cut(operand, trailing):
+                    if total[index] is None:
+                        total[index] = torch.empty_like(operand)
+                    blocks.cut(total[index], block, trailing).copy_(part)
+                else:
+                    total[index] = part if total[index] is None else total[index] + part
+        return (None, *total)
+
+
+def _cut(blocks: Blocks, block: tuple[int, int], operands: tuple) -> list:
+    return [None if o is None else blocks.cut(o, block, int(index < 3)) for index, o in enumerate(operands)]
+
+
+def _reverse(parts: list, state: tuple, grad: Tensor, needed: tuple[bool, ...]) -> list[Tensor | None]:
+    """Gradients of the nine operands of a block, before summing over axes that were broadcast."""
+    n, s, v, w, b, c, theta, b0, h = parts
+    t, facet, o, m, inner = state
+    geometry = any(needed[:3])
+    directions = needed[1] or needed[2]
+    found: list[Tensor | None] = [None] * 9
+
+    base = grad * (0.25 * facet.lit)
+    scaled = base * facet.k
+    g_inner = scaled * m.w
+    g_w = scaled * inner
+    g_k = (base * m.w * inner).sum_to_size(facet.k.shape)
+
+    # phase function; summed over bands first
+    g_p = g_inner.sum_to_size(torch.broadcast_shapes(o.p.shape, () if o.boost is None else o.boost.shape))
+    g_minus2 = g_plus2 = None
+    if o.boost is not None:
+        g_boost = g_p * o.p
+        g_p = (g_p * o.boost).sum_to_size(o.p.shape)
+        damp = h * o.plus * o.rate
+        found[7] = g_boost * damp
+        slope = g_boost * b0 * o.rate * o.rate
+        found[8] = slope * o.plus * o.minus
+        if directions:
+            g_minus2 = -0.5 * slope * h * o.plus / o.minus
+            g_plus2 = 0.5 * slope * h * o.minus / o.plus
+    if needed[4] or needed[5] or directions:
+        front2, back2 = o.front * o.front, o.back * o.back
+        front3, back3 = front2 * o.front, back2 * o.back
+        weighted = g_p * o.width
+        found[5] = weighted * (back3 - front3)
+        if needed[4] or directions:
+            a, z = (1 - c) * front3, c * back3
+            fall_a, fall_z = -1.5 * weighted * a * front2, -1.5 * weighted * z * back2
+            gap = 2 * (o.b - 1)
+            plus2, minus2 = squares(s, v)
+            g_b = fall_a * (gap + plus2) + fall_z * (gap + minus2) - 2 * g_p * o.b * (a + z)
+            found[4] = g_b * _inside(b, -B_MAX, B_MAX)
+            if directions:
+                g_plus2 = _add(fall_a * o.b, g_plus2)
+                g_minus2 = _add(fall_z * o.b, g_minus2)
+
+    # H functions; from here on gradients have the shape of the geometry
+    x_lo, w_lo = _h_rates(m, m.xlo, m.log_lo, m.hlo, g_inner * m.hhi)
+    x_hi, w_hi = _h_rates(m, m.xhi, m.log_hi, m.hhi, g_inner * m.hlo)
+    found[3] = (g_w + w_lo + w_hi) * (w <= W_MAX).to(w.dtype)
+    if not geometry and not needed[6]:
+        return found
+    x_lo, x_hi = x_lo.sum_to_size(facet.alo.shape), x_hi.sum_to_size(facet.ahi.shape)
+    g_t, g_angles = roughness.reverse(facet, t, x_lo * m.shrink, x_hi * m.shrink, g_k, geometry)
+    tt = t * t
+    # shrink = (1 + pi t^2)^(-1/2)
+    g_t = g_t - math.pi * t * m.shrink * m.shrink * (x_lo * m.xlo + x_hi * m.xhi)
+    found[6] = g_t * (1 + tt) * (_DEGREE * _inside(theta, THETA_MIN, THETA_MAX))
+    if g_angles is not None:
+        if directions:
+            g_angles = g_angles._replace(
+                minus2=_add(g_angles.minus2, g_minus2), plus2=_add(g_angles.plus2, g_plus2)
+            )
+        found[:3] = pull_back(n, s, v, g_angles, needed[:3])
+    return found
+
+
+def _add(a: Tensor, b: Tensor | None) -> Tensor:
+    return a if b is None else a + b
+
+
+def hapke(
+    normal: Tensor,
+    sun: Tensor,
+    view: Tensor,
+    w: Tensor | float,
+    b: Tensor | float,
+    c: Tensor | float,
+    theta_deg: Tensor | float,
+    b0: Tensor | float = 0.0,
+    h: Tensor | float = 1.0,
+) -> Tensor:
+    """BRF of Hapke's model.
+
+    Args:
+        normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
+        w: single scattering albedo, 0 to 0.99. b: width of the lobes, 0 to 0.99. c: weight of the back-scattering lobe, 0 to 1.
+        theta_deg: mean slope angle theta-bar in degrees, 1e-4 to 60.
+        b0, h: amplitude and angular width (> 0) of the opposition effect; b0 = 0 leaves it out.
+            All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``): what does not
+            depend on the band is then computed once.
+
+    Returns:
+        Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0 where the facet
+        faces away from sun or sensor. Type of the inputs; differentiable once with respect to all of them.
+
+    Raises:
+        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
+    """
+    operands: list[Tensor | None] = [*as_tensors(normal, sun, view, w, b, c, theta_deg, b0, h)]
+    keep = torch.is_grad_enabled() and any(o is not None and o.requires_grad for o in operands)
+    if not isinstance(b0, Tensor) and b0 == 0:
+        operands[7] = None
+    return _Hapke.apply(keep, *operands)
+
+
+def effective_cosines(
+    normal: Tensor, sun: Tensor, view: Tensor, theta_deg: Tensor | float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
+
+    They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
+
+    Raises:
+        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
+    """
+    with torch.no_grad():
+        normal, sun, view, theta_deg = as_tensors(normal, sun, view, theta_deg)
+        angles = measure(normal, sun, view)
+        t = _tangent(theta_deg)
+        facet = roughness.forward(angles, t)
+        shrink = torch.rsqrt(1 + math.pi * t * t)
+        sun_is_low = angles.mu0 >= angles.mu
+        mu0e = shrink * torch.where(sun_is_low, facet.alo, facet.ahi)
+        mue = shrink * torch.where(sun_is_low, facet.ahi, facet.alo)
+        # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
+        return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)
