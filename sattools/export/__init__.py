@@ -1,0 +1,1 @@
+"""Fitted scene to georeferenced products."""

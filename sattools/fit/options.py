@@ -18,15 +18,20 @@ class FitOptions:
     robust: float = option(0.1, "Residual, in tone-mapped units, from which it counts less; 0 = off.", minimum=0)
     shadow: Literal["none", "geometric"] = option("geometric", "Sun visibility model.")
     resolution: float | None = option(None, "Finest cell of the surface [m] (default: the scene grid's).", minimum=0.01)
-    stages: int = option(3, "Number of grids, each twice as fine as the one before.", minimum=1, maximum=6)
-    epochs: list[int] = option([40, 30, 12], "Passes over all views per stage, coarse to fine (the last is repeated).")
-    softness: list[float] = option([4.0, 1.5, 0.8, 0.5], "Softness s of the surface [m] at the stage limits.")
-    smooth: float = option(0.02, "Weight of the height smoothness.", minimum=0)
-    prior_weight: float = option(0.3, "Weight of the depth prior, where the scene has one.", minimum=0)
+    coarsest: float = option(4.0, "Cell at which the fit starts [m]; each stage halves it.", minimum=0.01)
+    epochs: list[int] = option(
+        [40, 30, 12, 6], "Passes over all views per stage, coarse to fine (the last is repeated)."
+    )
+    softness: list[float] = option(
+        [4.0, 1.5, 0.8, 0.5], "Softness s of the surface [m] at the start of each stage and the end of the last."
+    )
+    smooth: float = option(0.05, "Weight of the height smoothness.", minimum=0)
+    prior_weight: float = option(0.05, "Weight of the depth prior; 0 = fit without one.", minimum=0)
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
     pose: bool = option(True, "Refine one shift per view during the fit.")
     budget: float | None = option(None, "Seconds after which the fit stops and keeps what it has.", minimum=0)
     holdout: list[str] = option([], "Item id to leave out of training (repeatable).")
+    reference: str | None = option(None, "DSM to score the surface against after every epoch (never used by the fit).")
     seed: int = option(0, "Seed of everything random.", minimum=0)
     device: Literal["auto", "cpu", "cuda"] = option("auto", "Where to compute.")
     resume: bool = option(False, "Continue an interrupted fit from its last checkpoint.")

@@ -2,8 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
+
+from sattools.fit.losses import tone
+
+
+@dataclass(frozen=True)
+class EdgeWeights:
+    """How strongly neighbours are tied: down the rows ``[H - 1, W]`` and along the columns ``[H, W - 1]``, in (0, 1]."""
+
+    down: Tensor
+    along: Tensor
+
+
+def edge_weights(albedo: Tensor, contrast: float = 0.04, least: float = 0.05) -> EdgeWeights:
+    """Weak ties where the albedo changes, strong ones within a plain surface.
+
+    Heights step where colours step (a roof's rim), while a plain roof shows the renderer nothing to hold on to.
+
+    Args:
+        albedo: ``[H, W, C]`` linear.
+        contrast: tone-mapped step at which the tie falls to 1/e.
+        least: weakest tie.
+    """
+    toned = tone(albedo.detach())
+
+    def ties(axis: int) -> Tensor:
+        step = toned.diff(dim=axis).abs().amax(-1)
+        return least + (1 - least) * torch.exp(-step / contrast)
+
+    return EdgeWeights(ties(0), ties(1))
 
 
 def charbonnier(x: Tensor, scale: float) -> Tensor:
@@ -11,14 +42,22 @@ def charbonnier(x: Tensor, scale: float) -> Tensor:
     return torch.sqrt(x * x + scale * scale) - scale
 
 
-def roughness(height: Tensor, cell_size: float, first: float = 0.3, second: float = 1.0, scale: float = 0.1) -> Tensor:
+def roughness(
+    height: Tensor,
+    cell_size: float,
+    weights: EdgeWeights | None = None,
+    first: float = 0.3,
+    second: float = 1.0,
+    scale: float = 0.1,
+) -> Tensor:
     """Mean robust first and second differences of a height map, in metres.
 
     Second differences vanish on tilted planes (roofs, slopes); the linear growth lets walls be.
 
     Args:
         height: ``[H, W]`` [m].
-        cell_size: [m]; the differences are those over one metre, so that the weight means the same on every grid.
+        cell_size: [m]; the sum of differences along a line does not depend on the grid.
+        weights: ties between neighbours, or None = all 1.
         first: weight of first differences.
         second: weight of second differences.
         scale: [m] below which differences are noise.
@@ -26,9 +65,14 @@ def roughness(height: Tensor, cell_size: float, first: float = 0.3, second: floa
     total = height.new_zeros(())
     for axis in (0, 1):
         d1 = height.diff(dim=axis)
-        total = total + first * charbonnier(d1, scale).mean()
-        total = total + second * charbonnier(d1.diff(dim=axis), scale).mean()
+        one, two = charbonnier(d1, scale), charbonnier(d1.diff(dim=axis), scale)
+        if weights is not None:
+            w = weights.down if axis == 0 else weights.along
+            one = w * one
+            n = w.shape[axis] - 1
+            two = torch.minimum(w.narrow(axis, 0, n), w.narrow(axis, 1, n)) * two
+        total = total + first * one.mean() + second * two.mean()
     return total / cell_size
 
 
-__all__ = ["charbonnier", "roughness"]
+__all__ = ["EdgeWeights", "charbonnier", "edge_weights", "roughness"]

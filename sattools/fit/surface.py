@@ -52,6 +52,10 @@ class SurfaceScene:
         """All tensors, for saving."""
         return {**self.trainable(), "pose": self.pose}
 
+    def to(self, device: torch.device) -> SurfaceScene:
+        """The scene on a device."""
+        return SurfaceScene(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
+
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
         """The scene on another grid with the same upper left corner.
 

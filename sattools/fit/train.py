@@ -1,8 +1,7 @@
-"""The training loop of the surface scene."""
+"""One stage of the fit: the training loop of the surface scene on one grid."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -13,16 +12,26 @@ from torch import Tensor
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge
-from sattools.fit.regularise import roughness
+from sattools.fit.regularise import edge_weights, roughness
 from sattools.fit.surface import SurfaceScene
-from sattools.fit.views import View
 from sattools.render import Quadrature, Rays, render, sun_visibility
+from sattools.views import View
 
-# epochs between refreshes of the sun visibility and of the poses; checkpoints are written right before one
+# epochs between refreshes of the sun visibility and of the poses; a checkpoint can only be taken right before one
 REFRESH = 4
-# Adam steps: albedo and colour relations are radiances in [0, 1]
-ALBEDO_RATE = 0.02
-COLOUR_RATE = 0.004
+# Adam steps of radiances, which lie in [0, 1]
+RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004}
+BETAS = (0.9, 0.99)
+
+
+@dataclass(frozen=True)
+class StageSettings:
+    """One grid of the coarse-to-fine schedule: cell [m], epochs, softness [m] at its start and end, height range [m]."""
+
+    cell_size: float
+    epochs: int
+    softness: tuple[float, float]
+    z_range: tuple[float, float]
 
 
 @dataclass
@@ -33,87 +42,6 @@ class Prior:
     confidence: Tensor
 
 
-@dataclass
-class StageSettings:
-    """One grid of the coarse-to-fine schedule."""
-
-    cell_size: float
-    epochs: int
-    softness: tuple[float, float]
-    z_range: tuple[float, float]
-
-
-def train_stage(
-    scene: SurfaceScene,
-    views: Sequence[View],
-    settings: StageSettings,
-    options: FitOptions,
-    prior: Prior | None,
-    stage_index: int,
-    on_epoch: Callable[[int, float], bool] = lambda epoch, loss: True,
-) -> None:
-    """Fit the scene to the views in place.
-
-    Args:
-        scene: start values on the stage's grid.
-        views: images on the stage's grid.
-        settings: the stage.
-        options: of the fit.
-        prior: depth supervision or None.
-        stage_index: for the random order.
-        on_epoch: called after every epoch with its number and mean loss; False stops.
-    """
-    targets = [torch.from_numpy(v.target) for v in views]
-    masks = [torch.from_numpy(v.mask) for v in views]
-    parameters = scene.trainable()
-    for p in parameters.values():
-        p.requires_grad_(True)
-    rates = {"height": 0.0, "albedo": ALBEDO_RATE, "gain": COLOUR_RATE, "offset": COLOUR_RATE, "ambient": COLOUR_RATE}
-    adam = torch.optim.Adam([{"params": [p], "lr": rates[n], "name": n} for n, p in parameters.items()], betas=(0.9, 0.99))
-    visibility: list[Tensor | None] = [None] * len(views)
-    s0, s1 = settings.softness
-    for epoch in range(settings.epochs):
-        share = epoch / max(1, settings.epochs - 1)
-        softness = s0 * (s1 / s0) ** share
-        for group in adam.param_groups:
-            # steps shrink towards the end of a stage, so that the noise of single views averages out
-            decay = 1 - 0.7 * share
-            group["lr"] = decay * (options.height_rate * softness if group["name"] == "height" else rates[group["name"]])
-        quadrature = make_quadrature(softness, settings.z_range)
-        if epoch % REFRESH == 0:
-            if options.shadow == "geometric":
-                visibility = [
-                    sun_visibility(scene.height.detach(), settings.cell_size, v.sun) if v.sun else None for v in views
-                ]
-            if options.pose and epoch:
-                refine_poses(scene, views, visibility, quadrature, settings.cell_size)
-        order = np.random.default_rng([options.seed, stage_index, epoch]).permutation(len(views))
-        losses = []
-        for j in order:
-            adam.zero_grad(set_to_none=True)
-            rgb, _, _ = render(
-                scene.height, scene.colour(j, visibility[j]), rays_of(scene, views[j], j), quadrature, settings.cell_size, masks[j]
-            )
-            loss = photometric(options.loss, rgb, targets[j], options.robust).mean(-1)
-            loss = (loss * masks[j]).sum() / masks[j].sum() / (options.robust**2 or 1)
-            total = loss + options.smooth * roughness(scene.height, settings.cell_size)
-            if prior is not None:
-                total = total + options.prior_weight * prior_loss(scene.height, prior)
-            total.backward()
-            parameters["gain"].grad[0] = 0  # the first view is the gauge
-            parameters["offset"].grad[0] = 0
-            adam.step()
-            with torch.no_grad():
-                scene.ambient.clamp_(0.02, 1.0)
-                scene.gain.clamp_(0.05, 20.0)
-                scene.height.clamp_(*settings.z_range)
-            losses.append(float(loss.detach()))
-        if not on_epoch(epoch, float(np.mean(losses))):
-            break
-    for p in parameters.values():
-        p.requires_grad_(False)
-
-
 def prior_loss(height: Tensor, prior: Prior, limit: float = 1.0) -> Tensor:
     """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior lets go."""
     known = torch.isfinite(prior.height)
@@ -121,35 +49,151 @@ def prior_loss(height: Tensor, prior: Prior, limit: float = 1.0) -> Tensor:
     return (prior.confidence * difference.clamp_max(limit)).mean()
 
 
-def rays_of(scene: SurfaceScene, view: View, index: int) -> Rays:
-    """The view's rays with its refined pose."""
-    east, north = scene.pose[index].tolist()
-    return Rays(view.slope, view.z_ref, (east, north))
-
-
 def make_quadrature(softness: float, z_range: tuple[float, float], samples: float = 1.5) -> Quadrature:
     """Samples every softness / ``samples`` from above the highest to below the lowest height."""
     return Quadrature(softness, softness / samples, z_range[1] + 6 * softness, z_range[0] - 10 * softness)
 
 
-@torch.no_grad()
-def refine_poses(
-    scene: SurfaceScene, views: Sequence[View], visibility: Sequence[Tensor | None], quadrature: Quadrature, cell: float
-) -> None:
-    """One damped least-squares step of every view's shift, without the common part that the images cannot tell."""
-    steps = np.zeros((len(views), 2))
-    for j, view in enumerate(views):
-        mask = torch.from_numpy(view.mask)
-        rgb, _, _ = render(scene.height, scene.colour(j, visibility[j]), rays_of(scene, view, j), quadrature, cell, mask)
-        residual = np.abs(rgb.numpy() - view.target).mean(-1)
-        scale = np.median(residual[view.mask > 0]) * 3 + 1e-6
-        weight = view.mask / (1 + (residual / scale) ** 2) ** 2
-        inner = np.zeros_like(weight)
-        inner[2:-2, 2:-2] = weight[2:-2, 2:-2]
-        d = np.clip(image_shift(rgb.numpy(), view.target, inner), -1, 1) * cell
-        steps[j] = 0.7 * d[0], -0.7 * d[1]
-    pose = scene.pose.numpy() + steps
-    scene.pose.copy_(torch.from_numpy(remove_gauge(pose, [v.slope for v in views])).float())
+class StageTrainer:
+    """Fits a surface scene to views on one grid, in place.
+
+    Args:
+        scene: start values on the stage's grid.
+        views: images on the stage's grid, on the reference plane.
+        settings: the stage.
+        options: of the fit.
+        prior: depth supervision or None.
+        index: number of the stage, for the random order of the views.
+    """
+
+    def __init__(
+        self,
+        scene: SurfaceScene,
+        views: Sequence[View],
+        settings: StageSettings,
+        options: FitOptions,
+        prior: Prior | None,
+        index: int,
+    ) -> None:
+        self.scene, self.views, self.settings, self.options, self.prior, self.index = (
+            scene, views, settings, options, prior, index,
+        )  # fmt: skip
+        device = scene.height.device
+        self.targets = [torch.from_numpy(v.target).to(device) for v in views]
+        self.masks = [torch.from_numpy(v.mask).to(device) for v in views]
+        self.parameters = scene.trainable()
+        for p in self.parameters.values():
+            p.requires_grad_(True)
+        groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
+        self.adam = torch.optim.Adam(groups, lr=0.0, betas=BETAS)
+        self.visibility: list[Tensor | None] = [None] * len(views)
+        self.quadrature = make_quadrature(settings.softness[0], settings.z_range)
+
+    def run(self, start: int, on_epoch: Callable[[int, float], bool]) -> bool:
+        """Train from epoch ``start`` (a multiple of REFRESH) to the end of the stage.
+
+        ``on_epoch(done, loss)`` is called after every epoch with the number of finished epochs; False stops.
+
+        Returns:
+            False if stopped.
+        """
+        if start % REFRESH:
+            raise ValueError(f"start epoch {start}: expected a multiple of {REFRESH}")
+        for epoch in range(start, self.settings.epochs):
+            self._prepare(epoch)
+            ties = edge_weights(self.scene.albedo)
+            order = np.random.default_rng([self.options.seed, self.index, epoch]).permutation(len(self.views))
+            losses = [self._step(int(j), ties) for j in order]
+            if not on_epoch(epoch + 1, float(np.mean(losses))):
+                return False
+        for p in self.parameters.values():
+            p.requires_grad_(False)
+        return True
+
+    def _prepare(self, epoch: int) -> None:
+        """Softness, step lengths and, every REFRESH epochs, sun visibility and poses."""
+        share = epoch / max(1, self.settings.epochs - 1)
+        first, last = self.settings.softness
+        softness = first * (last / first) ** share
+        self.quadrature = make_quadrature(softness, self.settings.z_range)
+        # steps shrink towards the end of a stage, so that the noise of single views averages out
+        decay = 1 - 0.7 * share
+        for group in self.adam.param_groups:
+            rate = self.options.height_rate * softness if group["name"] == "height" else RATES[group["name"]]
+            group["lr"] = decay * rate
+        if epoch % REFRESH == 0:
+            if self.options.shadow == "geometric":
+                height = self.scene.height.detach()
+                self.visibility = [
+                    sun_visibility(height, self.settings.cell_size, v.sun) if v.sun else None for v in self.views
+                ]
+            if self.options.pose and epoch:
+                self._refine_poses()
+
+    def _render(self, j: int) -> Tensor:
+        view = self.views[j]
+        east, north = self.scene.pose[j].tolist()
+        rays = Rays(view.slope, view.z_ref, (east, north))
+        colour = self.scene.colour(j, self.visibility[j])
+        rgb, _, _ = render(self.scene.height, colour, rays, self.quadrature, self.settings.cell_size, self.masks[j])
+        return rgb
+
+    def _step(self, j: int, ties: object) -> float:
+        options = self.options
+        self.adam.zero_grad(set_to_none=True)
+        error = photometric(options.loss, self._render(j), self.targets[j], options.robust).mean(-1)
+        # in units of the robust scale, so that the other weights mean the same for every loss
+        loss = (error * self.masks[j]).sum() / self.masks[j].sum().clamp_min(1) / (options.robust**2 or 1.0)
+        total = loss + options.smooth * roughness(self.scene.height, self.settings.cell_size, ties)  # type: ignore[arg-type]
+        if self.prior is not None:
+            total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
+        total.backward()
+        for name in ("gain", "offset"):
+            self.parameters[name].grad[0] = 0  # type: ignore[index]  # the first view is the gauge
+        self.adam.step()
+        with torch.no_grad():
+            self.scene.ambient.clamp_(0.02, 1.0)
+            self.scene.gain.clamp_(0.05, 20.0)
+            self.scene.height.clamp_(*self.settings.z_range)
+        return float(loss.detach())
+
+    @torch.no_grad()
+    def _refine_poses(self) -> None:
+        """One damped least-squares step of every view's shift, less the common part that the images cannot tell."""
+        cell = self.settings.cell_size
+        steps = np.zeros((len(self.views), 2))
+        for j, view in enumerate(self.views):
+            rgb = self._render(j).cpu().numpy()
+            residual = np.abs(rgb - view.target).mean(-1)
+            seen = view.mask > 0
+            scale = 3 * float(np.median(residual[seen])) + 1e-6 if seen.any() else 1.0
+            weight = seen / (1 + (residual / scale) ** 2) ** 2
+            weight[:2], weight[-2:], weight[:, :2], weight[:, -2:] = 0, 0, 0, 0
+            d = np.clip(image_shift(rgb, view.target, weight), -1, 1) * cell
+            steps[j] = 0.7 * d[0], -0.7 * d[1]
+        pose = remove_gauge(self.scene.pose.cpu().numpy() + steps, [v.slope for v in self.views])
+        self.scene.pose.copy_(torch.from_numpy(pose))
+
+    # ---- checkpoints ------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything that a continued run needs, as flat tensors."""
+        found = {f"scene.{n}": t.detach().cpu().clone() for n, t in self.scene.tensors().items()}
+        for name, p in self.parameters.items():
+            for key, value in self.adam.state.get(p, {}).items():
+                found[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
+        return found
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Inverse of `state`."""
+        with torch.no_grad():
+            for name, tensor in self.scene.tensors().items():
+                tensor.copy_(state[f"scene.{name}"])
+        for name, p in self.parameters.items():
+            prefix = f"adam.{name}."
+            saved = {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
+            if saved:
+                self.adam.state[p] = {k: v if k == "step" else v.to(p.device) for k, v in saved.items()}
 
 
-__all__ = ["Prior", "StageSettings", "make_quadrature", "prior_loss", "rays_of", "train_stage"]
+__all__ = ["REFRESH", "Prior", "StageSettings", "StageTrainer", "make_quadrature", "prior_loss"]

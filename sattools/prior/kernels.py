@@ -21,7 +21,9 @@ def _shift(image, dx, dy, out):
         for col in range(cols):
             c0 = min(max(col + ix, 0), cols - 1)
             c1 = min(max(col + ix + 1, 0), cols - 1)
-            out[row, col] = gy * (gx * image[r0, c0] + fx * image[r0, c1]) + fy * (gx * image[r1, c0] + fx * image[r1, c1])
+            out[row, col] = gy * (gx * image[r0, c0] + fx * image[r0, c1]) + fy * (
+                gx * image[r1, c0] + fx * image[r1, c1]
+            )
 
 
 @njit(cache=True, fastmath=True)
@@ -52,7 +54,43 @@ def _box(image, radius, scratch, out):
 
 
 @njit(parallel=True, cache=True, fastmath=True)
-def correlate(images, masks, slopes, heights, z_ref, pairs, weights, radius, noise, best, volume):
+def first_hits(height, slopes, z_ref, z_top, z_bottom, step, hits):
+    """Height at which every ray of every view first meets the surface; hits [V, H, W] on the reference plane."""
+    views = slopes.shape[0]
+    rows, cols = height.shape
+    for v in range(views):
+        for row in prange(rows):
+            for col in range(cols):
+                z = z_top
+                while z > z_bottom:
+                    dz = z - z_ref
+                    x = int(round(col + slopes[v, 0] * dz))
+                    y = int(round(row + slopes[v, 1] * dz))
+                    if 0 <= x < cols and 0 <= y < rows and height[y, x] >= z:
+                        break
+                    z -= step
+                hits[v, row, col] = z
+
+
+@njit(parallel=True, cache=True, fastmath=True)
+def correlate(
+    images,
+    masks,
+    slopes,
+    heights,
+    z_ref,
+    hits,
+    tolerance,
+    pairs,
+    weights,
+    radius,
+    noise,
+    best,
+    colours,
+    scale,
+    share,
+    volume,
+):
     """Robust multi-view correlation of every (cell, height).
 
     images [V, H, W] on the reference plane z_ref; masks [V, H, W] (1 = valid); slopes [V, 2] in cells (column, row) per metre;
@@ -83,6 +121,8 @@ def correlate(images, masks, slopes, heights, z_ref, pairs, weights, radius, noi
                     c, r = col + dx, row + dy
                     if c < 0 or r < 0 or c > cols - 1 or r > rows - 1:
                         valid[v, row, col] = 0.0
+                    elif heights[k] < hits[v, int(round(r)), int(round(c))] - tolerance:
+                        valid[v, row, col] = 0.0
             _box(product, radius, scratch, found)
             for row in range(rows):
                 for col in range(cols):
@@ -106,6 +146,30 @@ def correlate(images, masks, slopes, heights, z_ref, pairs, weights, radius, noi
         for row in range(rows):
             for col in range(cols):
                 volume[k, row, col] = _best_mean(scores[row, col], weights, best)
+        if share > 0:
+            for v in range(views):
+                _shift(colours[v], -slopes[v, 0] * dz, -slopes[v, 1] * dz, moved[v])
+            for row in range(rows):
+                for col in range(cols):
+                    n = np.float32(0)
+                    m = np.float32(0)
+                    for v in range(views):
+                        if valid[v, row, col] > 0.99:
+                            n += 1
+                            m += moved[v, row, col]
+                    if n >= 2:
+                        m /= n
+                        for _ in range(2):
+                            sw = np.float32(1e-6)
+                            sm = np.float32(0)
+                            for v in range(views):
+                                if valid[v, row, col] > 0.99:
+                                    d = (moved[v, row, col] - m) / scale
+                                    w = np.float32(1) / (1 + d * d)
+                                    sw += w
+                                    sm += w * moved[v, row, col]
+                            m = sm / sw
+                        volume[k, row, col] += share * (sw / n)
 
 
 @njit(cache=True, fastmath=True)
@@ -141,7 +205,12 @@ def aggregate(cost, p1, p2, total):
         n = 0
         for row in range(rows):
             for col in range(cols):
-                if (dr == 1 and row == 0) or (dr == -1 and row == rows - 1) or (dc == 1 and col == 0) or (dc == -1 and col == cols - 1):
+                if (
+                    (dr == 1 and row == 0)
+                    or (dr == -1 and row == rows - 1)
+                    or (dc == 1 and col == 0)
+                    or (dc == -1 and col == cols - 1)
+                ):
                     starts[n, 0] = row
                     starts[n, 1] = col
                     n += 1

@@ -44,19 +44,28 @@ def _cross(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
-def squares(sun: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
-    """``(|sun + view|^2, |sun - view|^2)`` of vectors ``[..., 3]``."""
+class Pair(NamedTuple):
+    """What depends on sun and view alone: their vector product (components), |sun + view|^2 and |sun - view|^2."""
+
+    cross: tuple[Tensor, Tensor, Tensor]
+    plus2: Tensor
+    minus2: Tensor
+
+
+def pair(sun: Tensor, view: Tensor) -> Pair:
+    """`Pair` of vectors ``[..., 3]``."""
     s, v = sun.unbind(-1), view.unbind(-1)
     along, apart = [p + q for p, q in zip(s, v)], [p - q for p, q in zip(s, v)]
     plus2 = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
-    return plus2, apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
+    minus2 = apart[0] * apart[0] + apart[1] * apart[1] + apart[2] * apart[2]
+    return Pair(_cross(sun, view), plus2, minus2)
 
 
-def measure(normal: Tensor, sun: Tensor, view: Tensor) -> Angles:
-    """`Angles` of unit vectors ``[..., 3]`` (broadcast against each other)."""
-    n, s, v = normal.unbind(-1), sun.unbind(-1), view.unbind(-1)
-    x = _cross(sun, view)
-    plus2, minus2 = squares(sun, view)
+def measure(normal: Tensor, sun: Tensor, view: Tensor, known: Pair | None = None) -> Angles:
+    """`Angles` of unit vectors ``[..., 3]`` (broadcast against each other); ``known`` saves computing the `pair` again."""
+    n = [part.contiguous() for part in normal.unbind(-1)]
+    s, v = sun.unbind(-1), view.unbind(-1)
+    x, plus2, minus2 = known or pair(sun, view)
     return Angles(
         mu0=n[0] * s[0] + n[1] * s[1] + n[2] * s[2],
         mu=n[0] * v[0] + n[1] * v[1] + n[2] * v[2],
@@ -67,31 +76,31 @@ def measure(normal: Tensor, sun: Tensor, view: Tensor) -> Angles:
 
 
 def pull_back(
-    normal: Tensor, sun: Tensor, view: Tensor, grad: Angles, needed: tuple[bool, bool, bool]
+    normal: Tensor, sun: Tensor, view: Tensor, known: Pair, grad: Angles, needed: tuple[bool, ...]
 ) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
     """Gradients of normal, sun and view ``[..., 3]`` from gradients of their `Angles` (reverse of `measure`).
 
     The results have the broadcast shape; ``needed`` says which of the three to compute, the others are None.
     """
-
-    def stack(parts: list[Tensor]) -> Tensor:
-        return torch.stack(torch.broadcast_tensors(*parts), -1)
-
+    shape = torch.broadcast_shapes(*[v.shape[:-1] for v in (normal, sun, view)], *[g.shape for g in grad])
     n, s, v = normal.unbind(-1), sun.unbind(-1), view.unbind(-1)
-    grads: list[Tensor | None] = [None, None, None]
-    if needed[0]:
-        x = _cross(sun, view)
-        grads[0] = stack([grad.mu0 * s[k] + grad.mu * v[k] + grad.triple * x[k] for k in range(3)])
-    if needed[1] or needed[2]:
+    grads = [normal.new_empty((*shape, 3)) if need else None for need in needed[:3]]
+    by_normal, by_sun, by_view = grads
+    if by_normal is not None:
+        for k in range(3):
+            by_normal[..., k] = grad.mu0 * s[k] + grad.mu * v[k] + grad.triple * known.cross[k]
+    if by_sun is not None or by_view is not None:
         apart = [2 * grad.minus2 * (p - q) for p, q in zip(s, v)]
         along = [2 * grad.plus2 * (p + q) for p, q in zip(s, v)]
-        if needed[1]:
+        if by_sun is not None:
             x = _cross(view, normal)
-            grads[1] = stack([grad.mu0 * n[k] + grad.triple * x[k] + along[k] + apart[k] for k in range(3)])
-        if needed[2]:
+            for k in range(3):
+                by_sun[..., k] = grad.mu0 * n[k] + grad.triple * x[k] + along[k] + apart[k]
+        if by_view is not None:
             x = _cross(normal, sun)
-            grads[2] = stack([grad.mu * n[k] + grad.triple * x[k] + along[k] - apart[k] for k in range(3)])
-    return grads[0], grads[1], grads[2]
+            for k in range(3):
+                by_view[..., k] = grad.mu * n[k] + grad.triple * x[k] + along[k] - apart[k]
+    return by_normal, by_sun, by_view
 
 
 def as_tensors(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> list[Tensor]:

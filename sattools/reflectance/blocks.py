@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
-# elements; PyTorch does not start threads below this size, and about forty such arrays fit the caches
-BLOCK = 32768
+# elements for each thread: PyTorch gives a thread no less than this, and about forty such arrays fit its caches
+BLOCK = 65536
 
 
 class Blocks:
@@ -21,13 +22,14 @@ class Blocks:
         size = 1
         for length in shape:
             size *= length
-        if whole or size <= BLOCK:
+        limit = BLOCK * torch.get_num_threads()
+        if whole or size <= limit:
             self.axis, self.ranges = -1, [(0, shape[-1] if shape else 1)]
             return
         longest = max(range(len(shape)), key=lambda k: shape[k])
         self.axis = longest - len(shape)
         length = shape[longest]
-        step = max(1, BLOCK * length // size)
+        step = max(1, limit * length // size)
         self.ranges = [(start, min(step, length - start)) for start in range(0, length, step)]
 
     def is_cut(self, operand: Tensor, trailing: int = 0) -> bool:

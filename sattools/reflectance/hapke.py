@@ -35,7 +35,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sattools.reflectance import roughness
-from sattools.reflectance.angles import Angles, as_tensors, measure, pull_back, squares
+from sattools.reflectance.angles import Angles, Pair, as_tensors, measure, pair, pull_back
 from sattools.reflectance.blocks import Blocks
 
 W_MAX = 1 - 1e-6
@@ -121,26 +121,34 @@ def _tangent(theta_deg: Tensor) -> Tensor:
     return torch.tan(theta_deg.clamp(THETA_MIN, THETA_MAX) * _DEGREE)
 
 
-def _inside(value: Tensor, low: float, high: float) -> Tensor:
-    return ((value >= low) & (value <= high)).to(value.dtype)
+def _stop(grad: Tensor, value: Tensor, low: float, high: float) -> Tensor:
+    """The gradient where the value lies between the bounds, else 0 (the reverse of clamp, in one pass)."""
+    return torch.ops.aten.hardtanh_backward(*torch.broadcast_tensors(grad, value), low, high)
 
 
 class _Hapke(torch.autograd.Function):
-    """The model with its reverse written out, evaluated block by block; operands in the order of `hapke`, b0 None for no opposition."""
+    """The model with its reverse written out, evaluated block by block; operands in the order of `hapke`, b0 None for no opposition.
+
+    Without an axis of bands the derivatives are worked out along with the value, while everything is in the cache, and eight numbers a sample
+    are kept. With bands the intermediate values are kept instead, so that gradients are summed over bands before they go on to the
+    geometry.
+    """
 
     @staticmethod
-    def forward(ctx: Any, keep: bool, *operands: Tensor | None) -> Tensor:
-        vectors, rest = operands[:3], operands[3:]
-        shapes = [v.shape[:-1] for v in vectors if v is not None] + [p.shape for p in rest if p is not None]
-        normal = vectors[0]
-        assert normal is not None
-        blocks = Blocks(tuple(torch.broadcast_shapes(*shapes)), normal.is_cuda)
-        out = normal.new_empty(blocks.shape)
-        kept: list[tuple] = []
+    def forward(ctx: Any, needed: tuple[bool, ...], *operands: Tensor | None) -> Tensor:
+        normal, sun, view, *parameters = operands
+        assert normal is not None and sun is not None and view is not None
+        facets = torch.broadcast_shapes(normal.shape[:-1], sun.shape[:-1], view.shape[:-1], operands[6].shape)
+        shape = torch.broadcast_shapes(facets, *[p.shape for p in parameters if p is not None])
+        blocks = Blocks(tuple(shape), normal.is_cuda)
+        known = _known(blocks, operands)
+        out = normal.new_empty(shape)
+        keep, ctx.direct = any(needed), facets == shape
+        kept: list[Tensor | None] = []
         for block in blocks.ranges:
             parts = _cut(blocks, block, operands)
             n, s, v, w, b, c, theta, b0, h = parts
-            angles = measure(n, s, v)
+            angles = measure(n, s, v, known)
             t = _tangent(theta)
             facet = roughness.forward(angles, t)
             lobes = _lobes(angles, b, c, b0, h)
@@ -148,62 +156,83 @@ class _Hapke(torch.autograd.Function):
             p = lobes.p if lobes.boost is None else lobes.p * lobes.boost
             inner = p + (multiple.hlo * multiple.hhi - 1)
             blocks.cut(out, block).copy_((0.25 * facet.lit) * (multiple.w * facet.k) * inner)
-            if keep:
-                kept.append((t, facet, lobes, multiple, inner))
+            if keep and ctx.direct:
+                kept += _reverse(parts, known, (t, facet, lobes, multiple, inner), None, needed)
+            elif keep:
+                kept += [t, *facet, *lobes, *multiple, inner]
         if keep:
-            ctx.blocks = blocks
-            flat: list[Tensor | None] = list(operands)
-            for t, facet, lobes, multiple, inner in kept:
-                flat += [t, *facet, *lobes, *multiple, inner]
-            ctx.save_for_backward(*flat)
+            ctx.blocks, ctx.needed = blocks, needed
+            ctx.save_for_backward(*operands, *kept)
         return out
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        needed = ctx.needs_input_grad[1:]
-        operands, blocks = saved[:9], ctx.blocks
-        sizes = (1, len(roughness.Facet._fields), len(_Lobes._fields), len(_Multiple._fields), 1)
+        saved, needed, blocks = ctx.saved_tensors, ctx.needed, ctx.blocks
+        operands, kept = saved[:9], saved[9:]
+        each = len(kept) // len(blocks.ranges)
+        known = None if ctx.direct else _known(blocks, operands)
         total: list[Tensor | None] = [None] * 9
-        position = 9
-        for block in blocks.ranges:
-            chunks = []
-            for size in sizes:
-                chunks.append(saved[position : position + size])
-                position += size
-            state = (chunks[0][0], roughness.Facet(*chunks[1]), _Lobes(*chunks[2]), _Multiple(*chunks[3]), chunks[4][0])
+        for number, block in enumerate(blocks.ranges):
+            state = kept[number * each : (number + 1) * each]
+            grad = blocks.cut(grads[0], block)
             parts = _cut(blocks, block, operands)
-            found = _reverse(parts, state, blocks.cut(grads[0], block), needed)
-            for index, gradient in enumerate(found):
-                if gradient is None or not needed[index]:
-                    continue
-                operand, trailing = operands[index], int(index < 3)
-                part = gradient.sum_to_size(parts[index].shape)
-                if len(blocks.ranges) == 1:
-                    total[index] = part
-                elif blocks.is_cut(operand, trailing):
-                    if total[index] is None:
-                        total[index] = torch.empty_like(operand)
-                    blocks.cut(total[index], block, trailing).copy_(part)
-                else:
-                    total[index] = part if total[index] is None else total[index] + part
+            if ctx.direct:
+                found = [
+                    None if rate is None else rate * (grad if index > 2 else grad[..., None])
+                    for index, rate in enumerate(state)
+                ]
+            else:
+                found = _reverse(parts, known, _unpack(state), grad, needed)
+            for index in range(9):
+                if needed[index]:
+                    _collect(total, index, found[index].sum_to_size(parts[index].shape), operands[index], blocks, block)
         return (None, *total)
+
+
+def _unpack(state: tuple) -> tuple:
+    values = iter(state)
+
+    def take(kind: Any) -> Any:
+        return kind(*[next(values) for _ in kind._fields])
+
+    return next(values), take(roughness.Facet), take(_Lobes), take(_Multiple), next(values)
+
+
+def _collect(
+    total: list[Tensor | None], index: int, part: Tensor, operand: Tensor, blocks: Blocks, block: tuple[int, int]
+) -> None:
+    """Put a block's gradient where it belongs: beside those of other blocks, or onto them if the operand is shared."""
+    if not blocks.is_cut(operand, int(index < 3)):
+        total[index] = part if total[index] is None else total[index] + part
+        return
+    if total[index] is None:
+        total[index] = torch.empty_like(operand)
+    blocks.cut(total[index], block, int(index < 3)).copy_(part)
 
 
 def _cut(blocks: Blocks, block: tuple[int, int], operands: tuple) -> list:
     return [None if o is None else blocks.cut(o, block, int(index < 3)) for index, o in enumerate(operands)]
 
 
-def _reverse(parts: list, state: tuple, grad: Tensor, needed: tuple[bool, ...]) -> list[Tensor | None]:
-    """Gradients of the nine operands of a block, before summing over axes that were broadcast."""
+def _known(blocks: Blocks, operands: tuple) -> Pair | None:
+    """The `Pair` of sun and view if it serves all blocks."""
+    sun, view = operands[1:3]
+    return None if blocks.is_cut(sun, 1) or blocks.is_cut(view, 1) else pair(sun, view)
+
+
+def _reverse(
+    parts: list, known: Pair | None, state: tuple, grad: Tensor | None, needed: tuple[bool, ...]
+) -> list[Tensor | None]:
+    """Gradients of the nine operands of a block, before summing over axes that were broadcast; ``grad`` None stands for 1."""
     n, s, v, w, b, c, theta, b0, h = parts
+    known = known or pair(s, v)
     t, facet, o, m, inner = state
     geometry = any(needed[:3])
     directions = needed[1] or needed[2]
     found: list[Tensor | None] = [None] * 9
 
-    base = grad * (0.25 * facet.lit)
+    base = 0.25 * facet.lit if grad is None else grad * (0.25 * facet.lit)
     scaled = base * facet.k
     g_inner = scaled * m.w
     g_w = scaled * inner
@@ -216,9 +245,9 @@ def _reverse(parts: list, state: tuple, grad: Tensor, needed: tuple[bool, ...]) 
         g_boost = g_p * o.p
         g_p = (g_p * o.boost).sum_to_size(o.p.shape)
         damp = h * o.plus * o.rate
-        found[7] = g_boost * damp
+        found[7] = g_boost * damp if needed[7] else None
         slope = g_boost * b0 * o.rate * o.rate
-        found[8] = slope * o.plus * o.minus
+        found[8] = slope * o.plus * o.minus if needed[8] else None
         if directions:
             g_minus2 = -0.5 * slope * h * o.plus / o.minus
             g_plus2 = 0.5 * slope * h * o.minus / o.plus
@@ -226,14 +255,14 @@ def _reverse(parts: list, state: tuple, grad: Tensor, needed: tuple[bool, ...]) 
         front2, back2 = o.front * o.front, o.back * o.back
         front3, back3 = front2 * o.front, back2 * o.back
         weighted = g_p * o.width
-        found[5] = weighted * (back3 - front3)
+        found[5] = weighted * (back3 - front3) if needed[5] else None
         if needed[4] or directions:
             a, z = (1 - c) * front3, c * back3
             fall_a, fall_z = -1.5 * weighted * a * front2, -1.5 * weighted * z * back2
             gap = 2 * (o.b - 1)
-            plus2, minus2 = squares(s, v)
-            g_b = fall_a * (gap + plus2) + fall_z * (gap + minus2) - 2 * g_p * o.b * (a + z)
-            found[4] = g_b * _inside(b, -B_MAX, B_MAX)
+            g_b = fall_a * (gap + known.plus2) + fall_z * (gap + known.minus2) - 2 * g_p * o.b * (a + z)
+            if needed[4]:
+                found[4] = _stop(g_b, b, -B_MAX, B_MAX)
             if directions:
                 g_plus2 = _add(fall_a * o.b, g_plus2)
                 g_minus2 = _add(fall_z * o.b, g_minus2)
@@ -241,7 +270,8 @@ def _reverse(parts: list, state: tuple, grad: Tensor, needed: tuple[bool, ...]) 
     # H functions; from here on gradients have the shape of the geometry
     x_lo, w_lo = _h_rates(m, m.xlo, m.log_lo, m.hlo, g_inner * m.hhi)
     x_hi, w_hi = _h_rates(m, m.xhi, m.log_hi, m.hhi, g_inner * m.hlo)
-    found[3] = (g_w + w_lo + w_hi) * (w <= W_MAX).to(w.dtype)
+    if needed[3]:
+        found[3] = _stop(g_w + w_lo + w_hi, w, -math.inf, W_MAX)
     if not geometry and not needed[6]:
         return found
     x_lo, x_hi = x_lo.sum_to_size(facet.alo.shape), x_hi.sum_to_size(facet.ahi.shape)
@@ -249,13 +279,14 @@ def _reverse(parts: list, state: tuple, grad: Tensor, needed: tuple[bool, ...]) 
     tt = t * t
     # shrink = (1 + pi t^2)^(-1/2)
     g_t = g_t - math.pi * t * m.shrink * m.shrink * (x_lo * m.xlo + x_hi * m.xhi)
-    found[6] = g_t * (1 + tt) * (_DEGREE * _inside(theta, THETA_MIN, THETA_MAX))
+    if needed[6]:
+        found[6] = _stop(g_t * (_DEGREE + _DEGREE * tt), theta, THETA_MIN, THETA_MAX)
     if g_angles is not None:
         if directions:
             g_angles = g_angles._replace(
                 minus2=_add(g_angles.minus2, g_minus2), plus2=_add(g_angles.plus2, g_plus2)
             )
-        found[:3] = pull_back(n, s, v, g_angles, needed[:3])
+        found[:3] = pull_back(n, s, v, known, g_angles, needed)
     return found
 
 
@@ -292,10 +323,10 @@ def hapke(
         TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
     """
     operands: list[Tensor | None] = [*as_tensors(normal, sun, view, w, b, c, theta_deg, b0, h)]
-    keep = torch.is_grad_enabled() and any(o is not None and o.requires_grad for o in operands)
     if not isinstance(b0, Tensor) and b0 == 0:
         operands[7] = None
-    return _Hapke.apply(keep, *operands)
+    needed = tuple(torch.is_grad_enabled() and o is not None and o.requires_grad for o in operands)
+    return _Hapke.apply(needed, *operands)
 
 
 def effective_cosines(

@@ -24,16 +24,16 @@ from torch import Tensor
 
 from sattools.reflectance.angles import Angles
 
-# u is held here: E1 and E2 are below 1e-55 from there on, and so is all that depends on them
-_U_MAX = 200.0
-# sin^2 and |projections|^2 below these leave no weight to the azimuth (E1 = E2 = 0); they only keep quotients finite
+# exponents end here (exp(-60) = 9e-27 is 0 beside anything it is added to): denormal numbers would cost ten times the rest
+_EXPONENT_MAX = 60.0
+_U_MAX = _EXPONENT_MAX * math.pi / 2
+# sin^2 and |projections|^2 below these leave no weight to the azimuth (E1 and E2 at their least); they only keep quotients finite
 _SIN2_MIN = 1e-12
 _R2_MIN = 1e-24
 # both vanish only at i = e = 90 degrees, psi = 180 degrees, where the effective cosines go to 0 with them
 _D_MIN = 1e-7
 _A_MIN = 1e-12
-# exp(-2 T) = 0 from here on
-_T_MAX = 100.0
+_T_MAX = _EXPONENT_MAX / 2
 # a facet seen and lit along its own plane from the same side (i = e = 90 degrees, psi = 0): the BRF is infinite there, as pi L / (E cos i) must be
 Z_MIN = 1e-6
 
@@ -85,7 +85,8 @@ def forward(angles: Angles, t: Tensor) -> Facet:
     uhi = (c_hi / (shi * t)).clamp_max(_U_MAX)
     # 1 - E1, so that D keeps its digits near the horizon
     x1lo, x1hi = -torch.expm1(ulo * (-2 / math.pi)), -torch.expm1(uhi * (-2 / math.pi))
-    e2lo, e2hi = torch.exp(ulo * ulo * (-1 / math.pi)), torch.exp(uhi * uhi * (-1 / math.pi))
+    e2lo = torch.exp((ulo * ulo * (-1 / math.pi)).clamp_min(-_EXPONENT_MAX))
+    e2hi = torch.exp((uhi * uhi * (-1 / math.pi)).clamp_min(-_EXPONENT_MAX))
 
     # projections onto the facet: x = sin i sin e cos psi, y = sin i sin e |sin psi|
     side = torch.sgn(angles.triple)

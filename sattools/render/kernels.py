@@ -49,7 +49,24 @@ def _entry(u):
 
 
 @njit(parallel=True, fastmath=True, cache=True, nogil=True)
-def march(height, ceiling, colour, offset, slope, z_ref, z_top, z_bottom, softness, step, table, mask, chunks, rgb, depth, opacity):
+def march(
+    height,
+    ceiling,
+    colour,
+    offset,
+    slope,
+    z_ref,
+    z_top,
+    z_bottom,
+    softness,
+    step,
+    table,
+    mask,
+    chunks,
+    rgb,
+    depth,
+    opacity,
+):
     """Composite every ray of a view; returns the number of field samples that were evaluated.
 
     height [H, W], ceiling [H, W] (highest surface within REACH cells), colour [H, W, C], mask [H, W] (0 = skip); outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W].

@@ -93,7 +93,15 @@ def _geometry(rays: Rays, q: Quadrature, cell: float) -> tuple:
 
     offset = np.array([rays.offset[0] / cell, -rays.offset[1] / cell], np.float32)
     slope = np.array([rays.slope[0] / cell, -rays.slope[1] / cell], np.float32)
-    return offset, slope, np.float32(rays.z_ref), np.float32(q.z_bottom), np.float32(q.softness), np.float32(q.step), kernels.tables(q.softness, q.step)
+    return (
+        offset,
+        slope,
+        np.float32(rays.z_ref),
+        np.float32(q.z_bottom),
+        np.float32(q.softness),
+        np.float32(q.step),
+        kernels.tables(q.softness, q.step),
+    )
 
 
 __all__ = ["COUNTER", "render"]

@@ -36,7 +36,9 @@ class View:
     spread_m: float
 
 
-def line_of_sight(rpc: RPC, grid: Grid, z_ref: float, z_range: tuple[float, float]) -> tuple[tuple[float, float], float]:
+def line_of_sight(
+    rpc: RPC, grid: Grid, z_ref: float, z_range: tuple[float, float]
+) -> tuple[tuple[float, float], float]:
     """Common slope of a view's rays over the grid, and how far a ray strays from it [m].
 
     Returns:
@@ -93,7 +95,8 @@ def make_view(
         ) / np.maximum(weight, 1e-6)
     map_col, map_row = col.astype(np.float32), row.astype(np.float32)
     target = np.stack(
-        [cv2.remap(band, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for band in filled], axis=-1
+        [cv2.remap(band, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for band in filled],
+        axis=-1,
     )
     seen = cv2.remap(weight, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     height, width = image.shape[1:]
@@ -137,8 +140,6 @@ def match_colours(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     gain = np.array(spreads) / spreads[0]
     offset = np.array(means) - gain * means[0]
     return gain.astype(np.float32), offset.astype(np.float32)
-
-
 
 
 __all__ = ["View", "line_of_sight", "make_view", "match_colours"]

@@ -1,0 +1,31 @@
+"""`sattools export`: a fitted scene becomes georeferenced files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.pipe import Run, run_scenes
+from sattools.export.options import ExportOptions
+from sattools.progress import Progress
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("export")
+@scene_argument
+@dataclass_options(ExportOptions)
+@common_options
+def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Write the DSM, the albedo, shadow masks and a picture as cloud-optimised GeoTIFFs and PNG."""
+    options = build(ExportOptions, values)
+
+    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+        from sattools.export.stage import export
+
+        return export(scene, options, progress, overwrite)
+
+    run_scenes(Run("export", options, dry_run, print_config), scenes, work, plan="write the DSM and maps")

@@ -1,0 +1,35 @@
+"""`sattools fit`: a scene becomes a fitted model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.pipe import Run, run_scenes
+from sattools.fit.options import FitOptions
+from sattools.progress import Progress
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("fit")
+@scene_argument
+@dataclass_options(FitOptions)
+@common_options
+def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Fit a surface with albedo to the scene's images by differentiable rendering.
+
+    Writes fit/model.safetensors and fit/trace.csv below the scene's root. A fit that was interrupted goes on with
+    --resume and ends with the same surface as one that was not.
+    """
+    options = build(FitOptions, values)
+
+    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+        from sattools.fit.stage import fit
+
+        return fit(scene, options, progress, overwrite)
+
+    run_scenes(Run("fit", options, dry_run, print_config), scenes, work, plan="fit the surface")

@@ -1,0 +1,40 @@
+"""Vertical datums."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sattools.camera.ground import to_geographic
+from sattools.errors import SattoolsError
+from sattools.scene.grid import Grid
+
+GEOIDS = {"egm96": ("EPSG:4326+5773", "EGM96 geoid"), "egm2008": ("EPSG:4326+3855", "EGM2008 geoid")}
+ELLIPSOID = "WGS84 ellipsoid"
+
+
+def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray, str]:
+    """Ellipsoidal heights in another vertical datum, and the datum's name.
+
+    Raises:
+        SattoolsError: PROJ has no grid for the geoid.
+    """
+    if vertical == "ellipsoid":
+        return height, ELLIPSOID
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    code, name = GEOIDS[vertical]
+    x, y = np.meshgrid(grid.x(), grid.y())
+    lon, lat = to_geographic(grid.crs, x.ravel(), y.ravel())
+    try:
+        # only_best: without the geoid's grid PROJ would silently hand the ellipsoidal heights back
+        transformer = Transformer.from_crs("EPSG:4979", code, always_xy=True, only_best=True)
+        _, _, above = transformer.transform(lon, lat, height.astype(np.float64).ravel(), errcheck=True)
+    except ProjError as error:
+        raise SattoolsError(
+            f"--vertical {vertical}: PROJ has no grid of the {name} (install it with `projsync --file us_nga_{vertical}`)"
+        ) from error
+    return np.asarray(above).reshape(height.shape), name
+
+
+__all__ = ["ELLIPSOID", "to_datum"]

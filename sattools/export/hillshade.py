@@ -1,0 +1,47 @@
+"""Pictures of a height map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sattools.scene.grid import Grid
+from sattools.scene.raster import atomic
+
+
+def hillshade(height: np.ndarray, cell_size: float, azimuth_deg: float = 315.0, elevation_deg: float = 40.0) -> np.ndarray:
+    """Lambertian shading ``[H, W]`` in [0, 1] of a height map lit from an azimuth (clockwise from north) and elevation."""
+    south, east = np.gradient(height, cell_size)
+    normal = np.stack([-east, south, np.ones_like(height)])
+    normal /= np.linalg.norm(normal, axis=0)
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    light = (np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation))
+    return np.clip(np.tensordot(light, normal, axes=1), 0.0, 1.0)
+
+
+def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> None:
+    """PNG of a DSM: colour ramp over hillshade, with axes in metres and a colour bar."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+
+    known = height[np.isfinite(height)]
+    low, high = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
+    mappable = ScalarMappable(Normalize(low, max(high, low + 1e-3)), "viridis")
+    shade = hillshade(np.nan_to_num(height, nan=low), grid.cell_size)
+    image = mappable.to_rgba(height)[..., :3] * (0.45 + 0.75 * shade[..., None])
+    image[~np.isfinite(height)] = 1.0
+    figure = Figure(figsize=(7, 7 * grid.height / grid.width + 0.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    extent = (0.0, grid.width * grid.cell_size, 0.0, grid.height * grid.cell_size)
+    axes.imshow(np.clip(image, 0, 1), extent=extent)
+    axes.set(title=title, xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
+    figure.colorbar(mappable, ax=axes, label="height above the ellipsoid [m]", shrink=0.8)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
+
+
+__all__ = ["hillshade", "write_picture"]

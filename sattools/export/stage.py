@@ -1,0 +1,84 @@
+"""The stage `export`: a fitted model becomes georeferenced files."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from sattools.errors import InputError, SceneError
+from sattools.export.datum import to_datum
+from sattools.export.hillshade import write_picture
+from sattools.export.options import ExportOptions
+from sattools.progress import Progress, silent
+from sattools.scene import Asset, Grid, Scene
+from sattools.scene.raster import write_cog
+
+DSM, ALBEDO, PICTURE = "export/dsm.tif", "export/albedo.tif", "export/dsm.png"
+
+
+def export(
+    scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True
+) -> dict[str, Any]:
+    """Write the DSM, its picture, the albedo and a shadow mask per image; adds products and assets to the scene.
+
+    Raises:
+        SceneError: the scene has no model.
+        InputError: the model file is damaged.
+    """
+    from sattools.fit.checkpoint import load
+
+    if "model" not in scene.products:
+        raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
+    source = scene.path(scene.products["model"])
+    tensors, meta = load(source)
+    try:
+        grid = Grid.from_dict(meta["grid"])
+        height, albedo = tensors["height"], tensors["albedo"]
+        names, suns = meta["items"], meta["suns"]
+    except KeyError as error:
+        raise InputError(f"{source}: found a model without {error}, expected a surface model") from error
+    targets = {name: scene.output(name, overwrite) for name in (DSM, ALBEDO, PICTURE)}
+
+    progress(0.1, "DSM")
+    dsm, datum = to_datum(height.numpy(), grid, options.vertical)
+    tags = {"VERTICAL_DATUM": datum, "SOFTWARE": "sattools"}
+    write_cog(targets[DSM], dsm, grid, units="m", tags=tags, descriptions=["height"])
+    write_picture(dsm, grid, f"{scene.id}: DSM, {grid.cell_size:g} m", targets[PICTURE])
+    progress(0.3, "albedo")
+    bands = [f"albedo {b + 1}" for b in range(albedo.shape[-1])]
+    relative = {"SCALE": "relative: radiance of the first training image in full sun", "SOFTWARE": "sattools"}
+    write_cog(targets[ALBEDO], albedo.permute(2, 0, 1).numpy(), grid, units="1", tags=relative, descriptions=bands)
+    scene.products.update(dsm=DSM, albedo=ALBEDO, dsm_picture=PICTURE)
+    if meta["shadow"] == "geometric":
+        _shadows(scene, grid, height, names, suns, progress, overwrite)
+    progress(1.0, "exported")
+    return {"vertical_datum": datum}
+
+
+def _shadows(
+    scene: Scene,
+    grid: Grid,
+    height: torch.Tensor,
+    names: list[str],
+    suns: list[list[float] | None],
+    progress: Progress,
+    overwrite: bool,
+) -> None:
+    """One mask per image, on the ground grid: 1 in cast shadow, 0 lit, 255 sun unknown."""
+    from sattools.render import sun_visibility
+
+    items = {item.id: item for item in scene.items}
+    for k, (name, sun) in enumerate(zip(names, suns, strict=True)):
+        progress(0.4 + 0.6 * k / len(names), f"shadow of {name}")
+        if name not in items or sun is None:
+            continue
+        lit = sun_visibility(height, grid.cell_size, (sun[0], sun[1], sun[2])).numpy()
+        href = f"export/shadow/{name}.tif"
+        mask = np.where(lit < 0.5, 1, 0).astype(np.uint8)
+        write_cog(scene.output(href, overwrite), mask, grid, nodata=255, descriptions=["1 = cast shadow"])
+        items[name].assets["shadow"] = Asset(href)
+
+
+__all__ = ["export"]

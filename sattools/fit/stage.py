@@ -1,0 +1,287 @@
+"""The stage `fit`: a scene with images and cameras becomes a fitted model."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from sattools.errors import SceneError
+from sattools.fit import checkpoint
+from sattools.fit.options import FitOptions
+from sattools.fit.schedule import schedule
+from sattools.fit.surface import SurfaceScene, start_scene
+from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
+from sattools.progress import Progress, silent
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import read_raster, write_text
+from sattools.views import Source, View, load_sources, match_colours, views_on
+
+log = logging.getLogger(__name__)
+MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
+START_AMBIENT = 0.4
+
+
+@dataclass
+class Trace:
+    """What happened when; one row per epoch."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    offset: float = 0.0  # seconds spent before an interruption
+    started: float = field(default_factory=time.perf_counter)
+
+    def seconds(self) -> float:
+        """Time spent on the fit, earlier runs of a resumed one included."""
+        return self.offset + time.perf_counter() - self.started
+
+    def to_csv(self) -> str:
+        """The rows as CSV text."""
+        text = io.StringIO()
+        names = list(dict.fromkeys(name for row in self.rows for name in row))
+        writer = csv.DictWriter(text, names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+
+def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+    """Fit a surface to the scene's training images; writes the model and the trace below the root.
+
+    Returns:
+        Remarks and figures for the history.
+
+    Raises:
+        SceneError: fewer than two usable images, or unknown held-out ids.
+    """
+    model_path = scene.output(MODEL, overwrite or options.resume)
+    for item in scene.items:
+        if item.id in options.holdout:
+            item.properties["sattools:role"] = "test"
+    unknown = set(options.holdout) - {item.id for item in scene.items}
+    if unknown:
+        raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r} to hold out")
+    items = scene.train_items()
+    if len(items) < 2:
+        raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+    device = choose_device(options.device)
+    sources = load_sources(scene, items)
+    grid, z_range = scene.need_grid(), scene.need_height_range()
+    prior = load_prior(scene, options, progress)
+    z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
+    stages = schedule(options, options.resolution or grid.cell_size, z_range)
+    job = _Job(scene, sources, options, stages, prior, z_ref, device)
+    surface, finest, remarks = job.run(progress)
+    tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
+    checkpoint.save(
+        model_path,
+        tensors,
+        {
+            "field": "surface",
+            "grid": finest.to_dict(),
+            "softness": job.last_softness,
+            "items": [s.id for s in sources],
+            "suns": [v.sun for v in job.views],
+            "slopes": [v.slope for v in job.views],
+            "z_ref": z_ref,
+            "shadow": options.shadow,
+        },
+    )
+    write_text(scene.output(TRACE), job.trace.to_csv())
+    scene.output(CHECKPOINT).unlink(missing_ok=True)
+    scene.products.update(model=MODEL, trace=TRACE)
+    return {"remarks": remarks, "fit": {"loss": job.trace.rows[-1]["loss"], "epochs": len(job.trace.rows)}}
+
+
+def choose_device(name: str) -> torch.device:
+    """The device of that name; auto = CUDA where there is one."""
+    if name == "cuda" and not torch.cuda.is_available():
+        raise SceneError("device: found no CUDA device, expected one for --device cuda (or use --device cpu)")
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    return torch.device(name)
+
+
+def load_prior(scene: Scene, options: FitOptions, progress: Progress) -> tuple[np.ndarray, np.ndarray, Grid] | None:
+    """Height, confidence and grid of the scene's depth prior; made with its defaults where it is missing."""
+    if options.prior_weight == 0:
+        return None
+    if "prior_dsm" not in scene.products:
+        return None
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
+    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]))
+    return height[0], confidence[0], grid
+
+
+@dataclass
+class _Job:
+    """One fit from the first stage to the last, with checkpoints."""
+
+    scene: Scene
+    sources: list[Source]
+    options: FitOptions
+    stages: list[StageSettings]
+    prior: tuple[np.ndarray, np.ndarray, Grid] | None
+    z_ref: float
+    device: torch.device
+    trace: Trace = field(default_factory=Trace)
+    views: list[View] = field(default_factory=list)
+    last_softness: float = 0.0
+
+    def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
+        remarks: list[str] = []
+        saved = self._resume() if self.options.resume else None
+        score = self._scorer()
+        total = sum(s.epochs / s.cell_size**2 for s in self.stages)
+        surface: SurfaceScene | None = None
+        grid = self.scene.need_grid()
+        for k, stage in enumerate(self.stages):
+            grid = self.scene.need_grid().resized(stage.cell_size)
+            self.last_softness = stage.softness[1]
+            if saved and k < saved[1]["stage"]:
+                continue
+            self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
+            self._warn_spread(stage.cell_size, remarks)
+            if surface is None:
+                surface = self._start(grid)
+            else:
+                ratio = stage.cell_size / self.stages[k - 1].cell_size
+                surface = surface.resized(grid.shape, (ratio, ratio))
+            trainer = StageTrainer(surface, self.views, stage, self.options, self._prior_on(grid), k)
+            start = 0
+            if saved:
+                start = saved[1]["epoch"]
+                trainer.load(saved[0])
+                saved = None
+            before = sum(s.epochs / s.cell_size**2 for s in self.stages[:k])
+            if not trainer.run(start, self._after_epoch(trainer, stage, k, before, total, grid, score, progress)):
+                remarks.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
+                break
+        assert surface is not None
+        progress(1.0, "fitted")
+        return surface, grid, remarks
+
+    def _start(self, grid: Grid) -> SurfaceScene:
+        """A flat surface; albedo = mean of the colour-matched images on it."""
+        gain, offset = match_colours(self.views)
+        total = np.zeros_like(self.views[0].target)
+        weight = np.zeros((*grid.shape, 1), np.float32)
+        for view, a, b in zip(self.views, gain, offset, strict=True):
+            mask = view.mask[..., None]
+            total += mask * (view.target - b) / a
+            weight += mask
+        albedo = torch.from_numpy(total / np.maximum(weight, 1)).float()
+        scene = start_scene(
+            self.z_ref, grid.shape, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT
+        )
+        return scene.to(self.device)
+
+    def _prior_on(self, grid: Grid) -> Prior | None:
+        if self.prior is None:
+            return None
+        height, confidence, own = self.prior
+        return Prior(*(resample_map(m, own, grid).to(self.device) for m in (height, confidence)))
+
+    def _after_epoch(
+        self,
+        trainer: StageTrainer,
+        stage: StageSettings,
+        k: int,
+        before: float,
+        total: float,
+        grid: Grid,
+        score: Callable[[Tensor, Grid], float | None],
+        progress: Progress,
+    ) -> Callable[[int, float], bool]:
+        def call(done: int, loss: float) -> bool:
+            row: dict[str, Any] = {"seconds": round(self.trace.seconds(), 3), "stage": k, "cell_m": stage.cell_size}
+            row |= {"epoch": done, "softness_m": round(trainer.quadrature.softness, 4), "loss": loss}
+            error = score(trainer.scene.height, grid)
+            if error is not None:
+                row["mae_m"] = error
+            self.trace.rows.append(row)
+            text = f"{stage.cell_size:g} m, epoch {done}/{stage.epochs}, loss {loss:.4f}"
+            progress((before + done / stage.cell_size**2) / total, text + (f", mae {error:.2f} m" if error else ""))
+            if done % REFRESH == 0 and done < stage.epochs:
+                self._save(trainer, k, done)
+            return not (self.options.budget and self.trace.seconds() > self.options.budget)
+
+        return call
+
+    def _scorer(self) -> Callable[[Tensor, Grid], float | None]:
+        if self.options.reference is None:
+            return lambda height, grid: None
+        from sattools.compare import compare_dsm, read_reference
+
+        truth = read_reference(self.options.reference)
+
+        def call(height: Tensor, grid: Grid) -> float:
+            # watching must not count as fitting
+            pause = time.perf_counter()
+            found = float(compare_dsm(height.detach().cpu().numpy(), truth, grid).figures["mae"])
+            self.trace.started += time.perf_counter() - pause
+            return found
+
+        return call
+
+    def _warn_spread(self, cell: float, remarks: list[str]) -> None:
+        worst = max(self.views, key=lambda v: v.spread_m)
+        if worst.spread_m > 0.5 * cell:
+            text = f"{worst.id}: lines of sight are parallel only to {worst.spread_m:.2f} m over this area"
+            log.warning(text)
+            remarks.append(text)
+
+    # ---- checkpoints ------------------------------------------------------------------------------------
+
+    def _fingerprint(self) -> str:
+        """Hash of everything that a continued fit must share with the interrupted one."""
+        options = asdict(self.options)
+        for name in ("resume", "budget", "reference"):
+            options.pop(name)
+        what = [options, [s.id for s in self.sources], self.scene.need_grid().to_dict(), self.z_ref]
+        what.append([hashlib.sha256(s.radiance.tobytes()).hexdigest() for s in self.sources])
+        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+
+    def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
+        meta = {"stage": stage, "epoch": epoch, "fingerprint": self._fingerprint(), "rows": self.trace.rows}
+        checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
+
+    def _resume(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        path = self.scene.output(CHECKPOINT)
+        if not path.exists():
+            log.warning("%s: no checkpoint, the fit starts anew", path)
+            return None
+        tensors, meta = checkpoint.load(path)
+        if meta["fingerprint"] != self._fingerprint():
+            raise SceneError(f"{path}: found a checkpoint of other options or images, expected the same; drop --resume")
+        self.trace.rows = meta["rows"]
+        self.trace.offset = self.trace.rows[-1]["seconds"]
+        return tensors, meta
+
+
+def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
+    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no further."""
+    factor = target.cell_size / source.cell_size
+    tensor = torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+    known = torch.isfinite(tensor).float()
+    stack = torch.stack([torch.nan_to_num(tensor) * known, known])[None]
+    size = (round(target.height * factor), round(target.width * factor))
+    pad = (0, max(0, size[1] - source.width), 0, max(0, size[0] - source.height))
+    stack = torch.nn.functional.pad(stack, pad, mode="replicate")[..., : size[0], : size[1]]
+    mode = "area" if factor > 1 else "bilinear"
+    keywords = {} if mode == "area" else {"align_corners": False}
+    value, weight = interpolate(stack, size=target.shape, mode=mode, **keywords)[0]  # type: ignore[arg-type]
+    return torch.where(weight > 0.5, value / weight.clamp_min(1e-6), torch.nan)
+
+
+__all__ = ["Trace", "choose_device", "fit", "resample_map"]

@@ -1,0 +1,6 @@
+"""Images of a scene resampled to its ground grid."""
+
+from sattools.views.load import Source, load_sources, views_on
+from sattools.views.resample import View, line_of_sight, make_view, match_colours
+
+__all__ = ["Source", "View", "line_of_sight", "load_sources", "make_view", "match_colours", "views_on"]
