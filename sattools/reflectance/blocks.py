@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 # elements for each thread: PyTorch gives a thread no less than this, and about forty such arrays fit its caches
-BLOCK = 65536
+BLOCK = 32768
 
 
 class Blocks:
