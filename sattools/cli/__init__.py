@@ -8,6 +8,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 
 import click
 
@@ -71,7 +72,10 @@ def main(ctx: click.Context, verbose: int, quiet: bool, progress: str, threads: 
     logging.getLogger("sattools").setLevel(level)
     ctx.obj = {"progress": "none" if quiet and progress == "auto" else progress}
     set_threads(threads)
-    signal.signal(signal.SIGTERM, _terminate)
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGINT):
+            before = signal.signal(number, _terminate)
+            ctx.call_on_close(lambda number=number, before=before: signal.signal(number, before))
 
 
 def set_threads(threads: int | None) -> None:

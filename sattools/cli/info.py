@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import sys
+from typing import TYPE_CHECKING
 
 import click
 
 from sattools.cli.options import scene_argument
-from sattools.cli.pipe import documents, parse, report_error
+from sattools.cli.pipe import each_scene
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
 
 
 @click.command("info")
 @scene_argument
 def command(scenes: tuple[str, ...]) -> None:
     """Print a summary of scenes on stdout (no scene document: the end of a pipe)."""
-    from sattools.errors import SattoolsError
-    from sattools.scene.summary import summary
 
-    failed = False
-    for source, text in documents(scenes):
-        try:
-            click.echo(summary(parse(source, text)))
-        except SattoolsError as error:
-            failed = True
-            report_error("info", error)
-    if failed:
-        sys.exit(1)
+    def show(scene: Scene) -> str:
+        from sattools.scene.summary import summary
+
+        return summary(scene)
+
+    each_scene("info", scenes, show)

@@ -70,8 +70,7 @@ def _click_option(spec: OptionSpec) -> Callable[[F], F]:
     if spec.choices:
         kind = click.Choice(spec.choices)
     elif spec.kind in (int, float) and (spec.minimum is not None or spec.maximum is not None):
-        range_type = click.IntRange if spec.kind is int else click.FloatRange
-        kind = range_type(min=spec.minimum, max=spec.maximum)
+        kind = _range(spec)
     declaration = f"--{name}/--no-{name}" if spec.kind is bool else f"--{name}"
     show = spec.default is not None and spec.default != []
     return click.option(
@@ -83,6 +82,13 @@ def _click_option(spec: OptionSpec) -> Callable[[F], F]:
         show_default=show,
         help=spec.help,
     )
+
+
+def _range(spec: OptionSpec) -> click.IntRange | click.FloatRange:
+    if spec.kind is float:
+        return click.FloatRange(min=spec.minimum, max=spec.maximum)
+    low, high = (None if limit is None else int(limit) for limit in (spec.minimum, spec.maximum))
+    return click.IntRange(min=low, max=high)
 
 
 def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:

@@ -1,7 +1,7 @@
 """Scenes in, scenes out: reading, error handling, history and exit codes that all commands share.
 
-A command calls `run_scenes` (it transforms scenes) or `run_source` (it makes one). Exit codes: 0 done, 1 failed,
-2 usage, 3 some scenes failed and the others were passed on, 130/143 interrupted.
+A command calls `run_scenes` (it transforms scenes), `run_source` (it makes one) or `each_scene` (it only reads them).
+Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were passed on, 130/143 interrupted.
 """
 
 from __future__ import annotations
@@ -59,6 +59,21 @@ def run_scenes(
     if run.print_config:
         print_config(run.command, run.options)
         return
+
+    def handle(scene: Scene) -> str:
+        if not scene.root.is_dir():
+            raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
+        if run.dry_run:
+            click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}", err=True)
+            return scene.to_json()
+        entry = _apply(run, scene, work)
+        return emit(scene, entry) if emit else scene.to_json()
+
+    each_scene(run.command, scenes, handle)
+
+
+def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], str]) -> None:
+    """Print what ``handle`` makes of every scene as soon as it is done; errors go to stderr, and exit codes follow."""
     done, failed = 0, 0
     seen: set[tuple[str, str]] = set()
     for source, text in documents(scenes):
@@ -68,21 +83,14 @@ def run_scenes(
             if key in seen:
                 raise SceneError(f"{source}: found scene id {scene.id!r} a second time, expected unique ids")
             seen.add(key)
-            if run.dry_run:
-                click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}", err=True)
-                _print_line(scene.to_json())
-            else:
-                entry = _apply(run, scene, work)
-                _print_line(emit(scene, entry) if emit else scene.to_json())
+            _print_line(handle(scene))
             done += 1
         except SattoolsError as error:
             failed += 1
-            report_error(run.command, error)
+            report_error(command, error)
     if done == failed == 0:
-        report_error(
-            run.command,
-            SceneError("stdin: found nothing, expected scene documents, one per line (did the command before fail?)"),
-        )
+        empty = "stdin: found nothing, expected scene documents, one per line (did the command before fail?)"
+        report_error(command, SceneError(empty))
         sys.exit(1)
     if failed:
         sys.exit(3 if done else 1)
@@ -185,4 +193,4 @@ def _print_line(line: str) -> None:
         sys.exit(1)
 
 
-__all__ = ["Run", "documents", "parse", "report_error", "run_scenes", "run_source"]
+__all__ = ["Run", "documents", "each_scene", "parse", "report_error", "run_scenes", "run_source"]
