@@ -1,0 +1,57 @@
+# `make demo` works on a bare machine with Python 3.11 or newer; nothing has to be prepared.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# Pinned, and installed before anything that depends on it: pip would otherwise be free to pick another build of torch.
+# On Linux the one on PyPI brings CUDA (gigabytes); TORCH_ARGS="--index-url ..." takes it from PyTorch's CPU index instead.
+TORCH ?= torch==2.13.0
+TORCH_ARGS ?=
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help demo install dev test lint format docs clean
+
+help: ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: install ## simulate a city, reconstruct it, score it; results in ./demo
+	bash examples/quickstart.sh demo
+
+install: $(VENV)/.installed ## make .venv and install sattools into it
+
+dev: $(VENV)/.installed-dev ## the same with the tools for tests
+
+test: lint ## check style and types, then run the tests
+	$(BIN)/python -m pytest
+
+lint: dev ## check style, types and spelling
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/codespell
+
+format: dev ## put the code into the project's format
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+docs: install ## write docs/commands.md from the commands' help
+	$(BIN)/python docs/generate_commands.py
+
+clean: ## remove .venv, caches and the demo
+	rm -rf $(VENV) demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamps are younger than pyproject.toml as long as nothing has to be installed again.
+$(VENV)/.torch:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "sattools needs Python 3.11 or newer")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) install $(TORCH_ARGS) "$(TORCH)"
+	touch $@
+
+$(VENV)/.installed: pyproject.toml $(VENV)/.torch
+	$(PIP) install -e .
+	touch $@
+
+$(VENV)/.installed-dev: pyproject.toml $(VENV)/.torch
+	$(PIP) install -e ".[dev]"
+	touch $@ $(VENV)/.installed
