@@ -1,9 +1,10 @@
 """Cost of the reflectance models: forward and backward, per sample, in units of Lambert.
 
-    python benchmarks/reflectance.py [--samples 1000000] [--repeats 15] [--threads N] [--device cpu] [--per-sample-directions]
+    python benchmarks/reflectance.py [--samples 1000000] [--repeats 15] [--threads N] [--per-sample-directions]
 
-Gradients flow to all parameters and, except for the bare Lambertian BRF (which does not depend on it), to the normal. "shaded" is what a
-renderer evaluates: BRF times cos i. The models take turns within each repeat and medians are compared, so that a busy machine hits all alike.
+Gradients flow to all parameters and, except for the bare Lambertian BRF (which does not depend on it), to the normal.
+"shaded" is what a renderer evaluates: BRF times cos i. The models take turns within each repeat and medians are
+compared, so that a busy machine hits all alike.
 """
 
 from __future__ import annotations
@@ -77,15 +78,22 @@ def main() -> None:
             if repeat >= 2:
                 times[name, shaded].append(spent)
 
-    machine = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{platform.processor() or platform.machine()}"
-    print(f"{machine}, {torch.get_num_threads()} threads, torch {torch.__version__}, {count} samples, float32, ", end="")
-    print(f"{'own directions for each sample' if directions > 1 else 'one sun and one view'}, median of {options.repeats}")
+    machine = (
+        torch.cuda.get_device_name(device) if device.type == "cuda" else f"{platform.processor() or platform.machine()}"
+    )
+    print(
+        f"{machine}, {torch.get_num_threads()} threads, torch {torch.__version__}, {count} samples, float32, ", end=""
+    )
+    print(
+        f"{'own directions for each sample' if directions > 1 else 'one sun and one view'}, median of {options.repeats}"
+    )
     for shaded in (False, True):
         unit_time = statistics.median(total for _, total in times["lambert", shaded])
         for name in models:
             forward, total = (statistics.median(column) for column in zip(*times[name, shaded]))
             what = "shaded" if shaded else "BRF"
-            print(f"{what:7}{name:26} forward {1e3 * forward:7.1f} ms  both {1e3 * total:7.1f} ms  {total / unit_time:5.2f} x lambert")
+            cost = f"forward {1e3 * forward:7.1f} ms  both {1e3 * total:7.1f} ms  {total / unit_time:5.2f} x lambert"
+            print(f"{what:7}{name:26} {cost}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How surfaces reflect: Lambert, Rahman-Pinty-Verstraete and Hapke as differentiable functions of directions and parameters."""
+"""How surfaces reflect: Lambert, Rahman-Pinty-Verstraete and Hapke as functions of directions and parameters."""
 
 from sattools.reflectance.hapke import hapke
 from sattools.reflectance.lambert import lambert

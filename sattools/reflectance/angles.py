@@ -1,8 +1,8 @@
 """Directions at a facet: cosines, relative azimuth and phase, measured from vectors and never from arc cosines.
 
-``normal``, ``sun`` and ``view`` are unit vectors ``[..., 3]`` that point away from the surface. A model is evaluated where both
-cosines are at least 0; exactly at the horizon (0) it takes its limit, beyond it (the facet faces away from sun or sensor) every model of
-this package returns 0 with zero gradients.
+``normal``, ``sun`` and ``view`` are unit vectors ``[..., 3]`` that point away from the surface. A model is evaluated
+where both cosines are at least 0; exactly at the horizon (0) it takes its limit, beyond it (the facet faces away from
+sun or sensor) every model of this package returns 0 with zero gradients.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Angles(NamedTuple):
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Scalar product over the last axis, ``[..., 3]`` and ``[..., 3]`` to ``[...]``; not a matmul, which may run in TF32."""
+    """Scalar product of ``[..., 3]`` and ``[..., 3]``, ``[...]``; not by matmul, which may run in TF32."""
     a0, a1, a2 = a.unbind(-1)
     b0, b1, b2 = b.unbind(-1)
     return a0 * b0 + a1 * b1 + a2 * b2
@@ -62,7 +62,7 @@ def pair(sun: Tensor, view: Tensor) -> Pair:
 
 
 def measure(normal: Tensor, sun: Tensor, view: Tensor, known: Pair | None = None) -> Angles:
-    """`Angles` of unit vectors ``[..., 3]`` (broadcast against each other); ``known`` saves computing the `pair` again."""
+    """`Angles` of unit vectors ``[..., 3]`` (broadcast against each other); ``known``: their `pair`."""
     n = [part.contiguous() for part in normal.unbind(-1)]
     s, v = sun.unbind(-1), view.unbind(-1)
     x, plus2, minus2 = known or pair(sun, view)

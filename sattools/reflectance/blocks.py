@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 # elements for each thread: PyTorch gives a thread no less than this, and about forty such arrays fit its caches
-BLOCK = 32768
+BLOCK = 65536
 
 
 class Blocks:
@@ -33,7 +33,7 @@ class Blocks:
         self.ranges = [(start, min(step, length - start)) for start in range(0, length, step)]
 
     def is_cut(self, operand: Tensor, trailing: int = 0) -> bool:
-        """Whether the operand differs from block to block; ``trailing`` axes of it are no part of the broadcast shape."""
+        """Whether the operand differs from block to block; its ``trailing`` axes are no part of the broadcast shape."""
         axis = self.axis - trailing
         return len(self.ranges) > 1 and operand.ndim >= -axis and operand.shape[axis] > 1
 

@@ -1,26 +1,28 @@
 """Hapke's bidirectional reflectance of a rough particulate surface.
 
-Hapke (1981, 1984, 1986), with the double Henyey-Greenstein phase function, the second H function approximation (Hapke 2002, Icarus 157,
-523-534, equation 13) and macroscopic roughness (`sattools.reflectance.roughness`):
+Hapke (1981, 1984, 1986), with the double Henyey-Greenstein phase function, the H function of Hapke (2002), Icarus 157,
+523-534, and macroscopic roughness (`sattools.reflectance.roughness`):
 
     BRF = pi r / mu0 = (w/4) K {p(g) [1 + B(g)] + H(mu0e) H(mue) - 1}
-    p(g) = (1-b^2) [(1-c) / (1 + 2b cos g + b^2)^(3/2) + c / (1 - 2b cos g + b^2)^(3/2)]        c is the weight of the back lobe
+    p(g) = (1-b^2) [(1-c) / (1 + 2b cos g + b^2)^(3/2) + c / (1 - 2b cos g + b^2)^(3/2)], c = weight of the back lobe
     B(g) = b0 / (1 + tan(g/2) / h)
     H(x) = 1 / {1 - w x [r0 + (1/2 - r0 x) ln((1+x)/x)]},   r0 = (1 - sqrt(1-w)) / (1 + sqrt(1-w))
 
-Values and gradients are finite on the closed domain: both directions anywhere in the upper hemisphere, theta-bar 1e-4 to 60 degrees,
-w and b 0 to 0.99, c 0 to 1. At the horizon itself the limit is taken, beyond it the BRF is 0 with zero gradients.
+Values and gradients are finite on the closed domain: both directions anywhere in the upper hemisphere, theta-bar 1e-4
+to 60 degrees, w and b 0 to 0.99, c 0 to 1. At the horizon itself the limit is taken, beyond it the BRF is 0 with zero
+gradients.
 
-Bounds beyond the valid range: w is held at `W_MAX` (at w = 1 the derivative is infinite), |b| at `B_MAX` (at b = 1 the lobe is a spike),
-theta-bar between `THETA_MIN` and `THETA_MAX` degrees; at a bound the gradient is 0. b0, c and h > 0 are taken as they come.
+Bounds beyond the valid range: w is held at `W_MAX` (at w = 1 the derivative is infinite), |b| at `B_MAX` (at b = 1
+the lobe is a spike), theta-bar between `THETA_MIN` and `THETA_MAX` degrees; at a bound the gradient is 0. b0, c and
+h > 0 are taken as they come.
 
 Kinks, where one of the two one-sided derivatives or their mean is returned:
 - psi = 0 and psi = 180 degrees (the principal plane): psi is the modulus of an azimuth; the mean is returned;
 - i = e: the two cases of the roughness meet with equal values but different slopes; the mean is returned;
 - g = 0 with b0 > 0, with respect to sun and view only: B is a cone; 0 is returned for its part;
 - i = 90 or e = 90 degrees: the BRF drops to 0; the derivative from above the horizon is returned;
-- i = e = 90 degrees: at psi = 180 the BRF tends to 0 at a rate that depends on the direction of approach; at psi = 0 it is infinite (the radiance
-  is not) and the denominator is held at `sattools.reflectance.roughness.Z_MIN`.
+- i = e = 90 degrees: at psi = 180 the BRF tends to 0 at a rate that depends on the direction of approach; at psi = 0
+  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.roughness.Z_MIN`.
 
 First derivatives only, through `torch.autograd`.
 """
@@ -43,8 +45,6 @@ B_MAX = 0.999
 THETA_MIN = 5e-5
 THETA_MAX = 80.0
 _DEGREE = math.pi / 180
-# keeps the derivative of the modulus finite at g = 0 and g = 180 degrees
-_MODULUS2_MIN = 1e-24
 
 
 class _Lobes(NamedTuple):
@@ -87,8 +87,9 @@ def _lobes(angles: Angles, b: Tensor, c: Tensor, b0: Tensor | None, h: Tensor) -
     p = width * (front3 + c * (back * back * back - front3))
     if b0 is None:
         return _Lobes(b, front, back, width, p, None, None, None, None)
-    minus = angles.minus2.clamp_min(_MODULUS2_MIN).sqrt()
-    plus = angles.plus2.clamp_min(_MODULUS2_MIN).sqrt()
+    # keeps the derivatives of the roots finite at g = 0 and g = 180 degrees
+    tiny = torch.finfo(b.dtype).tiny
+    minus, plus = angles.minus2.clamp_min(tiny).sqrt(), angles.plus2.clamp_min(tiny).sqrt()
     rate = 1 / (h * plus + minus)
     return _Lobes(b, front, back, width, p, minus, plus, rate, 1 + b0 * h * plus * rate)
 
@@ -98,7 +99,7 @@ def _multiple(facet: roughness.Facet, w: Tensor, t: Tensor) -> _Multiple:
     gamma = torch.sqrt(1 - w)
     r0 = (1 - gamma) / (1 + gamma)
     shrink = torch.rsqrt(1 + math.pi * t * t)
-    xlo, xhi = shrink * facet.alo, shrink * facet.ahi
+    xlo, xhi = shrink * facet.a_lo, shrink * facet.a_hi
     log_lo, log_hi = torch.log((1 + xlo) / xlo), torch.log((1 + xhi) / xhi)
     hlo = 1 / (1 - w * xlo * (r0 + (0.5 - r0 * xlo) * log_lo))
     hhi = 1 / (1 - w * xhi * (r0 + (0.5 - r0 * xhi) * log_hi))
@@ -127,24 +128,24 @@ def _stop(grad: Tensor, value: Tensor, low: float, high: float) -> Tensor:
 
 
 class _Hapke(torch.autograd.Function):
-    """The model with its reverse written out, evaluated block by block; operands in the order of `hapke`, b0 None for no opposition.
+    """The model with its reverse written out, block by block; operands in the order of `hapke`, b0 None for no
+    opposition.
 
-    Without an axis of bands the derivatives are worked out along with the value, while everything is in the cache, and eight numbers a sample
-    are kept. With bands the intermediate values are kept instead, so that gradients are summed over bands before they go on to the
-    geometry.
+    Without an axis of bands the derivatives are worked out along with the value, while everything is in the cache,
+    and eight numbers a sample are kept. With bands the intermediate values are kept instead, so that gradients are
+    summed over bands before they go on to the geometry.
     """
 
     @staticmethod
-    def forward(ctx: Any, needed: tuple[bool, ...], *operands: Tensor | None) -> Tensor:
+    def forward(ctx: Any, needed: tuple[bool, ...], *operands: Any) -> Tensor:
         normal, sun, view, *parameters = operands
-        assert normal is not None and sun is not None and view is not None
         facets = torch.broadcast_shapes(normal.shape[:-1], sun.shape[:-1], view.shape[:-1], operands[6].shape)
         shape = torch.broadcast_shapes(facets, *[p.shape for p in parameters if p is not None])
         blocks = Blocks(tuple(shape), normal.is_cuda)
         known = _known(blocks, operands)
         out = normal.new_empty(shape)
         keep, ctx.direct = any(needed), facets == shape
-        kept: list[Tensor | None] = []
+        kept: list = []
         for block in blocks.ranges:
             parts = _cut(blocks, block, operands)
             n, s, v, w, b, c, theta, b0, h = parts
@@ -172,11 +173,12 @@ class _Hapke(torch.autograd.Function):
         operands, kept = saved[:9], saved[9:]
         each = len(kept) // len(blocks.ranges)
         known = None if ctx.direct else _known(blocks, operands)
-        total: list[Tensor | None] = [None] * 9
+        total: list = [None] * 9
         for number, block in enumerate(blocks.ranges):
             state = kept[number * each : (number + 1) * each]
             grad = blocks.cut(grads[0], block)
             parts = _cut(blocks, block, operands)
+            found: list
             if ctx.direct:
                 found = [
                     None if rate is None else rate * (grad if index > 2 else grad[..., None])
@@ -199,9 +201,7 @@ def _unpack(state: tuple) -> tuple:
     return next(values), take(roughness.Facet), take(_Lobes), take(_Multiple), next(values)
 
 
-def _collect(
-    total: list[Tensor | None], index: int, part: Tensor, operand: Tensor, blocks: Blocks, block: tuple[int, int]
-) -> None:
+def _collect(total: list, index: int, part: Tensor, operand: Tensor, blocks: Blocks, block: tuple[int, int]) -> None:
     """Put a block's gradient where it belongs: beside those of other blocks, or onto them if the operand is shared."""
     if not blocks.is_cut(operand, int(index < 3)):
         total[index] = part if total[index] is None else total[index] + part
@@ -224,7 +224,7 @@ def _known(blocks: Blocks, operands: tuple) -> Pair | None:
 def _reverse(
     parts: list, known: Pair | None, state: tuple, grad: Tensor | None, needed: tuple[bool, ...]
 ) -> list[Tensor | None]:
-    """Gradients of the nine operands of a block, before summing over axes that were broadcast; ``grad`` None stands for 1."""
+    """Gradients of the nine operands of a block, before sums over broadcast axes; ``grad`` None stands for 1."""
     n, s, v, w, b, c, theta, b0, h = parts
     known = known or pair(s, v)
     t, facet, o, m, inner = state
@@ -274,7 +274,7 @@ def _reverse(
         found[3] = _stop(g_w + w_lo + w_hi, w, -math.inf, W_MAX)
     if not geometry and not needed[6]:
         return found
-    x_lo, x_hi = x_lo.sum_to_size(facet.alo.shape), x_hi.sum_to_size(facet.ahi.shape)
+    x_lo, x_hi = x_lo.sum_to_size(facet.a_lo.shape), x_hi.sum_to_size(facet.a_hi.shape)
     g_t, g_angles = roughness.reverse(facet, t, x_lo * m.shrink, x_hi * m.shrink, g_k, geometry)
     tt = t * t
     # shrink = (1 + pi t^2)^(-1/2)
@@ -283,9 +283,7 @@ def _reverse(
         found[6] = _stop(g_t * (_DEGREE + _DEGREE * tt), theta, THETA_MIN, THETA_MAX)
     if g_angles is not None:
         if directions:
-            g_angles = g_angles._replace(
-                minus2=_add(g_angles.minus2, g_minus2), plus2=_add(g_angles.plus2, g_plus2)
-            )
+            g_angles = g_angles._replace(minus2=_add(g_angles.minus2, g_minus2), plus2=_add(g_angles.plus2, g_plus2))
         found[:3] = pull_back(n, s, v, known, g_angles, needed)
     return found
 
@@ -309,15 +307,15 @@ def hapke(
 
     Args:
         normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
-        w: single scattering albedo, 0 to 0.99. b: width of the lobes, 0 to 0.99. c: weight of the back-scattering lobe, 0 to 1.
+        w: single scattering albedo, 0 to 0.99. b: width of the lobes, 0 to 0.99. c: weight of the back lobe, 0 to 1.
         theta_deg: mean slope angle theta-bar in degrees, 1e-4 to 60.
         b0, h: amplitude and angular width (> 0) of the opposition effect; b0 = 0 leaves it out.
-            All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``): what does not
-            depend on the band is then computed once.
+            All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``):
+            what does not depend on the band is then computed once.
 
     Returns:
-        Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0 where the facet
-        faces away from sun or sensor. Type of the inputs; differentiable once with respect to all of them.
+        Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0
+        where it faces away from sun or sensor. Type of the inputs; differentiable once with respect to all of them.
 
     Raises:
         TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
@@ -346,7 +344,7 @@ def effective_cosines(
         facet = roughness.forward(angles, t)
         shrink = torch.rsqrt(1 + math.pi * t * t)
         sun_is_low = angles.mu0 >= angles.mu
-        mu0e = shrink * torch.where(sun_is_low, facet.alo, facet.ahi)
-        mue = shrink * torch.where(sun_is_low, facet.ahi, facet.alo)
+        mu0e = shrink * torch.where(sun_is_low, facet.a_lo, facet.a_hi)
+        mue = shrink * torch.where(sun_is_low, facet.a_hi, facet.a_lo)
         # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
         return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)

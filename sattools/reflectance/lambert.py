@@ -16,8 +16,8 @@ def lambert(normal: Tensor, sun: Tensor, view: Tensor, albedo: Tensor | float) -
         albedo: broadcastable to ``[...]``.
 
     Returns:
-        Bidirectional reflectance factor pi L / E, E the irradiance *of the facet* (beam irradiance times cos i), so that white is 1
-        at every incidence. Multiply by cos i for pi L over the irradiance of a plane across the beam.
+        Bidirectional reflectance factor pi L / E, E the irradiance *of the facet* (beam irradiance times cos i), so
+        that white is 1 at every incidence. Multiply by cos i for pi L over the irradiance of a plane across the beam.
 
     Raises:
         TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.

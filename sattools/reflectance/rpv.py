@@ -1,13 +1,14 @@
 """Rahman-Pinty-Verstraete reflectance (Rahman, Pinty, Verstraete 1993, J. Geophys. Res. 98(D11), equations 2-5).
 
 BRF = rho0 [mu0 mu (mu0 + mu)]^(k-1) (1 - Theta^2) / (1 + 2 Theta cos g + Theta^2)^(3/2) [1 + (1 - rhoc) / (1 + G)],
-G^2 = tan^2 i + tan^2 e - 2 tan i tan e cos psi. Theta < 0 scatters back, Theta > 0 forward; k < 1 is a bowl, k > 1 a bell.
+G^2 = tan^2 i + tan^2 e - 2 tan i tan e cos psi. Theta < 0 scatters back, Theta > 0 forward; k < 1 is a bowl, k > 1 a
+bell.
 
-Bounds, all outside or on the edge of the valid range: the first bracket is 0 or infinite at the horizon, so cosines below
-`COS_MIN` count as `COS_MIN` (without gradient); |Theta| is held at `THETA_MAX`, where the lobe is a spike.
+Bounds, all outside or on the edge of the valid range: the first bracket is 0 or infinite at the horizon, so cosines
+below `COS_MIN` count as `COS_MIN` (without gradient); |Theta| is held at `THETA_MAX`, where the lobe is a spike.
 
-Kinks: G is a cone around sun = view (gradient with respect to sun and view; the one given there is 0. The gradient with respect to the normal is exact:
-G = 0 for every normal), and the horizon.
+Kinks: the horizon; and sun = view, where G is a cone over sun and view and 0 is returned as its gradient (with
+respect to the normal this is exact: G = 0 for every normal).
 """
 
 from __future__ import annotations
@@ -19,8 +20,6 @@ from sattools.reflectance.angles import as_tensors, measure
 
 COS_MIN = 1e-4
 THETA_MAX = 0.999
-# below this G is 0 to either precision; keeps the derivative of the root finite
-_G2_MIN = 1e-24
 
 
 def rpv(
@@ -36,11 +35,13 @@ def rpv(
 
     Args:
         normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
-        rho0: amplitude, 0 to 1. k: exponent, 0 to 2. theta: asymmetry, -1 (back) to 1 (forward). rhoc: hot spot, 0 to 1, 1 = none.
-            All broadcastable to ``[...]``.
+        rho0: amplitude, 0 to 1. k: exponent, 0 to 2. theta: asymmetry, -1 (back) to 1 (forward). rhoc: hot spot, 0 to
+            1,
+            1 = none. All broadcastable to ``[...]``.
 
     Returns:
-        Bidirectional reflectance factor pi L / E, E the irradiance of the facet; 0 where the facet faces away from sun or sensor.
+        Bidirectional reflectance factor pi L / E, E the irradiance of the facet; 0 where the facet faces
+        away from sun or sensor.
 
     Raises:
         TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
@@ -60,6 +61,6 @@ def rpv(
 
     # G mu0 mu = |mu sun - mu0 view|, written without the cancellation near sun = view
     g2 = (angles.mu0 - angles.mu) ** 2 + mu0 * mu * angles.minus2
-    g = g2.clamp_min(_G2_MIN).sqrt()
+    g = g2.clamp_min(torch.finfo(g2.dtype).tiny).sqrt()
     hot_spot = 1 + (1 - rhoc) * (mu0 * mu) / (mu0 * mu + g)
     return (rho0 * bowl * lobe * hot_spot).masked_fill(beyond, 0)
