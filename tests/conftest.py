@@ -1,9 +1,13 @@
 """Fixtures shared by all tests."""
 
 import os
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from sattools.scene import Scene
 
 
 @pytest.fixture(scope="session")
@@ -16,3 +20,30 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.fail(f"SATTOOLS_DATA={value} is not a folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def town_source(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A simulated scene of 64 m seen by six exact cameras; tests must leave its files alone."""
+    from sattools.scene.raster import write_text
+    from sattools.simulate import SimulateOptions, simulate
+
+    options = SimulateOptions(id="TOWN", size=64.0, views=6, dates=3)
+    scene = simulate(options, tmp_path_factory.mktemp("town") / "TOWN")
+    write_text(scene.output("scene.json"), scene.to_json() + "\n")
+    return scene
+
+
+@pytest.fixture
+def make_town(town_source: Scene, tmp_path: Path) -> Callable[[str], Scene]:
+    """Makes copies of the simulated scene below `tmp_path`, each with its own root of the given name."""
+
+    def make(name: str = "TOWN") -> Scene:
+        root = tmp_path / name
+        shutil.copytree(town_source.root, root)
+        scene = Scene.from_json(town_source.to_json())
+        scene.id, scene.root = name, root
+        (root / "scene.json").write_text(scene.to_json() + "\n")
+        return scene
+
+    return make

@@ -1,0 +1,92 @@
+"""Options: from the command line, from a TOML file, and printed."""
+
+import tomllib
+
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.fit.options import FitOptions
+
+
+def run(*arguments, text=""):
+    return CliRunner().invoke(main, arguments, input=text)
+
+
+def printed(*arguments):
+    result = run("fit", *arguments, "--print-config")
+    assert result.exit_code == 0, result.output
+    return tomllib.loads(result.stdout)["fit"]
+
+
+def test_print_config_shows_every_option_that_is_set():
+    shown = printed("--seed", "7", "--no-pose", "--epochs", "5", "--epochs", "3")
+    assert shown["seed"] == 7
+    assert shown["pose"] is False
+    assert shown["epochs"] == [5, 3]
+    assert shown["loss"] == FitOptions().loss
+
+
+def test_a_printed_configuration_is_one_that_can_be_given(tmp_path):
+    path = tmp_path / "fit.toml"
+    first = run("fit", "--seed", "7", "--epochs", "5", "--no-pose", "--budget", "9.5", "--print-config").stdout
+    path.write_text(first)
+    assert run("fit", "--config", str(path), "--print-config").stdout == first
+
+
+@pytest.mark.parametrize("text", ["seed = 3", "[fit]\nseed = 3\n[export]\nvertical = 'egm96'"])
+def test_options_come_from_the_top_level_or_the_commands_table(tmp_path, text):
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    assert printed("--config", str(path))["seed"] == 3
+
+
+def test_the_command_line_wins_over_the_file_wherever_it_stands(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text("seed = 3\nheight-rate = 0.2")
+    for arguments in (["--config", str(path), "--seed", "4"], ["--seed", "4", "--config", str(path)]):
+        shown = printed(*arguments)
+        assert (shown["seed"], shown["height-rate"]) == (4, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sede = 3", "found option 'sede', which `sattools fit` does not have"),
+        ("seed = -3", "-3 is not in the range x>=0"),
+        ("loss = 'l1'", "'l1' is not one of"),
+        ("seed = [", "found no valid TOML"),
+    ],
+)
+def test_a_wrong_file_is_a_usage_error(tmp_path, text, words):
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    result = run("fit", "--config", str(path), "--print-config")
+    assert result.exit_code == 2
+    assert words in result.stderr.replace("\n", " ")
+    assert result.stdout == ""
+
+
+def test_a_missing_file_is_a_usage_error(tmp_path):
+    result = run("fit", "--config", str(tmp_path / "none.toml"))
+    assert result.exit_code == 2
+    assert "cannot be read" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nonsense"],
+        ["fit", "--nonsense"],
+        ["fit", "--seed", "many"],
+        ["fit", "--loss", "l1"],
+        ["--threads", "0", "info"],
+        ["--progress", "loud", "info"],
+        ["simulate", "--views", "0"],
+        ["prep"],
+    ],
+)
+def test_wrong_usage_exits_with_2(arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""

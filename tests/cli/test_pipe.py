@@ -1,0 +1,190 @@
+"""The contract of the pipe: scenes in, scenes out, one line each; errors on stderr; exit codes."""
+
+import json
+import subprocess
+import sys
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli.options import common_options, scene_argument
+from sattools.cli.pipe import Run, run_scenes
+from sattools.errors import SceneError
+from sattools.scene import Scene
+
+
+@click.command("touch")
+@scene_argument
+@common_options
+@click.option("--fail", default="")
+def touch(scenes, overwrite, dry_run, print_config, fail):
+    """A command like any other: writes one file, and fails for one scene if asked to."""
+
+    def work(scene, progress):
+        if scene.id == fail:
+            raise SceneError(f"scene {scene.id}: found a\nproblem, expected none")
+        progress(0.5, "half")
+        scene.output("touched", overwrite).write_text(scene.id)
+        scene.products["touched"] = "touched"
+        return {"remarks": ["it was easy"]}
+
+    run_scenes(Run("touch", None, dry_run, print_config), scenes, work, plan="touch a file")
+
+
+@pytest.fixture
+def line(tmp_path):
+    def make(name):
+        (tmp_path / name).mkdir()
+        return Scene(name, tmp_path / name).to_json() + "\n"
+
+    return make
+
+
+def run(*arguments, text=""):
+    return CliRunner().invoke(touch, arguments, input=text)
+
+
+def ids(result):
+    return [json.loads(row)["id"] for row in result.stdout.splitlines()]
+
+
+def test_one_scene_is_one_line_with_its_history(line, tmp_path):
+    result = run(text=line("a"))
+    assert result.exit_code == 0, result.output
+    assert result.stdout.count("\n") == 1
+    document = json.loads(result.stdout)["sattools"]
+    assert document["products"] == {"touched": "touched"}
+    entry = document["history"][-1]
+    assert entry["command"] == "touch"
+    assert entry["remarks"] == ["it was easy"]
+    assert entry["seconds"] >= 0
+    assert 5 < entry["peak_memory_mb"] < 100000
+    assert entry["versions"]["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert (tmp_path / "a/scene.json").read_text() == result.stdout
+
+
+def test_several_scenes_are_passed_on_in_order_and_empty_lines_are_skipped(line):
+    result = run(text=line("a") + "\n" + line("b") + line("c"))
+    assert result.exit_code == 0
+    assert ids(result) == ["a", "b", "c"]
+
+
+def test_one_scene_fails_and_the_others_are_passed_on(line):
+    result = run("--fail", "b", text=line("a") + line("b") + line("c"))
+    assert result.exit_code == 3
+    assert ids(result) == ["a", "c"]
+    assert result.stderr == "sattools touch: error: scene b: found a problem, expected none\n"
+
+
+def test_when_all_scenes_fail_the_command_fails(line):
+    result = run("--fail", "a", text=line("a"))
+    assert (result.exit_code, result.stdout) == (1, "")
+
+
+def test_empty_input_is_an_error_that_says_so():
+    for text in ("", "\n\n"):
+        result = run(text=text)
+        assert result.exit_code == 1
+        assert result.stderr.startswith("sattools touch: error: stdin: found nothing, expected scene documents")
+
+
+def test_two_scenes_with_one_id_and_root_are_told_apart_by_an_error(line):
+    text = line("a")
+    result = run("--overwrite", text=text + text)
+    assert result.exit_code == 3
+    assert ids(result) == ["a"]
+    assert "stdin line 2: found scene id 'a' a second time, expected unique ids" in result.stderr
+
+
+def test_an_unreadable_line_is_named_and_the_next_is_done(line):
+    result = run(text="{nonsense\n" + line("b"))
+    assert result.exit_code == 3
+    assert ids(result) == ["b"]
+    assert result.stderr.startswith("sattools touch: error: stdin line 1: found text that is not JSON")
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_scene_whose_root_is_gone_is_refused_and_no_folder_is_made(tmp_path):
+    result = run(text=Scene("a", tmp_path / "gone").to_json())
+    assert result.exit_code == 1
+    assert f"scene a: found no folder {tmp_path / 'gone'}, expected the scene's root" in result.stderr
+    assert not (tmp_path / "gone").exists()
+
+
+def test_a_path_is_taken_instead_of_stdin(line, tmp_path):
+    text = line("a")
+    path = tmp_path / "a/scene.json"
+    path.write_text(json.dumps(json.loads(text), indent=3))
+    assert ids(run(str(path))) == ["a"]
+    assert run(str(tmp_path / "missing.json")).exit_code == 1
+
+
+def test_dry_run_says_what_would_be_done_and_passes_the_scene_on(line, tmp_path):
+    text = line("a")
+    result = run("--dry-run", text=text)
+    assert result.exit_code == 0
+    assert result.stdout == text
+    assert result.stderr == f"sattools touch: would touch a file for scene a in {tmp_path / 'a'}\n"
+    assert list((tmp_path / "a").iterdir()) == []
+
+
+def test_existing_outputs_need_overwrite(line):
+    text = line("a")
+    assert run(text=text).exit_code == 0
+    second = run(text=text)
+    assert second.exit_code == 1
+    assert "exists already; give --overwrite to replace it" in second.stderr
+    assert run("--overwrite", text=text).exit_code == 0
+
+
+def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a/touched").mkdir()
+    (tmp_path / "a/scene.json").mkdir()  # stands in for a read-only folder, which root may write all the same
+    scene = Scene("a", tmp_path / "a")
+
+    @click.command("other")
+    @scene_argument
+    def other(scenes):
+        run_scenes(Run("other", None), scenes, lambda scene, progress: None)
+
+    result = CliRunner().invoke(other, input=scene.to_json())
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"sattools other: error: {tmp_path}/a/scene.json: cannot be written (")
+    assert [p.name for p in (tmp_path / "a").iterdir() if ".tmp" in p.name] == []
+
+
+def sattools(*arguments, **keywords):
+    return subprocess.Popen([sys.executable, "-m", "sattools", *arguments], text=True, **keywords)
+
+
+def test_a_reader_that_goes_away_ends_the_command_quietly(line):
+    process = sattools("info", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    process.stdin.write("".join(line(f"s{k}") for k in range(50)))
+    process.stdin.close()
+    assert process.stderr.read() == ""
+    assert process.wait() == 1
+    process.stderr.close()
+
+
+def test_scenes_come_out_before_the_next_is_read(line):
+    """A slow source must not hold back what is done: the first scene arrives while stdin is still open."""
+    process = sattools("info", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    process.stdin.write(line("a"))
+    process.stdin.flush()
+    assert process.stdout.readline().startswith("scene a ")
+    process.stdin.close()
+    assert process.wait() == 0
+    process.stdout.close()
+
+
+def test_info_counts_errors_as_the_other_commands_do(line):
+    from sattools.cli import main
+
+    assert CliRunner().invoke(main, ["info"], input="").exit_code == 1
+    mixed = CliRunner().invoke(main, ["info"], input="{\n" + line("b"))
+    assert mixed.exit_code == 3
+    assert mixed.stdout.startswith("scene b ")

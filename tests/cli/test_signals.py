@@ -1,0 +1,47 @@
+"""Interruption and progress of a real command in its own process."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture
+def fitting(make_town):
+    """A fit that has begun to train, and its scene."""
+    scene = make_town()
+    command = [sys.executable, "-m", "sattools", "--threads", "1", "--progress", "json", "fit"]
+    process = subprocess.Popen(
+        [*command, "--epochs", "500", str(scene.root / "scene.json")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    yield process, scene
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    process.stderr.close()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting, number, code):
+    process, scene = fitting
+    records = []
+    while len(records) < 12:  # past the first checkpoint
+        text = process.stderr.readline()
+        assert text, "the fit ended before it was interrupted"
+        records.append(json.loads(text))
+    process.send_signal(number)
+    output, rest = process.communicate(timeout=20)
+    assert process.returncode == code
+    assert output == ""
+    assert "Traceback" not in rest
+    assert [str(p) for p in scene.root.rglob("*.tmp*")] == []
+    assert not (scene.root / "fit/model.safetensors").exists()
+    # progress for programs: every line is a record, and it only grows
+    assert all(set(r) == {"progress", "message"} and 0 <= r["progress"] <= 1 for r in records)
+    assert [r["progress"] for r in records] == sorted(r["progress"] for r in records)
+    assert records[-1]["message"].startswith("fit TOWN: ")

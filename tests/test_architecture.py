@@ -1,0 +1,140 @@
+"""Who may import whom: one way through the house, and heavy libraries only where they are needed."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "sattools"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# A room may import rooms of a lower floor and itself, nothing else. Rooms of one floor do not know each other, except
+# where ALSO says so.
+FLOORS = [
+    {"errors", "progress", "settings"},
+    {"scene"},
+    {"camera", "radiometry", "reflectance"},
+    {"field", "views"},
+    {"render"},
+    {"prep", "prior", "fit", "export", "compare", "simulate"},
+    {"cli"},
+]
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+# `fit` makes a prior where the scene has none and can watch its error; `export` reads what `fit` wrote
+ALSO = {("fit", "prior"), ("fit", "compare"), ("export", "fit"), ("prior", "prep")}
+
+
+def room_of(path: Path) -> str:
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0] if len(relative.parts) > 1 else relative.stem
+
+
+def imports(path: Path) -> set[str]:
+    """All modules that a file imports, anywhere in it, by their full names."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def top_level_imports(path: Path) -> set[str]:
+    """Packages that are imported as soon as the file is, by their first names."""
+    found = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add((node.module or "").split(".")[0])
+    return found
+
+
+def rooms_imported(path: Path) -> set[str]:
+    ours = (name.split(".") for name in imports(path) if name.startswith("sattools."))
+    return {parts[1] for parts in ours} - {"__version__"}
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def test_every_room_has_its_floor():
+    rooms = {room_of(path) for path in FILES} - {"__init__", "__main__"}
+    assert rooms - set(FLOOR) == set()
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_imports_point_one_way(path):
+    room = room_of(path)
+    if room in ("__init__", "__main__"):
+        return
+    wrong = [
+        other for other in rooms_imported(path) - {room} if FLOOR[other] >= FLOOR[room] and (room, other) not in ALSO
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("room", "forbidden"),
+    [
+        ("scene", {"torch", "click"}),
+        ("camera", {"torch", "click"}),
+        ("radiometry", {"torch", "click"}),
+        ("prep", {"torch", "click"}),
+        ("compare", {"click"}),
+        ("simulate", {"torch", "click"}),
+        ("reflectance", {"numpy", "rasterio", "click"}),
+        ("render", {"rasterio", "click"}),
+        ("field", {"rasterio", "click"}),
+        ("fit", {"rasterio", "click"}),
+        ("export", {"click"}),
+        ("cli", {"numpy", "torch", "scipy", "rasterio", "math"}),
+    ],
+)
+def test_rooms_do_without_what_is_not_their_business(room, forbidden):
+    found = {n.split(".")[0] for path in FILES if room_of(path) == room for n in imports(path)}
+    assert found & forbidden == set()
+
+
+def test_the_simulator_shares_no_code_with_what_it_tests():
+    used = set().union(*(rooms_imported(path) for path in FILES if room_of(path) == "simulate"))
+    assert used & {"render", "field", "fit", "prior", "reflectance", "views", "export"} == set()
+
+
+def test_the_renderer_knows_no_optimiser_and_the_fit_no_command():
+    for path in FILES:
+        text = path.read_text(encoding="utf-8")
+        if room_of(path) in ("render", "field", "reflectance"):
+            assert "torch.optim" not in text, path
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_modules_stay_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < 400
+
+
+def test_the_plugin_does_not_import_the_package():
+    for path in (ROOT / "qgis_plugin").rglob("*.py"):
+        assert not [n for n in imports(path) if n.split(".")[0] == "sattools"], path
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_nothing_unpickles_or_runs_a_shell(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert not [n for n in imports(path) if n.split(".")[0] in ("pickle", "shelve", "marshal")]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword):
+            assert not (node.arg == "shell" and getattr(node.value, "value", None) is True)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            assert (node.value.id, node.attr) not in (("torch", "load"), ("os", "system"))
+
+
+def test_command_modules_start_with_the_frame_only():
+    """What a command's module imports at once is paid by every `--help` and every completion."""
+    for path in (PACKAGE / "cli").glob("*.py"):
+        heavy = {"torch", "geopandas", "matplotlib", "numba", "cv2", "skimage", "pvlib", "shapely"}
+        assert top_level_imports(path) & heavy == set(), path
