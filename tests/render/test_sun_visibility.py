@@ -1,0 +1,130 @@
+"""Cast shadows of a height map, by hand and against the ray tracer of the simulator."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sattools.camera.ground import grid_direction, project, to_geographic
+from sattools.camera.rpc import RPC
+from sattools.render import sun_visibility
+from sattools.scene.raster import read_image, read_raster
+
+
+def sun_at(azimuth_deg, elevation_deg):
+    """Unit vector (east, north, up), azimuth clockwise from north."""
+    a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
+    return math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)
+
+
+def block(cell=0.5, size=160, tall=12.0):
+    """A block of 10 m x 10 m in the middle of flat ground."""
+    height = torch.full((size, size), -20.0)
+    low, high = size // 2 - round(5 / cell), size // 2 + round(5 / cell)
+    height[low:high, low:high] += tall
+    return height, low, high
+
+
+@pytest.mark.parametrize("sun", [sun_at(0, 10), sun_at(137, 30), sun_at(271, 80), (0.0, 0.0, 1.0)])
+def test_flat_ground_is_lit(sun):
+    assert torch.equal(sun_visibility(torch.full((20, 30), -3.5), 0.5, sun), torch.ones(20, 30))
+
+
+def test_a_sun_at_the_zenith_casts_no_shadow():
+    height, _, _ = block()
+    assert float(sun_visibility(height, 0.5, (0.0, 0.0, 1.0)).min()) == 1
+
+
+@pytest.mark.parametrize("elevation", [0.0, -5.0])
+def test_nothing_is_lit_by_a_sun_below_the_horizon(elevation):
+    height, _, _ = block()
+    assert float(sun_visibility(height, 0.5, sun_at(90, elevation)).max()) == 0
+
+
+@pytest.mark.parametrize("cell", [0.5, 1.0])
+@pytest.mark.parametrize("elevation", [25.0, 45.0, 60.0])
+@pytest.mark.parametrize(("azimuth", "step"), [(90, (0, -1)), (270, (0, 1)), (0, (1, 0)), (180, (-1, 0))])
+def test_a_shadow_is_as_long_as_the_height_over_the_tangent(cell, elevation, azimuth, step):
+    """Opposite the sun, and of the block's own width; to one cell, as the edge lies between cell centres."""
+    height, low, high = block(cell)
+    dark = 1 - sun_visibility(height, cell, sun_at(azimuth, elevation))
+    middle = height.shape[0] // 2
+    line = dark[middle] if step[0] == 0 else dark[:, middle]
+    beyond = line[high:] if sum(step) > 0 else line[:low].flip(0)
+    assert float(beyond.sum()) * cell == pytest.approx(12 / math.tan(math.radians(elevation)), abs=cell)
+    ahead = line[:low] if sum(step) > 0 else line[high:]
+    assert float(ahead.max()) == 0
+    assert float(dark[low + 1 : high - 1, low + 1 : high - 1].max()) == 0  # the roof is lit
+
+
+def test_a_slanting_sun_casts_the_shadow_along_its_own_direction():
+    height, low, high = block()
+    dark = 1 - sun_visibility(height, 0.5, sun_at(135, 45))  # from the south-east: the shadow falls north-west
+    rows, cols = np.nonzero(dark.numpy() > 0.5)
+    assert rows.max() < high
+    assert cols.max() < high
+    # 12 m along the diagonal: 8.5 m north and west of the block's corner, 17 cells
+    assert low - rows.min() == pytest.approx(17, abs=1)
+    assert low - cols.min() == pytest.approx(17, abs=1)
+
+
+def test_a_slope_away_from_a_low_sun_is_in_shadow_and_one_towards_it_is_lit():
+    ramp = torch.arange(40.0).expand(30, 40) * 1.0  # rises eastwards by 45 degrees
+    assert float(sun_visibility(ramp, 1.0, sun_at(270, 30)).min()) == 1
+    # the first and last rows and the eastern end have sun rays that leave the map
+    assert float(sun_visibility(ramp, 1.0, sun_at(90, 30))[1:-1, :30].max()) == 0
+
+
+def test_light_grows_with_the_receiver_and_falls_with_the_caster():
+    """Where the edge of a shadow lies, gradients are finite differences and have the right signs."""
+    height = torch.zeros(1, 60).repeat(3, 1)
+    height[:, 40] = 10.0
+    sun = sun_at(90, 40)
+    h = height.clone().requires_grad_()
+    light = sun_visibility(h, 1.0, sun)
+    edge = [c for c, value in enumerate(light[1, :40].tolist()) if 0.02 < value < 0.98]
+    assert len(edge) == 1  # 40 - 10 / tan 40 = 28.1
+    assert edge[0] == 28
+    (gradient,) = torch.autograd.grad(light[1, edge[0]], h)
+    assert float(gradient[1, edge[0]]) > 0
+    assert float(gradient[1, 40]) < 0
+    assert float(gradient[0].abs().max()) == float(gradient[2].abs().max()) == 0
+    for column in (edge[0], 40):
+        raised, lowered = height.clone(), height.clone()
+        raised[1, column] += 0.02
+        lowered[1, column] -= 0.02
+        change = sun_visibility(raised, 1.0, sun)[1, edge[0]] - sun_visibility(lowered, 1.0, sun)[1, edge[0]]
+        assert float(gradient[1, column]) == pytest.approx(float(change) / 0.04, rel=0.02)
+
+
+def test_double_precision_in_is_double_precision_out():
+    assert sun_visibility(torch.zeros(4, 4, dtype=torch.float64), 1.0, sun_at(10, 20)).dtype == torch.float64
+
+
+def test_shadows_of_the_true_surface_are_those_that_the_ray_tracer_saw(town_source):
+    """Intersection over union of cast shadow, pooled over the views, on ground that both can know of.
+
+    Compared are cells that a view sees and whose sun ray rises above the highest roof inside the map: what stands
+    around the map casts shadows into it, too. A pixel stands for some four cells, so edges are off by about one.
+    """
+    heights, grid = read_raster(town_source.path(town_source.products["truth_dsm"]))
+    truth = heights[0]
+    east, north = np.meshgrid(grid.x(), grid.y())
+    lon, lat = (float(v) for v in to_geographic(grid.crs, east.mean(), north.mean()))
+    west, south, right, top = grid.bounds
+    both, either = 0, 0
+    for item in town_source.items:
+        rpc = RPC.from_file(town_source.path(item.assets["rpc"].href))
+        lit, seen = (read_image(town_source.path(item.assets[n].href))[0] for n in ("truth_lit", "truth_height"))
+        col, row = (np.rint(v).astype(int) for v in project(rpc, grid.crs, east, north, truth))
+        sun = grid_direction(*item.sun, grid.crs, lon, lat)
+        found = sun_visibility(torch.from_numpy(truth.astype(np.float32)), grid.cell_size, tuple(sun)).numpy()
+        clear = (truth.max() - truth) / sun[2]  # way along the ray until it is above everything
+        x, y = east + clear * sun[0], north + clear * sun[1]
+        use = (x > west) & (x < right) & (y > south) & (y < top) & (np.abs(seen[row, col] - truth) < 0.1)
+        mine, theirs = (found < 0.5) & use, (lit[row, col] < 0.5) & use
+        both += (mine & theirs).sum()
+        either += (mine | theirs).sum()
+    assert either > 5000
+    assert both / either >= 0.9
