@@ -7,6 +7,7 @@ sun or sensor) every model of this package returns 0 with zero gradients.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -33,9 +34,11 @@ class Angles(NamedTuple):
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Scalar product of ``[..., 3]`` and ``[..., 3]``, ``[...]``; not by matmul, which may run in TF32."""
-    a0, a1, a2 = a.unbind(-1)
-    b0, b1, b2 = b.unbind(-1)
-    return a0 * b0 + a1 * b1 + a2 * b2
+    return _sum3(a.unbind(-1), b.unbind(-1))
+
+
+def _sum3(a: Sequence[Tensor], b: Sequence[Tensor]) -> Tensor:
+    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
 
 
 def _cross(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -67,9 +70,9 @@ def measure(normal: Tensor, sun: Tensor, view: Tensor, known: Pair | None = None
     s, v = sun.unbind(-1), view.unbind(-1)
     x, plus2, minus2 = known or pair(sun, view)
     return Angles(
-        mu0=n[0] * s[0] + n[1] * s[1] + n[2] * s[2],
-        mu=n[0] * v[0] + n[1] * v[1] + n[2] * v[2],
-        triple=n[0] * x[0] + n[1] * x[1] + n[2] * x[2],
+        mu0=_sum3(n, s),
+        mu=_sum3(n, v),
+        triple=_sum3(n, x),
         minus2=minus2,
         plus2=plus2,
     )
@@ -88,7 +91,7 @@ def pull_back(
     by_normal, by_sun, by_view = grads
     if by_normal is not None:
         for k in range(3):
-            by_normal[..., k] = grad.mu0 * s[k] + grad.mu * v[k] + grad.triple * known.cross[k]
+            by_normal[..., k] = _sum3((grad.mu0, grad.mu, grad.triple), (s[k], v[k], known.cross[k]))
     if by_sun is not None or by_view is not None:
         apart = [2 * grad.minus2 * (p - q) for p, q in zip(s, v)]
         along = [2 * grad.plus2 * (p + q) for p, q in zip(s, v)]

@@ -178,7 +178,7 @@ class _Hapke(torch.autograd.Function):
             state = kept[number * each : (number + 1) * each]
             grad = blocks.cut(grads[0], block)
             parts = _cut(blocks, block, operands)
-            found: list
+            found: list[Tensor | None]
             if ctx.direct:
                 found = [
                     None if rate is None else rate * (grad if index > 2 else grad[..., None])
@@ -186,9 +186,9 @@ class _Hapke(torch.autograd.Function):
                 ]
             else:
                 found = _reverse(parts, known, _unpack(state), grad, needed)
-            for index in range(9):
-                if needed[index]:
-                    _collect(total, index, found[index].sum_to_size(parts[index].shape), operands[index], blocks, block)
+            for index, gradient in enumerate(found):
+                if gradient is not None and needed[index]:
+                    _collect(total, index, gradient.sum_to_size(parts[index].shape), operands[index], blocks, block)
         return (None, *total)
 
 
