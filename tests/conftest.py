@@ -7,7 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from sattools.cli import set_threads
 from sattools.scene import Scene
+
+# Many small calls: threads that wait for each other cost more than they bring, above all on a busy machine.
+# Set before torch and numba are imported, and inherited by the commands that tests start.
+set_threads(1)
 
 
 @pytest.fixture(scope="session")

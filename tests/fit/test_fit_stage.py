@@ -1,0 +1,132 @@
+"""The stage `fit`: what it needs, what it leaves out, what it writes."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sattools.errors import InputError, OutputExistsError, SceneError
+from sattools.fit.checkpoint import load
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import choose_device, fit, resample_map
+from sattools.scene import Grid
+
+QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[5])
+
+
+def height(scene):
+    return load(scene.root / "fit/model.safetensors")[0]["height"]
+
+
+def test_model_and_trace_are_written_and_named(make_town):
+    scene = make_town()
+    remarks = fit(scene, QUICK)
+    assert scene.products["model"] == "fit/model.safetensors"
+    tensors, meta = load(scene.path(scene.products["model"]))
+    grid = Grid.from_dict(meta["grid"])
+    assert grid == scene.grid.resized(2.0)
+    assert tuple(tensors["height"].shape) == grid.shape == (32, 32)
+    assert tensors["albedo"].shape == (32, 32, 3)
+    low, high = scene.height_range_m
+    assert low <= float(tensors["height"].min()) < float(tensors["height"].max()) <= high
+    assert meta["items"] == [item.id for item in scene.items]
+    with open(scene.path(scene.products["trace"]), newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(r["epoch"]) for r in rows] == [1, 2, 3, 4, 5]
+    seconds = [float(r["seconds"]) for r in rows]
+    assert seconds == sorted(seconds)
+    assert float(rows[-1]["loss"]) < float(rows[0]["loss"])
+    assert remarks["fit"]["epochs"] == 5
+
+
+def test_a_held_out_image_has_no_influence(make_town):
+    with_it, without = make_town("WITH"), make_town("WITHOUT")
+    gone = with_it.items[2].id
+    fit(with_it, replace(QUICK, holdout=[gone]))
+    without.items = [item for item in without.items if item.id != gone]
+    fit(without, QUICK)
+    assert torch.equal(height(with_it), height(without))
+    assert [item.role for item in with_it.items].count("test") == 1
+
+
+def test_an_image_to_hold_out_must_be_there(make_town):
+    with pytest.raises(SceneError, match="found no item 'nobody' to hold out"):
+        fit(make_town(), replace(QUICK, holdout=["nobody"]))
+
+
+def test_one_image_is_not_enough(make_town):
+    scene = make_town()
+    scene.items = scene.items[:1]
+    with pytest.raises(SceneError, match="found 1 training image, expected at least 2"):
+        fit(scene, QUICK)
+
+
+def test_watching_the_error_does_not_change_the_fit(make_town):
+    plain, watched = make_town("PLAIN"), make_town("WATCHED")
+    fit(plain, QUICK)
+    fit(watched, replace(QUICK, reference=str(watched.path(watched.products["truth_dsm"]))))
+    assert torch.equal(height(plain), height(watched))
+    with open(watched.path("fit/trace.csv"), newline="") as file:
+        errors = [float(row["mae_m"]) for row in csv.DictReader(file)]
+    assert len(errors) == 5
+    assert all(0 < e < 30 for e in errors)
+
+
+def test_a_budget_stops_the_fit_and_keeps_what_it_has(make_town):
+    scene = make_town()
+    remarks = fit(scene, replace(QUICK, epochs=[100000], budget=0.5))
+    assert remarks["remarks"] == ["stopped by the budget of 0.5 s at cell 2 m"]
+    assert torch.isfinite(height(scene)).all()
+
+
+def test_an_existing_model_needs_overwrite(make_town):
+    scene = make_town()
+    fit(scene, replace(QUICK, epochs=[1]))
+    with pytest.raises(OutputExistsError, match="--overwrite"):
+        fit(scene, QUICK, overwrite=False)
+
+
+def test_images_without_sun_are_fitted_without_shadows(make_town):
+    scene = make_town()
+    for item in scene.items:
+        del item.properties["view:sun_elevation"]
+    fit(scene, QUICK)
+    assert load(scene.root / "fit/model.safetensors")[1]["suns"] == [None] * 6
+
+
+def test_missing_files_and_members_are_named(make_town):
+    scene = make_town()
+    scene.path("images/TOWN_003.tif").unlink()
+    with pytest.raises(InputError, match=r"TOWN_003\.tif: no such file"):
+        fit(scene, QUICK)
+    del scene.items[1].assets["rpc"]
+    with pytest.raises(SceneError, match="item TOWN_002 has no asset 'rpc'"):
+        fit(scene, QUICK)
+    scene = make_town("NOGRID")
+    scene.grid = None
+    with pytest.raises(SceneError, match="found no grid"):
+        fit(scene, QUICK)
+    assert not (scene.root / "fit/model.safetensors").exists()
+
+
+def test_a_machine_without_cuda_says_so():
+    assert choose_device("cpu").type == "cpu"
+    if torch.cuda.is_available():
+        assert choose_device("cuda").type == choose_device("auto").type == "cuda"
+    else:
+        assert choose_device("auto").type == "cpu"
+        with pytest.raises(SceneError, match="found no CUDA device"):
+            choose_device("cuda")
+
+
+def test_a_map_on_a_coarser_grid_is_the_mean_of_its_known_cells():
+    fine, coarse = Grid("EPSG:32617", 0, 0, 1.0, 4, 4), Grid("EPSG:32617", 0, 0, 2.0, 2, 2)
+    array = np.arange(16.0).reshape(4, 4)
+    array[0, 0] = np.nan
+    array[2:, 2:] = np.nan
+    found = resample_map(array, fine, coarse)
+    assert found[0].tolist() == pytest.approx([(1 + 4 + 5) / 3, (2 + 3 + 6 + 7) / 4])
+    assert float(found[1, 0]) == pytest.approx((8 + 9 + 12 + 13) / 4)
+    assert torch.isnan(found[1, 1])
