@@ -187,9 +187,11 @@ def parse(source: str, text: str | None) -> Scene:
 def _print_line(line: str) -> None:
     try:
         print(line, flush=True)
-    except BrokenPipeError:
-        # nobody reads any more: stop quietly, and keep Python from complaining when it flushes stdout at exit
+    except OSError as error:
+        # keep Python from complaining once more when it flushes stdout at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):  # nobody reads any more: stop quietly
+            click.echo(f"sattools: error: stdout: cannot be written ({error.strerror})", err=True)
         sys.exit(1)
 
 

@@ -57,8 +57,19 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
 
 
 def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple[float, float]) -> list[View]:
-    """All sources resampled to a grid; see `make_view`."""
-    return [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, s.sun) for s in sources]
+    """All sources resampled to a grid; see `make_view`.
+
+    Raises:
+        SceneError: an image shows nothing of the grid.
+    """
+    views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, s.sun) for s in sources]
+    for view in views:
+        if not view.mask.any():
+            raise SceneError(
+                f"image {view.id}: found no valid pixel on the scene's grid, expected an image of this place "
+                "(hold it out to go on without it)"
+            )
+    return views
 
 
 __all__ = ["Source", "load_sources", "views_on"]
