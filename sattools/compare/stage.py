@@ -37,7 +37,7 @@ class CompareOptions:
         "ncc", "ncc: whole cells, then mean height; nuth-kaab: parts of cells; z: mean height only; none."
     )
     region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
-    map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")  # noqa: RUF009
+    map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
     views: bool = option(False, "Also score the rendered images of held-out views.")
     out: str | None = option(None, "With --predicted: folder for the difference map.")
 

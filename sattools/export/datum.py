@@ -32,7 +32,8 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
         _, _, above = transformer.transform(lon, lat, height.astype(np.float64).ravel(), errcheck=True)
     except ProjError as error:
         raise SattoolsError(
-            f"--vertical {vertical}: PROJ has no grid of the {name} (install it with `projsync --file us_nga_{vertical}`)"
+            f"--vertical {vertical}: found no grid of the {name} in PROJ, expected it "
+            f"(install it with `projsync --file us_nga_{vertical}`)"
         ) from error
     return np.asarray(above).reshape(height.shape), name
 

@@ -10,8 +10,10 @@ from sattools.scene.grid import Grid
 from sattools.scene.raster import atomic
 
 
-def hillshade(height: np.ndarray, cell_size: float, azimuth_deg: float = 315.0, elevation_deg: float = 40.0) -> np.ndarray:
-    """Lambertian shading ``[H, W]`` in [0, 1] of a height map lit from an azimuth (clockwise from north) and elevation."""
+def hillshade(
+    height: np.ndarray, cell_size: float, azimuth_deg: float = 315.0, elevation_deg: float = 40.0
+) -> np.ndarray:
+    """Lambertian shading ``[H, W]`` in [0, 1] of a height map lit from an azimuth (from north) and elevation."""
     south, east = np.gradient(height, cell_size)
     normal = np.stack([-east, south, np.ones_like(height)])
     normal /= np.linalg.norm(normal, axis=0)

@@ -18,9 +18,7 @@ from sattools.scene.raster import write_cog
 DSM, ALBEDO, PICTURE = "export/dsm.tif", "export/albedo.tif", "export/dsm.png"
 
 
-def export(
-    scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True
-) -> dict[str, Any]:
+def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
     """Write the DSM, its picture, the albedo and a shadow mask per image; adds products and assets to the scene.
 
     Raises:

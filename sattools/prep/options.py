@@ -24,7 +24,7 @@ class PrepOptions:
     )
     min_height: float | None = option(None, "Lowest height of the surface, m above the ellipsoid [default: found].")
     max_height: float | None = option(None, "Highest height of the surface, m above the ellipsoid [default: found].")
-    holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")  # noqa: RUF009
+    holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")
     aoi: str | None = None  # GeoJSON file of the area of interest
     bounds: list[float] = field(default_factory=list)  # west, south, east, north
 

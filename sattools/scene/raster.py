@@ -1,7 +1,7 @@
 """Reading and writing rasters: the one I/O layer of the suite.
 
-Everything is written under a temporary name in the target's folder and renamed when complete, so that an interrupted command
-never leaves half a file.
+Everything is written under a temporary name in the target's folder and renamed when complete, so that an interrupted
+command never leaves half a file.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Source:
-    """One image with its camera: radiance ``[C, h, w]`` float32 (NaN = invalid), sun as (azimuth, elevation) or None."""
+    """One image with its camera: radiance ``[C, h, w]`` float32 (NaN = invalid), sun (azimuth, elevation) or None."""
 
     id: str
     radiance: np.ndarray

@@ -88,11 +88,13 @@ def make_view(
     # normalised convolution: masked pixels neither darken their neighbours nor spread
     weight = valid.astype(np.float32)
     if max(blur) > 0.3:
-        kernel = {"ksize": (0, 0), "sigmaX": max(blur[0], 1e-3), "sigmaY": max(blur[1], 1e-3)}
-        weight = cv2.GaussianBlur(weight, **kernel, borderType=cv2.BORDER_REPLICATE)
-        filled = np.stack(
-            [cv2.GaussianBlur(band, **kernel, borderType=cv2.BORDER_REPLICATE) for band in filled]
-        ) / np.maximum(weight, 1e-6)
+        weight, *bands = (
+            cv2.GaussianBlur(
+                layer, (0, 0), max(blur[0], 1e-3), sigmaY=max(blur[1], 1e-3), borderType=cv2.BORDER_REPLICATE
+            )
+            for layer in (weight, *filled)
+        )
+        filled = np.stack(bands) / np.maximum(weight, 1e-6)
     map_col, map_row = col.astype(np.float32), row.astype(np.float32)
     target = np.stack(
         [cv2.remap(band, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for band in filled],
