@@ -22,7 +22,7 @@ FLOORS = [
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # `fit` makes a prior where the scene has none and can watch its error; `export` reads what `fit` wrote
-ALSO = {("fit", "prior"), ("fit", "compare"), ("export", "fit"), ("prior", "prep")}
+ALSO = {("fit", "prior"), ("fit", "compare"), ("export", "fit")}
 
 
 def room_of(path: Path) -> str:

@@ -8,7 +8,11 @@ from sattools.camera.ground import to_geographic
 from sattools.errors import SattoolsError
 from sattools.scene.grid import Grid
 
-GEOIDS = {"egm96": ("EPSG:4326+5773", "EGM96 geoid"), "egm2008": ("EPSG:4326+3855", "EGM2008 geoid")}
+# option -> (CRS, name, PROJ's file)
+GEOIDS = {
+    "egm96": ("EPSG:4326+5773", "EGM96 geoid", "us_nga_egm96_15.tif"),
+    "egm2008": ("EPSG:4326+3855", "EGM2008 geoid", "us_nga_egm08_25.tif"),
+}
 ELLIPSOID = "WGS84 ellipsoid"
 
 
@@ -23,17 +27,17 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
-    code, name = GEOIDS[vertical]
+    code, name, file = GEOIDS[vertical]
     x, y = np.meshgrid(grid.x(), grid.y())
     lon, lat = to_geographic(grid.crs, x.ravel(), y.ravel())
     try:
-        # only_best: without the geoid's grid PROJ would silently hand the ellipsoidal heights back
-        transformer = Transformer.from_crs("EPSG:4979", code, always_xy=True, only_best=True)
+        # without the geoid's grid PROJ would silently hand the ellipsoidal heights back ("ballpark" transformation)
+        transformer = Transformer.from_crs("EPSG:4979", code, always_xy=True, only_best=True, allow_ballpark=False)
         _, _, above = transformer.transform(lon, lat, height.astype(np.float64).ravel(), errcheck=True)
     except ProjError as error:
         raise SattoolsError(
-            f"--vertical {vertical}: found no grid of the {name} in PROJ, expected it "
-            f"(install it with `projsync --file us_nga_{vertical}`)"
+            f"--vertical {vertical}: found no grid of the {name} in PROJ, expected {file} "
+            f"(install it with `projsync --file {file}`)"
         ) from error
     return np.asarray(above).reshape(height.shape), name
 

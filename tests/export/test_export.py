@@ -1,0 +1,105 @@
+"""Products of a fitted scene: labelled maps on the ground grid."""
+
+import numpy as np
+import pytest
+import rasterio
+import torch
+
+from sattools.camera.ground import grid_direction
+from sattools.errors import InputError, OutputExistsError, SattoolsError
+from sattools.export.datum import to_datum
+from sattools.export.hillshade import hillshade
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.fit.checkpoint import save
+from sattools.scene import Grid, Item, Scene
+from sattools.scene.raster import read_raster
+
+GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 60, 40)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A block of 10 m on flat ground, seen by two images of which one does not know its sun."""
+    height = torch.full(GRID.shape, -20.0)
+    height[15:25, 30:40] = -10.0
+    sun = grid_direction(90.0, 45.0, GRID.crs, -81.66, 30.35)
+    scene = Scene("BLOCK", tmp_path, [Item(n, None, None, {}) for n in ("a", "b")], GRID)
+    tensors = {"height": height, "albedo": torch.full((*GRID.shape, 3), 0.25)}
+    meta = {
+        "grid": GRID.to_dict(),
+        "items": ["a", "b"],
+        "suns": [[float(v) for v in sun], None],
+        "shadow": "geometric",
+    }
+    save(tmp_path / "model", tensors, meta)
+    scene.products["model"] = "model"
+    return scene
+
+
+def test_the_surface_model_is_a_map_with_units_and_datum(scene):
+    remarks = export(scene, ExportOptions())
+    assert remarks["vertical_datum"] == "WGS84 ellipsoid"
+    with rasterio.open(scene.path(scene.products["dsm"])) as data:
+        assert data.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert data.units == ("m",)
+        assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
+        assert data.crs.to_epsg() == 32617
+        heights = data.read(1)
+    assert heights.dtype == np.float32
+    assert (heights[0, 0], heights[20, 35]) == (-20.0, -10.0)
+
+
+def test_the_albedo_has_one_band_per_colour_and_says_its_scale(scene):
+    export(scene, ExportOptions())
+    albedo, grid = read_raster(scene.path(scene.products["albedo"]))
+    assert grid == GRID
+    assert albedo.shape == (3, 40, 60)
+    assert (albedo == 0.25).all()
+
+
+def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene):
+    export(scene, ExportOptions())
+    mask, grid = read_raster(scene.path(scene.items[0].assets["shadow"].href))
+    assert grid == GRID
+    # the sun stands in the east at 45 degrees: the block's shadow reaches 10 m west
+    assert mask[0, 20, 21:29].tolist() == [1] * 8
+    assert mask[0, 20, 10:19].tolist() == [0] * 9
+    assert mask[0, 20, 31:].max() == 0
+    assert "shadow" not in scene.items[1].assets
+
+
+def test_products_need_overwrite(scene):
+    export(scene, ExportOptions())
+    with pytest.raises(OutputExistsError, match="--overwrite"):
+        export(scene, ExportOptions(), overwrite=False)
+
+
+def test_a_model_of_another_kind_is_refused(scene):
+    save(scene.root / "model", {"weights": torch.zeros(3)}, {"field": "other"})
+    with pytest.raises(InputError, match="expected a surface model"):
+        export(scene, ExportOptions())
+    assert not (scene.root / "export").exists()
+
+
+def test_a_slope_towards_the_light_is_as_bright_as_lamberts_law_says():
+    column = np.arange(20.0)
+    east_up = np.tile(column, (20, 1))  # rises eastwards by 45 degrees: its normal leans west
+    inner = (slice(2, -2), slice(2, -2))
+    assert hillshade(east_up, 1.0, 270.0, 45.0)[inner] == pytest.approx(1.0)
+    assert hillshade(east_up, 1.0, 90.0, 45.0)[inner] == pytest.approx(0.0, abs=1e-12)
+    assert hillshade(np.zeros((20, 20)), 1.0, 12.0, 30.0) == pytest.approx(0.5)
+    south_up = np.tile(column[:, None], (1, 20))  # rises southwards: its normal leans north
+    assert hillshade(south_up, 1.0, 0.0, 45.0)[inner] == pytest.approx(1.0)
+
+
+def test_heights_above_a_geoid_are_computed_or_the_missing_grid_is_named():
+    """At Jacksonville the EGM96 geoid lies 28 m below the ellipsoid."""
+    height = np.full(GRID.shape, -20.0, np.float32)
+    try:
+        found, name = to_datum(height, GRID, "egm96")
+    except SattoolsError as error:
+        assert "expected us_nga_egm96_15.tif" in str(error)  # noqa: PT017
+        return
+    assert name == "EGM96 geoid"
+    assert found == pytest.approx(8.5, abs=1.5)
