@@ -17,16 +17,20 @@ class FitOptions:
     )
     robust: float = option(0.1, "Residual, in tone-mapped units, from which it counts less; 0 = off.", minimum=0)
     shadow: Literal["none", "geometric"] = option("geometric", "Sun visibility model.")
-    resolution: float | None = option(None, "Finest cell of the surface [m] (default: the scene grid's).", minimum=0.01)
-    coarsest: float = option(4.0, "Cell at which the fit starts [m]; each stage halves it.", minimum=0.01)
-    epochs: list[int] = option(
-        [40, 30, 12, 6], "Passes over all views per stage, coarse to fine (the last is repeated)."
+    resolution: float | None = option(
+        None, "Finest cell of the surface [m] (default: twice the scene grid's, about three pixels).", minimum=0.01
     )
-    softness: list[float] = option(
-        [4.0, 1.5, 0.8, 0.5], "Softness s of the surface [m] at the start of each stage and the end of the last."
+    coarsest: float | None = option(
+        None,
+        "Cell at which the fit starts [m]; each stage halves it (default: 4 x the finest; the finest with a prior).",
+        minimum=0.01,
     )
-    smooth: float = option(0.05, "Weight of the height smoothness.", minimum=0)
-    prior_weight: float = option(0.05, "Weight of the depth prior; 0 = fit without one.", minimum=0)
+    epochs: list[int] = option([16], "Passes over all views per stage, coarse to fine (the last is repeated).")
+    softness: list[float] = option([1.5, 0.5], "Softness of the surface at the start and the end of a stage, in cells.")
+    smooth: float | None = option(
+        None, "Weight of the height smoothness (default: 0.4, or 0.05 from a flat start).", minimum=0
+    )
+    prior_weight: float = option(0.05, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
     pose: bool = option(True, "Refine one shift per view during the fit.")
     budget: float | None = option(None, "Seconds after which the fit stops and keeps what it has.", minimum=0)

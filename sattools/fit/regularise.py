@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +13,8 @@ from sattools.fit.losses import tone
 
 @dataclass(frozen=True)
 class EdgeWeights:
-    """How strongly neighbours are tied: down the rows ``[H - 1, W]`` and along the columns ``[H, W - 1]``, in (0, 1]."""
+    """How strongly neighbours are tied: down the rows ``[H - 1, W]`` and along the columns ``[H, W - 1]``, in (0,
+    1]."""
 
     down: Tensor
     along: Tensor
@@ -42,6 +44,15 @@ def charbonnier(x: Tensor, scale: float) -> Tensor:
     return torch.sqrt(x * x + scale * scale) - scale
 
 
+def concave(x: Tensor, scale: float, knee: float = 1.0) -> Tensor:
+    """knee * log(1 + charbonnier(x) / knee): above the knee a large step costs little more than a small one.
+
+    Many middling steps cost more than one wall of the same height, so slopes between two levels sharpen into walls.
+    """
+    linear = charbonnier(x, scale)
+    return linear if math.isinf(knee) else knee * torch.log1p(linear / knee)
+
+
 def roughness(
     height: Tensor,
     cell_size: float,
@@ -49,10 +60,11 @@ def roughness(
     first: float = 0.3,
     second: float = 1.0,
     scale: float = 0.1,
+    knee: float = 1.0,
 ) -> Tensor:
     """Mean robust first and second differences of a height map, in metres.
 
-    Second differences vanish on tilted planes (roofs, slopes); the linear growth lets walls be.
+    Second differences vanish on tilted planes (roofs, slopes); the slow growth of `concave` lets walls be.
 
     Args:
         height: ``[H, W]`` [m].
@@ -61,11 +73,12 @@ def roughness(
         first: weight of first differences.
         second: weight of second differences.
         scale: [m] below which differences are noise.
+        knee: [m] above which a step costs little more; infinite = linear growth.
     """
     total = height.new_zeros(())
     for axis in (0, 1):
         d1 = height.diff(dim=axis)
-        one, two = charbonnier(d1, scale), charbonnier(d1.diff(dim=axis), scale)
+        one, two = concave(d1, scale, knee), concave(d1.diff(dim=axis), scale, knee)
         if weights is not None:
             w = weights.down if axis == 0 else weights.along
             one = w * one
@@ -75,4 +88,4 @@ def roughness(
     return total / cell_size
 
 
-__all__ = ["EdgeWeights", "charbonnier", "edge_weights", "roughness"]
+__all__ = ["EdgeWeights", "charbonnier", "concave", "edge_weights", "roughness"]

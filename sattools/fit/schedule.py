@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
+from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.train import StageSettings
 
 
-def schedule(options: FitOptions, finest: float, z_range: tuple[float, float]) -> list[StageSettings]:
+def schedule(options: FitOptions, cell: float, z_range: tuple[float, float], with_prior: bool) -> list[StageSettings]:
     """Stages from the coarsest to the finest cell, each half as wide as the one before.
 
+    A prior is a better start than any coarse stage: with one, the fit starts on the finest grid.
+
     Args:
-        options: `coarsest`, `epochs`, `softness`; shorter lists are continued with their last value.
-        finest: cell of the last stage [m].
+        options: `resolution`, `coarsest`, `epochs`, `softness`.
+        cell: the scene grid's cell [m].
         z_range: lowest and highest height [m].
+        with_prior: a depth prior is there.
+
+    Raises:
+        SceneError: options that make no schedule.
     """
+    if len(options.softness) != 2 or min(options.softness) <= 0:
+        raise SceneError(
+            f"--softness: found {options.softness}, expected two positive numbers (start and end of a stage)"
+        )
+    if not options.epochs or min(options.epochs) < 1:
+        raise SceneError(f"--epochs: found {options.epochs}, expected positive numbers")
+    finest = options.resolution or 2 * cell
+    coarsest = options.coarsest or (finest if with_prior else 4 * finest)
     cells = [finest]
-    while cells[0] * 2 <= options.coarsest * (1 + 1e-9):
+    while cells[0] * 2 <= coarsest * (1 + 1e-9):
         cells.insert(0, cells[0] * 2)
-
-    def at(values: list, k: int):  # type: ignore[no-untyped-def]
-        return values[min(k, len(values) - 1)]
-
+    first, last = options.softness
     return [
-        StageSettings(cell, at(options.epochs, k), (at(options.softness, k), at(options.softness, k + 1)), z_range)
-        for k, cell in enumerate(cells)
+        StageSettings(c, options.epochs[min(k, len(options.epochs) - 1)], (first * c, last * c), z_range)
+        for k, c in enumerate(cells)
     ]
 
 

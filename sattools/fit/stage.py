@@ -26,7 +26,7 @@ from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
 from sattools.progress import Progress, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster, write_text
-from sattools.views import Source, View, load_sources, match_colours, views_on
+from sattools.views import Source, View, load_sources, match_colours, shown_on, views_on
 
 log = logging.getLogger(__name__)
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
@@ -79,7 +79,7 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     grid, z_range = scene.need_grid(), scene.need_height_range()
     prior = load_prior(scene, options, progress)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
-    stages = schedule(options, options.resolution or grid.cell_size, z_range)
+    stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device)
     surface, finest, remarks = job.run(progress)
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
@@ -172,18 +172,20 @@ class _Job:
         return surface, grid, remarks
 
     def _start(self, grid: Grid) -> SurfaceScene:
-        """A flat surface; albedo = mean of the colour-matched images on it."""
+        """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""
+        if self.prior is None:
+            height = torch.full(grid.shape, self.z_ref)
+        else:
+            height = resample_map(self.prior[0], self.prior[2], grid).nan_to_num(self.z_ref)
         gain, offset = match_colours(self.views)
         total = np.zeros_like(self.views[0].target)
         weight = np.zeros((*grid.shape, 1), np.float32)
         for view, a, b in zip(self.views, gain, offset, strict=True):
-            mask = view.mask[..., None]
-            total += mask * (view.target - b) / a
-            weight += mask
+            picture, seen = shown_on(view, height.numpy(), grid.cell_size)
+            total += seen * (picture - b) / a
+            weight += seen
         albedo = torch.from_numpy(total / np.maximum(weight, 1)).float()
-        scene = start_scene(
-            self.z_ref, grid.shape, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT
-        )
+        scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT)
         return scene.to(self.device)
 
     def _prior_on(self, grid: Grid) -> Prior | None:
@@ -270,7 +272,8 @@ class _Job:
 
 
 def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
-    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no further."""
+    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no
+    further."""
     factor = target.cell_size / source.cell_size
     tensor = torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
     known = torch.isfinite(tensor).float()
@@ -278,9 +281,10 @@ def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
     size = (round(target.height * factor), round(target.width * factor))
     pad = (0, max(0, size[1] - source.width), 0, max(0, size[0] - source.height))
     stack = torch.nn.functional.pad(stack, pad, mode="replicate")[..., : size[0], : size[1]]
-    mode = "area" if factor > 1 else "bilinear"
-    keywords = {} if mode == "area" else {"align_corners": False}
-    value, weight = interpolate(stack, size=target.shape, mode=mode, **keywords)[0]  # type: ignore[arg-type]
+    if factor > 1:
+        value, weight = interpolate(stack, size=target.shape, mode="area")[0]
+    else:
+        value, weight = interpolate(stack, size=target.shape, mode="bilinear", align_corners=False)[0]
     return torch.where(weight > 0.5, value / weight.clamp_min(1e-6), torch.nan)
 
 

@@ -12,7 +12,8 @@ from torch import Tensor
 class SurfaceScene:
     """Everything the fit learns.
 
-    The radiance of a cell towards image j is gain_j * (l * albedo) + offset_j with irradiance l = v + (1 - v) * ambient_j and sun
+    The radiance of a cell towards image j is gain_j * (l * albedo) + offset_j with irradiance l = v + (1 - v) *
+    ambient_j and sun
     visibility v (the EO-NeRF form, with the whole light of a sunlit cell as unit).
 
     Attributes:
@@ -80,12 +81,10 @@ class SurfaceScene:
         )
 
 
-def start_scene(
-    height: float, shape: tuple[int, int], albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float
-) -> SurfaceScene:
-    """A flat surface with a first albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``."""
+def start_scene(height: Tensor, albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float) -> SurfaceScene:
+    """A first surface ``[H, W]`` with an albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``."""
     return SurfaceScene(
-        torch.full(shape, float(height)),
+        height.clone(),
         albedo.clone(),
         gain.clone(),
         offset.clone(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from torch import Tensor
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge
-from sattools.fit.regularise import edge_weights, roughness
+from sattools.fit.regularise import EdgeWeights, edge_weights, roughness
 from sattools.fit.surface import SurfaceScene
 from sattools.render import Quadrature, Rays, render, sun_visibility
 from sattools.views import View
@@ -22,11 +23,13 @@ REFRESH = 4
 # Adam steps of radiances, which lie in [0, 1]
 RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004}
 BETAS = (0.9, 0.99)
+KNEE_M = 1.0
 
 
 @dataclass(frozen=True)
 class StageSettings:
-    """One grid of the coarse-to-fine schedule: cell [m], epochs, softness [m] at its start and end, height range [m]."""
+    """One grid of the coarse-to-fine schedule: cell [m], epochs, softness [m] at its start and end, height range
+    [m]."""
 
     cell_size: float
     epochs: int
@@ -43,7 +46,8 @@ class Prior:
 
 
 def prior_loss(height: Tensor, prior: Prior, limit: float = 1.0) -> Tensor:
-    """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior lets go."""
+    """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior
+    lets go."""
     known = torch.isfinite(prior.height)
     difference = torch.where(known, height - torch.nan_to_num(prior.height), 0.0).abs()
     return (prior.confidence * difference.clamp_max(limit)).mean()
@@ -78,6 +82,10 @@ class StageTrainer:
         self.scene, self.views, self.settings, self.options, self.prior, self.index = (
             scene, views, settings, options, prior, index,
         )  # fmt: skip
+        # a good start may have its slopes sharpened into walls; from a flat one, walls would freeze before they are
+        # found
+        self.knee = math.inf if prior is None else KNEE_M
+        self.smooth = options.smooth if options.smooth is not None else (0.05 if prior is None else 0.4)
         device = scene.height.device
         self.targets = [torch.from_numpy(v.target).to(device) for v in views]
         self.masks = [torch.from_numpy(v.mask).to(device) for v in views]
@@ -138,13 +146,14 @@ class StageTrainer:
         rgb, _, _ = render(self.scene.height, colour, rays, self.quadrature, self.settings.cell_size, self.masks[j])
         return rgb
 
-    def _step(self, j: int, ties: object) -> float:
+    def _step(self, j: int, ties: EdgeWeights) -> float:
         options = self.options
         self.adam.zero_grad(set_to_none=True)
         error = photometric(options.loss, self._render(j), self.targets[j], options.robust).mean(-1)
         # in units of the robust scale, so that the other weights mean the same for every loss
         loss = (error * self.masks[j]).sum() / self.masks[j].sum().clamp_min(1) / (options.robust**2 or 1.0)
-        total = loss + options.smooth * roughness(self.scene.height, self.settings.cell_size, ties)  # type: ignore[arg-type]
+        bumps = roughness(self.scene.height, self.settings.cell_size, ties, knee=self.knee)
+        total = loss + self.smooth * bumps
         if self.prior is not None:
             total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
         total.backward()

@@ -1,7 +1,9 @@
 """Compiled CPU kernels of the surface renderer (see `sattools.render.reference` for the readable twin).
 
-All arrays are float32 and contiguous. Positions are in cells of the height grid (column = east, row = south), heights in metres.
-Rays of one view are parallel: the ray of output cell (row, col) passes `(col + offset[0] + slope[0] * (z - z_ref), row + offset[1] +
+All arrays are float32 and contiguous. Positions are in cells of the height grid (column = east, row = south), heights
+in metres.
+Rays of one view are parallel: the ray of output cell (row, col) passes `(col + offset[0] + slope[0] * (z - z_ref),
+row + offset[1] +
 slope[1] * (z - z_ref))` at height z.
 """
 
@@ -17,6 +19,8 @@ EMPTY = 6.0
 MIN_TRANSMITTANCE = 1e-3
 # radius in cells of the `ceiling` maps that let rays skip empty air without jumping over a wall
 REACH = 4
+# a ray along the map's edge must not leave it by rounding
+EDGE = 1e-3
 # alpha and its derivative as tables over u = (surface - z) / softness: one linear read instead of two exponentials
 TABLE_PER_UNIT = 64
 TABLE_END = 14.0
@@ -69,7 +73,8 @@ def march(
 ):
     """Composite every ray of a view; returns the number of field samples that were evaluated.
 
-    height [H, W], ceiling [H, W] (highest surface within REACH cells), colour [H, W, C], mask [H, W] (0 = skip); outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W].
+    height [H, W], ceiling [H, W] (highest surface within REACH cells), colour [H, W, C], mask [H, W] (0 = skip);
+    outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W].
     """
     rows, cols = height.shape
     bands = colour.shape[2]
@@ -96,13 +101,13 @@ def march(
                 transmittance = one
                 depth_sum = np.float32(0.0)
                 while z > z_bottom and transmittance > np.float32(MIN_TRANSMITTANCE):
-                    count += 1
                     dz = z - z_ref
                     ix, iy, fx, fy = _corner(x0 + slope[0] * dz, y0 + slope[1] * dz, cols, rows)
                     free = z - above - ceiling[iy, ix]
                     if free > 0:
                         z -= step * max(one, np.float32(math.floor(min(free, largest) / step)))
                         continue
+                    count += 1
                     upper = height[iy, ix] * (one - fx) + height[iy, ix + 1] * fx
                     lower = height[iy + 1, ix] * (one - fx) + height[iy + 1, ix + 1] * fx
                     surface = upper * (one - fy) + lower * fy
@@ -138,9 +143,11 @@ def march_backward(
     height, ceiling, colour, offset, slope, z_ref, z_top, z_bottom, softness, step, table, mask, chunks,
     rgb, depth, opacity, grad_rgb, grad_depth, grad_opacity, height_buffers, colour_buffers,
 ):  # fmt: skip
-    """Gradients of `march` with respect to height and colour, into one buffer per chunk ([chunks, H, W], [chunks, H, W, C]).
+    """Gradients of `march` with respect to height and colour, into one buffer per chunk ([chunks, H, W], [chunks, H,
+    W, C]).
 
-    With v_k = grad . (c_k, z_k, 1): dL/d(sigma_k step) = T_{k+1} v_k - sum over later samples of w_m v_m; the later samples are
+    With v_k = grad . (c_k, z_k, 1): dL/d(sigma_k step) = T_{k+1} v_k - sum over later samples of w_m v_m; the later
+    samples are
     the whole sum, known from the forward pass, minus those passed so far.
     """
     rows, cols = height.shape
@@ -219,8 +226,10 @@ def march_backward(
 def shadow_march(height, direction, tangent, half_width, growth, top, visibility, caster, distance, chunks):
     """Sun visibility of every cell, and which cell casts the shadow.
 
-    direction: (columns, rows) per cell length towards the sun, unit length; tangent: rise per cell length [m]; half_width [m] and
-    growth [m per cell]: half the width of the penumbra's ramp near the caster and its growth with distance; top: highest surface [m].
+    direction: (columns, rows) per cell length towards the sun, unit length; tangent: rise per cell length [m];
+    half_width [m] and
+    growth [m per cell]: half the width of the penumbra's ramp near the caster and its growth with distance; top:
+    highest surface [m].
     visibility [H, W] in [0, 1]; caster [H, W]: flat index of the deciding cell, -1 where nothing is near the sun ray;
     distance [H, W]: how far away it is, in cells.
     """
@@ -240,7 +249,7 @@ def shadow_march(height, direction, tangent, half_width, growth, top, visibility
                         break
                     px = np.float32(col) + direction[0] * t
                     py = np.float32(row) + direction[1] * t
-                    if px < 0 or py < 0 or px > cols - 1 or py > rows - 1:
+                    if px < -EDGE or py < -EDGE or px > cols - 1 + EDGE or py > rows - 1 + EDGE:
                         break
                     ix, iy, fx, fy = _corner(px, py, cols, rows)
                     upper = height[iy, ix] * (np.float32(1.0) - fx) + height[iy, ix + 1] * fx

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 class Rays:
     """Parallel rays of one view, one per cell of the ground grid.
 
-    The ray of cell (row, col) crosses the height `z_ref` at the centre of that cell, moved by `offset`. Over a tile the lines of
+    The ray of cell (row, col) crosses the height `z_ref` at the centre of that cell, moved by `offset`. Over a tile
+    the lines of
     sight of an orbiting camera are parallel to within a few centimetres (see `sattools.camera.rays`).
 
     Attributes:

@@ -9,14 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sattools.render.surface import chunk_count
+
 SUN_RADIUS_DEG = 0.27
 
 
 def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, float, float]) -> Tensor:
     """Share of the sun's light that reaches every cell past the other cells.
 
-    A cell's sun ray is followed cell by cell until it is above the highest surface or leaves the map (outside is open). The
-    visibility is a ramp of the smallest clearance between ray and surface, over the width of the penumbra: half a cell's rise,
+    A cell's sun ray is followed cell by cell until it is above the highest surface or leaves the map (outside is
+    open). The
+    visibility is a ramp of the smallest clearance between ray and surface, over the width of the penumbra: half a
+    cell's rise,
     below which the grid cannot tell, and the sun's radius at the caster's distance.
 
     Args:
@@ -25,7 +29,8 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
         sun: unit vector (east, north, up) from the ground to the sun.
 
     Returns:
-        ``[H, W]`` in [0, 1], 1 = lit; all 0 with the sun at or below the horizon. Gradients reach the cell (higher = more light)
+        ``[H, W]`` in [0, 1], 1 = lit; all 0 with the sun at or below the horizon. Gradients reach the cell (higher =
+        more light)
         and the cell that casts the deciding shadow (higher = less).
     """
     east, north, up = (float(v) for v in sun)
@@ -54,7 +59,7 @@ class _Visibility(torch.autograd.Function):
         growth = math.radians(SUN_RADIUS_DEG) * (1 + tangent**2) * cell
         kernels.shadow_march(
             h, np.array(heading, np.float32), np.float32(rise), np.float32(half_width), np.float32(growth),
-            np.float32(h.max()), visibility, caster, distance, torch.get_num_threads(),
+            np.float32(h.max()), visibility, caster, distance, 4 * chunk_count(h.size),
         )  # fmt: skip
         ctx.widths = (half_width, growth)
         result = torch.from_numpy(visibility).to(height.device)
@@ -64,7 +69,7 @@ class _Visibility(torch.autograd.Function):
         return result.to(height.dtype)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor):  # type: ignore[override]
+    def backward(ctx: Any, grad: Tensor):
         visibility, caster, distance = ctx.saved_tensors
         half_width, growth = ctx.widths
         on_ramp = (visibility > 0) & (visibility < 1) & (caster >= 0)

@@ -1,6 +1,6 @@
 """Images of a scene resampled to its ground grid."""
 
 from sattools.views.load import Source, load_sources, views_on
-from sattools.views.resample import View, line_of_sight, make_view, match_colours
+from sattools.views.resample import View, line_of_sight, make_view, match_colours, shown_on
 
-__all__ = ["Source", "View", "line_of_sight", "load_sources", "make_view", "match_colours", "views_on"]
+__all__ = ["Source", "View", "line_of_sight", "load_sources", "make_view", "match_colours", "shown_on", "views_on"]

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge
 from sattools.fit.regularise import edge_weights, roughness
@@ -98,17 +99,30 @@ def test_what_the_images_do_tell_is_kept():
 
 
 def test_stages_halve_the_cell_down_to_the_finest():
-    options = FitOptions(coarsest=4.0, epochs=[9, 5], softness=[4.0, 2.0, 0.5])
-    stages = schedule(options, 0.5, (-30.0, 20.0))
+    options = FitOptions(coarsest=4.0, resolution=0.5, epochs=[9, 5], softness=[1.5, 0.5])
+    stages = schedule(options, 0.25, (-30.0, 20.0), with_prior=False)
     assert [s.cell_size for s in stages] == [4, 2, 1, 0.5]
     assert [s.epochs for s in stages] == [9, 5, 5, 5]
-    assert [s.softness for s in stages] == [(4.0, 2.0), (2.0, 0.5), (0.5, 0.5), (0.5, 0.5)]
+    assert [s.softness for s in stages] == [(6.0, 2.0), (3.0, 1.0), (1.5, 0.5), (0.75, 0.25)]
     assert {s.z_range for s in stages} == {(-30.0, 20.0)}
 
 
+def test_the_surface_has_twice_the_cell_of_the_scene_and_a_prior_spares_the_coarse_stages():
+    assert [s.cell_size for s in schedule(FitOptions(), 0.5, (0.0, 1.0), with_prior=True)] == [1.0]
+    assert [s.cell_size for s in schedule(FitOptions(), 0.5, (0.0, 1.0), with_prior=False)] == [4.0, 2.0, 1.0]
+
+
 def test_the_coarsest_stage_is_no_coarser_than_asked_for():
-    assert [s.cell_size for s in schedule(FitOptions(coarsest=4.0), 0.3, (0.0, 1.0))] == [2.4, 1.2, 0.6, 0.3]
-    assert [s.cell_size for s in schedule(FitOptions(coarsest=1.0), 2.0, (0.0, 1.0))] == [2.0]
+    options = FitOptions(coarsest=4.0, resolution=0.3)
+    assert [s.cell_size for s in schedule(options, 0.3, (0.0, 1.0), False)] == [2.4, 1.2, 0.6, 0.3]
+    options = FitOptions(coarsest=1.0, resolution=2.0)
+    assert [s.cell_size for s in schedule(options, 2.0, (0.0, 1.0), False)] == [2.0]
+
+
+@pytest.mark.parametrize("wrong", [{"softness": [1.0]}, {"softness": [1.0, -1.0]}, {"epochs": []}, {"epochs": [0]}])
+def test_a_schedule_that_cannot_be_is_refused(wrong):
+    with pytest.raises(SceneError, match="expected"):
+        schedule(FitOptions(**wrong), 0.5, (0.0, 1.0), False)
 
 
 def surface(height):
