@@ -1,4 +1,10 @@
-"""Compiled kernels of the multi-view matching: plane-sweep correlation and semi-global aggregation."""
+"""Compiled kernels of the multi-view matching: plane-sweep correlation and what hides what.
+
+All views lie on one frame: the ground grid plus a margin on every side, resampled at one reference height. A point of
+cell (row, col) at height z is seen by view v at frame position (margin + row + slope_v * dz, margin + col + ...), dz =
+z - z_ref, so warping a view to another height plane is a translation. The margin must exceed the largest translation
+plus the window, which spares the inner loops every test of bounds.
+"""
 
 from __future__ import annotations
 
@@ -7,254 +13,216 @@ import math
 import numpy as np
 from numba import njit, prange
 
-
-@njit(cache=True, fastmath=True)
-def _shift(image, dx, dy, out):
-    """out(row, col) = image(row + dy, col + dx), bilinear; outside is clamped."""
-    rows, cols = image.shape
-    ix, iy = int(math.floor(dx)), int(math.floor(dy))
-    fx, fy = np.float32(dx - ix), np.float32(dy - iy)
-    gx, gy = np.float32(1) - fx, np.float32(1) - fy
-    for row in range(rows):
-        r0 = min(max(row + iy, 0), rows - 1)
-        r1 = min(max(row + iy + 1, 0), rows - 1)
-        for col in range(cols):
-            c0 = min(max(col + ix, 0), cols - 1)
-            c1 = min(max(col + ix + 1, 0), cols - 1)
-            out[row, col] = gy * (gx * image[r0, c0] + fx * image[r0, c1]) + fy * (
-                gx * image[r1, c0] + fx * image[r1, c1]
-            )
+TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
 
 
 @njit(cache=True, fastmath=True)
-def _box(image, radius, scratch, out):
-    """Mean over (2 radius + 1)^2 cells, edges clamped."""
-    rows, cols = image.shape
-    norm = np.float32(1.0 / (2 * radius + 1))
-    for row in range(rows):
-        total = np.float32(0)
-        for k in range(-radius, radius + 1):
-            total += image[row, min(max(k, 0), cols - 1)]
-        scratch[row, 0] = total * norm
-        for col in range(1, cols):
-            total += image[row, min(col + radius, cols - 1)] - image[row, max(col - radius - 1, 0)]
-            scratch[row, col] = total * norm
-    for col in range(cols):
-        total = np.float32(0)
-        for k in range(-radius, radius + 1):
-            total += scratch[min(max(k, 0), rows - 1), col]
-        out[0, col] = total
-    for row in range(1, rows):
-        enter, leave = min(row + radius, rows - 1), max(row - radius - 1, 0)
-        for col in range(cols):
-            out[row, col] = out[row - 1, col] + scratch[enter, col] - scratch[leave, col]
-    for row in range(rows):
-        for col in range(cols):
-            out[row, col] *= norm
+def _translate(image, row0, col0, row_shift, col_shift, out):
+    """out(i, j) = image(row0 + i + row_shift, col0 + j + col_shift), bilinear."""
+    rows, cols = out.shape
+    iy, ix = math.floor(row_shift), math.floor(col_shift)
+    fy, fx = np.float32(row_shift - iy), np.float32(col_shift - ix)
+    gy, gx = np.float32(1) - fy, np.float32(1) - fx
+    a, b, c, d = gy * gx, gy * fx, fy * gx, fy * fx
+    for i in range(rows):
+        upper = image[row0 + iy + i, col0 + ix : col0 + ix + cols + 1]
+        lower = image[row0 + iy + i + 1, col0 + ix : col0 + ix + cols + 1]
+        target = out[i]
+        for j in range(cols):
+            target[j] = a * upper[j] + b * upper[j + 1] + c * lower[j] + d * lower[j + 1]
+
+
+@njit(cache=True, fastmath=True)
+def _window_sum(columns, radius, out):
+    """out(j) = sum of columns(j .. j + 2 radius); the shorter array sets the length."""
+    cols = out.shape[0]
+    for j in range(cols):
+        out[j] = columns[j]
+    for k in range(1, 2 * radius + 1):
+        for j in range(cols):
+            out[j] += columns[j + k]
+
+
+@njit(cache=True, fastmath=True)
+def _moments(moved, radius, noise, seen, mean, inverse, sums, squares, line):
+    """Mean / deviation and 1 / deviation of every window; both 0 where the view does not see the point."""
+    rows, cols = mean.shape
+    norm = np.float32(1.0 / (2 * radius + 1) ** 2)
+    floor = np.float32(noise * noise)
+    sums[:] = 0
+    squares[:] = 0
+    for i in range(2 * radius):
+        for j in range(sums.shape[0]):
+            sums[j] += moved[i, j]
+            squares[j] += moved[i, j] * moved[i, j]
+    for i in range(rows):
+        enter = moved[i + 2 * radius]
+        for j in range(sums.shape[0]):
+            sums[j] += enter[j]
+            squares[j] += enter[j] * enter[j]
+        _window_sum(sums, radius, mean[i])
+        _window_sum(squares, radius, line)
+        leave = moved[i]
+        for j in range(cols):
+            m = mean[i, j] * norm
+            variance = max(line[j] * norm - m * m, np.float32(0)) + floor
+            s = seen[i, j] / math.sqrt(variance)
+            inverse[i, j] = s
+            mean[i, j] = m * s
+        for j in range(sums.shape[0]):
+            sums[j] -= leave[j]
+            squares[j] -= leave[j] * leave[j]
+
+
+@njit(cache=True, fastmath=True)
+def _add_pair(a, b, mean_a, mean_b, inverse_a, inverse_b, seen_a, seen_b, radius, sums, line, total, weight):
+    """Add max(correlation, 0)^2 of one pair to ``total`` and 1 to ``weight`` where both see the point."""
+    rows, cols = total.shape
+    norm = np.float32(1.0 / (2 * radius + 1) ** 2)
+    sums[:] = 0
+    for i in range(2 * radius):
+        for j in range(sums.shape[0]):
+            sums[j] += a[i, j] * b[i, j]
+    for i in range(rows):
+        enter_a, enter_b = a[i + 2 * radius], b[i + 2 * radius]
+        leave_a, leave_b = a[i], b[i]
+        for j in range(sums.shape[0]):
+            sums[j] += enter_a[j] * enter_b[j]
+        _window_sum(sums, radius, line)
+        ma, mb, ia, ib = mean_a[i], mean_b[i], inverse_a[i], inverse_b[i]
+        sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
+        for j in range(cols):
+            score = max(line[j] * norm * ia[j] * ib[j] - ma[j] * mb[j], np.float32(0))
+            ti[j] += score * score
+            wi[j] += sa[j] * sb[j]
+        for j in range(sums.shape[0]):
+            sums[j] -= leave_a[j] * leave_b[j]
 
 
 @njit(parallel=True, cache=True, fastmath=True)
-def first_hits(height, slopes, z_ref, z_top, z_bottom, step, hits):
-    """Height at which every ray of every view first meets the surface; hits [V, H, W] on the reference plane."""
+def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, radius, noise, margin, unseen, volume):
+    """Agreement of the views at every (cell, height): root mean square of the pairs' positive correlations.
+
+    The power mean lets the pairs that agree dominate those that are disturbed by change, without sorting them.
+
+    Args:
+        images: ``[V, Hf, Wf]`` float32 on the frame, mean near zero (single precision cancels otherwise).
+        masks: ``[V, Hf, Wf]`` uint8, 1 = valid with its whole window.
+        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        heights: ``[D]`` float64 [m].
+        z_ref: reference height of the frame [m].
+        hits: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
+        tolerance: depth below it that still counts as seen [m].
+        pairs: ``[P, 2]`` int64.
+        radius: half width of the window in cells.
+        noise: contrast below which a window counts less.
+        margin: cells between the border of the frame and that of the grid.
+        unseen: score where no pair sees the point.
+        volume: ``[H, W, D]`` float32, filled with zero-mean normalised cross-correlations in [0, 1].
+    """
+    views = images.shape[0]
+    height, width, depth = volume.shape
+    tiles = (height + TILE - 1) // TILE
+    for t in prange(tiles):
+        r0 = t * TILE
+        rows = min(TILE, height - r0)
+        moved = np.empty((views, rows + 2 * radius, width + 2 * radius), np.float32)
+        seen = np.empty((views, rows, width), np.float32)
+        mean = np.empty((views, rows, width), np.float32)
+        inverse = np.empty((views, rows, width), np.float32)
+        sums = np.empty(width + 2 * radius, np.float32)
+        squares = np.empty(width + 2 * radius, np.float32)
+        line = np.empty(width, np.float32)
+        total = np.empty((rows, width), np.float32)
+        weight = np.empty((rows, width), np.float32)
+        for k in range(depth):
+            dz = heights[k] - z_ref
+            lowest_hit = np.float32(heights[k] + tolerance)
+            for v in range(views):
+                dr, dc = slopes[v, 0] * dz, slopes[v, 1] * dz
+                _translate(images[v], margin + r0 - radius, margin - radius, dr, dc, moved[v])
+                nr, nc = margin + r0 + round(dr), margin + round(dc)
+                for i in range(rows):
+                    mask, hit = masks[v, nr + i, nc : nc + width], hits[v, nr + i, nc : nc + width]
+                    target = seen[v, i]
+                    for j in range(width):
+                        target[j] = np.float32(mask[j]) if hit[j] <= lowest_hit else np.float32(0)
+                _moments(moved[v], radius, noise, seen[v], mean[v], inverse[v], sums, squares, line)
+            total[:] = 0
+            weight[:] = 0
+            for p in range(pairs.shape[0]):
+                a, b = pairs[p, 0], pairs[p, 1]
+                _add_pair(
+                    moved[a], moved[b], mean[a], mean[b], inverse[a], inverse[b], seen[a], seen[b],
+                    radius, sums, line, total, weight,
+                )  # fmt: skip
+            for i in range(rows):
+                for j in range(width):
+                    n = weight[i, j]
+                    volume[r0 + i, j, k] = math.sqrt(total[i, j] / n) if n > 0 else unseen
+
+
+@njit(parallel=True, cache=True, fastmath=True)
+def first_hits(surface, slopes, z_ref, z_top, z_bottom, hits):
+    """Height at which the ray through every frame position of every view first meets the surface.
+
+    Args:
+        surface: ``[Hf, Wf]`` float32 heights on the frame [m].
+        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        z_ref: reference height of the frame [m].
+        z_top, z_bottom: where rays start and end [m].
+        hits: ``[V, Hf, Wf]`` float32, filled.
+    """
     views = slopes.shape[0]
-    rows, cols = height.shape
+    rows, cols = surface.shape
     for v in range(views):
+        # no step may jump over a cell
+        step = 1.0 / max(abs(slopes[v, 0]), abs(slopes[v, 1]), 0.5)
         for row in prange(rows):
             for col in range(cols):
                 z = z_top
+                found = z_bottom
                 while z > z_bottom:
                     dz = z - z_ref
-                    x = int(round(col + slopes[v, 0] * dz))
-                    y = int(round(row + slopes[v, 1] * dz))
-                    if 0 <= x < cols and 0 <= y < rows and height[y, x] >= z:
+                    r = round(row - slopes[v, 0] * dz)
+                    c = round(col - slopes[v, 1] * dz)
+                    if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
+                        found = min(surface[r, c], z + step)
                         break
                     z -= step
-                hits[v, row, col] = z
+                hits[v, row, col] = found
 
 
-@njit(parallel=True, cache=True, fastmath=True)
-def correlate(
-    images,
-    masks,
-    slopes,
-    heights,
-    z_ref,
-    hits,
-    tolerance,
-    pairs,
-    weights,
-    radius,
-    noise,
-    best,
-    colours,
-    scale,
-    share,
-    volume,
-):
-    """Robust multi-view correlation of every (cell, height).
+@njit(parallel=True, cache=True)
+def descend(surface, bottom, top, low, high, depth, where):
+    """Follow lines of sight from above to the first cell of the surface that reaches them.
 
-    images [V, H, W] on the reference plane z_ref; masks [V, H, W] (1 = valid); slopes [V, 2] in cells (column, row) per metre;
-    heights [D]; pairs [P, 2]; weights [P]; radius of the window in cells; noise: radiance below which contrast is not trusted;
-    best: share of the valid pairs that count (the best ones: the others may be occluded). volume [D, H, W]: mean zero-mean normalised
-    cross-correlation of the best pairs, in [-1, 1]; -1 where fewer than one pair sees the cell.
+    Args:
+        surface: ``[H, W]`` float32 heights [m]; -inf = unknown.
+        bottom, top: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        depth: ``[h, w]`` float32, filled with the height met; NaN = none.
+        where: ``[h, w, 2]`` int64, filled with the cell met; (0, 0) if none.
     """
-    views, rows, cols = images.shape
-    count = pairs.shape[0]
-    for k in prange(heights.shape[0]):
-        dz = heights[k] - z_ref
-        moved = np.empty((views, rows, cols), np.float32)
-        mean = np.empty((views, rows, cols), np.float32)
-        inverse = np.empty((views, rows, cols), np.float32)
-        valid = np.empty((views, rows, cols), np.float32)
-        scratch = np.empty((rows, cols), np.float32)
-        product = np.empty((rows, cols), np.float32)
-        found = np.empty((rows, cols), np.float32)
-        for v in range(views):
-            dx, dy = -slopes[v, 0] * dz, -slopes[v, 1] * dz
-            _shift(images[v], dx, dy, moved[v])
-            _shift(masks[v], dx, dy, valid[v])
-            _box(moved[v], radius, scratch, mean[v])
-            for row in range(rows):
-                for col in range(cols):
-                    product[row, col] = moved[v, row, col] * moved[v, row, col]
-                    # cells whose ray left the image
-                    c, r = col + dx, row + dy
-                    if c < 0 or r < 0 or c > cols - 1 or r > rows - 1:
-                        valid[v, row, col] = 0.0
-                    elif heights[k] < hits[v, int(round(r)), int(round(c))] - tolerance:
-                        valid[v, row, col] = 0.0
-            _box(product, radius, scratch, found)
-            for row in range(rows):
-                for col in range(cols):
-                    variance = found[row, col] - mean[v, row, col] * mean[v, row, col]
-                    inverse[v, row, col] = np.float32(1.0) / math.sqrt(max(variance, np.float32(0)) + noise * noise)
-        scores = np.full((rows, cols, count), np.float32(-2))
-        for p in range(count):
-            a, b = pairs[p, 0], pairs[p, 1]
-            for row in range(rows):
-                for col in range(cols):
-                    product[row, col] = moved[a, row, col] * moved[b, row, col]
-            _box(product, radius, scratch, found)
-            for row in range(rows):
-                for col in range(cols):
-                    if valid[a, row, col] > 0.99 and valid[b, row, col] > 0.99:
-                        scores[row, col, p] = (
-                            (found[row, col] - mean[a, row, col] * mean[b, row, col])
-                            * inverse[a, row, col]
-                            * inverse[b, row, col]
-                        )
-        for row in range(rows):
-            for col in range(cols):
-                volume[k, row, col] = _best_mean(scores[row, col], weights, best)
-        if share > 0:
-            for v in range(views):
-                _shift(colours[v], -slopes[v, 0] * dz, -slopes[v, 1] * dz, moved[v])
-            for row in range(rows):
-                for col in range(cols):
-                    n = np.float32(0)
-                    m = np.float32(0)
-                    for v in range(views):
-                        if valid[v, row, col] > 0.99:
-                            n += 1
-                            m += moved[v, row, col]
-                    if n >= 2:
-                        m /= n
-                        for _ in range(2):
-                            sw = np.float32(1e-6)
-                            sm = np.float32(0)
-                            for v in range(views):
-                                if valid[v, row, col] > 0.99:
-                                    d = (moved[v, row, col] - m) / scale
-                                    w = np.float32(1) / (1 + d * d)
-                                    sw += w
-                                    sm += w * moved[v, row, col]
-                            m = sm / sw
-                        volume[k, row, col] += share * (sw / n)
+    rows, cols = surface.shape
+    for i in prange(depth.shape[0]):
+        for j in range(depth.shape[1]):
+            r0, c0 = bottom[i, j, 0], bottom[i, j, 1]
+            dr, dc = top[i, j, 0] - r0, top[i, j, 1] - c0
+            # half a cell or half a metre a step, whichever is finer
+            steps = math.ceil(2 * max(abs(dr), abs(dc), high - low)) + 1
+            depth[i, j] = np.nan
+            where[i, j, 0] = where[i, j, 1] = 0
+            before = high
+            for n in range(steps, -1, -1):
+                share = n / steps
+                z = low + share * (high - low)
+                r, c = round(r0 + share * dr), round(c0 + share * dc)
+                if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
+                    # on a roof the height is the cell's, on a wall where the line of sight enters it
+                    depth[i, j] = min(surface[r, c], before)
+                    where[i, j, 0], where[i, j, 1] = r, c
+                    break
+                before = z
 
 
-@njit(cache=True, fastmath=True)
-def _best_mean(scores, weights, best):
-    """Weighted mean of the best share of the valid scores (> -2)."""
-    n = 0
-    for p in range(scores.shape[0]):
-        if scores[p] > np.float32(-1.5):
-            n += 1
-    if n == 0:
-        return np.float32(-1)
-    keep = max(1, int(math.ceil(best * n)))
-    order = np.argsort(-scores)
-    total = np.float32(0)
-    weight = np.float32(0)
-    for i in range(keep):
-        p = order[i]
-        total += weights[p] * scores[p]
-        weight += weights[p]
-    return total / weight
-
-
-@njit(parallel=True, cache=True, fastmath=True)
-def aggregate(cost, p1, p2, total):
-    """Semi-global aggregation (Hirschmueller 2008) along eight paths; cost and total are [H, W, D], total is summed up."""
-    rows, cols, depth = cost.shape
-    total[:] = 0
-    for direction in range(8):
-        dr = (0, 0, 1, -1, 1, -1, 1, -1)[direction]
-        dc = (1, -1, 0, 0, 1, -1, -1, 1)[direction]
-        # every path starts on the edge where it enters; paths of one direction touch disjoint cells
-        starts = np.empty((rows + cols, 2), np.int64)
-        n = 0
-        for row in range(rows):
-            for col in range(cols):
-                if (
-                    (dr == 1 and row == 0)
-                    or (dr == -1 and row == rows - 1)
-                    or (dc == 1 and col == 0)
-                    or (dc == -1 and col == cols - 1)
-                ):
-                    starts[n, 0] = row
-                    starts[n, 1] = col
-                    n += 1
-        for s in prange(n):
-            row, col = starts[s, 0], starts[s, 1]
-            before = np.zeros(depth, np.float32)
-            now = np.empty(depth, np.float32)
-            least = np.float32(0)
-            while row >= 0 and row < rows and col >= 0 and col < cols:
-                smallest = np.float32(1e30)
-                for k in range(depth):
-                    value = before[k]
-                    if k > 0:
-                        value = min(value, before[k - 1] + p1)
-                    if k + 1 < depth:
-                        value = min(value, before[k + 1] + p1)
-                    value = min(value, least + p2)
-                    value = cost[row, col, k] + value - least
-                    now[k] = value
-                    total[row, col, k] += value
-                    smallest = min(smallest, value)
-                for k in range(depth):
-                    before[k] = now[k]
-                least = smallest
-                row += dr
-                col += dc
-
-
-@njit(parallel=True, cache=True, fastmath=True)
-def lowest(total, heights, height, index):
-    """Height of least cost with a parabola through its neighbours; height [H, W], index [H, W]."""
-    rows, cols, depth = total.shape
-    step = heights[1] - heights[0]
-    for row in prange(rows):
-        for col in range(cols):
-            k = np.argmin(total[row, col])
-            index[row, col] = k
-            z = heights[k]
-            if 0 < k < depth - 1:
-                a, b, c = total[row, col, k - 1], total[row, col, k], total[row, col, k + 1]
-                bend = a - 2 * b + c
-                if bend > 0:
-                    z += step * np.float32(0.5) * (a - c) / bend
-            height[row, col] = z
-
-
-__all__ = ["aggregate", "correlate", "lowest"]
+__all__ = ["correlate", "descend", "first_hits"]

@@ -1,0 +1,34 @@
+"""`sattools prior`: a scene gets a rough surface by matching its images."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.pipe import Run, run_scenes
+from sattools.prior.options import PriorOptions
+from sattools.progress import Progress
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("prior")
+@scene_argument
+@dataclass_options(PriorOptions)
+@common_options
+def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Match the scene's images in ground geometry: a rough surface, how far to trust it, and its normals.
+
+    Writes prior/dsm.tif, prior/confidence.tif (0 to 1) and prior/normals.tif (east, north, up) below the scene's root.
+    """
+    options = build(PriorOptions, values)
+
+    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+        from sattools.prior.stage import prior
+
+        return prior(scene, options, progress, overwrite)
+
+    run_scenes(Run("prior", options, dry_run, print_config), scenes, work, plan="match the images")

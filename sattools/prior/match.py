@@ -1,0 +1,198 @@
+"""Multi-view matching on the ground grid: images on a frame go in, heights and their evidence come out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import grey_erosion, median_filter, minimum_filter
+
+from sattools.prior.options import PriorOptions
+from sattools.progress import Progress, part, silent
+
+UNKNOWN = -1e9  # first hit of a ray when nothing is known about the surface: everything is seen
+UNSEEN = 0.0  # score where no pair sees a point: no evidence for it, yet no proof against it
+OVERLAP = 48  # rows by which strips overlap: paths of the aggregation forget where they came from over this distance
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Views on the ground grid with a margin on every side.
+
+    Attributes:
+        images: ``[V, H + 2 margin, W + 2 margin]`` float32 grey radiance at the reference height.
+        masks: same shape, uint8, 1 = valid.
+        slopes: ``[V, 2]`` float64: (row, column) cells by which a point moves in the frame per metre of height.
+        z_ref: reference height [m].
+        cell: edge of a cell [m].
+        margin: cells.
+    """
+
+    images: np.ndarray
+    masks: np.ndarray
+    slopes: np.ndarray
+    z_ref: float
+    cell: float
+    margin: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the grid inside the margin."""
+        rows, cols = self.images.shape[1:]
+        return rows - 2 * self.margin, cols - 2 * self.margin
+
+    def halved(self) -> Frame:
+        """The same with cells of twice the size; margin, rows and columns must be even."""
+        images = self.images.reshape(len(self.images), self.images.shape[1] // 2, 2, -1, 2).mean(axis=(2, 4))
+        masks = self.masks.reshape(images.shape[0], images.shape[1], 2, -1, 2).min(axis=(2, 4))
+        return Frame(images, masks, self.slopes / 2, self.z_ref, self.cell * 2, self.margin // 2)
+
+
+@dataclass(frozen=True)
+class Match:
+    """What matching found on the grid.
+
+    Attributes:
+        height: ``[H, W]`` float32 [m].
+        score: ``[H, W]`` float32 agreement of the images there, in [0, 1].
+        rival: ``[H, W]`` float32 aggregated cost, per path, by which the best height two planes away or more is dearer.
+        views: ``[H, W]`` uint8 number of images that see the surface there.
+    """
+
+    height: np.ndarray
+    score: np.ndarray
+    rival: np.ndarray
+    views: np.ndarray
+
+
+def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
+    """Margin in cells, even, so that no point within the heights leaves the frame with its window."""
+    reach = max(abs(z_range[0] - z_ref), abs(z_range[1] - z_ref))
+    cells = math.ceil(float(np.abs(slopes).max()) * reach) + 2 * window + 4
+    return cells + cells % 2
+
+
+def planes(z_range: tuple[float, float], step: float) -> np.ndarray:
+    """Heights ``[D]`` float64 to try: one plane beyond either end, at least three."""
+    count = max(3, math.ceil((z_range[1] - z_range[0]) / step - 1e-9) + 3)
+    return z_range[0] - step + step * np.arange(count)
+
+
+def match(
+    frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions, progress: Progress = silent
+) -> Match:
+    """Find the surface: rough passes settle what hides what, a last one the heights.
+
+    Args:
+        frame: the views; at least two.
+        pairs: ``[P, 2]`` indices of the views to correlate.
+        z_range: lowest and highest height [m].
+        options: see `PriorOptions`.
+        progress: told the share done.
+    """
+    images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
+    size = 2 * options.window + 1
+    masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
+    fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin)
+    step = options.step or 2 * frame.cell
+    surface = None
+    rough = fine.halved() if options.rough_passes else fine
+    for k in range(options.rough_passes):
+        hits = _hits(rough, surface, z_range, options)
+        progress(0.2 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
+        surface, *_ = _in_strips(rough, hits, pairs, z_range, 2 * step, options, silent)
+    coarse_hits = _hits(rough, surface, z_range, options)
+    hits = coarse_hits.repeat(2, axis=1).repeat(2, axis=2) if options.rough_passes else coarse_hits
+    height, score, rival = _in_strips(fine, hits, pairs, z_range, step, options, part(progress, 0.2, 1.0))
+    return Match(height, score, rival, seeing(fine, hits, height, options.tolerance))
+
+
+def _hits(frame: Frame, surface: np.ndarray | None, z_range: tuple[float, float], options: PriorOptions) -> np.ndarray:
+    """First hits ``[V, Hf, Wf]`` of all rays with a surface of the last pass, thinned against its fat edges."""
+    from sattools.prior.kernels import first_hits
+
+    hits = np.full(frame.images.shape, UNKNOWN, np.float32)
+    if surface is not None:
+        radius = options.erode / frame.cell
+        thin = grey_erosion(median_filter(surface, 3, mode="nearest"), footprint=disk(radius), mode="nearest")
+        wide = np.pad(thin, frame.margin, mode="edge")
+        first_hits(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, hits)
+    return hits
+
+
+def disk(radius: float) -> np.ndarray:
+    """Boolean footprint of all cells whose centre lies within the radius [cells]."""
+    n = math.floor(radius)
+    y, x = np.mgrid[-n : n + 1, -n : n + 1]
+    return x * x + y * y <= radius * radius
+
+
+def _in_strips(
+    frame: Frame,
+    hits: np.ndarray,
+    pairs: np.ndarray,
+    z_range: tuple[float, float],
+    step: float,
+    options: PriorOptions,
+    progress: Progress,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One pass over the whole grid: height, score and rival ``[H, W]``; in strips of rows where memory is short."""
+    heights = planes(z_range, step)
+    rows, cols = frame.shape
+    # two volumes of single precision live at a time
+    affordable = int(options.memory * 1e6 / (8 * cols * len(heights)))
+    strip = rows if affordable >= rows else max(OVERLAP, affordable - 2 * OVERLAP)
+    found: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
+    for top in range(0, rows, strip):
+        bottom = min(top + strip, rows)
+        first, last = max(0, top - OVERLAP), min(rows, bottom + OVERLAP)
+        window = (slice(None), slice(first, last + 2 * frame.margin))
+        piece = Frame(frame.images[window], frame.masks[window], frame.slopes, frame.z_ref, frame.cell, frame.margin)
+        progress(top / rows, f"matching {len(pairs)} pairs at {len(heights)} heights, cell {frame.cell:g} m")
+        for whole, new in zip(found, sweep(piece, hits[window], pairs, heights, options), strict=True):
+            whole[top:bottom] = new[top - first : bottom - first]
+    return found[0], found[1], found[2]
+
+
+def sweep(
+    frame: Frame, hits: np.ndarray, pairs: np.ndarray, heights: np.ndarray, options: PriorOptions
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Correlate at all heights, aggregate, choose.
+
+    Returns:
+        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`).
+    """
+    from sattools.prior.kernels import correlate
+    from sattools.prior.sgm import aggregate, lowest, rival
+
+    volume = np.empty((*frame.shape, len(heights)), np.float32)
+    correlate(
+        frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hits, options.tolerance, pairs,
+        options.window, options.noise, frame.margin, np.float32(UNSEEN), volume,
+    )  # fmt: skip
+    total = np.empty_like(volume)
+    aggregate(volume, np.float32(options.small_jump), np.float32(options.large_jump), total)
+    height = np.empty(frame.shape, np.float32)
+    index = np.empty(frame.shape, np.int64)
+    lowest(total, heights, height, index)
+    score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
+    gap = np.empty(frame.shape, np.float32)
+    rival(total, index, gap)
+    return height, np.clip(score, 0, 1), gap / 8
+
+
+def seeing(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float) -> np.ndarray:
+    """Number of views ``[H, W]`` uint8 that see the surface at every cell."""
+    rows, cols = np.indices(frame.shape)
+    count = np.zeros(frame.shape, np.uint8)
+    last = np.array(frame.images.shape[1:]) - 1
+    for slope, mask, hit in zip(frame.slopes, frame.masks, hits, strict=True):
+        dz = height - frame.z_ref
+        r = np.clip(np.rint(rows + frame.margin + slope[0] * dz).astype(int), 0, last[0])
+        c = np.clip(np.rint(cols + frame.margin + slope[1] * dz).astype(int), 0, last[1])
+        count += (mask[r, c] > 0) & (hit[r, c] <= height + tolerance)
+    return count
+
+
+__all__ = ["Frame", "Match", "margin_for", "match", "planes", "seeing", "sweep"]

@@ -1,0 +1,150 @@
+"""The stage `prior`: images and cameras become a rough surface with its confidence, by matching alone."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from sattools.errors import SceneError
+from sattools.prior.confidence import confidence
+from sattools.prior.files import write_sensor_map
+from sattools.prior.match import Frame, Match, margin_for, match
+from sattools.prior.normals import normals
+from sattools.prior.options import PriorOptions
+from sattools.prior.pairs import choose_pairs
+from sattools.prior.project import seen_by
+from sattools.progress import Progress, part, silent
+from sattools.scene import Asset, Grid, Scene
+from sattools.scene.document import GEOTIFF_TYPE
+from sattools.scene.raster import write_cog
+from sattools.views import Source, View, line_of_sight, load_sources, views_on
+
+log = logging.getLogger(__name__)
+DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
+Z_REF_SHARE = 0.3  # share of the height range below the reference height: most of a scene is near the ground
+
+
+def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+    """Match the scene's training images; writes height, confidence and normals below ``prior/`` of the root.
+
+    Returns:
+        Remarks and figures for the history.
+
+    Raises:
+        SceneError: fewer than two usable images, or none from different directions.
+        OutputExistsError: a product exists and ``overwrite`` is False.
+    """
+    targets = {name: scene.output(name, overwrite) for name in (DSM, CONFIDENCE, NORMALS)}
+    items = scene.train_items()
+    if len(items) < 2:
+        raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+    whole = scene.need_grid()
+    grid = whole.resized(options.resolution or whole.cell_size)
+    z_range = scene.need_height_range()
+    progress(0.0, "reading images")
+    sources = load_sources(scene, items)
+    frame, views = make_frame(sources, grid, z_range, options.window)
+    limits = (options.min_angle, options.max_angle)
+    pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
+    if not len(pairs):
+        raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")
+    found = match(frame, pairs, z_range, options, part(progress, 0.2, 0.9))
+    found = Match(*(crop(a, grid.shape) for a in (found.height, found.score, found.rival, found.views)))
+    trust = confidence(found)
+    height = np.where(found.views >= 2, found.height, np.float32(np.nan))
+
+    progress(0.9, "writing")
+    tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
+    write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
+    write_cog(targets[CONFIDENCE], trust, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=["confidence"])
+    names = ["normal east", "normal north", "normal up"]
+    slant = normals(height, grid.cell_size)
+    write_cog(targets[NORMALS], slant, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=names)
+    scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
+    if options.per_image:
+        _per_image(scene, sources, grid, height, trust, z_range, part(progress, 0.92, 1.0), overwrite)
+    progress(1.0, "matched")
+    completeness = float(np.isfinite(height).mean())
+    return {
+        "remarks": _remarks(views, grid, completeness),
+        "prior": {
+            "pairs": [[views[a].id, views[b].id] for a, b in pairs],
+            "completeness": round(completeness, 4),
+            "mean_confidence": round(float(trust.mean()), 4),
+        },
+    }
+
+
+def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The upper left part of that shape (a frame may have a row or column more than the grid)."""
+    return array[: shape[0], : shape[1]]
+
+
+def make_frame(
+    sources: list[Source], grid: Grid, z_range: tuple[float, float], window: int
+) -> tuple[Frame, list[View]]:
+    """Resample all images to the grid and a margin around it, so that high and low points at its border are seen too.
+
+    Rows and columns are made even, as matching halves them.
+    """
+    z_ref = z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
+    cell = grid.cell_size
+    lines = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
+    # from the ground to the sensor: what stands higher is displaced the other way; rows count southward
+    slopes = np.array([(north, -east) for east, north in lines]) / cell
+    margin = margin_for(slopes, z_ref, z_range, window)
+    wide = Grid(
+        grid.crs,
+        grid.left - margin * cell,
+        grid.top + margin * cell,
+        cell,
+        grid.width + grid.width % 2 + 2 * margin,
+        grid.height + grid.height % 2 + 2 * margin,
+    )
+    views = views_on(sources, wide, z_ref, z_range)
+    slopes = np.array([(north, -east) for east, north in (view.slope for view in views)]) / cell
+    images = np.stack([view.target.mean(axis=-1) for view in views])
+    masks = np.stack([view.mask for view in views])
+    return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin), views
+
+
+def _per_image(
+    scene: Scene,
+    sources: list[Source],
+    grid: Grid,
+    height: np.ndarray,
+    trust: np.ndarray,
+    z_range: tuple[float, float],
+    progress: Progress,
+    overwrite: bool,
+) -> None:
+    """Write the assets `depth` and `confidence` of every matched image, pixel by pixel of the image."""
+    items = {item.id: item for item in scene.items}
+    # a parabola may lie half a plane outside the range
+    low, high = min(z_range[0], float(np.nanmin(height))) - 1.0, max(z_range[1], float(np.nanmax(height))) + 1.0
+    for k, source in enumerate(sources):
+        progress(k / len(sources), f"depth of {source.id}")
+        depth, (sure,) = seen_by(source.rpc, source.radiance.shape[1:], grid, height, [trust], (low, high))
+        for name, array, unit in (("depth", depth, "m"), ("confidence", sure, "1")):
+            href = f"prior/{name}/{source.id}.tif"
+            write_sensor_map(scene.output(href, overwrite), array, source.rpc, name, unit)
+            items[source.id].assets[name] = Asset(href, GEOTIFF_TYPE)
+
+
+def _remarks(views: list[View], grid: Grid, completeness: float) -> list[str]:
+    remarks = []
+    worst = max(views, key=lambda v: v.spread_m)
+    if worst.spread_m > 0.5 * grid.cell_size:
+        remarks.append(f"{worst.id}: lines of sight are parallel only to {worst.spread_m:.2f} m over this area")
+    if len(views) == 2:
+        remarks.append("two images only: nothing checks what one of them cannot see")
+    if completeness < 0.9:
+        remarks.append(f"{100 * (1 - completeness):.0f} % of the area is seen by fewer than two images")
+    for text in remarks:
+        log.warning(text)
+    return remarks
+
+
+__all__ = ["make_frame", "prior"]
