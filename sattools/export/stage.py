@@ -15,7 +15,7 @@ from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.raster import write_cog
 
-DSM, ALBEDO, PICTURE = "export/dsm.tif", "export/albedo.tif", "export/dsm.png"
+DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
 
 
 def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
@@ -33,22 +33,29 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     tensors, meta = load(source)
     try:
         grid = Grid.from_dict(meta["grid"])
-        height, albedo = tensors["height"], tensors["albedo"]
+        height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
         names, suns = meta["items"], meta["suns"]
     except KeyError as error:
         raise InputError(f"{source}: found a model without {error}, expected a surface model") from error
-    targets = {name: scene.output(name, overwrite) for name in (DSM, ALBEDO, PICTURE)}
+    targets = {name: scene.output(name, overwrite) for name in (DSM, STD, ALBEDO, PICTURE)}
 
     progress(0.1, "DSM")
     dsm, datum = to_datum(height.numpy(), grid, options.vertical)
     tags = {"VERTICAL_DATUM": datum, "SOFTWARE": "sattools"}
     write_cog(targets[DSM], dsm, grid, units="m", tags=tags, descriptions=["height"])
+    method = {
+        "METHOD": "curvature of the photometric loss; gross errors of matching are not in it",
+        "SOFTWARE": "sattools",
+    }
+    write_cog(
+        targets[STD], std.numpy(), grid, units="m", tags=method, descriptions=["standard deviation of the height"]
+    )
     write_picture(dsm, grid, f"{scene.id}: DSM, {grid.cell_size:g} m", targets[PICTURE])
     progress(0.3, "albedo")
     bands = [f"albedo {b + 1}" for b in range(albedo.shape[-1])]
     relative = {"SCALE": "relative: radiance of the first training image in full sun", "SOFTWARE": "sattools"}
     write_cog(targets[ALBEDO], albedo.permute(2, 0, 1).numpy(), grid, units="1", tags=relative, descriptions=bands)
-    scene.products.update(dsm=DSM, albedo=ALBEDO, dsm_picture=PICTURE)
+    scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
     if meta["shadow"] == "geometric":
         _shadows(scene, grid, height, names, suns, progress, overwrite)
     progress(1.0, "exported")

@@ -83,6 +83,7 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     job = _Job(scene, sources, options, stages, prior, z_ref, device)
     surface, finest, remarks = job.run(progress)
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
+    tensors["height_std"] = job.height_std.cpu()
     checkpoint.save(
         model_path,
         tensors,
@@ -117,7 +118,10 @@ def load_prior(scene: Scene, options: FitOptions, progress: Progress) -> tuple[n
     if options.prior_weight == 0:
         return None
     if "prior_dsm" not in scene.products:
-        return None
+        from sattools.prior import PriorOptions
+        from sattools.prior.stage import prior
+
+        prior(scene, PriorOptions(), progress)
     height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
     confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]))
     return height[0], confidence[0], grid
@@ -137,6 +141,7 @@ class _Job:
     trace: Trace = field(default_factory=Trace)
     views: list[View] = field(default_factory=list)
     last_softness: float = 0.0
+    height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
         remarks: list[str] = []
@@ -168,6 +173,7 @@ class _Job:
                 remarks.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
                 break
         assert surface is not None
+        self.height_std = trainer.height_std()
         progress(1.0, "fitted")
         return surface, grid, remarks
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
@@ -182,6 +183,36 @@ class StageTrainer:
             steps[j] = 0.7 * d[0], -0.7 * d[1]
         pose = remove_gauge(self.scene.pose.cpu().numpy() + steps, [v.slope for v in self.views])
         self.scene.pose.copy_(torch.from_numpy(pose))
+
+    def height_std(self, probes: int = 2, least: float = 0.05) -> Tensor:
+        """Standard deviation of the heights ``[H, W]`` [m] from the curvature of the photometric loss.
+
+        The Gauss-Newton diagonal sum_j J_j^T J_j is estimated with random signs z (E[(J^T z)^2] = diag J^T J; Bekas
+        et al.
+        2007, "An estimator for the diagonal of a matrix"), averaged over 3 x 3 cells; the noise is each image's robust
+        residual, and the prior's confidence counts as one observation of a cell's accuracy. Errors of matching (a
+        filled
+        courtyard) are not in it.
+        """
+        height = self.scene.height
+        generator = torch.Generator().manual_seed(self.options.seed)
+        information = torch.zeros_like(height)
+        height.requires_grad_(True)
+        for j in range(len(self.views)):
+            rgb = self._render(j)
+            residual = (rgb.detach() - self.targets[j])[self.masks[j] > 0].abs()
+            variance = max(float(1.4826 * residual.median()) ** 2, 1e-6) if residual.numel() else 1.0
+            for _ in range(probes):
+                signs = torch.randint(0, 2, rgb.shape, generator=generator).to(rgb) * 2 - 1
+                signs = signs * self.masks[j][..., None]
+                (gradient,) = torch.autograd.grad(rgb, height, signs, retain_graph=True)
+                information += gradient**2 / (probes * variance * rgb.shape[-1])
+        height.requires_grad_(False)
+        if self.prior is not None:
+            information += self.prior.confidence.nan_to_num(0.0) / self.settings.cell_size**2
+        information = avg_pool2d(information[None], 3, 1, 1, count_include_pad=False)[0]
+        z_span = self.settings.z_range[1] - self.settings.z_range[0]
+        return (1 / information.clamp_min(1e-9).sqrt()).clamp(least, z_span)
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 

@@ -128,9 +128,7 @@ def test_a_schedule_that_cannot_be_is_refused(wrong):
 def surface(height):
     shape = tuple(height.shape)
     colour = torch.tensor([[1.0, 1.0, 1.0], [0.9, 1.1, 1.0]])
-    found = start_scene(0.0, shape, torch.full((*shape, 3), 0.2), colour, torch.tensor([[0.0] * 3, [0.01] * 3]), 0.4)
-    found.height = height
-    return found
+    return start_scene(height, torch.full((*shape, 3), 0.2), colour, torch.tensor([[0.0] * 3, [0.01] * 3]), 0.4)
 
 
 def test_a_plane_stays_a_plane_on_a_finer_grid():
