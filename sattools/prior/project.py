@@ -49,11 +49,11 @@ def seen_by(
 
     def cells(points: np.ndarray) -> np.ndarray:
         """Grid (row, column) of all pixels' points, ``[rows, columns, 2]`` float32."""
-        found = (
-            (grid.top - points[..., 1]) / grid.cell_size - 0.5,
-            (points[..., 0] - grid.left) / grid.cell_size - 0.5,
+        found = (grid.top - points[..., 1], points[..., 0] - grid.left)
+        return np.stack(
+            [cv2.remap((p / grid.cell_size - 0.5).astype(np.float32), map_c, map_r, cv2.INTER_LINEAR) for p in found],
+            axis=-1,
         )
-        return np.stack([cv2.remap(p.astype(np.float32), map_c, map_r, cv2.INTER_LINEAR) for p in found], axis=-1)
 
     bottom, top = (cells(end) for end in ends)
     surface = np.where(np.isfinite(height), height, -np.inf).astype(np.float32)
