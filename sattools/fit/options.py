@@ -30,7 +30,7 @@ class FitOptions:
     smooth: float | None = option(
         None, "Weight of the height smoothness (default: 0.4, or 0.05 from a flat start).", minimum=0
     )
-    prior_weight: float = option(0.05, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
+    prior_weight: float = option(0.2, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
     pose: bool = option(True, "Refine one shift per view during the fit.")
     budget: float | None = option(None, "Seconds after which the fit stops and keeps what it has.", minimum=0)

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+GUARD = np.float32(0.9)
 TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
 
 
@@ -44,11 +45,10 @@ def _window_sum(columns, radius, out):
 
 
 @njit(cache=True, fastmath=True)
-def _moments(moved, radius, noise, seen, mean, inverse, sums, squares, line):
-    """Mean / deviation and 1 / deviation of every window; both 0 where the view does not see the point."""
+def _moments(moved, radius, mean, variance, sums, squares, line):
+    """Mean and variance of every window."""
     rows, cols = mean.shape
     norm = np.float32(1.0 / (2 * radius + 1) ** 2)
-    floor = np.float32(noise * noise)
     sums[:] = 0
     squares[:] = 0
     for i in range(2 * radius):
@@ -65,20 +65,23 @@ def _moments(moved, radius, noise, seen, mean, inverse, sums, squares, line):
         leave = moved[i]
         for j in range(cols):
             m = mean[i, j] * norm
-            variance = max(line[j] * norm - m * m, np.float32(0)) + floor
-            s = seen[i, j] / math.sqrt(variance)
-            inverse[i, j] = s
-            mean[i, j] = m * s
+            mean[i, j] = m
+            variance[i, j] = max(line[j] * norm - m * m, np.float32(0))
         for j in range(sums.shape[0]):
             sums[j] -= leave[j]
             squares[j] -= leave[j] * leave[j]
 
 
 @njit(cache=True, fastmath=True)
-def _add_pair(a, b, mean_a, mean_b, inverse_a, inverse_b, seen_a, seen_b, radius, sums, line, total, weight):
-    """Add max(correlation, 0)^2 of one pair to ``total`` and 1 to ``weight`` where both see the point."""
+def _add_pair(
+    a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, radius, noise, brightness, sums, line, total, weight
+):
+    """Add the squared agreement of one pair to ``total`` and 1 to ``weight`` where both see the point."""
     rows, cols = total.shape
     norm = np.float32(1.0 / (2 * radius + 1) ** 2)
+    floor = np.float32(noise * noise)
+    steep = np.float32(1.0 / (brightness * brightness))
+    one = np.float32(1.0)
     sums[:] = 0
     for i in range(2 * radius):
         for j in range(sums.shape[0]):
@@ -89,21 +92,44 @@ def _add_pair(a, b, mean_a, mean_b, inverse_a, inverse_b, seen_a, seen_b, radius
         for j in range(sums.shape[0]):
             sums[j] += enter_a[j] * enter_b[j]
         _window_sum(sums, radius, line)
-        ma, mb, ia, ib = mean_a[i], mean_b[i], inverse_a[i], inverse_b[i]
+        ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
         sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
         for j in range(cols):
-            score = max(line[j] * norm * ia[j] * ib[j] - ma[j] * mb[j], np.float32(0))
-            ti[j] += score * score
-            wi[j] += sa[j] * sb[j]
+            both = sa[j] * sb[j]
+            structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
+            apart = ma[j] - mb[j]
+            score = max(structure, np.float32(0)) / (one + apart * apart * steep)
+            ti[j] += both * score * score
+            wi[j] += both
         for j in range(sums.shape[0]):
             sums[j] -= leave_a[j] * leave_b[j]
 
 
-@njit(parallel=True, cache=True, fastmath=True)
-def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, radius, noise, margin, unseen, volume):
-    """Agreement of the views at every (cell, height): root mean square of the pairs' positive correlations.
+@njit(cache=True, fastmath=True)
+def _fill_unseen(column, unseen):
+    """Replace the negative scores of a cell, heights that no pair sees, by a share of its best score.
 
-    The power mean lets the pairs that agree dominate those that are disturbed by change, without sorting them.
+    Neither for nor against: below 1 the unseen never beats what is seen to agree, well above 0 it stays possible.
+    """
+    best = np.float32(0)
+    for k in range(column.shape[0]):
+        best = max(best, column[k])
+    for k in range(column.shape[0]):
+        if column[k] < 0:
+            column[k] = min(unseen, GUARD * best)
+
+
+@njit(parallel=True, cache=True, fastmath=True)
+def correlate(
+    images, masks, slopes, heights, z_ref, hits, tolerance, pairs, radius, noise, brightness, margin, unseen, volume
+):
+    """Agreement of the views at every (cell, height): root mean square over the pairs that both see the point.
+
+    A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness, 1 / (1 + (difference of means
+    / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form. Correlation alone divides contrast out, so
+    that next to a bright roof the roof's edge decides for its whole neighbourhood, and in shadow noise correlates; here a
+    plain or dark place must at least be equally bright. The power mean lets the pairs that agree dominate those that are
+    disturbed by change, without sorting them.
 
     Args:
         images: ``[V, Hf, Wf]`` float32 on the frame, mean near zero (single precision cancels otherwise).
@@ -115,10 +141,11 @@ def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, rad
         tolerance: depth below it that still counts as seen [m].
         pairs: ``[P, 2]`` int64.
         radius: half width of the window in cells.
-        noise: contrast below which a window counts less.
+        noise: contrast below which structure is not asked for (colour-matched radiance).
+        brightness: difference of two windows' means at which their agreement is halved.
         margin: cells between the border of the frame and that of the grid.
         unseen: score where no pair sees the point.
-        volume: ``[H, W, D]`` float32, filled with zero-mean normalised cross-correlations in [0, 1].
+        volume: ``[H, W, D]`` float32, filled with agreements in [0, 1].
     """
     views = images.shape[0]
     height, width, depth = volume.shape
@@ -129,7 +156,7 @@ def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, rad
         moved = np.empty((views, rows + 2 * radius, width + 2 * radius), np.float32)
         seen = np.empty((views, rows, width), np.float32)
         mean = np.empty((views, rows, width), np.float32)
-        inverse = np.empty((views, rows, width), np.float32)
+        variance = np.empty((views, rows, width), np.float32)
         sums = np.empty(width + 2 * radius, np.float32)
         squares = np.empty(width + 2 * radius, np.float32)
         line = np.empty(width, np.float32)
@@ -147,19 +174,22 @@ def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, rad
                     target = seen[v, i]
                     for j in range(width):
                         target[j] = np.float32(mask[j]) if hit[j] <= lowest_hit else np.float32(0)
-                _moments(moved[v], radius, noise, seen[v], mean[v], inverse[v], sums, squares, line)
+                _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
             total[:] = 0
             weight[:] = 0
             for p in range(pairs.shape[0]):
                 a, b = pairs[p, 0], pairs[p, 1]
                 _add_pair(
-                    moved[a], moved[b], mean[a], mean[b], inverse[a], inverse[b], seen[a], seen[b],
-                    radius, sums, line, total, weight,
+                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b],
+                    radius, noise, brightness, sums, line, total, weight,
                 )  # fmt: skip
             for i in range(rows):
                 for j in range(width):
                     n = weight[i, j]
-                    volume[r0 + i, j, k] = math.sqrt(total[i, j] / n) if n > 0 else unseen
+                    volume[r0 + i, j, k] = math.sqrt(total[i, j] / n) if n > 0 else np.float32(-1)
+        for i in range(rows):
+            for j in range(width):
+                _fill_unseen(volume[r0 + i, j], unseen)
 
 
 @njit(parallel=True, cache=True, fastmath=True)

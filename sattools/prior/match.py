@@ -12,7 +12,6 @@ from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, part, silent
 
 UNKNOWN = -1e9  # first hit of a ray when nothing is known about the surface: everything is seen
-UNSEEN = 0.0  # score where no pair sees a point: no evidence for it, yet no proof against it
 OVERLAP = 48  # rows by which strips overlap: paths of the aggregation forget where they came from over this distance
 
 
@@ -169,7 +168,7 @@ def sweep(
     volume = np.empty((*frame.shape, len(heights)), np.float32)
     correlate(
         frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hits, options.tolerance, pairs,
-        options.window, options.noise, frame.margin, np.float32(UNSEEN), volume,
+        options.window, options.noise, options.brightness, frame.margin, np.float32(options.unseen), volume,
     )  # fmt: skip
     total = np.empty_like(volume)
     aggregate(volume, np.float32(options.small_jump), np.float32(options.large_jump), total)

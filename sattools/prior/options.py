@@ -13,12 +13,21 @@ class PriorOptions:
 
     resolution: float | None = option(None, "Cell of the surface [m] (default: the scene grid's).", minimum=0.01)
     step: float | None = option(None, "Distance of the height planes [m] (default: two cells).", minimum=0.01)
-    pairs: int = option(25, "Largest number of image pairs that are correlated.", minimum=1)
+    pairs: int = option(40, "Largest number of image pairs that are correlated.", minimum=1)
     min_angle: float = option(12.0, "Smallest intersection angle of a pair [degrees].", minimum=0, maximum=90)
     max_angle: float = option(40.0, "Largest intersection angle of a pair [degrees].", minimum=0, maximum=90)
     ideal_angle: float = option(25.0, "Intersection angle that is preferred [degrees].", minimum=0, maximum=90)
-    window: int = option(2, "Half width of the correlation window in cells (2: 5 x 5 cells).", minimum=1, maximum=16)
-    noise: float = option(0.003, "Radiance below which contrast is not trusted.", minimum=1e-6)
+    window: int = option(
+        1, "Half width of the window in cells that are compared (1: 3 x 3 cells).", minimum=1, maximum=16
+    )
+    noise: float = option(0.005, "Contrast below which no structure is asked for (radiance).", minimum=1e-6)
+    brightness: float = option(0.1, "Difference of radiance at which two images agree by half.", minimum=1e-6)
+    unseen: float = option(
+        0.35,
+        "Agreement assumed where no pair of images sees a point (0 ... 1): neither for nor against.",
+        minimum=0,
+        maximum=1,
+    )
     small_jump: float = option(0.3, "Semi-global penalty for a height change of one plane (a correlation).", minimum=0)
     large_jump: float = option(1.5, "Semi-global penalty for any larger height change (a correlation).", minimum=0)
     rough_passes: int = option(2, "Passes at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0)

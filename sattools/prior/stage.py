@@ -19,11 +19,13 @@ from sattools.progress import Progress, part, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog
-from sattools.views import Source, View, line_of_sight, load_sources, views_on
+from sattools.views import Source, View, line_of_sight, load_sources, match_colours, views_on
 
 log = logging.getLogger(__name__)
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 Z_REF_SHARE = 0.3  # share of the height range below the reference height: most of a scene is near the ground
+
+USUAL_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
 
 
 def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
@@ -53,7 +55,8 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
     found = match(frame, pairs, z_range, options, part(progress, 0.2, 0.9))
     found = Match(*(crop(a, grid.shape) for a in (found.height, found.score, found.rival, found.views)))
     trust = confidence(found)
-    height = np.where(found.views >= 2, found.height, np.float32(np.nan))
+    # a height that fewer than two images see is a guess: it stays, without confidence, for the fit to judge
+    height = found.height
 
     progress(0.9, "writing")
     tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
@@ -66,12 +69,12 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
     if options.per_image:
         _per_image(scene, sources, grid, height, trust, z_range, part(progress, 0.92, 1.0), overwrite)
     progress(1.0, "matched")
-    completeness = float(np.isfinite(height).mean())
+    completeness = float((found.views >= 2).mean())
     return {
         "remarks": _remarks(views, grid, completeness),
         "prior": {
             "pairs": [[views[a].id, views[b].id] for a, b in pairs],
-            "completeness": round(completeness, 4),
+            "seen_by_two": round(completeness, 4),
             "mean_confidence": round(float(trust.mean()), 4),
         },
     }
@@ -80,6 +83,17 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """The upper left part of that shape (a frame may have a row or column more than the grid)."""
     return array[: shape[0], : shape[1]]
+
+
+def to_eye(images: np.ndarray, masks: np.ndarray, linear: bool) -> np.ndarray:
+    """Grey images with a tone curve, scaled to a usual contrast, so that thresholds mean the same for every sensor.
+
+    Linear radiance hides the texture of shadows in a sliver of its range; 8-bit images bring their tone curve along.
+    """
+    if linear:
+        images = np.maximum(images, 0.0) ** (1 / 2.2)
+    low, high = np.percentile(images[masks > 0][::7], [2, 98])
+    return (images * (USUAL_CONTRAST / max(high - low, 1e-6))).astype(np.float32)
 
 
 def make_frame(
@@ -105,8 +119,10 @@ def make_frame(
     )
     views = views_on(sources, wide, z_ref, z_range)
     slopes = np.array([(north, -east) for east, north in (view.slope for view in views)]) / cell
-    images = np.stack([view.target.mean(axis=-1) for view in views])
+    gain, offset = match_colours(views)
+    images = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
+    images = to_eye(images, masks, all(s.linear for s in sources))
     return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin), views
 
 

@@ -26,6 +26,7 @@ class Source:
     radiance: np.ndarray
     rpc: RPC
     sun: tuple[float, float] | None
+    linear: bool = True
 
 
 def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
@@ -49,7 +50,8 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'image' or 'radiance'")
         if item.sun is None:
             log.warning("%s: sun unknown: no cast shadows for this image", item.id)
-        sources.append(Source(item.id, radiance, rpc, item.sun))
+        linear = "radiance" in item.assets or item_bits(item.properties) > 8
+        sources.append(Source(item.id, radiance, rpc, item.sun, linear))
     bands = {s.radiance.shape[0] for s in sources}
     if len(bands) > 1:
         raise SceneError(f"scene {scene.id}: found images of {sorted(bands)} bands, expected the same number in all")
