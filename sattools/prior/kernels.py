@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-GUARD = np.float32(0.9)
+GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
 
 
@@ -107,10 +107,8 @@ def _add_pair(
 
 @njit(cache=True, fastmath=True)
 def _fill_unseen(column, unseen):
-    """Replace the negative scores of a cell, heights that no pair sees, by a share of its best score.
-
-    Neither for nor against: below 1 the unseen never beats what is seen to agree, well above 0 it stays possible.
-    """
+    """Replace the negative scores of a cell (heights that no pair sees): a hidden height must stay possible, but not
+    beat what is seen to agree, however poorly."""
     best = np.float32(0)
     for k in range(column.shape[0]):
         best = max(best, column[k])
@@ -125,11 +123,11 @@ def correlate(
 ):
     """Agreement of the views at every (cell, height): root mean square over the pairs that both see the point.
 
-    A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness, 1 / (1 + (difference of means
-    / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form. Correlation alone divides contrast out, so
-    that next to a bright roof the roof's edge decides for its whole neighbourhood, and in shadow noise correlates; here a
-    plain or dark place must at least be equally bright. The power mean lets the pairs that agree dominate those that are
-    disturbed by change, without sorting them.
+    A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness,
+    1 / (1 + (difference of means / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form.
+    Correlation alone divides contrast out, so that next to a bright roof the roof's edge decides for its whole
+    neighbourhood, and in shadow noise correlates; here a plain or dark place must at least be equally bright. The power
+    mean lets the pairs that agree dominate those that are disturbed by change, without sorting them.
 
     Args:
         images: ``[V, Hf, Wf]`` float32 on the frame, mean near zero (single precision cancels otherwise).
@@ -144,7 +142,7 @@ def correlate(
         noise: contrast below which structure is not asked for (colour-matched radiance).
         brightness: difference of two windows' means at which their agreement is halved.
         margin: cells between the border of the frame and that of the grid.
-        unseen: score where no pair sees the point.
+        unseen: score where no pair sees the point, but never above the best one that is seen in the cell.
         volume: ``[H, W, D]`` float32, filled with agreements in [0, 1].
     """
     views = images.shape[0]

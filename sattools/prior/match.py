@@ -12,6 +12,9 @@ from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, part, silent
 
 UNKNOWN = -1e9  # first hit of a ray when nothing is known about the surface: everything is seen
+SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
+STRAY = 30  # cells that may be wrong about it at either end
+SMOOTH = 3  # cells of the median filter that ends it all
 OVERLAP = 48  # rows by which strips overlap: paths of the aggregation forget where they came from over this distance
 
 
@@ -95,29 +98,46 @@ def match(
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
     fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin)
     step = options.step or 2 * frame.cell
-    surface = None
-    rough = fine.halved() if options.rough_passes else fine
-    for k in range(options.rough_passes):
-        hits = _hits(rough, surface, z_range, options)
-        progress(0.2 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
-        surface, *_ = _in_strips(rough, hits, pairs, z_range, 2 * step, options, silent)
-    coarse_hits = _hits(rough, surface, z_range, options)
-    hits = coarse_hits.repeat(2, axis=1).repeat(2, axis=2) if options.rough_passes else coarse_hits
-    height, score, rival = _in_strips(fine, hits, pairs, z_range, step, options, part(progress, 0.2, 1.0))
+    hits = np.full(images.shape, UNKNOWN, np.float32)
+    if options.rough_passes:
+        rough = fine.halved()
+        coarse_hits = hits[:, ::2, ::2].copy()
+        for k in range(options.rough_passes):
+            progress(0.4 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
+            surface, score, _ = _in_strips(rough, coarse_hits, pairs, z_range, 2 * step, options, silent)
+            surface = median_filter(surface, 3, mode="nearest")
+            if k == 0:
+                z_range = narrow(surface[score > SURE], z_range, 3 * 2 * step)
+            _find_hits(rough, surface, z_range, options, coarse_hits)
+        hits = coarse_hits.repeat(2, axis=1).repeat(2, axis=2)
+    height, score, rival = _in_strips(fine, hits, pairs, z_range, step, options, part(progress, 0.4, 1.0))
+    height = median_filter(height, SMOOTH, mode="nearest")
     return Match(height, score, rival, seeing(fine, hits, height, options.tolerance))
 
 
-def _hits(frame: Frame, surface: np.ndarray | None, z_range: tuple[float, float], options: PriorOptions) -> np.ndarray:
-    """First hits ``[V, Hf, Wf]`` of all rays with a surface of the last pass, thinned against its fat edges."""
+def narrow(heights: np.ndarray, z_range: tuple[float, float], margin: float) -> tuple[float, float]:
+    """The part of a height range in which a surface was found.
+
+    Args:
+        heights: ``[N]`` heights of well-matched cells [m].
+        z_range: lowest and highest height so far [m].
+        margin: kept below and above [m].
+    """
+    if len(heights) < 10 * STRAY:
+        return z_range
+    ordered = np.partition(heights, (STRAY, -STRAY - 1))
+    return max(z_range[0], float(ordered[STRAY]) - margin), min(z_range[1], float(ordered[-STRAY - 1]) + margin)
+
+
+def _find_hits(
+    frame: Frame, surface: np.ndarray, z_range: tuple[float, float], options: PriorOptions, hits: np.ndarray
+) -> None:
+    """Fill the first hits ``[V, Hf, Wf]`` of all rays with the surface, thinned: matching makes its edges too wide."""
     from sattools.prior.kernels import first_hits
 
-    hits = np.full(frame.images.shape, UNKNOWN, np.float32)
-    if surface is not None:
-        radius = options.erode / frame.cell
-        thin = grey_erosion(median_filter(surface, 3, mode="nearest"), footprint=disk(radius), mode="nearest")
-        wide = np.pad(thin, frame.margin, mode="edge")
-        first_hits(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, hits)
-    return hits
+    thin = grey_erosion(surface, footprint=disk(options.erode / frame.cell), mode="nearest")
+    wide = np.pad(thin, frame.margin, mode="edge")
+    first_hits(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, hits)
 
 
 def disk(radius: float) -> np.ndarray:
