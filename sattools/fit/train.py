@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
@@ -25,6 +25,7 @@ REFRESH = 4
 RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004}
 BETAS = (0.9, 0.99)
 KNEE_M = 1.0
+WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a wall
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class StageTrainer:
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
         self.adam = torch.optim.Adam(groups, lr=0.0, betas=BETAS)
         self.visibility: list[Tensor | None] = [None] * len(views)
+        self.weights = [m.to(scene.height.dtype) for m in self.masks]
         self.quadrature = make_quadrature(settings.softness[0], settings.z_range)
 
     def run(self, start: int, on_epoch: Callable[[int, float], bool]) -> bool:
@@ -136,8 +138,26 @@ class StageTrainer:
                 self.visibility = [
                     sun_visibility(height, self.settings.cell_size, v.sun) if v.sun else None for v in self.views
                 ]
+            self._weigh_walls()
             if self.options.pose and epoch:
                 self._refine_poses()
+
+    @torch.no_grad()
+    def _weigh_walls(self) -> None:
+        """Rays that meet a wall do not count: a height map has no room for a facade's colours.
+
+        Left in, the facades that oblique views show would be painted on cells beside the wall, and the wall would
+        move out
+        to make room for them.
+        """
+        height = self.scene.height.detach()[None]
+        span = max_pool2d(height, 3, 1, 1) + max_pool2d(-height, 3, 1, 1)
+        wall = (span > WALL_SLOPE * 2 * self.settings.cell_size).to(height.dtype)[0][..., None].contiguous()
+        for j, view in enumerate(self.views):
+            east, north = self.scene.pose[j].tolist()
+            rays = Rays(view.slope, view.z_ref, (east, north))
+            share, _, _ = render(self.scene.height, wall, rays, self.quadrature, self.settings.cell_size, self.masks[j])
+            self.weights[j] = self.masks[j] * (1 - share[..., 0]).clamp(0, 1)
 
     def _render(self, j: int) -> Tensor:
         view = self.views[j]
@@ -152,7 +172,7 @@ class StageTrainer:
         self.adam.zero_grad(set_to_none=True)
         error = photometric(options.loss, self._render(j), self.targets[j], options.robust).mean(-1)
         # in units of the robust scale, so that the other weights mean the same for every loss
-        loss = (error * self.masks[j]).sum() / self.masks[j].sum().clamp_min(1) / (options.robust**2 or 1.0)
+        loss = (error * self.weights[j]).sum() / self.masks[j].sum().clamp_min(1) / (options.robust**2 or 1.0)
         bumps = roughness(self.scene.height, self.settings.cell_size, ties, knee=self.knee)
         total = loss + self.smooth * bumps
         if self.prior is not None:
