@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import grey_erosion, median_filter, minimum_filter
@@ -14,8 +14,12 @@ from sattools.progress import Progress, part, silent
 UNKNOWN = -1e9  # first hit of a ray when nothing is known about the surface: everything is seen
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 STRAY = 30  # cells that may be wrong about it at either end
+KEEP_PLANES = 3  # planes kept above and below what was found
+SETTLED = 0.002  # share of cells that may still change when the rough passes stop
+MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
+BLOCK = 384  # cells of such a block
 SMOOTH = 3  # cells of the median filter that ends it all
-OVERLAP = 48  # rows by which strips overlap: paths of the aggregation forget where they came from over this distance
+OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
 
 
 @dataclass(frozen=True)
@@ -97,22 +101,35 @@ def match(
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
     fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin)
-    step = options.step or 2 * frame.cell
+    step = options.step or plane_distance(frame, pairs)
     hits = np.full(images.shape, UNKNOWN, np.float32)
+    guide = None
     if options.rough_passes:
         rough = fine.halved()
         coarse_hits = hits[:, ::2, ::2].copy()
+        before = None
         for k in range(options.rough_passes):
             progress(0.4 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
-            surface, score, _ = _in_strips(rough, coarse_hits, pairs, z_range, 2 * step, options, silent)
+            surface, score, _ = _in_blocks(rough, coarse_hits, pairs, z_range, 2 * step, options, silent, before)
             surface = median_filter(surface, 3, mode="nearest")
             if k == 0:
-                z_range = narrow(surface[score > SURE], z_range, 3 * 2 * step)
+                z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step)
             _find_hits(rough, surface, z_range, options, coarse_hits)
+            if before is not None and np.mean(np.abs(surface - before) > step) < SETTLED:
+                break
+            before = surface
         hits = coarse_hits.repeat(2, axis=1).repeat(2, axis=2)
-    height, score, rival = _in_strips(fine, hits, pairs, z_range, step, options, part(progress, 0.4, 1.0))
+        guide = surface.repeat(2, axis=0).repeat(2, axis=1)
+    last = part(progress, 0.4, 1.0)
+    height, score, rival = _in_blocks(fine, hits, pairs, z_range, step, options, last, guide)
     height = median_filter(height, SMOOTH, mode="nearest")
     return Match(height, score, rival, seeing(fine, hits, height, options.tolerance))
+
+
+def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
+    """Distance of the height planes [m]: two cells, or more where no pair moves by one cell over that distance."""
+    apart = np.abs(frame.slopes[pairs[:, 0]] - frame.slopes[pairs[:, 1]])  # [P, 2] cells per metre
+    return max(2 * frame.cell, 1.0 / float(np.linalg.norm(apart, axis=1).max()))
 
 
 def narrow(heights: np.ndarray, z_range: tuple[float, float], margin: float) -> tuple[float, float]:
@@ -147,7 +164,29 @@ def disk(radius: float) -> np.ndarray:
     return x * x + y * y <= radius * radius
 
 
-def _in_strips(
+def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: bool) -> list[tuple[slice, slice]]:
+    """Parts to match one after the other: all at once if memory allows and heights are few.
+
+    Args:
+        shape: (rows, columns) of the grid.
+        volume: largest number of (cell, height) that fits in memory.
+        planes_wanted: number of heights over the whole grid.
+        guided: each block may look for its own heights, which pays where the ground itself rises and falls.
+    """
+    rows, cols = shape
+    affordable = math.isqrt(max(volume // planes_wanted, 1))
+    if affordable**2 >= rows * cols and not (guided and planes_wanted > MANY_PLANES):
+        return [(slice(0, rows), slice(0, cols))]
+    size = max(BLOCK if guided else affordable - 2 * OVERLAP, 2 * OVERLAP)
+    high, wide = (math.ceil(n / math.ceil(n / size)) for n in shape)
+    return [
+        (slice(r, min(r + high, rows)), slice(c, min(c + wide, cols)))
+        for r in range(0, rows, high)
+        for c in range(0, cols, wide)
+    ]
+
+
+def _in_blocks(
     frame: Frame,
     hits: np.ndarray,
     pairs: np.ndarray,
@@ -155,22 +194,30 @@ def _in_strips(
     step: float,
     options: PriorOptions,
     progress: Progress,
+    guide: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One pass over the whole grid: height, score and rival ``[H, W]``; in strips of rows where memory is short."""
-    heights = planes(z_range, step)
-    rows, cols = frame.shape
+    """One pass over the whole grid: height, score and rival ``[H, W]``.
+
+    Args:
+        guide: ``[H, W]`` heights of an earlier pass [m]; blocks of a hilly area look only near them.
+    """
+    wanted = len(planes(z_range, step))
     # two volumes of single precision live at a time
-    affordable = int(options.memory * 1e6 / (8 * cols * len(heights)))
-    strip = rows if affordable >= rows else max(OVERLAP, affordable - 2 * OVERLAP)
+    blocks = _blocks(frame.shape, int(options.memory * 1e6 / 8), wanted, guide is not None)
     found: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
-    for top in range(0, rows, strip):
-        bottom = min(top + strip, rows)
-        first, last = max(0, top - OVERLAP), min(rows, bottom + OVERLAP)
-        window = (slice(None), slice(first, last + 2 * frame.margin))
-        piece = Frame(frame.images[window], frame.masks[window], frame.slopes, frame.z_ref, frame.cell, frame.margin)
-        progress(top / rows, f"matching {len(pairs)} pairs at {len(heights)} heights, cell {frame.cell:g} m")
-        for whole, new in zip(found, sweep(piece, hits[window], pairs, heights, options), strict=True):
-            whole[top:bottom] = new[top - first : bottom - first]
+    for k, (rows, cols) in enumerate(blocks):
+        progress(k / len(blocks), f"matching {len(pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
+        top, left = max(0, rows.start - OVERLAP), max(0, cols.start - OVERLAP)
+        bottom, right = min(frame.shape[0], rows.stop + OVERLAP), min(frame.shape[1], cols.stop + OVERLAP)
+        near = z_range
+        if guide is not None and len(blocks) > 1:
+            near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step)
+        window = (slice(None), slice(top, bottom + 2 * frame.margin), slice(left, right + 2 * frame.margin))
+        piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
+        new = sweep(piece, hits[window], pairs, planes(near, step), options)
+        for whole, part_found in zip(found, new, strict=True):
+            inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
+            whole[rows, cols] = part_found[inner]
     return found[0], found[1], found[2]
 
 

@@ -19,7 +19,7 @@ from sattools.progress import Progress, part, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog
-from sattools.views import Source, View, line_of_sight, load_sources, match_colours, views_on
+from sattools.views import Source, View, check_seen, line_of_sight, load_sources, match_colours, views_on
 
 log = logging.getLogger(__name__)
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
@@ -122,6 +122,9 @@ def make_frame(
     gain, offset = match_colours(views)
     images = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
+    inside = slice(margin, -margin or None)
+    for view, mask in zip(views, masks, strict=True):
+        check_seen(view.id, mask[inside, inside])
     images = to_eye(images, masks, all(s.linear for s in sources))
     return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin), views
 
