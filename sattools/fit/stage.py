@@ -23,7 +23,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
 from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
-from sattools.progress import Progress, silent
+from sattools.progress import Progress, part, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster, write_text
 from sattools.views import Source, View, load_sources, match_colours, shown_on, views_on
@@ -77,11 +77,11 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     device = choose_device(options.device)
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
-    prior = load_prior(scene, options, progress)
+    prior = load_prior(scene, options, part(progress, 0.0, 0.2))
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device)
-    surface, finest, remarks = job.run(progress)
+    surface, finest, remarks = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     tensors["height_std"] = job.height_std.cpu()
     checkpoint.save(

@@ -106,6 +106,8 @@ def make_frame(
     z_ref = z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
     cell = grid.cell_size
     lines = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
+    for source, line in zip(sources, lines, strict=True):
+        check_seen(source.id, np.isfinite(line))  # a camera of another place has no line of sight here
     # from the ground to the sensor: what stands higher is displaced the other way; rows count southward
     slopes = np.array([(north, -east) for east, north in lines]) / cell
     margin = margin_for(slopes, z_ref, z_range, window)

@@ -1,6 +1,16 @@
 """Images of a scene resampled to its ground grid."""
 
-from sattools.views.load import Source, load_sources, views_on
+from sattools.views.load import Source, check_seen, load_sources, views_on
 from sattools.views.resample import View, line_of_sight, make_view, match_colours, shown_on
 
-__all__ = ["Source", "View", "line_of_sight", "load_sources", "make_view", "match_colours", "shown_on", "views_on"]
+__all__ = [
+    "Source",
+    "View",
+    "check_seen",
+    "line_of_sight",
+    "load_sources",
+    "make_view",
+    "match_colours",
+    "shown_on",
+    "views_on",
+]

@@ -66,12 +66,17 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
     """
     views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, s.sun) for s in sources]
     for view in views:
-        if not view.mask.any():
-            raise SceneError(
-                f"image {view.id}: found no valid pixel on the scene's grid, expected an image of this place "
-                "(hold it out to go on without it)"
-            )
+        check_seen(view.id, view.mask)
     return views
 
 
-__all__ = ["Source", "load_sources", "views_on"]
+def check_seen(item_id: str, mask: np.ndarray) -> None:
+    """Raise SceneError if an image shows nothing of the grid (an all-zero ``mask`` of any shape)."""
+    if not mask.any():
+        raise SceneError(
+            f"image {item_id}: found no valid pixel on the scene's grid, expected an image of this place "
+            "(hold it out to go on without it)"
+        )
+
+
+__all__ = ["Source", "check_seen", "load_sources", "views_on"]

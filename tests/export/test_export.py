@@ -25,7 +25,7 @@ def scene(tmp_path):
     height[15:25, 30:40] = -10.0
     sun = grid_direction(90.0, 45.0, GRID.crs, -81.66, 30.35)
     scene = Scene("BLOCK", tmp_path, [Item(n, None, None, {}) for n in ("a", "b")], GRID)
-    tensors = {"height": height, "albedo": torch.full((*GRID.shape, 3), 0.25)}
+    tensors = {"height": height, "height_std": height * 0 + 0.3, "albedo": torch.full((*GRID.shape, 3), 0.25)}
     meta = {
         "grid": GRID.to_dict(),
         "items": ["a", "b"],
@@ -103,3 +103,11 @@ def test_heights_above_a_geoid_are_computed_or_the_missing_grid_is_named():
         return
     assert name == "EGM96 geoid"
     assert found == pytest.approx(8.5, abs=1.5)
+
+
+def test_the_uncertainty_is_a_map_in_metres_on_the_grid_of_the_surface(scene):
+    export(scene, ExportOptions())
+    std, grid = read_raster(scene.path(scene.products["dsm_std"]))
+    assert grid == GRID
+    assert std.shape == (1, 40, 60)
+    assert (std == np.float32(0.3)).all()

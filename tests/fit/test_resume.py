@@ -16,8 +16,8 @@ from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.scene import Scene
 
-SHORT = FitOptions(resolution=2.0, coarsest=4.0, epochs=[10, 9])
-FLAGS = ["--resolution", "2", "--coarsest", "4", "--epochs", "20", "--epochs", "20"]
+SHORT = FitOptions(resolution=2.0, coarsest=4.0, epochs=[10, 9], prior_weight=0.0)
+FLAGS = ["--resolution", "2", "--coarsest", "4", "--epochs", "20", "--epochs", "20", "--prior-weight", "0"]
 
 
 class Interrupted(Exception):
