@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from sattools.prior.match import Match
 
-RIVAL_SCALE = 0.15  # cost gap to the next best height at which trust in it is 1 - 1/e
-SCORE_RANGE = (0.3, 0.9)  # agreement of unrelated and of well-matched images
+RIVAL_SCALE = 0.3  # cost gap to the next best height at which trust in the height is 1 - 1/e
+FULL_AGREEMENT = 0.9  # agreement of well-matched images
+STEP_SCALE = 3.0  # height difference within the neighbourhood that halves the trust [m]
+NEIGHBOURHOOD = 5  # cells: about as far as matching smears a wall
 ENOUGH_VIEWS = 3.0
 
 
 def confidence(match: Match) -> np.ndarray:
-    """Product of three doubts: images disagree, another height is nearly as good, few images see the place.
+    """Product of four doubts: the images disagree, another height is nearly as good, few images see the place, or the
+    height jumps nearby, where a window sees two surfaces at once.
 
     Returns:
-        ``[H, W]`` float32 in [0, 1].
+        ``[H, W]`` float32 in [0, 1]; 0 where fewer than two images see the surface.
     """
-    low, high = SCORE_RANGE
-    agreement = np.clip((match.score - low) / (high - low), 0.0, 1.0)
+    agreement = np.clip(match.score / FULL_AGREEMENT, 0.0, 1.0)
     unique = 1.0 - np.exp(-np.maximum(match.rival, 0.0) / RIVAL_SCALE)
     # one view alone sees no height; two can, but cannot contradict each other
     seen = 1.0 - np.exp(-np.maximum(match.views.astype(np.float32) - 1.0, 0.0) / (ENOUGH_VIEWS - 1.0))
-    return (agreement * unique * seen).astype(np.float32)
+    jump = maximum_filter(match.height, NEIGHBOURHOOD) - minimum_filter(match.height, NEIGHBOURHOOD)
+    return (agreement * unique * seen / (1.0 + jump / STEP_SCALE)).astype(np.float32)
 
 
 __all__ = ["confidence"]

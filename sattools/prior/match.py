@@ -177,7 +177,7 @@ def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: boo
     affordable = math.isqrt(max(volume // planes_wanted, 1))
     if affordable**2 >= rows * cols and not (guided and planes_wanted > MANY_PLANES):
         return [(slice(0, rows), slice(0, cols))]
-    size = max(BLOCK if guided else affordable - 2 * OVERLAP, 2 * OVERLAP)
+    size = max(min(affordable - 2 * OVERLAP, BLOCK) if guided else affordable - 2 * OVERLAP, 2 * OVERLAP)
     high, wide = (math.ceil(n / math.ceil(n / size)) for n in shape)
     return [
         (slice(r, min(r + high, rows)), slice(c, min(c + wide, cols)))

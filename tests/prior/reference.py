@@ -1,0 +1,63 @@
+"""The matching kernels once more, written plainly with numpy: slow, and easy to check by eye."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def bilinear(image, row, col):
+    """Value of an image at one fractional position."""
+    r, c = int(np.floor(row)), int(np.floor(col))
+    fr, fc = row - r, col - c
+    top = (1 - fc) * image[r, c] + fc * image[r, c + 1]
+    bottom = (1 - fc) * image[r + 1, c] + fc * image[r + 1, c + 1]
+    return (1 - fr) * top + fr * bottom
+
+
+def agreement(a, b, noise, brightness):
+    """Structure times brightness of two windows, not below 0."""
+    covariance = (a * b).mean() - a.mean() * b.mean()
+    structure = (2 * covariance + noise**2) / (a.var() + b.var() + noise**2)
+    return max(structure, 0.0) / (1 + ((a.mean() - b.mean()) / brightness) ** 2)
+
+
+def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, radius, noise, brightness, margin, unseen):
+    """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
+    views, rows, cols = images.shape
+    volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))
+    near = range(-radius, radius + 1)
+    for row, col, k in np.ndindex(volume.shape):
+        shift = slopes * (heights[k] - z_ref)
+        at = [(row + margin + dr, col + margin + dc) for dr, dc in shift]
+        windows = [
+            np.array([[bilinear(images[v], at[v][0] + i, at[v][1] + j) for j in near] for i in near])
+            for v in range(views)
+        ]
+        nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
+        seen = [masks[n] > 0 and hits[n] <= heights[k] + tolerance for n in nearest]
+        squares = [agreement(windows[a], windows[b], noise, brightness) ** 2 for a, b in pairs if seen[a] and seen[b]]
+        volume[row, col, k] = np.sqrt(np.mean(squares)) if squares else -1
+    best = np.maximum(volume.max(axis=2, keepdims=True), 0)
+    return np.where(volume < 0, np.minimum(unseen, 0.9 * best), volume)
+
+
+def aggregate(score, small, large):
+    """Sum of the eight path costs ``[H, W, D]`` by the recursion of Hirschmueller (2008), eq. 13."""
+    rows, cols, depth = score.shape
+    total = np.zeros(score.shape)
+    cost = 1.0 - score
+    for dr, dc in [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)]:
+        path = np.zeros(score.shape)
+        for row in range(rows)[:: dr if dr else 1]:
+            for col in range(cols)[:: dc if dc else 1]:
+                r, c = row - dr, col - dc
+                if not (0 <= r < rows and 0 <= c < cols):
+                    path[row, col] = cost[row, col]
+                    continue
+                before = path[r, c]
+                for k in range(depth):
+                    options = [before[k], before.min() + large]
+                    options += [before[n] + small for n in (k - 1, k + 1) if 0 <= n < depth]
+                    path[row, col, k] = cost[row, col, k] + min(options) - before.min()
+        total += path
+    return total

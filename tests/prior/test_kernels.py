@@ -1,0 +1,135 @@
+"""Compiled matching kernels against their plain twins, and on cases with known answers."""
+
+import numpy as np
+import pytest
+import reference
+
+from sattools.prior.kernels import correlate, descend, first_hits
+from sattools.prior.sgm import aggregate, lowest, rival
+
+SETTINGS = {"radius": 1, "noise": 0.01, "brightness": 0.2, "margin": 5, "unseen": 0.3}
+LOW = -1e9
+
+
+def a_frame(seed=0, views=4):
+    rng = np.random.default_rng(seed)
+    images = rng.normal(0, 0.1, (views, 17, 19)).astype(np.float32)
+    masks = (rng.random(images.shape) > 0.15).astype(np.uint8)
+    slopes = rng.uniform(-0.5, 0.5, (views, 2))
+    hits = np.where(rng.random(images.shape) > 0.3, LOW, 4.0).astype(np.float32)
+    return images, masks, slopes, hits
+
+
+def run_correlate(images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolerance=0.5, **changed):
+    s = SETTINGS | changed
+    m = s["margin"]
+    volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
+    order = (s["radius"], s["noise"], s["brightness"], m, np.float32(s["unseen"]))
+    correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, *order, volume)
+    return volume
+
+
+@pytest.mark.parametrize("radius", [1, 2])
+def test_correlation_is_that_of_the_plain_twin(radius):
+    images, masks, slopes, hits = a_frame()
+    pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
+    fast = run_correlate(images, masks, slopes, hits, pairs, heights, radius=radius)
+    settings = SETTINGS | {"radius": radius}
+    slow = reference.correlate(images.astype(float), masks, slopes, heights, 1.0, hits, 0.5, pairs, **settings)
+    assert (slow == 0.3).any(), "the case must contain points that no pair sees"
+    # single precision, running sums
+    np.testing.assert_allclose(fast, slow, atol=2e-4)
+
+
+def test_correlation_over_many_tiles_is_that_of_one():
+    rng = np.random.default_rng(1)
+    images = rng.normal(0, 0.1, (2, 70, 30)).astype(np.float32)
+    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    slopes, heights = np.array([(0.3, 0.1), (-0.3, 0.2)]), np.array([0.0, 1.0, 2.0])
+    pairs = np.array([(0, 1)])
+    whole = run_correlate(images, masks, slopes, hits, pairs, heights)
+    part = run_correlate(images[:, 40:], masks[:, 40:], slopes, hits[:, 40:], pairs, heights)
+    np.testing.assert_allclose(whole[40:], part, atol=1e-5)
+
+
+def test_equal_images_agree_fully_where_they_lie_on_each_other():
+    image = np.random.default_rng(2).normal(0, 0.1, (17, 19)).astype(np.float32)
+    images = np.stack(
+        [image, np.roll(image, 2, axis=1)]
+    )  # the second is displaced by two columns: 4 m at half a column
+    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    slopes = np.array([(0.0, 0.0), (0.0, 0.5)])
+    volume = run_correlate(images, masks, slopes, hits, np.array([(0, 1)]), np.array([1.0, 3.0, 5.0, 7.0]))
+    assert (volume.argmax(axis=2) == 2).all()
+    np.testing.assert_allclose(volume[..., 2], 1.0, atol=1e-3)
+
+
+def test_an_unseen_height_never_beats_what_is_seen():
+    images, masks, slopes, hits = a_frame()
+    hits[:] = 3.0  # nothing below 3 m is seen
+    images[1:] = -images[:1]  # and what is seen above disagrees wherever it can
+    volume = run_correlate(images, masks, slopes * 0, hits, np.array([(0, 1)]), np.array([0.0, 2.0, 4.0]), unseen=0.9)
+    assert (volume[..., 0] <= volume[..., 2]).all()
+
+
+def test_aggregation_is_that_of_the_plain_twin():
+    score = np.random.default_rng(3).random((7, 9, 6)).astype(np.float32)
+    total = np.empty_like(score)
+    aggregate(score, np.float32(0.1), np.float32(0.35), total)
+    np.testing.assert_allclose(total, reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
+
+
+def test_aggregation_carries_the_ground_through_a_place_without_evidence():
+    score = np.full((11, 11, 5), 0.2, np.float32)
+    score[..., 3] = 0.9
+    score[5, 5] = 0.2
+    total, height, index = np.empty_like(score), np.empty((11, 11), np.float32), np.empty((11, 11), np.int64)
+    aggregate(score, np.float32(0.3), np.float32(1.5), total)
+    lowest(total, np.arange(5.0) + 10, height, index)
+    assert index[5, 5] == 3
+    np.testing.assert_allclose(height, 13.0, atol=1e-5)  # neighbours are alike, the parabola is symmetric
+
+
+def test_a_parabola_finds_the_height_between_two_planes():
+    heights = np.array([0.0, 2.0, 4.0, 6.0])
+    total = ((heights - 3.4) ** 2).astype(np.float32)[None, None].copy()
+    height, index = np.empty((1, 1), np.float32), np.empty((1, 1), np.int64)
+    lowest(total, heights, height, index)
+    assert index[0, 0] == 2
+    assert height[0, 0] == pytest.approx(3.4, abs=1e-5)
+
+
+def test_the_rival_is_the_best_height_that_is_no_neighbour():
+    total = np.array([[[5.0, 3.0, 1.0, 2.0, 4.0]]], np.float32)
+    gap = np.empty((1, 1), np.float32)
+    rival(total, np.array([[2]]), gap)
+    assert gap[0, 0] == 3.0
+
+
+def test_a_tower_hides_the_ground_behind_it():
+    """A line of sight that leans by one cell a metre enters a tower of 10 m ten columns before its foot."""
+    surface = np.zeros((5, 40), np.float32)
+    surface[:, 20:24] = 10.0
+    hits = np.empty((1, 5, 40), np.float32)
+    # what stands at height z in column c is seen at frame column c + z
+    first_hits(surface, np.array([(0.0, 1.0)]), 0.0, 12.0, -2.0, hits)
+    assert (hits[0, :, :20] == 0).all()
+    assert (hits[0, :, 30:34] == 10).all()  # the roof
+    assert (hits[0, :, 24:30] > 0).all()  # the wall, in front of hidden ground
+    assert (hits[0, :, 35:] == 0).all()
+
+
+def test_lines_of_sight_end_on_roof_and_ground():
+    surface = np.zeros((3, 30), np.float32)
+    surface[:, 10:15] = 8.0
+    surface[:, 25:] = -np.inf
+    rows, cols = np.meshgrid(np.arange(3.0), np.arange(30.0), indexing="ij")
+    bottom = np.stack([rows, cols], axis=-1).astype(np.float32)
+    top = bottom + np.float32([0, 5])  # leans five columns over 10 m
+    depth, where = np.empty((3, 30), np.float32), np.empty((3, 30, 2), np.int64)
+    descend(surface, bottom, top, 0.0, 10.0, depth, where)
+    assert depth[1, 2] == 0.0
+    assert tuple(where[1, 2]) == (1, 2)
+    assert depth[1, 8] == 8.0  # at 8 m it is 4 columns further
+    assert tuple(where[1, 8]) == (1, 12)
+    assert np.isnan(depth[1, 28])

@@ -1,0 +1,116 @@
+"""Matching of made-up views of a known surface."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from sattools.prior.match import BLOCK, Frame, _blocks, margin_for, match
+from sattools.prior.options import PriorOptions
+
+RANGE = (-4.0, 16.0)
+CELL = 0.5
+
+
+def views_of(height, slopes, seed=0):
+    """A frame of a surface with noise for texture, each view rendered from the top downward so that walls hide."""
+    rng = np.random.default_rng(seed)
+    slopes = np.array(slopes)
+    margin = margin_for(slopes, 0.0, RANGE, 2)
+    wide = np.pad(height, margin, mode="edge")
+    texture = gaussian_filter(rng.normal(0, 1, wide.shape), 0.8) * 0.3 + 0.5
+    rows, cols = np.indices(wide.shape).astype(float)
+    images = []
+    for slope in slopes:
+        image = np.full(wide.shape, 0.5)
+        for z in np.arange(RANGE[0], RANGE[1], 0.05):  # higher planes paint over lower ones
+            at = [rows - slope[0] * z, cols - slope[1] * z]
+            solid = map_coordinates(wide, at, order=0, mode="nearest") >= z - 0.025
+            image = np.where(solid, map_coordinates(texture, at, order=1, mode="nearest"), image)
+        images.append(image)
+    stack = np.stack(images).astype(np.float32)
+    return Frame(stack, np.ones(stack.shape, np.uint8), slopes, 0.0, CELL, margin)
+
+
+@pytest.fixture(scope="module")
+def house():
+    height = np.zeros((84, 60))
+    height[20:42, 24:44] = 9.0
+    slopes = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)]
+    return height, views_of(height, slopes)
+
+
+ALL = np.array([(a, b) for a in range(5) for b in range(a + 1, 5)])
+
+
+def test_a_house_is_found_with_its_roof_and_the_ground_around(house):
+    height, frame = house
+    found = match(frame, ALL, RANGE, PriorOptions())
+    error = np.abs(found.height - height)
+    assert error[24:38, 28:40].max() < 0.3  # roof, away from its edges
+    assert np.median(error) < 0.1
+    assert np.mean(error) < 0.5  # walls are smeared by a cell or two
+    assert found.views.max() == 5
+    assert found.height.dtype == np.float32
+    assert found.score.min() >= 0
+    assert found.score.max() <= 1
+
+
+def test_hidden_ground_is_seen_by_fewer_views(house):
+    _, frame = house
+    found = match(frame, ALL, RANGE, PriorOptions(erode=0.5))
+    # a lean of half a cell a metre hides 4.5 cells beside a house of 9 m from a view
+    beside = found.views[43:45, 30:38]
+    assert beside.mean() < 4.8
+    assert found.views[5:10, 5:15].min() == 5
+
+
+def test_two_views_are_enough_for_open_ground(house):
+    height, frame = house
+    two = Frame(frame.images[:2], frame.masks[:2], frame.slopes[:2], 0.0, CELL, frame.margin)
+    found = match(two, np.array([(0, 1)]), RANGE, PriorOptions())
+    assert np.median(np.abs(found.height - height)) < 0.15
+
+
+def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house):
+    height, frame = house
+    masks = frame.masks.copy()
+    masks[:, : frame.margin + 15, : frame.margin + 15] = 0
+    images = np.where(masks > 0, frame.images, 0)
+    found = match(Frame(images, masks, frame.slopes, 0.0, CELL, frame.margin), ALL, RANGE, PriorOptions())
+    assert found.views[:8, :8].max() == 0
+    assert np.median(np.abs(found.height - height)[20:, 20:]) < 0.1
+
+
+@pytest.mark.parametrize(("memory", "planes", "guided"), [(10**9, 50, False), (10**7, 50, True), (10**9, 400, True)])
+def test_blocks_cover_every_cell_once(memory, planes, guided):
+    count = np.zeros((700, 900), int)
+    blocks = _blocks(count.shape, memory, planes, guided)
+    for block in blocks:
+        count[block] += 1
+    assert (count == 1).all()
+    assert len(blocks) == 1 if memory == 10**9 and planes == 50 else len(blocks) > 1
+    if planes == 400:
+        assert count[blocks[0]].size <= BLOCK**2
+
+
+def test_blocks_give_the_surface_that_the_whole_gives(house):
+    _, frame = house
+    whole = match(frame, ALL, RANGE, PriorOptions())
+    # two volumes of 84 x 60 cells and 23 heights take 0.93 MB
+    parts = match(frame, ALL, RANGE, PriorOptions(memory=0.2))
+    assert not np.array_equal(whole.height, parts.height), "must have been matched in blocks"
+    assert np.mean(np.abs(whole.height - parts.height) < 0.3) > 0.97
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads(house):
+    import numba
+
+    _, frame = house
+    before = numba.get_num_threads()
+    first = match(frame, ALL, RANGE, PriorOptions())
+    try:
+        numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+        second = match(frame, ALL, RANGE, PriorOptions())
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(first.height, second.height)

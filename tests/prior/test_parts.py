@@ -1,0 +1,148 @@
+"""Choice of pairs, planes, normals, confidence: pure functions with answers known by hand."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sattools.prior.confidence import confidence
+from sattools.prior.match import Frame, Match, disk, margin_for, narrow, plane_distance, planes
+from sattools.prior.normals import normals
+from sattools.prior.pairs import angle_deg, choose_pairs
+from sattools.prior.stage import to_eye
+
+
+def lean(angle):
+    """Slope of a view that leans eastward by an angle in degrees."""
+    return (math.tan(math.radians(angle)), 0.0)
+
+
+def sun(azimuth):
+    a = math.radians(azimuth)
+    return (0.7 * math.sin(a), 0.7 * math.cos(a), math.sqrt(0.51))
+
+
+def test_the_angle_between_two_views():
+    assert angle_deg((*lean(-10), 1.0), (*lean(15), 1.0)) == pytest.approx(25.0)
+
+
+def test_pairs_of_one_sun_come_before_the_ideal_angle():
+    slopes = [lean(0), lean(25), lean(20), lean(38)]
+    suns = [sun(100), sun(160), sun(100), sun(160)]
+    # (0, 2) and (1, 3) share their sun; (0, 1) has the ideal angle but suns some 41 degrees apart
+    pairs = choose_pairs(slopes, suns, 3, limits=(12, 40))
+    assert pairs[:2].tolist() == [[0, 2], [1, 3]]
+
+
+def test_pairs_outside_the_limits_are_taken_only_for_want_of_others():
+    many = [lean(a) for a in (0, 20, 25, 28, 60)]
+    assert 4 not in choose_pairs(many, [None] * 5, 10, limits=(12, 40))[:, 0:2][:3]
+    one_pass = [lean(-6), lean(0), lean(6.5)]  # as of a Pleiades triplet
+    assert choose_pairs(one_pass, [None] * 3, 25, limits=(12, 40)).tolist() == [[0, 2], [1, 2], [0, 1]]
+    assert choose_pairs([lean(0), lean(7)], [None, None], 25, limits=(12, 40)).tolist() == [[0, 1]]
+
+
+def test_views_from_one_direction_make_no_pair():
+    assert choose_pairs([lean(10), lean(10.5)], [None, None], 25).shape == (0, 2)
+
+
+def test_unknown_suns_leave_the_choice_to_the_angle():
+    assert choose_pairs([lean(0), lean(24), lean(35)], [None] * 3, 1).tolist() == [[0, 1]]
+
+
+def test_planes_reach_one_step_beyond_the_range():
+    assert planes((10.0, 13.0), 1.0).tolist() == [9.0, 10.0, 11.0, 12.0, 13.0, 14.0]
+    assert len(planes((10.0, 10.5), 4.0)) >= 3
+
+
+def test_planes_stand_two_cells_apart_or_as_far_as_the_best_pair_needs():
+    frame = Frame(np.zeros((3, 4, 4)), np.ones((3, 4, 4)), np.array([(0.0, 0.0), (0.8, 0.0), (0.0, 0.1)]), 0.0, 0.5, 0)
+    assert plane_distance(frame, np.array([(0, 1), (0, 2)])) == pytest.approx(1.25)  # 0.8 cells a metre
+    assert plane_distance(frame, np.array([(0, 2)])) == pytest.approx(10.0)
+    wide = replace(frame, slopes=frame.slopes * 10)
+    assert plane_distance(wide, np.array([(0, 1)])) == 1.0
+
+
+def test_the_margin_holds_the_farthest_displacement():
+    # 0.5 cells a metre over 60 m = 30 cells, 2 cells of window either side, some for rounding
+    assert 34 <= margin_for(np.array([(0.5, -0.2)]), 20.0, (0.0, 80.0), 2) <= 40
+
+
+def test_the_height_range_closes_on_what_was_found_but_for_strays():
+    heights = np.concatenate([np.linspace(100, 120, 5000), np.full(20, 900.0), np.full(20, -50.0)])
+    low, high = narrow(heights, (-100.0, 1000.0), 5.0)
+    assert 94.9 < low <= 95.1
+    assert 124.9 <= high < 125.1
+    assert narrow(heights[:50], (-100.0, 1000.0), 5.0) == (-100.0, 1000.0)  # too few to say
+    assert narrow(heights, (98.0, 119.0), 5.0) == (98.0, 119.0)  # never wider than before
+
+
+def test_a_disk_of_one_cell_is_a_cross():
+    assert disk(1.0).astype(int).tolist() == [[0, 1, 0], [1, 1, 1], [0, 1, 0]]
+
+
+def test_halving_keeps_a_point_where_it_was():
+    images = np.arange(2 * 8 * 8, dtype=np.float32).reshape(2, 8, 8)
+    masks = np.ones((2, 8, 8), np.uint8)
+    masks[0, 0, 1] = 0
+    half = Frame(images, masks, np.array([(0.4, 0.2), (0.0, 0.0)]), 7.0, 0.5, 2).halved()
+    assert half.images[0, 0, 0] == images[0, :2, :2].mean()
+    assert half.masks[0, 0, 0] == 0  # one invalid pixel spoils the cell
+    assert half.masks[0, 0, 1] == 1
+    assert (half.cell, half.margin, half.shape) == (1.0, 1, (2, 2))
+    assert half.slopes[0].tolist() == [0.2, 0.1]
+
+
+def test_normal_of_a_plane():
+    y, x = np.mgrid[0:6, 0:7]
+    # rises 0.3 m a metre eastward and 0.4 m a metre northward (rows count southward), cells of 2 m
+    n = normals(0.3 * 2 * x - 0.4 * 2 * y, 2.0)
+    expected = np.array([-0.3, -0.4, 1.0]) / math.sqrt(1.25)
+    np.testing.assert_allclose(n, np.broadcast_to(expected[:, None, None], n.shape), atol=1e-6)
+
+
+def test_normals_leave_out_what_is_unknown():
+    height = np.zeros((5, 5))
+    height[2, 2] = np.nan
+    n = normals(height, 1.0)
+    assert np.isnan(n[:, 2, 2]).all()
+    np.testing.assert_allclose(n[:, 2, 1], [0, 0, 1])
+    assert np.isnan(normals(np.full((3, 3), np.nan), 1.0)).all()
+
+
+def a_match(**changed):
+    shape = (9, 9)
+    parts = {"height": 5.0, "score": 0.9, "rival": 1.0, "views": 10} | changed
+    return Match(*(np.full(shape, parts[n], np.uint8 if n == "views" else np.float32) for n in parts))
+
+
+def test_confidence_falls_with_every_doubt():
+    def of(**changed):
+        return float(confidence(a_match(**changed))[4, 4])
+
+    assert 0.9 < of() <= 1.0
+    assert of(score=0.45) == pytest.approx(of() / 2, rel=1e-4)
+    assert of(rival=0.1) < 0.5 * of()
+    assert 0 < of(views=2) < of(views=3) < of()
+    assert of(views=1) == of(views=0) == of(rival=0.0) == of(score=0.0) == 0.0
+
+
+def test_confidence_is_halved_beside_a_step_of_three_metres():
+    match = a_match()
+    match.height[:, 5:] = 8.0
+    c = confidence(match)
+    assert c[4, 4] == pytest.approx(c[4, 1] / 2, rel=1e-4)
+    assert c[4, 8] == pytest.approx(c[4, 1])
+
+
+def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
+    images = np.linspace(0.01, 0.5, 7 * 1000, dtype=np.float32).reshape(1, 70, 100)
+    masks = np.ones(images.shape, np.uint8)
+    for scale in (1.0, 0.1):
+        eye = to_eye(images * scale, masks, linear=True)
+        low, high = np.percentile(eye, [2, 98])
+        assert high - low == pytest.approx(0.83, abs=0.01)
+    dark = to_eye(images, masks, linear=True)[0].ravel()
+    straight = to_eye(images, masks, linear=False)[0].ravel()
+    assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])

@@ -1,0 +1,138 @@
+"""The stage and its command on a simulated town."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import rasterio
+
+from sattools.compare import compare_dsm, read_reference
+from sattools.errors import OutputExistsError, SceneError
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import load_prior
+from sattools.prior import PriorOptions
+from sattools.prior.stage import prior
+from sattools.progress import silent
+from sattools.scene.raster import read_raster
+
+
+@pytest.fixture
+def matched(make_town):
+    scene = make_town()
+    return scene, prior(scene, PriorOptions(per_image=True))
+
+
+def product(scene, name):
+    return read_raster(scene.path(scene.products[name]))
+
+
+def test_surface_confidence_and_normals_lie_on_the_grid(matched):
+    scene, entry = matched
+    for name, bands in (("prior_dsm", 1), ("prior_confidence", 1), ("prior_normals", 3)):
+        array, grid = product(scene, name)
+        assert grid == scene.need_grid()
+        assert array.shape == (bands, *grid.shape)
+    confidence, _ = product(scene, "prior_confidence")
+    assert confidence.min() >= 0
+    assert confidence.max() <= 1
+    normals, _ = product(scene, "prior_normals")
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=0), 1.0, atol=1e-5)
+    assert entry["prior"]["seen_by_two"] > 0.9
+    assert len(entry["prior"]["pairs"]) <= 15  # six views
+    with rasterio.open(scene.path(scene.products["prior_dsm"])) as data:
+        assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
+        assert data.units == ("m",)
+
+
+def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched):
+    scene, _ = matched
+    truth = read_reference(scene.path(scene.products["truth_dsm"]))
+    height, grid = product(scene, "prior_dsm")
+    confidence, _ = product(scene, "prior_confidence")
+    error = np.abs(compare_dsm(height[0], truth, grid, method="none").difference)
+    known = np.isfinite(error)
+    assert np.median(error[known]) < 0.35
+    assert error[known].mean() < 1.5
+    order = np.argsort(-confidence[0][known])
+    error = error[known][order]
+    half = error.size // 2
+    assert error[:half].mean() < 0.4 * error[half:].mean()
+
+
+def test_depth_per_image_is_the_height_that_its_pixel_sees(matched):
+    scene, _ = matched
+    truth, _ = product(scene, "truth_dsm")
+    for item in scene.train_items()[:2]:
+        with rasterio.open(scene.path(item.assets["depth"].href)) as data:
+            depth = data.read(1)
+            assert data.tags(ns="RPC")  # the image's camera
+        with rasterio.open(scene.path(item.assets["image"].href)) as image:
+            assert depth.shape == image.shape
+        with rasterio.open(scene.path(item.assets["confidence"].href)) as data:
+            sure = data.read(1)
+        seen = np.isfinite(depth)
+        assert seen.mean() > 0.3  # images reach beyond the grid
+        assert np.array_equal(seen, np.isfinite(sure))
+        # the quartiles of what a view sees are those of the town, nearly
+        assert np.percentile(depth[seen], 25) == pytest.approx(np.percentile(truth, 25), abs=1.5)
+
+
+def test_two_images_give_a_surface_and_say_what_that_means(make_town):
+    scene = make_town()
+    scene.items = scene.items[:2]
+    entry = prior(scene, PriorOptions())
+    assert any("two images only" in text for text in entry["remarks"])
+    assert np.isfinite(product(scene, "prior_dsm")[0]).all()
+
+
+def test_one_image_or_one_direction_is_an_error(make_town):
+    scene = make_town()
+    scene.items = scene.items[:1]
+    with pytest.raises(SceneError, match="found 1 training image, expected at least 2"):
+        prior(scene, PriorOptions())
+
+
+def test_a_held_out_image_is_not_matched(make_town):
+    scene = make_town()
+    scene.items[0].properties["sattools:role"] = "test"
+    entry = prior(scene, PriorOptions())
+    assert scene.items[0].id not in {name for pair in entry["prior"]["pairs"] for name in pair}
+
+
+def test_images_without_sun_are_matched(make_town):
+    scene = make_town()
+    for item in scene.items:
+        item.properties.pop("view:sun_azimuth")
+    assert prior(scene, PriorOptions())["prior"]["pairs"]
+
+
+def test_existing_products_are_kept_unless_told(matched):
+    scene, _ = matched
+    with pytest.raises(OutputExistsError, match="--overwrite"):
+        prior(scene, PriorOptions(), overwrite=False)
+
+
+def test_the_fit_makes_its_own_prior_where_there_is_none(make_town):
+    scene = make_town()
+    assert load_prior(scene, FitOptions(prior_weight=0), silent) is None
+    height, confidence, grid = load_prior(scene, FitOptions(prior_weight=0.1), silent)
+    assert height.shape == confidence.shape == grid.shape
+    assert "prior_dsm" in scene.products
+
+
+def test_the_command_passes_the_scene_on(make_town):
+    scene = make_town()
+    done = subprocess.run(
+        [sys.executable, "-m", "sattools", "prior", "--rough-passes", "1", str(scene.root / "scene.json")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    document = json.loads(done.stdout)["sattools"]
+    assert set(document["products"]) >= {"prior_dsm", "prior_confidence", "prior_normals"}
+    entry = document["history"][-1]
+    assert entry["command"] == "prior"
+    assert entry["options"]["rough_passes"] == 1
+    assert entry["seconds"] > 0
