@@ -43,7 +43,7 @@ def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> Non
     axes.set(title=title, xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
     figure.colorbar(mappable, ax=axes, label="height above the ellipsoid [m]", shrink=0.8)
     with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+        figure.savefig(temporary, dpi=110, format="png", bbox_inches="tight")
 
 
 __all__ = ["hillshade", "write_picture"]
