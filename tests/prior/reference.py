@@ -21,7 +21,9 @@ def agreement(a, b, noise, brightness):
     return max(structure, 0.0) / (1 + ((a.mean() - b.mean()) / brightness) ** 2)
 
 
-def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, radius, noise, brightness, margin, unseen):
+def correlate(
+    images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, radius, noise, brightness, margin, unseen
+):
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
     views, rows, cols = images.shape
     volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))
@@ -35,7 +37,9 @@ def correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, rad
         ]
         nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
         seen = [masks[n] > 0 and hits[n] <= heights[k] + tolerance for n in nearest]
-        squares = [agreement(windows[a], windows[b], noise, brightness) ** 2 for a, b in pairs if seen[a] and seen[b]]
+        lit = [shades[v, row, col] <= heights[k] for v in range(views)]
+        usable = [(a, b) for a, b in pairs if seen[a] and seen[b] and lit[a] == lit[b]]
+        squares = [agreement(windows[a], windows[b], noise, brightness) ** 2 for a, b in usable]
         volume[row, col, k] = np.sqrt(np.mean(squares)) if squares else -1
     best = np.maximum(volume.max(axis=2, keepdims=True), 0)
     return np.where(volume < 0, np.minimum(unseen, 0.9 * best), volume)

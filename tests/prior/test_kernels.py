@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import reference
 
-from sattools.prior.kernels import correlate, descend, first_hits
+from sattools.prior.kernels import correlate, descend, first_hits, shade_heights
 from sattools.prior.sgm import aggregate, lowest, rival
 
 SETTINGS = {"radius": 1, "noise": 0.01, "brightness": 0.2, "margin": 5, "unseen": 0.3}
@@ -20,12 +20,14 @@ def a_frame(seed=0, views=4):
     return images, masks, slopes, hits
 
 
-def run_correlate(images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolerance=0.5, **changed):
+def run_correlate(images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolerance=0.5, shades=None, **changed):
     s = SETTINGS | changed
     m = s["margin"]
     volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
     order = (s["radius"], s["noise"], s["brightness"], m, np.float32(s["unseen"]))
-    correlate(images, masks, slopes, heights, z_ref, hits, tolerance, pairs, *order, volume)
+    if shades is None:
+        shades = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
+    correlate(images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, *order, volume)
     return volume
 
 
@@ -33,9 +35,10 @@ def run_correlate(images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolera
 def test_correlation_is_that_of_the_plain_twin(radius):
     images, masks, slopes, hits = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
-    fast = run_correlate(images, masks, slopes, hits, pairs, heights, radius=radius)
+    shades = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
+    fast = run_correlate(images, masks, slopes, hits, pairs, heights, radius=radius, shades=shades)
     settings = SETTINGS | {"radius": radius}
-    slow = reference.correlate(images.astype(float), masks, slopes, heights, 1.0, hits, 0.5, pairs, **settings)
+    slow = reference.correlate(images.astype(float), masks, slopes, heights, 1.0, hits, shades, 0.5, pairs, **settings)
     assert (slow == 0.3).any(), "the case must contain points that no pair sees"
     # single precision, running sums
     np.testing.assert_allclose(fast, slow, atol=2e-4)
@@ -133,3 +136,27 @@ def test_lines_of_sight_end_on_roof_and_ground():
     assert depth[1, 8] == 8.0  # at 8 m it is 4 columns further
     assert tuple(where[1, 8]) == (1, 12)
     assert np.isnan(depth[1, 28])
+
+
+def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow():
+    image = np.random.default_rng(2).normal(0, 0.1, (17, 19)).astype(np.float32)
+    images = np.stack([image, image])
+    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    shades = np.full((2, 7, 9), LOW, np.float32)
+    shades[1, :, :4] = 10.0  # the western half is in shadow in the second image, up to a height of 10 m
+    heights = np.array([8.0, 12.0])
+    volume = run_correlate(images, masks, np.zeros((2, 2)), hits, np.array([(0, 1)]), heights, shades=shades)
+    assert volume[:, 4:].min() == pytest.approx(1.0, abs=1e-4)
+    assert volume[:, :4, 1].min() == pytest.approx(1.0, abs=1e-4)
+    assert volume[:, :4, 0] == pytest.approx(0.3)  # as a point that no pair sees
+
+
+def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line():
+    surface = np.zeros((5, 12), np.float32)
+    surface[:, 8] = 6.0
+    shade = np.empty_like(surface)
+    shade_heights(surface, np.array([0.6, 0.0, 0.8]), 0.5, 6.0, shade)  # sun in the east, 4 m up for 3 m along
+    # one cell further from the wall the line is 0.5 m * 4 / 3 lower
+    assert shade[2, 4:8].tolist() == pytest.approx([6 - 8 / 3, 6 - 2, 6 - 4 / 3, 6 - 2 / 3], abs=1e-5)
+    assert shade[2, 9:].max() < 0  # only the ground's own line, below the ground
+    assert shade[2, 8] < 0

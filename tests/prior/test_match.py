@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from sattools.prior.match import BLOCK, Frame, _blocks, margin_for, match
+from sattools.prior.frame import Frame
+from sattools.prior.match import BLOCK, _blocks, margin_for, match
 from sattools.prior.options import PriorOptions
 
 RANGE = (-4.0, 16.0)
@@ -28,7 +29,7 @@ def views_of(height, slopes, seed=0):
             image = np.where(solid, map_coordinates(texture, at, order=1, mode="nearest"), image)
         images.append(image)
     stack = np.stack(images).astype(np.float32)
-    return Frame(stack, np.ones(stack.shape, np.uint8), slopes, 0.0, CELL, margin)
+    return Frame(stack, np.ones(stack.shape, np.uint8), slopes, 0.0, CELL, margin, (None,) * len(stack))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_hidden_ground_is_seen_by_fewer_views(house):
 
 def test_two_views_are_enough_for_open_ground(house):
     height, frame = house
-    two = Frame(frame.images[:2], frame.masks[:2], frame.slopes[:2], 0.0, CELL, frame.margin)
+    two = Frame(frame.images[:2], frame.masks[:2], frame.slopes[:2], 0.0, CELL, frame.margin, (None,) * 2)
     found = match(two, np.array([(0, 1)]), RANGE, PriorOptions())
     assert np.median(np.abs(found.height - height)) < 0.15
 
@@ -76,7 +77,7 @@ def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house):
     masks = frame.masks.copy()
     masks[:, : frame.margin + 15, : frame.margin + 15] = 0
     images = np.where(masks > 0, frame.images, 0)
-    found = match(Frame(images, masks, frame.slopes, 0.0, CELL, frame.margin), ALL, RANGE, PriorOptions())
+    found = match(Frame(images, masks, frame.slopes, 0.0, CELL, frame.margin, frame.suns), ALL, RANGE, PriorOptions())
     assert found.views[:8, :8].max() == 0
     assert np.median(np.abs(found.height - height)[20:, 20:]) < 0.1
 

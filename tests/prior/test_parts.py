@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from sattools.prior.confidence import confidence
-from sattools.prior.match import Frame, Match, disk, margin_for, narrow, plane_distance, planes
+from sattools.prior.frame import Frame
+from sattools.prior.match import Match, disk, margin_for, narrow, plane_distance, planes
 from sattools.prior.normals import normals
 from sattools.prior.pairs import angle_deg, choose_pairs
 from sattools.prior.stage import to_eye
@@ -57,7 +58,15 @@ def test_planes_reach_one_step_beyond_the_range():
 
 
 def test_planes_stand_two_cells_apart_or_as_far_as_the_best_pair_needs():
-    frame = Frame(np.zeros((3, 4, 4)), np.ones((3, 4, 4)), np.array([(0.0, 0.0), (0.8, 0.0), (0.0, 0.1)]), 0.0, 0.5, 0)
+    frame = Frame(
+        np.zeros((3, 4, 4)),
+        np.ones((3, 4, 4)),
+        np.array([(0.0, 0.0), (0.8, 0.0), (0.0, 0.1)]),
+        0.0,
+        0.5,
+        0,
+        (None,) * 3,
+    )
     assert plane_distance(frame, np.array([(0, 1), (0, 2)])) == pytest.approx(1.25)  # 0.8 cells a metre
     assert plane_distance(frame, np.array([(0, 2)])) == pytest.approx(10.0)
     wide = replace(frame, slopes=frame.slopes * 10)
@@ -86,7 +95,7 @@ def test_halving_keeps_a_point_where_it_was():
     images = np.arange(2 * 8 * 8, dtype=np.float32).reshape(2, 8, 8)
     masks = np.ones((2, 8, 8), np.uint8)
     masks[0, 0, 1] = 0
-    half = Frame(images, masks, np.array([(0.4, 0.2), (0.0, 0.0)]), 7.0, 0.5, 2).halved()
+    half = Frame(images, masks, np.array([(0.4, 0.2), (0.0, 0.0)]), 7.0, 0.5, 2, (None, None)).halved()
     assert half.images[0, 0, 0] == images[0, :2, :2].mean()
     assert half.masks[0, 0, 0] == 0  # one invalid pixel spoils the cell
     assert half.masks[0, 0, 1] == 1
