@@ -59,6 +59,14 @@ class LazyGroup(click.Group):
     help="Progress on stderr: a bar on a terminal (auto), JSON lines, or none.",
 )
 @click.option("--threads", type=click.IntRange(min=1), help="CPU threads (default: all that this process may use).")
+@click.option(
+    "--json-usage",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=lambda c, p, v: _json_usage(c, v),
+    help="Print every command with its options as JSON and stop.",
+)
 @click.pass_context
 def main(ctx: click.Context, verbose: int, quiet: bool, progress: str, threads: int | None) -> None:
     """Satellite images with RPC cameras to surface models and reflectance maps.
@@ -76,6 +84,14 @@ def main(ctx: click.Context, verbose: int, quiet: bool, progress: str, threads: 
         for number in (signal.SIGTERM, signal.SIGINT):
             before = signal.signal(number, _terminate)
             ctx.call_on_close(lambda number=number, before=before: signal.signal(number, before))
+
+
+def _json_usage(ctx: click.Context, wanted: bool) -> None:
+    if wanted:
+        from sattools.cli.usage import usage
+
+        click.echo(usage(main))
+        ctx.exit()
 
 
 def set_threads(threads: int | None) -> None:

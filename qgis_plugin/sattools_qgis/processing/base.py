@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""What all algorithms share: running a command under a feedback, loading its results."""
+
+import os
+
+from qgis.core import (
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsRasterLayer,
+    QgsVectorLayer,
+)
+from qgis.PyQt.QtGui import QIcon
+
+from ..runner import Cancelled, CommandFailed, run
+from .styles import styler
+
+
+class Base(QgsProcessingAlgorithm):
+    """Runs the executable; subclasses say with what."""
+
+    def __init__(self, executable):
+        super().__init__()
+        self.executable = executable
+        self.stylers = []  # QGIS does not own them
+
+    def icon(self):
+        return QIcon(os.path.join(os.path.dirname(os.path.dirname(__file__)), "icon.svg"))
+
+    def call(self, arguments, feedback, first=0.0, last=100.0):
+        """Run `sattools --progress json ...`; progress goes from first to last percent.
+
+        Raises QgsProcessingException with the command's last line.
+        """
+        whole = [self.executable, "--progress", "json", *arguments]
+        feedback.pushCommandInfo(" ".join(whole))
+        said = set()
+
+        def on_progress(share, message):
+            feedback.setProgress(first + share * (last - first))
+            if message not in said:
+                said.add(message)
+                feedback.pushInfo(message)
+
+        try:
+            return run(whole, on_progress, feedback.pushInfo, feedback.isCanceled)
+        except Cancelled:
+            raise QgsProcessingException("cancelled: every process has ended") from None
+        except CommandFailed as error:
+            raise QgsProcessingException(str(error)) from None
+        except OSError as error:
+            raise QgsProcessingException(f"{self.executable}: cannot be run ({error})") from None
+
+    def load(self, paths, context):
+        """Add layers to the project when the algorithm has finished; paths: product name -> file."""
+        if context.project() is None:
+            return
+        for name, path in paths.items():
+            vector = path.endswith((".json", ".geojson", ".gpkg"))
+            layer = QgsVectorLayer(path, name, "ogr") if vector else QgsRasterLayer(path, name)
+            if not layer.isValid():
+                continue
+            context.temporaryLayerStore().addMapLayer(layer)
+            details = QgsProcessingContext.LayerDetails(name, context.project(), name)
+            post = styler(name)
+            if post is not None:
+                self.stylers.append(post)
+                details.setPostProcessor(post)
+            context.addLayerToLoadOnCompletion(layer.id(), details)

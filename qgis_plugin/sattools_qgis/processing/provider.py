@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""The Processing provider: its algorithms are made from what the executable says of itself."""
+
+import os
+
+from processing.core.ProcessingConfig import ProcessingConfig, Setting
+from qgis.core import Qgis, QgsMessageLog, QgsProcessingProvider
+from qgis.PyQt.QtGui import QIcon
+
+from ..forms import ALGORITHMS
+from ..runner import INSTALL, CommandFailed, find_executable, usage_of
+from .algorithm import CommandAlgorithm
+from .run_all import RunAllAlgorithm
+
+SETTING = "SATTOOLS_EXECUTABLE"
+NEWEST_MAJOR = 0  # of the executable, that this plugin knows
+
+
+class SattoolsProvider(QgsProcessingProvider):
+    """Algorithms `sattools:prep` ... and `sattools:runall`."""
+
+    def __init__(self):
+        super().__init__()
+        self.usage = None
+        self.problem = ""
+
+    def id(self):
+        return "sattools"
+
+    def name(self):
+        return "sattools"
+
+    def longName(self):
+        return "sattools: surface models and reflectance from satellite images"
+
+    def icon(self):
+        return QIcon(os.path.join(os.path.dirname(os.path.dirname(__file__)), "icon.svg"))
+
+    def load(self):
+        ProcessingConfig.settingIcons[self.name()] = self.icon()
+        ProcessingConfig.addSetting(
+            Setting(self.name(), SETTING, "Path of the sattools executable (empty: the one on PATH)", "",
+                    valuetype=Setting.FILE)
+        )  # fmt: skip
+        ProcessingConfig.readSettings()
+        self.refreshAlgorithms()
+        return True
+
+    def unload(self):
+        ProcessingConfig.removeSetting(SETTING)
+
+    def executable(self):
+        """Path of the executable, or None."""
+        return find_executable(ProcessingConfig.getSetting(SETTING) or "")
+
+    def warningMessage(self):
+        return self.problem
+
+    def loadAlgorithms(self):
+        self.problem = ""
+        path = self.executable()
+        if path is None:
+            self._complain(INSTALL)
+            return
+        try:
+            self.usage = usage_of(path)
+        except CommandFailed as error:
+            self._complain(str(error))
+            return
+        if int(self.usage["version"].split(".")[0]) > NEWEST_MAJOR:
+            self._complain(f"sattools {self.usage['version']} is newer than this plugin: update the plugin")
+        for name in ALGORITHMS:
+            if name in self.usage["commands"]:
+                self.addAlgorithm(CommandAlgorithm(name, self.usage["commands"][name], path))
+        self.addAlgorithm(RunAllAlgorithm(path))
+
+    def _complain(self, text):
+        self.problem = text
+        QgsMessageLog.logMessage(text, "sattools", Qgis.Warning)

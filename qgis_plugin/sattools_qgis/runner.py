@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-2.0-or-later
+"""Runs the `sattools` executable: environment, progress, cancelling. Knows nothing of QGIS."""
+
+import json
+import os
+import queue
+import shutil
+import signal
+import subprocess
+import threading
+
+# QGIS brings its own Python, Qt, GDAL and PROJ; a program with other versions of them must not inherit the paths
+FOREIGN = ("PYTHON", "QT_", "GDAL_", "PROJ_", "LD_")
+PATIENCE_S = 10.0
+POLL_S = 0.1
+INSTALL = (
+    "found no sattools executable; install it (python3 -m venv ~/sattools && ~/sattools/bin/pip install sattools) and "
+    "set its path in Settings > Options > Processing > Providers > sattools, or put it on PATH"
+)
+
+
+class CommandFailed(Exception):
+    """The command ended with an error; the text is its last line."""
+
+
+class Cancelled(Exception):
+    """The user stopped the command; no process of it is left."""
+
+
+def find_executable(setting=""):
+    """Path of the executable: the setting, else the one on PATH; None if there is neither."""
+    if setting:
+        return setting if os.access(setting, os.X_OK) and os.path.isfile(setting) else None
+    return shutil.which("sattools")
+
+
+def clean_environment(environment):
+    """A copy of the environment without the variables of QGIS's own libraries."""
+    return {k: v for k, v in environment.items() if not k.startswith(FOREIGN)}
+
+
+def usage_of(executable):
+    """The command line's description of itself (`sattools --json-usage`)."""
+    try:
+        done = subprocess.run(
+            [executable, "--json-usage"], check=True, capture_output=True, text=True, timeout=60,
+            env=clean_environment(os.environ),
+        )  # fmt: skip
+        return json.loads(done.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError) as error:
+        raise CommandFailed(f"{executable}: gives no --json-usage ({error})") from error
+
+
+def run(arguments, on_progress, on_line, is_cancelled):
+    """Run a command to its end.
+
+    Args:
+        arguments: the executable and its arguments, never through a shell.
+        on_progress: called with the share done (0 ... 1) and a message.
+        on_line: called with every other line of stderr.
+        is_cancelled: asked several times a second.
+
+    Returns:
+        What the command wrote to stdout.
+
+    Raises:
+        CommandFailed: exit code other than 0.
+        Cancelled: after the whole process group has ended.
+    """
+    group = {"start_new_session": True} if os.name == "posix" else {"creationflags": 0x00000200}
+    process = subprocess.Popen(
+        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        encoding="utf-8", errors="replace", env=clean_environment(os.environ), **group,
+    )  # fmt: skip
+    lines, output = queue.Queue(), []
+    readers = [
+        threading.Thread(target=lambda: output.append(process.stdout.read()), daemon=True),
+        threading.Thread(target=lambda: [lines.put(line) for line in process.stderr], daemon=True),
+    ]
+    for reader in readers:
+        reader.start()
+    last = ""
+    try:
+        while process.poll() is None or readers[1].is_alive() or not lines.empty():
+            if is_cancelled():
+                raise Cancelled("cancelled")
+            try:
+                line = lines.get(timeout=POLL_S).rstrip()
+            except queue.Empty:
+                continue
+            record = _progress(line)
+            if record is not None:
+                on_progress(record[0], record[1])
+            elif line:
+                last = line
+                on_line(line)
+    finally:
+        _end(process)
+        for reader, pipe in zip(readers, (process.stdout, process.stderr)):
+            reader.join(PATIENCE_S)
+            pipe.close()
+    if process.returncode:
+        raise CommandFailed(last or f"sattools ended with exit code {process.returncode}")
+    return "".join(output)
+
+
+def _progress(line):
+    """(share, message) of a progress line, None for any other."""
+    if not line.startswith("{"):
+        return None
+    try:
+        record = json.loads(line)
+        return float(record["progress"]), str(record.get("message", ""))
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _end(process):
+    """Make sure that nothing of the command is left."""
+    if process.poll() is not None:
+        return
+    if os.name != "posix":
+        process.terminate()
+        process.wait(PATIENCE_S)
+        return
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        try:
+            os.killpg(process.pid, number)
+            process.wait(PATIENCE_S)
+            return
+        except ProcessLookupError:
+            return
+        except subprocess.TimeoutExpired:
+            continue

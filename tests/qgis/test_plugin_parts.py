@@ -1,0 +1,130 @@
+"""The plugin's parts that know nothing of QGIS: forms, environment, running and cancelling."""
+
+import json
+import os
+import stat
+import subprocess
+import sys
+import time
+
+import pytest
+from sattools_qgis import forms, runner
+
+from sattools.cli import main
+from sattools.cli.usage import usage
+
+USAGE = json.loads(usage(main))
+
+
+def script(tmp_path, text):
+    """An executable Python script."""
+    path = tmp_path / "program"
+    path.write_text(f"#!{sys.executable}\n{text}", encoding="utf-8")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
+
+
+def run(path, cancelled=lambda: False):
+    progress, lines = [], []
+    output = runner.run([path], lambda share, text: progress.append((share, text)), lines.append, cancelled)
+    return output, progress, lines
+
+
+def test_every_command_that_the_plugin_knows_exists():
+    assert set(forms.ALGORITHMS) <= set(USAGE["commands"])
+
+
+@pytest.mark.parametrize("name", list(forms.ALGORITHMS))
+def test_a_form_left_at_its_defaults_adds_nothing_but_overwrite(name):
+    fields = forms.fields(USAGE["commands"][name])
+    assert forms.arguments(fields, {f["key"]: f["default"] for f in fields}) == ["--overwrite"]
+
+
+@pytest.mark.parametrize("name", list(forms.ALGORITHMS))
+def test_every_option_reaches_the_command_line(name):
+    fields = forms.fields(USAGE["commands"][name])
+    assert {f["flag"] for f in fields} == {o["name"] for o in USAGE["commands"][name]["options"]}
+    assert len({f["key"] for f in fields}) == len(fields)
+
+
+def test_values_become_arguments():
+    fields = forms.fields(USAGE["commands"]["fit"])
+    values = {"SEED": 7, "POSE": False, "EPOCHS": "4 2", "LOSS": "raw-log", "OVERWRITE": False, "BUDGET": None}
+    assert forms.arguments(fields, values) == [
+        "--loss", "raw-log", "--epochs", "4", "--epochs", "2", "--no-pose", "--seed", "7",
+    ]  # fmt: skip
+
+
+def test_an_option_of_several_values_is_given_once():
+    fields = forms.fields(USAGE["commands"]["prep"])
+    bounds = [f for f in fields if f["key"] == "BOUNDS"]
+    assert forms.arguments(bounds, {"BOUNDS": "1 2 3 4"}) == ["--bounds", "1", "2", "3", "4"]
+
+
+def test_the_environment_of_qgis_stays_with_qgis():
+    own = {"PATH": "/bin", "HOME": "/h", "LANG": "C"}
+    foreign = {"PYTHONPATH": "x", "QT_PLUGIN_PATH": "x", "GDAL_DATA": "x", "PROJ_LIB": "x", "LD_LIBRARY_PATH": "x"}
+    assert runner.clean_environment(own | foreign) == own
+
+
+def test_progress_lines_are_told_apart_from_messages(tmp_path):
+    text = (
+        'import sys\nprint("{\\"progress\\": 0.25, \\"message\\": \\"half\\"}", file=sys.stderr)\n'
+        'print("a remark", file=sys.stderr)\nprint("result")\n'
+    )
+    assert run(script(tmp_path, text)) == ("result\n", [(0.25, "half")], ["a remark"])
+
+
+def test_a_failure_carries_the_last_line(tmp_path):
+    path = script(tmp_path, 'import sys\nprint("first", file=sys.stderr)\nsys.exit("sattools fit: error: no images")\n')
+    with pytest.raises(runner.CommandFailed, match=r"^sattools fit: error: no images$"):
+        run(path)
+
+
+def test_cancelling_ends_the_whole_process_group(tmp_path):
+    marker = tmp_path / "child"
+    path = script(
+        tmp_path,
+        "import subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"open({str(marker)!r}, 'w').write(str(child.pid))\n"
+        "time.sleep(60)\n",
+    )
+    start = time.monotonic()
+    with pytest.raises(runner.Cancelled):
+        run(path, lambda: marker.exists() and marker.read_text() != "")
+    assert time.monotonic() - start < 20
+    child = int(marker.read_text())
+    for _ in range(50):  # a killed orphan stays in the table until init has read its status
+        state = subprocess.run(["ps", "-o", "stat=", "-p", str(child)], capture_output=True, text=True).stdout.strip()
+        if state == "" or state.startswith("Z"):
+            break
+        time.sleep(0.1)
+    assert state == "" or state.startswith("Z")
+
+
+def test_a_missing_executable_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert runner.find_executable() is None
+    assert runner.find_executable(str(tmp_path / "nothing")) is None
+    assert "Settings > Options > Processing" in runner.INSTALL
+
+
+def test_an_executable_is_found_on_the_path(tmp_path, monkeypatch):
+    path = tmp_path / "sattools"
+    path.write_text("#!/bin/sh\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert runner.find_executable() == str(path)
+    assert os.path.samefile(runner.find_executable(str(path)), path)
+
+
+def test_the_plugin_never_imports_the_package():
+    folder = os.path.dirname(forms.__file__)
+    for root, _, files in os.walk(folder):
+        for name in files:
+            if name.endswith(".py"):
+                with open(os.path.join(root, name), encoding="utf-8") as file:
+                    text = file.read()
+                assert "import sattools" not in text
+                assert "from sattools." not in text
