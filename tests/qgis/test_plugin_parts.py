@@ -117,14 +117,3 @@ def test_an_executable_is_found_on_the_path(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert runner.find_executable() == str(path)
     assert os.path.samefile(runner.find_executable(str(path)), path)
-
-
-def test_the_plugin_never_imports_the_package():
-    folder = os.path.dirname(forms.__file__)
-    for root, _, files in os.walk(folder):
-        for name in files:
-            if name.endswith(".py"):
-                with open(os.path.join(root, name), encoding="utf-8") as file:
-                    text = file.read()
-                assert "import sattools" not in text
-                assert "from sattools." not in text
