@@ -9,7 +9,7 @@ import json
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from torch.nn.functional import interpolate
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
+from sattools.fit.light import Light
+from sattools.fit.light_choice import choose_light
 from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
@@ -82,8 +84,10 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device)
     surface, finest, remarks = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
+    options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     tensors["height_std"] = job.height_std.cpu()
+    tensors |= job.light.maps([v.sun for v in job.views])
     checkpoint.save(
         model_path,
         tensors,
@@ -96,6 +100,7 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
             "slopes": [v.slope for v in job.views],
             "z_ref": z_ref,
             "shadow": options.shadow,
+            "transient": options.transient,
         },
     )
     write_text(scene.output(TRACE), job.trace.to_csv())
@@ -142,6 +147,8 @@ class _Job:
     views: list[View] = field(default_factory=list)
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
+    light: Light = field(default_factory=lambda: Light({}))
+    settled: dict[str, Any] = field(default_factory=dict)
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
         remarks: list[str] = []
@@ -159,10 +166,13 @@ class _Job:
             self._warn_spread(stage.cell_size, remarks)
             if surface is None:
                 surface = self._start(grid)
+                remarks += self._choose_light(surface, stage.cell_size, saved)
+                self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
             else:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
-            trainer = StageTrainer(surface, self.views, stage, self.options, self._prior_on(grid), k)
+                self.light = self.light.resized(grid.shape, ratio)
+            trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light)
             start = 0
             if saved:
                 start = saved[1]["epoch"]
@@ -176,6 +186,20 @@ class _Job:
         self.height_std = trainer.height_std()
         progress(1.0, "fitted")
         return surface, grid, remarks
+
+    @property
+    def resolved(self) -> FitOptions:
+        """The options with everything that was `auto` settled."""
+        return replace(self.options, **self.settled)
+
+    def _choose_light(self, surface: SurfaceScene, cell: float, saved: tuple[Any, dict[str, Any]] | None) -> list[str]:
+        """Settle the model of the light, as an interrupted fit did; says why."""
+        if saved:
+            self.settled = saved[1]["settled"]
+            return []
+        chosen, why = choose_light(surface, self.views, cell, self.options)
+        self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
+        return why
 
     def _start(self, grid: Grid) -> SurfaceScene:
         """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""
@@ -262,6 +286,7 @@ class _Job:
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
         meta = {"stage": stage, "epoch": epoch, "fingerprint": self._fingerprint(), "rows": self.trace.rows}
+        meta["settled"] = self.settled
         checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
 
     def _resume(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
