@@ -58,7 +58,8 @@ def claim(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
                 for seed in options.seeds:
                     scene = city(folder, options, seed, hdr=True, bits=bits)
                     found = fitted(scene, options, loss=loss, seed=seed, **extra)
-                    row[f"seed {seed}"] = errors.append(found["mae"]) or round(found["mae"], 3)
+                    errors.append(found["mae"])
+                    row[f"seed {seed}"] = round(found["mae"], 3)
                     row["seconds"] = round(row.get("seconds", 0) + found["seconds"] / len(options.seeds), 1)
                 row["mean MAE [m]"] = round(sum(errors) / len(errors), 3)
                 rows.append(row)
@@ -188,7 +189,7 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
 def shadow_iou(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, clear: float) -> float:
     """Intersection over union of the shadows that `height` casts with the ray-traced ones, over all views.
 
-    Only cells whose ray to the sun has risen `clear` metres where it leaves the map: houses beyond it cast shadows, too.
+    Only cells whose ray to the sun has risen `clear` metres where it leaves the map: houses beyond cast shadows, too.
     """
     import numpy as np
     import torch
