@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from sattools.fit.ray_options import RayOptions
 from sattools.settings import option
 
 
 @dataclass(frozen=True)
-class FitOptions:
+class FitOptions(RayOptions):
     """What `fit` does; the field's help texts are the command's help."""
 
+    preset: Literal["fast", "satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf"] = option(
+        "fast", "Set of option values, a published method or the default; options given beside it win."
+    )
     loss: Literal["mse", "mse-gamma", "raw-gamma", "raw-log"] = option(
         "raw-gamma", "Photometric loss (RawNeRF weights for raw-*)."
     )

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,8 @@ from torch.nn.functional import interpolate
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
-from sattools.fit.light import Light
-from sattools.fit.light_choice import choose_light
+from sattools.fit.irradiance import Light
+from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
@@ -80,6 +81,13 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
     prior = load_prior(scene, options, part(progress, 0.0, 0.2))
+    if options.field != "surface":
+        from sattools.fit.rays_stage import fit_rays
+
+        trace = Trace()
+        progress = part(progress, 0.2 if prior else 0.0, 1.0)
+        tensors, meta, remarks = fit_rays(scene, sources, options, prior, device, trace, progress)
+        return _save(scene, model_path, tensors, meta, trace, remarks)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device)
@@ -88,25 +96,29 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     tensors["height_std"] = job.height_std.cpu()
     tensors |= job.light.maps([v.sun for v in job.views])
-    checkpoint.save(
-        model_path,
-        tensors,
-        {
-            "field": "surface",
-            "grid": finest.to_dict(),
-            "softness": job.last_softness,
-            "items": [s.id for s in sources],
-            "suns": [v.sun for v in job.views],
-            "slopes": [v.slope for v in job.views],
-            "z_ref": z_ref,
-            "shadow": options.shadow,
-            "transient": options.transient,
-        },
-    )
-    write_text(scene.output(TRACE), job.trace.to_csv())
+    meta = {
+        "field": "surface",
+        "grid": finest.to_dict(),
+        "softness": job.last_softness,
+        "items": [s.id for s in sources],
+        "suns": [v.sun for v in job.views],
+        "slopes": [v.slope for v in job.views],
+        "z_ref": z_ref,
+        "shadow": options.shadow,
+        "transient": options.transient,
+    }
+    return _save(scene, model_path, tensors, meta, job.trace, remarks)
+
+
+def _save(
+    scene: Scene, path: Path, tensors: dict[str, Tensor], meta: dict[str, Any], trace: Trace, remarks: list[str]
+) -> dict[str, Any]:
+    """Write model and trace; figures for the history."""
+    checkpoint.save(path, tensors, meta)
+    write_text(scene.output(TRACE), trace.to_csv())
     scene.output(CHECKPOINT).unlink(missing_ok=True)
     scene.products.update(model=MODEL, trace=TRACE)
-    return {"remarks": remarks, "fit": {"loss": job.trace.rows[-1]["loss"], "epochs": len(job.trace.rows)}}
+    return {"remarks": remarks, "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)}}
 
 
 def choose_device(name: str) -> torch.device:

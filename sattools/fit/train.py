@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from sattools.fit.light import Light
+from sattools.fit.irradiance import Light
 from sattools.fit.losses import photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge

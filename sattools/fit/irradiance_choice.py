@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from sattools.fit.light import Light
+from sattools.fit.irradiance import Light
 from sattools.fit.losses import tone
 from sattools.fit.options import FitOptions
 from sattools.fit.surface import SurfaceScene
