@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Model x loss x shadow regularisation on JAX_068: the HDR satellite NeRF's three tables, with seconds and difference maps.
 #
-#     SATTOOLS_DATA=... examples/hdr_ablation.sh [FOLDER]        (default: ./work; a quarter of an hour per start)
+#     SATTOOLS_DATA=... examples/hdr_ablation.sh [FOLDER]        (default: ./work; about ten minutes per start)
 #
 # SATTOOLS_DATA is the folder that holds dfc2019/. Only 8-bit RGB crops are at hand there, not the paper's 16-bit images.
 set -euo pipefail
