@@ -1,10 +1,12 @@
 """Simulated cities with extremes of light: what losses, shadows and transients do to the surface.
 
-    python benchmarks/hdr_checks.py claim|shadows|transients [--seeds 1 2 3] [--size 128] [--out FOLDER]
+    python benchmarks/hdr_checks.py claim|cast|shadows|transients [--seeds 1 2 3] [--size 128] [--out FOLDER]
 
 claim: DSM errors of the four losses on linear 11-bit images and on the same scene as 8-bit tone-mapped RGB, once with
 the depth prior (the default) and once from a flat start without it, where the photometric loss has to do everything.
-shadows: intersection over union of cast shadows with the ray-traced ones, from the true and from the fitted heights;
+cast: intersection over union of the shadows that the true heights cast with the ray-traced ones; (clear) leaves out the
+cells that houses beyond the map may shade. The ray-traced ones hold slopes that face away from the sun, too.
+shadows: the same from fitted heights;
 correlation of learned shadows with the ray-traced ones, with and without regularisation.
 transients: the error with and without moving cars, with and without the transient model, and what `auto` chooses.
 
@@ -28,7 +30,7 @@ LOSSES = ("mse", "mse-gamma", "raw-gamma", "raw-log")
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("check", choices=["claim", "shadows", "transients"])
+    parser.add_argument("check", choices=["claim", "cast", "shadows", "transients"])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--size", type=float, default=128.0, help="edge of the city [m]")
     parser.add_argument("--epochs", type=int, default=10)
@@ -42,7 +44,8 @@ def main() -> None:
     set_threads(options.threads)
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        rows = {"claim": claim, "shadows": shadows, "transients": transients}[options.check](options, Path(folder))
+        checks = {"claim": claim, "cast": cast, "shadows": shadows, "transients": transients}
+        rows = checks[options.check](options, Path(folder))
     print(table(rows))
     (options.out / f"{options.check}.json").write_text(json.dumps(rows, indent=1) + "\n")
 
@@ -64,6 +67,25 @@ def claim(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
                 row["mean MAE [m]"] = round(sum(errors) / len(errors), 3)
                 rows.append(row)
                 print(row, file=sys.stderr, flush=True)
+    return rows
+
+
+def cast(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
+    """Shadows of the true heights."""
+    from sattools.scene.raster import read_raster
+
+    rows = []
+    for seed in options.seeds:
+        scene = city(folder, options, seed, hdr=True, bits=11)
+        (truth, grid), (classes, _) = (
+            read_raster(scene.path(scene.products[n])) for n in ("truth_dsm", "truth_classes")
+        )
+        row: dict[str, Any] = {"seed": seed}
+        for label, where in (("all", classes[0] > 0), ("ground", classes[0] == 2), ("no trees", classes[0] != 5)):
+            for extra, clear in (("", 0.0), (" (clear)", CLEAR_M)):
+                iou = shadow_iou(scene, truth[0], grid, truth[0], grid, clear, where)
+                row[f"IoU, {label}{extra}"] = round(iou, 3)
+        rows.append(row)
     return rows
 
 
@@ -186,10 +208,13 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
     return found
 
 
-def shadow_iou(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, clear: float) -> float:
+def shadow_iou(
+    scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, clear: float, where: Any = True
+) -> float:
     """Intersection over union of the shadows that `height` casts with the ray-traced ones, over all views.
 
-    Only cells whose ray to the sun has risen `clear` metres where it leaves the map: houses beyond cast shadows, too.
+    Only cells whose ray to the sun has risen `clear` metres where it leaves the map: houses beyond cast shadows, too;
+    and only `where` that is true.
     """
     import numpy as np
     import torch
@@ -202,7 +227,7 @@ def shadow_iou(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, c
     both = either = 0
     for item, (lit, seen) in zip(scene.train_items(), truth_on(scene, own, truth, truth_grid), strict=True):
         sun = grid_direction(*item.sun, own.crs, lon, lat)
-        seen = seen & (rise_to_the_edge(own.shape, own.cell_size, np.asarray(sun)) >= clear)
+        seen = seen & where & (rise_to_the_edge(own.shape, own.cell_size, np.asarray(sun)) >= clear)
         cast = (sun_visibility(torch.from_numpy(height), own.cell_size, tuple(sun)).numpy() < 0.5)[seen]
         real = (lit < 0.5)[seen]
         both += int((cast & real).sum())
