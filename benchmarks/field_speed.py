@@ -40,6 +40,7 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         scene = simulate(SimulateOptions(size=options.size, views=6, dates=3, seed=options.seed), Path(folder) / "S")
+        prior(scene, PriorOptions())  # compiles
         begun = time.perf_counter()
         prior(scene, PriorOptions())
         rows = [
@@ -49,7 +50,7 @@ def main() -> None:
                 "MAE [m]": error(scene, "prior_dsm"),
             }
         ]
-        for name in ("surface", "voxel", "spsnerf", "eonerf", "satnerf"):
+        for name in ("surface", "voxel", "eonerf", "satnerf"):
             rows.append(run(scene, name, options))
             print(rows[-1], flush=True)
     names = list(dict.fromkeys(n for row in rows for n in row))

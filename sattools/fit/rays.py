@@ -25,6 +25,8 @@ SUN_SAMPLES = 24
 LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
 HAPKE_B_MAX = 0.95
 LEAST_STD = 1e-4  # of the depth range
+# standard deviation of a prior without confidence, in depth ranges: SparseSat-NeRF's own for networks
+STD_SCALE = {"mlp": 1.0, "voxel": 0.1}
 
 
 @dataclass
@@ -117,7 +119,7 @@ class RayTrainer:
         batch = RayBatch(rays.start[chosen], rays.path[chosen])
         length = batch.path.norm(dim=1)
         prior, confidence = rays.depth[chosen], rays.confidence[chosen]
-        std = (1 - confidence) + LEAST_STD
+        std = STD_SCALE[options.field] * (1 - confidence) + LEAST_STD
         t = stratified(len(chosen), options.samples, random)
         if options.guided:
             t = torch.cat([t, guided(prior, std, options.guided, random)], dim=1).sort(dim=1).values

@@ -94,7 +94,8 @@ def test_every_preset_runs_and_its_model_can_be_exported(make_town, preset):
     assert scene.path(scene.products["dsm"]).is_file()
 
 
-def test_a_voxel_field_refines_the_prior(make_town):
+def test_a_voxel_field_stays_by_the_prior(make_town):
+    """A free density grid drifts away from it: 300 steps took the error of such a town from 1.2 to 2.1 m."""
     scene = make_town()
     fit(scene, FitOptions(field="voxel", resolution=2.0, rays=256, samples=32, steps=40))
     tensors, meta = load(scene.path("fit/model.safetensors"))
@@ -102,7 +103,7 @@ def test_a_voxel_field_refines_the_prior(make_town):
     grid = Grid.from_dict(meta["grid"])
     error = compare_dsm(tensors["height"].numpy(), truth, grid).figures["mae"]
     flat = compare_dsm(np.full(grid.shape, np.nanmean(truth.heights), np.float32), truth, grid).figures["mae"]
-    assert error < 0.6 * flat
+    assert error < 0.4 * flat
 
 
 def test_an_interrupted_fit_goes_on_to_the_same_end(make_town):
