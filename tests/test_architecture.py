@@ -22,8 +22,9 @@ FLOORS = [
     {"cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+# `radiometry` reads vendors' metadata with the camera's readers;
 # `fit` makes a prior where the scene has none and can watch its error; `export` reads what `fit` wrote
-ALSO = {("fit", "prior"), ("fit", "compare"), ("export", "fit")}
+ALSO = {("radiometry", "camera"), ("fit", "prior"), ("fit", "compare"), ("export", "fit")}
 
 
 def room_of(path: Path) -> str:

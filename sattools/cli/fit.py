@@ -15,17 +15,26 @@ if TYPE_CHECKING:
     from sattools.scene import Scene
 
 
+def _preset(name: str) -> dict[str, Any]:
+    """The preset's values, less those that the user gave on the command line or in a file."""
+    from sattools.fit.presets import with_preset
+
+    context = click.get_current_context()
+    default = (click.core.ParameterSource.DEFAULT, None)
+    return {k: v for k, v in with_preset(name).items() if context.get_parameter_source(k) in default}
+
+
 @click.command("fit")
 @scene_argument
 @dataclass_options(FitOptions)
 @common_options
 def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
-    """Fit a surface with albedo to the scene's images by differentiable rendering.
+    """Fit a surface with albedo, or a volume, to the scene's images by differentiable rendering.
 
     Writes fit/model.safetensors and fit/trace.csv below the scene's root. A fit that was interrupted goes on with
     --resume and ends with the same surface as one that was not.
     """
-    options = build(FitOptions, values)
+    options = build(FitOptions, {**values, **_preset(values["preset"])})
 
     def work(scene: Scene, progress: Progress) -> dict[str, Any]:
         from sattools.fit.stage import fit

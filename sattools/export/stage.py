@@ -15,6 +15,8 @@ from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.raster import write_cog
 
+# what the model may hold per image
+IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
 
 
@@ -56,10 +58,25 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     relative = {"SCALE": "relative: radiance of the first training image in full sun", "SOFTWARE": "sattools"}
     write_cog(targets[ALBEDO], albedo.permute(2, 0, 1).numpy(), grid, units="1", tags=relative, descriptions=bands)
     scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
-    if meta["shadow"] == "geometric":
+    if meta["shadow"] != "none":
         _shadows(scene, grid, height, names, suns, progress, overwrite)
+    for name, description in IMAGE_MAPS.items():
+        if name in tensors:
+            _image_maps(scene, grid, tensors[name], name, description, names, overwrite)
     progress(1.0, "exported")
     return {"vertical_datum": datum}
+
+
+def _image_maps(
+    scene: Scene, grid: Grid, maps: torch.Tensor, name: str, description: str, names: list[str], overwrite: bool
+) -> None:
+    """One map ``[H, W]`` per image, on the ground grid."""
+    items = {item.id: item for item in scene.items}
+    for item_id, array in zip(names, maps.numpy(), strict=True):
+        if item_id in items and np.isfinite(array).any():
+            href = f"export/{name}/{item_id}.tif"
+            write_cog(scene.output(href, overwrite), array, grid, units="1", descriptions=[description])
+            items[item_id].assets[name] = Asset(href)
 
 
 def _shadows(

@@ -30,6 +30,18 @@ def raw_weight(name: str, predicted: Tensor) -> Tensor:
     return torch.ones_like(x)
 
 
+def robust_scale(name: str, robust: float, typical: float) -> float:
+    """A residual of ``robust`` tone-mapped units at the radiance ``typical``, in the units of a loss's residual.
+
+    So every loss weighs a pixel of typical brightness the same against the other terms of the fit; they differ in what
+    darker and brighter pixels count. ``robust`` = 0 (no residual counts less) keeps the unit of 0.1.
+    """
+    robust = robust or 0.1
+    x = max(typical, FLOOR)
+    slope = x ** (1 / GAMMA - 1) / GAMMA  # tone-mapped units per radiance
+    return {"mse": robust / slope, "raw-log": robust / slope / (x + LOG_EPSILON)}.get(name, robust)
+
+
 def photometric(name: str, predicted: Tensor, target: Tensor, robust: float = 0.0) -> Tensor:
     """Loss per pixel and band.
 
@@ -58,4 +70,4 @@ def photometric(name: str, predicted: Tensor, target: Tensor, robust: float = 0.
     return squared
 
 
-__all__ = ["FLOOR", "GAMMA", "photometric", "raw_weight", "tone"]
+__all__ = ["FLOOR", "GAMMA", "photometric", "raw_weight", "robust_scale", "tone"]

@@ -5,18 +5,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from sattools.fit.ray_options import RayOptions
 from sattools.settings import option
 
 
 @dataclass(frozen=True)
-class FitOptions:
+class FitOptions(RayOptions):
     """What `fit` does; the field's help texts are the command's help."""
 
+    preset: Literal["fast", "satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf"] = option(
+        "fast", "Set of option values, a published method or the default; options given beside it win."
+    )
     loss: Literal["mse", "mse-gamma", "raw-gamma", "raw-log"] = option(
         "raw-gamma", "Photometric loss (RawNeRF weights for raw-*)."
     )
-    robust: float = option(0.1, "Residual, in tone-mapped units, from which it counts less; 0 = off.", minimum=0)
-    shadow: Literal["none", "geometric"] = option("geometric", "Sun visibility model.")
+    robust: float = option(
+        0.1, "Residual from which it counts less, in tone-mapped units at the images' median; 0 = off.", minimum=0
+    )
+    shadow: Literal["none", "geometric", "learned", "auto"] = option(
+        "geometric",
+        "Sun visibility: none, cast by the heights, learned from cell and sun; auto = what helps held-out views.",
+    )
+    shadow_weight: float | None = option(
+        None,
+        "Weight of the learned shadow's tie to the geometric one (default: 0.01 with raw losses, else 0.0005).",
+        minimum=0,
+    )
+    transient: Literal["on", "off", "auto"] = option(
+        "off", "A darkening of each image's own, for moving objects; auto = where images hold such."
+    )
     resolution: float | None = option(
         None, "Finest cell of the surface [m] (default: twice the scene grid's, about three pixels).", minimum=0.01
     )

@@ -9,7 +9,8 @@ import json
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from torch.nn.functional import interpolate
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
+from sattools.fit.irradiance import Light
+from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
@@ -78,30 +81,44 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
     prior = load_prior(scene, options, part(progress, 0.0, 0.2))
+    if options.field != "surface":
+        from sattools.fit.rays_stage import fit_rays
+
+        trace = Trace()
+        progress = part(progress, 0.2 if prior else 0.0, 1.0)
+        tensors, meta, remarks = fit_rays(scene, sources, options, prior, device, trace, progress)
+        return _save(scene, model_path, tensors, meta, trace, remarks)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device)
     surface, finest, remarks = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
+    options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     tensors["height_std"] = job.height_std.cpu()
-    checkpoint.save(
-        model_path,
-        tensors,
-        {
-            "field": "surface",
-            "grid": finest.to_dict(),
-            "softness": job.last_softness,
-            "items": [s.id for s in sources],
-            "suns": [v.sun for v in job.views],
-            "slopes": [v.slope for v in job.views],
-            "z_ref": z_ref,
-            "shadow": options.shadow,
-        },
-    )
-    write_text(scene.output(TRACE), job.trace.to_csv())
+    tensors |= job.light.maps([v.sun for v in job.views])
+    meta = {
+        "field": "surface",
+        "grid": finest.to_dict(),
+        "softness": job.last_softness,
+        "items": [s.id for s in sources],
+        "suns": [v.sun for v in job.views],
+        "slopes": [v.slope for v in job.views],
+        "z_ref": z_ref,
+        "shadow": options.shadow,
+        "transient": options.transient,
+    }
+    return _save(scene, model_path, tensors, meta, job.trace, remarks)
+
+
+def _save(
+    scene: Scene, path: Path, tensors: dict[str, Tensor], meta: dict[str, Any], trace: Trace, remarks: list[str]
+) -> dict[str, Any]:
+    """Write model and trace; figures for the history."""
+    checkpoint.save(path, tensors, meta)
+    write_text(scene.output(TRACE), trace.to_csv())
     scene.output(CHECKPOINT).unlink(missing_ok=True)
     scene.products.update(model=MODEL, trace=TRACE)
-    return {"remarks": remarks, "fit": {"loss": job.trace.rows[-1]["loss"], "epochs": len(job.trace.rows)}}
+    return {"remarks": remarks, "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)}}
 
 
 def choose_device(name: str) -> torch.device:
@@ -142,6 +159,8 @@ class _Job:
     views: list[View] = field(default_factory=list)
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
+    light: Light = field(default_factory=lambda: Light({}))
+    settled: dict[str, Any] = field(default_factory=dict)
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
         remarks: list[str] = []
@@ -159,10 +178,13 @@ class _Job:
             self._warn_spread(stage.cell_size, remarks)
             if surface is None:
                 surface = self._start(grid)
+                remarks += self._choose_light(surface, stage.cell_size, saved)
+                self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
             else:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
-            trainer = StageTrainer(surface, self.views, stage, self.options, self._prior_on(grid), k)
+                self.light = self.light.resized(grid.shape, ratio)
+            trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light)
             start = 0
             if saved:
                 start = saved[1]["epoch"]
@@ -176,6 +198,20 @@ class _Job:
         self.height_std = trainer.height_std()
         progress(1.0, "fitted")
         return surface, grid, remarks
+
+    @property
+    def resolved(self) -> FitOptions:
+        """The options with everything that was `auto` settled."""
+        return replace(self.options, **self.settled)
+
+    def _choose_light(self, surface: SurfaceScene, cell: float, saved: tuple[Any, dict[str, Any]] | None) -> list[str]:
+        """Settle the model of the light, as an interrupted fit did; says why."""
+        if saved:
+            self.settled = saved[1]["settled"]
+            return []
+        chosen, why = choose_light(surface, self.views, cell, self.options)
+        self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
+        return why
 
     def _start(self, grid: Grid) -> SurfaceScene:
         """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""
@@ -262,6 +298,7 @@ class _Job:
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
         meta = {"stage": stage, "epoch": epoch, "fingerprint": self._fingerprint(), "rows": self.trace.rows}
+        meta["settled"] = self.settled
         checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
 
     def _resume(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:

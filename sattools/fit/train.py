@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from sattools.fit.losses import photometric
+from sattools.fit.irradiance import Light
+from sattools.fit.losses import photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge
 from sattools.fit.regularise import EdgeWeights, edge_weights, roughness
@@ -70,6 +71,7 @@ class StageTrainer:
         options: of the fit.
         prior: depth supervision or None.
         index: number of the stage, for the random order of the views.
+        light: learned shadows and transients; None = neither.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class StageTrainer:
         options: FitOptions,
         prior: Prior | None,
         index: int,
+        light: Light | None = None,
     ) -> None:
         self.scene, self.views, self.settings, self.options, self.prior, self.index = (
             scene, views, settings, options, prior, index,
@@ -91,7 +94,11 @@ class StageTrainer:
         device = scene.height.device
         self.targets = [torch.from_numpy(v.target).to(device) for v in views]
         self.masks = [torch.from_numpy(v.mask).to(device) for v in views]
-        self.parameters = scene.trainable()
+        self.light = light or Light({})
+        self.parameters = scene.trainable() | {f"light.{n}": t for n, t in self.light.tensors.items()}
+        seen = torch.cat([t[m > 0].flatten() for t, m in zip(self.targets, self.masks, strict=True)])
+        typical = float(seen[:: max(1, seen.numel() // 1_000_000)].median()) if seen.numel() else 1.0
+        self.scale = robust_scale(options.loss, options.robust, typical)
         for p in self.parameters.values():
             p.requires_grad_(True)
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
@@ -114,12 +121,15 @@ class StageTrainer:
             self._prepare(epoch)
             ties = edge_weights(self.scene.albedo)
             order = np.random.default_rng([self.options.seed, self.index, epoch]).permutation(len(self.views))
-            losses = [self._step(int(j), ties) for j in order]
+            losses = [self._step(int(j), ties, epoch) for j in order]
             if not on_epoch(epoch + 1, float(np.mean(losses))):
                 return False
         for p in self.parameters.values():
             p.requires_grad_(False)
         return True
+
+    def _rate(self, name: str) -> float:
+        return self.light.rate(name.removeprefix("light.")) if name.startswith("light.") else RATES[name]
 
     def _prepare(self, epoch: int) -> None:
         """Softness, step lengths and, every REFRESH epochs, sun visibility and poses."""
@@ -130,10 +140,10 @@ class StageTrainer:
         # steps shrink towards the end of a stage, so that the noise of single views averages out
         decay = 1 - 0.7 * share
         for group in self.adam.param_groups:
-            rate = self.options.height_rate * softness if group["name"] == "height" else RATES[group["name"]]
+            rate = self.options.height_rate * softness if group["name"] == "height" else self._rate(group["name"])
             group["lr"] = decay * rate
         if epoch % REFRESH == 0:
-            if self.options.shadow == "geometric":
+            if self.options.shadow != "none":
                 height = self.scene.height.detach()
                 self.visibility = [
                     sun_visibility(height, self.settings.cell_size, v.sun) if v.sun else None for v in self.views
@@ -163,20 +173,26 @@ class StageTrainer:
         view = self.views[j]
         east, north = self.scene.pose[j].tolist()
         rays = Rays(view.slope, view.z_ref, (east, north))
-        colour = self.scene.colour(j, self.visibility[j])
+        colour = self.scene.colour(j, self.light.visibility(j, view.sun, self.visibility[j]))
         rgb, _, _ = render(self.scene.height, colour, rays, self.quadrature, self.settings.cell_size, self.masks[j])
         return rgb
 
-    def _step(self, j: int, ties: EdgeWeights) -> float:
+    def _step(self, j: int, ties: EdgeWeights, epoch: int) -> float:
         options = self.options
         self.adam.zero_grad(set_to_none=True)
-        error = photometric(options.loss, self._render(j), self.targets[j], options.robust).mean(-1)
+        error = photometric(options.loss, self._render(j), self.targets[j], self.scale if options.robust else 0.0).mean(
+            -1
+        )
         # in units of the robust scale, so that the other weights mean the same for every loss
-        loss = (error * self.weights[j]).sum() / self.masks[j].sum().clamp_min(1) / (options.robust**2 or 1.0)
+        loss = (error * self.weights[j]).sum() / self.masks[j].sum().clamp_min(1) / self.scale**2
         bumps = roughness(self.scene.height, self.settings.cell_size, ties, knee=self.knee)
         total = loss + self.smooth * bumps
         if self.prior is not None:
             total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
+        epoch_of_all = epoch + 1 + self.index * self.settings.epochs
+        light = self.light.cost(j, self.views[j].sun, self.visibility[j], epoch_of_all, options, self.scale)
+        if light is not None:
+            total = total + light
         total.backward()
         for name in ("gain", "offset"):
             self.parameters[name].grad[0] = 0  # type: ignore[index]  # the first view is the gauge
@@ -185,6 +201,7 @@ class StageTrainer:
             self.scene.ambient.clamp_(0.02, 1.0)
             self.scene.gain.clamp_(0.05, 20.0)
             self.scene.height.clamp_(*self.settings.z_range)
+        self.light.clamp()
         return float(loss.detach())
 
     @torch.no_grad()
@@ -239,6 +256,7 @@ class StageTrainer:
     def state(self) -> dict[str, Tensor]:
         """Everything that a continued run needs, as flat tensors."""
         found = {f"scene.{n}": t.detach().cpu().clone() for n, t in self.scene.tensors().items()}
+        found |= {f"light.{n}": t.detach().cpu().clone() for n, t in self.light.tensors.items()}
         for name, p in self.parameters.items():
             for key, value in self.adam.state.get(p, {}).items():
                 found[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
@@ -249,6 +267,8 @@ class StageTrainer:
         with torch.no_grad():
             for name, tensor in self.scene.tensors().items():
                 tensor.copy_(state[f"scene.{name}"])
+            for name, tensor in self.light.tensors.items():
+                tensor.copy_(state[f"light.{name}"])
         for name, p in self.parameters.items():
             prefix = f"adam.{name}."
             saved = {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}

@@ -18,8 +18,9 @@ from rasterio.windows import Window
 
 from sattools.camera import RPC
 from sattools.errors import InputError
-from sattools.prep.metadata import Metadata, from_tags, read_sidecar, sidecars
+from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.scene.raster import atomic
+from sattools.scene.sidecars import sidecars
 
 
 @dataclass

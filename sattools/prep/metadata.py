@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -103,23 +103,6 @@ def find_platform(text: str) -> str | None:
     if re.search(r"_ssc?\d+d?\d*_", text.lower()):
         return "SkySat"
     return None
-
-
-def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
-    """Metadata files that belong to an image by their names, in the order of folders, then of `_NAMES`."""
-    stem = image.stem.lower()
-    core = re.sub(r"^(img|dim|rpc)_", "", stem)
-    # Airbus writes IMG_<name>_R1C1.TIF beside DIM_<name>.XML and RPC_<name>.XML
-    core_tile = re.sub(r"_r\d+c\d+$", "", core)
-    names = [f"{stem}.json", f"{stem}_rpc.txt", f"{stem}.rpb", f"{stem}.xml", f"{stem}.imd"]
-    names += [f"{stem}_metadata.json", f"{stem}_rpc.xml", f"{stem}.rpc"]
-    for c in dict.fromkeys((core, core_tile)):
-        names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
-    found = []
-    for folder in folders:
-        listing = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file()}
-        found += [listing[n] for n in dict.fromkeys(names) if n in listing and listing[n] != image]
-    return list(dict.fromkeys(found))
 
 
 def read_sidecar(path: Path) -> Metadata:
@@ -228,4 +211,4 @@ def _from_imd(path: Path) -> Metadata:
     )
 
 
-__all__ = ["Metadata", "find_platform", "from_tags", "parse_angle", "parse_time", "read_sidecar", "sidecars"]
+__all__ = ["Metadata", "find_platform", "from_tags", "parse_angle", "parse_time", "read_sidecar"]

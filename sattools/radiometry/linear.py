@@ -29,4 +29,28 @@ def linear_radiance(numbers: np.ndarray, bits: int, black: float = 0.0) -> np.nd
     return ((numbers - black) / full).astype(np.float32)
 
 
-__all__ = ["DEFAULT_BITS", "item_bits", "linear_radiance"]
+def undo_gamma(values: np.ndarray, gamma: float) -> np.ndarray:
+    """sign(v) |v|^gamma: undoes the display curve v = linear^(1/gamma); values below black stay below."""
+    return np.asarray((np.sign(values) * np.abs(values) ** gamma).astype(np.float32))
+
+
+def invalid_numbers(numbers: np.ndarray, saturation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Masks ``[H, W]`` of pixels without data (not finite in a band, or 0 in all) and of saturated ones (in any band).
+
+    Vendors fill the frame around an image with 0 in all bands without saying so.
+
+    Args:
+        numbers: ``[C, H, W]``.
+        saturation: digital number from which a pixel is saturated.
+    """
+    empty = ~np.isfinite(numbers).all(axis=0) | (numbers == 0).all(axis=0)
+    return empty, (numbers >= saturation).any(axis=0) & ~empty
+
+
+def gain_and_offset(found: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and offset ``[C]`` that give middle and spread ``[2, C]`` the wanted values."""
+    gain = wanted[1] / np.maximum(found[1], 1e-6)
+    return gain, wanted[0] - gain * found[0]
+
+
+__all__ = ["DEFAULT_BITS", "gain_and_offset", "invalid_numbers", "item_bits", "linear_radiance", "undo_gamma"]

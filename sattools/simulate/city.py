@@ -154,6 +154,7 @@ def build_city(
         albedo_map(canvas.material, canvas.tint, cell_size, rng),
         canvas.wall,
         canvas.windows,
+        np.isin(canvas.material, (code("asphalt"), code("marking"))) & (canvas.classes == GROUND),
     )
 
 

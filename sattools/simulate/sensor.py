@@ -13,6 +13,29 @@ EXPOSURE = 1.3  # full scale is reached at a radiance of 1 / 1.3
 
 
 @dataclass(frozen=True)
+class Light:
+    """What kind of days the images are taken on.
+
+    Attributes:
+        sky: diffuse light of the sky relative to the usual one: the less, the deeper the shadows.
+        gain, haze: ranges from which a date draws its own.
+        exposure: full scale is reached at a radiance of 1 / exposure.
+        roofs: factor on the reflectance of roofs brighter than 0.4.
+    """
+
+    sky: float = 1.0
+    gain: tuple[float, float] = (0.85, 1.15)
+    haze: tuple[float, float] = (0.01, 0.04)
+    exposure: float = EXPOSURE
+    roofs: float = 1.0
+
+
+USUAL = Light()
+# shadows of a twentieth of the sunlit radiance, white roofs, dates that differ by more than a factor of two
+HDR = Light(sky=0.35, gain=(0.6, 1.4), haze=(0.005, 0.06), exposure=0.75, roofs=1.6)
+
+
+@dataclass(frozen=True)
 class Radiometry:
     """What one date does to the picture: radiance at the sensor = gain * radiance + haze, per band."""
 
@@ -20,10 +43,10 @@ class Radiometry:
     haze: np.ndarray
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> Radiometry:
-        """Gains of 0.85 to 1.15 with 2 % between bands, haze of 0.01 to 0.04, more in the blue."""
-        gain = rng.uniform(0.85, 1.15) * rng.normal(1.0, 0.02, 3)
-        return cls(gain, rng.uniform(0.01, 0.04) * np.array([0.7, 1.0, 1.4]))
+    def draw(cls, rng: np.random.Generator, light: Light = USUAL) -> Radiometry:
+        """A gain with 2 % between bands and a haze that is stronger in the blue."""
+        gain = rng.uniform(*light.gain) * rng.normal(1.0, 0.02, 3)
+        return cls(gain, rng.uniform(*light.haze) * np.array([0.7, 1.0, 1.4]))
 
 
 def sun_colour(elevation_deg: float) -> np.ndarray:
@@ -32,7 +55,12 @@ def sun_colour(elevation_deg: float) -> np.ndarray:
 
 
 def digital_numbers(
-    radiance: np.ndarray, radiometry: Radiometry, noise: float, bits: int, rng: np.random.Generator
+    radiance: np.ndarray,
+    radiometry: Radiometry,
+    noise: float,
+    bits: int,
+    rng: np.random.Generator,
+    exposure: float = EXPOSURE,
 ) -> np.ndarray:
     """Digital numbers of a radiance [3, H, W]: uint16 of `bits` = 11, or uint8 tone-mapped to the 99.8 % quantile.
 
@@ -40,7 +68,7 @@ def digital_numbers(
     """
     full = 2**11 - 1
     at_sensor = radiometry.gain[:, None, None] * radiance + radiometry.haze[:, None, None]
-    signal = full * EXPOSURE * at_sensor
+    signal = full * exposure * at_sensor
     sigma = noise * np.sqrt(4.0 + 0.1 * signal)
     counts = np.clip(np.rint(signal + sigma * rng.standard_normal(signal.shape)), 0, full)
     if bits == 11:

@@ -21,13 +21,16 @@ from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster
 from sattools.settings import option
 from sattools.simulate.camera import Pushbroom, fit_rpc
+from sattools.simulate.cars import with_cars
 from sattools.simulate.files import sat_nerf_metadata, write_json, write_sensor_image, write_truth
-from sattools.simulate.sensor import SKY_COLOUR, Radiometry, digital_numbers, sun_colour
+from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
 from sattools.simulate.world import World
 
 BORDER_PX = 8
 SKY_STRIDE = 8
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
+BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
+CAR_KEY = 1000
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
 
 
@@ -50,6 +53,8 @@ class SimulateOptions:
     noise: float = option(1.0, "Sensor noise relative to a usual one.", minimum=0)
     bits: int = option(11, "11: linear numbers in 16-bit files; 8: tone-mapped.", minimum=8, maximum=11)
     trees: bool = option(True, "Plant trees.")
+    cars: int = option(0, "Cars on the streets, elsewhere in every image; not in the truth.", minimum=0, maximum=2000)
+    hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
     lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
     seed: int = option(0, "Seed of everything that is drawn.", minimum=0)
@@ -90,6 +95,8 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
     grid, world = _world(options, np.random.default_rng(seeds[0]))
+    bright = (world.classes == 6)[..., None] & (world.albedo > BRIGHT_ROOF).any(-1, keepdims=True)
+    world.albedo = np.where(bright, np.minimum(world.albedo * _light(options).roofs, 0.95), world.albedo)
     low, high = float(world.height.min()), float(world.height.max())
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
@@ -101,7 +108,10 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
     noise_seeds = seeds[2].spawn(len(views))
     with ThreadPoolExecutor(max_workers=min(len(views), _threads())) as pool:
-        jobs = pool.map(lambda pair: _take(scene, options, world, sky, *pair), zip(views, noise_seeds, strict=True))
+        jobs = pool.map(
+            lambda job: _take(scene, options, _on_the_day(options, world, job[0]), sky, *job[1:]),
+            zip(range(len(views)), views, noise_seeds, strict=True),
+        )
         for number, item in enumerate(jobs, 1):
             scene.items.append(item)
             progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
@@ -118,7 +128,7 @@ def plan_views(
     corners = np.array([(e, n, h) for e in (west, east) for n in (south, north) for h in heights])
     tilts = np.linspace(min(5.0, options.off_nadir), options.off_nadir, options.views)[rng.permutation(options.views)]
     turn = rng.uniform(0, 360)
-    dates = [Radiometry.draw(rng) for _ in range(options.dates)]
+    dates = [Radiometry.draw(rng, _light(options)) for _ in range(options.dates)]
     days = [
         datetime(2014, 10, 5, tzinfo=UTC) + timedelta(days=62 * k + int(rng.integers(20))) for k in range(options.dates)
     ]
@@ -149,6 +159,10 @@ def plan_views(
             )
         )  # fmt: skip
     return views
+
+
+def _light(options: SimulateOptions) -> Light:
+    return HDR if options.hdr else USUAL
 
 
 def _world(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
@@ -183,6 +197,15 @@ def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[G
     return grid, build_terrain(heights[0][np.ix_(rows, columns)], wide, classes, options.gsd / 2, rng)
 
 
+def _on_the_day(options: SimulateOptions, world: World, number: int) -> World:
+    """The world with the cars of one image."""
+    if not options.cars:
+        return world
+    # a seed of their own: neither cameras nor noise change when cars do
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(CAR_KEY, number)))
+    return with_cars(world, options.cars, options.size / 2, rng)
+
+
 def _framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int, int]]:
     """The camera with its first pixel moved so that the image just holds the corners [N, 3], and the image's shape."""
     from dataclasses import replace
@@ -200,16 +223,18 @@ def _take(
     from sattools.simulate.trace import render
 
     assert scene.grid is not None  # set before the views are taken
-    camera = view.camera
+    camera, light = view.camera, _light(options)
     sun = grid_direction(*view.sun, scene.grid.crs, view.rpc.lon_offset, view.rpc.lat_offset)
     low, high = float(world.height.min()) - 2.0, float(world.height.max()) + 2.0
     radiance, lit, height = render(
         world.height, world.slope_x, world.slope_y, world.albedo, world.wall_albedo, world.windows, sky, SKY_STRIDE,
         world.cell_size, world.turn, np.array(world.centre), camera.origin, camera.velocity, camera.look, camera.across,
-        camera.focal, camera.col0, camera.row0, view.shape, 2, sun, sun_colour(view.sun[1]), SKY_COLOUR, low, high,
+        camera.focal, camera.col0, camera.row0, view.shape, 2, sun, sun_colour(view.sun[1]), light.sky * SKY_COLOUR,
+        low, high,
     )  # fmt: skip
     rng = np.random.default_rng(seed)
-    image = digital_numbers(radiance, view.radiometry, options.noise, 8 if options.bits == 8 else 11, rng)
+    bits = 8 if options.bits == 8 else 11
+    image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
     delivered = view.rpc.shifted(*view.bias)
     date = view.time.strftime("%Y-%m-%dT%H:%M:%SZ")
     files = {

@@ -26,6 +26,7 @@ class World:
         albedo: reflectance of the upper faces, red green blue.
         wall_albedo: reflectance of walls that end at the top of this cell.
         windows: uint8, 1 where those walls have rows of windows.
+        streets: where cars may drive; None = nowhere.
     """
 
     centre: tuple[float, float]
@@ -38,6 +39,7 @@ class World:
     albedo: np.ndarray
     wall_albedo: np.ndarray
     windows: np.ndarray
+    streets: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

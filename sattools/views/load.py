@@ -50,7 +50,9 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'image' or 'radiance'")
         if item.sun is None:
             log.warning("%s: sun unknown: no cast shadows for this image", item.id)
-        linear = "radiance" in item.assets or item_bits(item.properties) > 8
+        # `normalise` says so where it left a tone-mapped image as it was
+        toned = item.properties.get("sattools:tone") == "tone-mapped"
+        linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
         sources.append(Source(item.id, radiance, rpc, item.sun, linear))
     bands = {s.radiance.shape[0] for s in sources}
     if len(bands) > 1:

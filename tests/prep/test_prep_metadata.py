@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from sattools.errors import InputError
-from sattools.prep.metadata import Metadata, find_platform, from_tags, parse_sun, parse_time, read_sidecar, sidecars
+from sattools.prep.metadata import Metadata, find_platform, from_tags, parse_sun, parse_time, read_sidecar
+from sattools.scene.sidecars import sidecars
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,35 @@
+"""`sattools normalise`: digital numbers become linear radiance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.pipe import Run, run_scenes
+from sattools.progress import Progress
+from sattools.radiometry.options import NormaliseOptions
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+
+@click.command("normalise")
+@scene_argument
+@dataclass_options(NormaliseOptions)
+@common_options
+def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Turn digital numbers into linear radiance: black level, masks, band order, vendor calibration.
+
+    Writes radiance/*.tif and a histogram of input and output below the scene's root. Nothing is clipped; the scene
+    says whether the values are reflectances or radiance up to an unknown factor.
+    """
+    options = build(NormaliseOptions, values)
+
+    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+        from sattools.radiometry.stage import normalise
+
+        return normalise(scene, options, progress, overwrite)
+
+    run_scenes(Run("normalise", options, dry_run, print_config), scenes, work, plan="write linear radiance")

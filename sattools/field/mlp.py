@@ -1,0 +1,124 @@
+"""A field as a network of points: the papers' own architectures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import relu, softplus
+
+from sattools.field.networks import EMBEDDING, Head, Network
+from sattools.field.protocol import Box
+
+W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.2)
+
+
+def positional_encoding(x: Tensor, frequencies: int) -> Tensor:
+    """x and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
+    if frequencies == 0:
+        return x
+    angle = x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, dtype=x.dtype, device=x.device))
+    return torch.cat([x, angle.sin().flatten(-2), angle.cos().flatten(-2)], dim=-1)
+
+
+class MlpField:
+    """A network over the box.
+
+    Args:
+        network: its description.
+        box: the part of space.
+        bands: colours of the images (the papers have 3).
+        width: of the trunk instead of the paper's.
+        seed: of the initial weights.
+    """
+
+    def __init__(self, network: Network, box: Box, bands: int = 3, width: int | None = None, seed: int = 0) -> None:
+        self.network = replace(network, width=width or network.width)
+        self.box = box
+        self.heads = frozenset(network.heads) - {"transient"}
+        if "transient" in network.heads:
+            self.heads |= {"tau", "beta"}
+        # the papers' rays are scaled to unit length; a box of this many metres has optical depth 1 at density 1
+        self.per_metre = 2.0 / (box.high[2] - box.low[2])
+        random = torch.Generator().manual_seed(seed)
+        wide = self.network.width
+        inputs = 3 + 6 * network.frequencies
+        self.trunk = [
+            self._layer(inputs if k == 0 else wide + (inputs if k == network.skip else 0), wide, random, k == 0)
+            for k in range(network.depth)
+        ]
+        self.sigma = self._layer(wide, 1, random)
+        self.bottleneck = self._layer(wide, wide, random) if network.bottleneck else None
+        self.head_layers: dict[str, list[nn.Linear]] = {}
+        for name, head in network.heads.items():
+            sizes = [sum({"features": wide, "sun": 3, "embedding": EMBEDDING}[i] for i in head.inputs)]
+            sizes += [int(share * wide) for share in head.hidden]
+            sizes += [bands if head.outputs == 3 else head.outputs]
+            self.head_layers[name] = [self._layer(a, b, random) for a, b in pairwise(sizes)]
+
+    def _layer(self, inputs: int, outputs: int, random: torch.Generator, first: bool = False) -> nn.Linear:
+        """SIREN: uniform within sqrt(6 / n), 1 / n in the first layer (its frequency comes with the sine); else
+        torch's own initial weights, within 1 / sqrt(n)."""
+        layer = nn.Linear(inputs, outputs)
+        bound = inputs**-0.5
+        scale = bound
+        if self.network.siren:
+            scale = 1 / inputs if first else (6 / inputs) ** 0.5
+        with torch.no_grad():
+            layer.weight.copy_((2 * torch.rand(outputs, inputs, generator=random) - 1) * scale)
+            layer.bias.copy_((2 * torch.rand(outputs, generator=random) - 1) * bound)
+        return layer
+
+    def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Field.density`."""
+        network = self.network
+        start = positional_encoding(self.box.scaled(points), network.frequencies)
+        x = start
+        for k, layer in enumerate(self.trunk):
+            x = layer(torch.cat([start, x], dim=-1) if k == network.skip else x)
+            x = torch.sin(W0 * x if k == 0 else x) if network.siren else relu(x)
+        sigma = softplus(self.sigma(x))[..., 0] * self.per_metre
+        return sigma, self.bottleneck(x) if self.bottleneck is not None else x
+
+    def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
+        """See `Field.look`."""
+        given = {"features": features, "sun": sun, "embedding": embedding}
+        found: dict[str, Tensor] = {}
+        for name, head in self.network.heads.items():
+            parts = [given[i] for i in head.inputs]
+            if any(part is None for part in parts):
+                continue
+            answer = self._answer(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
+            if head.activation == "tau and beta":
+                found |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}
+            else:
+                found[name] = answer
+        return found
+
+    def _answer(self, head: Head, layers: list[nn.Linear], x: Tensor) -> Tensor:
+        for layer in layers[:-1]:
+            x = torch.sin(layer(x)) if self.network.siren and not head.relu else relu(layer(x))
+        x = layers[-1](x)
+        if head.activation == "tau and beta":
+            return x
+        if head.activation == "softplus":
+            return softplus(x)
+        return head.low + (head.high - head.low) * torch.sigmoid(x)
+
+    def penalty(self) -> float:
+        """None."""
+        return 0.0
+
+    def named_tensors(self) -> dict[str, Tensor]:
+        """Weights and biases."""
+        named = {f"trunk.{k}": layer for k, layer in enumerate(self.trunk)} | {"sigma": self.sigma}
+        if self.bottleneck is not None:
+            named["bottleneck"] = self.bottleneck
+        named |= {f"{n}.{k}": layer for n, layers in self.head_layers.items() for k, layer in enumerate(layers)}
+        return {f"{n}.{part}": t for n, layer in named.items() for part, t in layer.named_parameters()}
+
+
+__all__ = ["W0", "MlpField", "positional_encoding"]

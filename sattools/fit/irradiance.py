@@ -1,0 +1,169 @@
+"""Light on the surface: learned sun visibility with shadow regularisation, and transient objects.
+
+The sun visibility of a cell is s = tau * s_geo (geometric shadows) or s = tau * s_net (learned ones), see
+`sattools.fit.surface`. s_net comes from features of the cell and the sun's direction, so that it can be softer and
+lighter than a geometric shadow; the regularisation ties it to what the heights would cast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from sattools.fit.options import FitOptions
+
+FEATURES, HIDDEN = 8, 32
+START_LOGIT = 2.0  # s_net begins at 0.88: mostly lit
+RATES = {"features": 0.05, "net": 0.02, "transient": 0.02}
+WEIGHT_RAW, WEIGHT_PLAIN = 0.01, 0.0005  # of the regularisation, with raw-* losses and with the others
+FIRST_EPOCH = 2  # counted from 1; before, the heights say little about shadows
+WARM_UP_EPOCHS = 4  # after these only cells that may be shadowed are regularised
+MAY_BE_SHADOWED = 0.5
+TRANSIENT_COST = 0.03  # per unit of darkening, in the fit's units of loss
+
+
+def shadow_weight(options: FitOptions) -> float:
+    """The weight asked for, else 0.01 with a raw loss and 0.0005 with the others (HDR satellite NeRF, section 3.2)."""
+    if options.shadow_weight is not None:
+        return options.shadow_weight
+    return WEIGHT_RAW if options.loss.startswith("raw") else WEIGHT_PLAIN
+
+
+def shadow_regularisation(net: Tensor, geometric: Tensor, only_shadowed: bool) -> Tensor:
+    """mean[M s_net^2 + (1 - M) (1 - s_net)^2] with M = 1 where s_geo < 0.5 (HDR satellite NeRF, eq. 9 and 10).
+
+    Args:
+        net: learned visibility in [0, 1], any shape.
+        geometric: visibility by geometry, same shape; without gradient.
+        only_shadowed: mean over the places with s_net <= 0.5 alone (after the warm-up); 0 if there are none.
+    """
+    shadowed = (geometric.detach() < 0.5).to(net.dtype)
+    error = shadowed * net**2 + (1 - shadowed) * (1 - net) ** 2
+    if not only_shadowed:
+        return error.mean()
+    where = (net.detach() <= MAY_BE_SHADOWED).to(net.dtype)
+    return (error * where).sum() / where.sum().clamp_min(1)
+
+
+class Light:
+    """Trainable light of all views over one grid.
+
+    Args:
+        tensors: what `start` and `state` give; leaves of the fit.
+    """
+
+    def __init__(self, tensors: dict[str, Tensor]) -> None:
+        self.tensors = tensors
+
+    @classmethod
+    def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> Light:
+        """Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
+        transients."""
+        tensors: dict[str, Tensor] = {}
+        random = torch.Generator().manual_seed(options.seed)
+        if options.shadow == "learned":
+            tensors["features"] = 0.1 * torch.randn(*shape, FEATURES, generator=random)
+            for number, (rows, columns) in enumerate(((FEATURES + 3, HIDDEN), (HIDDEN, 1))):
+                bound = rows**-0.5
+                tensors[f"net.{number}.weight"] = bound * (2 * torch.rand(rows, columns, generator=random) - 1)
+                tensors[f"net.{number}.bias"] = torch.zeros(columns) + (START_LOGIT if number else 0.0)
+        if options.transient == "on":
+            tensors["transient"] = torch.zeros(views, *shape)
+        return cls({name: tensor.to(device) for name, tensor in tensors.items()})
+
+    @property
+    def learned(self) -> bool:
+        """Whether the sun visibility is learned."""
+        return "features" in self.tensors
+
+    def rate(self, name: str) -> float:
+        """Adam step of a tensor."""
+        return RATES[name.split(".")[0]]
+
+    def net(self, sun: Sequence[float]) -> Tensor:
+        """s_net ``[H, W]`` in [0, 1] for a sun (east, north, up)."""
+        t = self.tensors
+        direction = torch.tensor(list(sun), dtype=t["features"].dtype, device=t["features"].device)
+        weight = t["net.0.weight"]
+        hidden = t["features"] @ weight[:FEATURES] + (direction @ weight[FEATURES:] + t["net.0.bias"])
+        return torch.sigmoid(torch.relu(hidden) @ t["net.1.weight"] + t["net.1.bias"])[..., 0]
+
+    def transmission(self, view: int) -> Tensor | None:
+        """tau ``[H, W]`` in [0, 1] of one view; None without transients."""
+        return 1 - self.tensors["transient"][view] if "transient" in self.tensors else None
+
+    def visibility(self, view: int, sun: Sequence[float] | None, geometric: Tensor | None) -> Tensor | None:
+        """s = tau * (s_net or s_geo) ``[H, W]``; None = all lit."""
+        s = self.net(sun) if self.learned and sun is not None else geometric
+        tau = self.transmission(view)
+        if tau is None:
+            return s
+        return tau if s is None else tau * s
+
+    def cost(
+        self,
+        view: int,
+        sun: Sequence[float] | None,
+        geometric: Tensor | None,
+        epoch: int,
+        options: FitOptions,
+        scale: float,
+    ) -> Tensor | None:
+        """What one view's light costs, None if nothing; epochs counted from 1.
+
+        The weight of the shadow regularisation is meant beside the paper's photometric loss, of which the fit takes
+        the ``scale`` squared as its unit.
+        """
+        total = None
+        weight = shadow_weight(options)
+        if self.learned and weight > 0 and epoch >= FIRST_EPOCH and sun is not None and geometric is not None:
+            warm = epoch <= FIRST_EPOCH + WARM_UP_EPOCHS
+            total = weight / scale**2 * shadow_regularisation(self.net(sun), geometric, only_shadowed=not warm)
+        if "transient" in self.tensors:
+            sparse = TRANSIENT_COST * self.tensors["transient"][view].mean()
+            total = sparse if total is None else total + sparse
+        return total
+
+    @torch.no_grad()
+    def clamp(self) -> None:
+        """Keep tau within [0, 1] after a step."""
+        if "transient" in self.tensors:
+            self.tensors["transient"].clamp_(0, 1)
+
+    @torch.no_grad()
+    def maps(self, suns: Sequence[Sequence[float] | None]) -> dict[str, Tensor]:
+        """What the model file keeps: ``s_net`` ``[V, H, W]`` (NaN where a view's sun is unknown), ``tau`` the same."""
+        found = {}
+        if self.learned:
+            unknown = torch.full(self.tensors["features"].shape[:2], torch.nan)
+            found["s_net"] = torch.stack([unknown if sun is None else self.net(sun).cpu() for sun in suns])
+        if "transient" in self.tensors:
+            found["tau"] = 1 - self.tensors["transient"].detach().cpu()
+        return found
+
+    @torch.no_grad()
+    def resized(self, shape: tuple[int, int], ratio: float) -> Light:
+        """The light on another grid with the same upper left corner; ``ratio`` = new cell over old."""
+        found = {name: tensor.detach().clone() for name, tensor in self.tensors.items()}
+        for name in ("features", "transient"):
+            if name in found:
+                maps = found[name].permute(2, 0, 1) if name == "features" else found[name]
+                finer = _resample(maps, shape, ratio)
+                found[name] = (finer.permute(1, 2, 0) if name == "features" else finer).contiguous()
+        return Light(found)
+
+
+def _resample(maps: Tensor, shape: tuple[int, int], ratio: float) -> Tensor:
+    """Maps ``[C, H, W]`` on another grid with the same upper left corner, bilinear."""
+    rows, cols = shape
+    old_rows, old_cols = maps.shape[1:]
+    y = (torch.arange(rows) + 0.5) * ratio / old_rows * 2 - 1
+    x = (torch.arange(cols) + 0.5) * ratio / old_cols * 2 - 1
+    where = torch.stack([x.expand(rows, cols), y[:, None].expand(rows, cols)], dim=-1)[None].to(maps)
+    return grid_sample(maps[None], where, padding_mode="border", align_corners=False)[0]
+
+
+__all__ = ["FIRST_EPOCH", "WARM_UP_EPOCHS", "Light", "shadow_regularisation", "shadow_weight"]

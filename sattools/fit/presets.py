@@ -1,0 +1,60 @@
+"""Presets: the published configurations as values of the options.
+
+Sources:
+    satnerf: Marí, Facciolo & Ehret 2022, "Sat-NeRF: Learning Multi-View Satellite Photogrammetry With Transient Objects
+        and Shadow Modeling Using RPC Cameras", CVPR Workshops (its public code for widths and rates).
+    eonerf: Marí, Facciolo & Ehret 2023, "Multi-Date Earth Observation NeRF: The Detail Is in the Shadows", CVPR
+        Workshops.
+    eonerf-learned-shadow: "HDR Radiance Learning and Shadow Regularization for Satellite NeRF 3D Reconstruction":
+        EO-NeRF' with the logarithmic RawNeRF loss and shadow regularisation, no transients.
+    spsnerf: Zhang & Rupnik 2023, "SparseSat-NeRF: Dense Depth Supervised Neural Radiance Fields for Sparse Satellite
+        Images", ISPRS Annals.
+    rpv-nerf: Zhang et al. 2025, "BRDF-NeRF: Neural Radiance Fields with Optical Satellite Images and BRDF Modelling".
+    hapke-nerf: "Hapke-NeRF", sections 2 and 3: 64 stratified and 64 guided samples, dense depths, Lambertian
+        pre-training.
+
+What differs from the papers: every image has a gain and an offset per band whatever the network (the papers leave
+them out or normalise the images beforehand), rays start at the scene's height range, and a surface is read where the
+transmittance crosses one half. One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sattools.fit.options import FitOptions
+
+_NERF: dict[str, Any] = {"field": "mlp", "loss": "mse", "robust": 0.0, "pose": False}
+_GUIDED = {**_NERF, "samples": 64, "guided": 64, "prior_weight": 0.2, "depth_weight": 1 / 3, "shadow": "none"}
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {},
+    "satnerf": {
+        **_NERF, "network": "satnerf", "samples": 64, "shadow": "learned", "shadow_weight": 0.0, "beta": True,
+        "solar_weight": 0.05, "prior_weight": 0.0,
+    },
+    "eonerf": {
+        **_NERF, "network": "eonerf", "samples": 128, "shadow": "geometric", "transient": "on", "beta": True,
+        "prior_weight": 0.0,
+    },
+    "eonerf-learned-shadow": {
+        **_NERF, "network": "eonerf-learned-shadow", "samples": 128, "shadow": "learned", "loss": "raw-log",
+        "shadow_weight": 0.01, "prior_weight": 0.0,
+    },
+    "spsnerf": {**_GUIDED, "network": "spsnerf"},
+    "rpv-nerf": {**_GUIDED, "network": "rpv", "brdf": "rpv", "pretrain": 0.2},
+    "hapke-nerf": {**_GUIDED, "network": "hapke", "brdf": "hapke", "pretrain": 0.2},
+}  # fmt: skip
+
+
+def resolve(preset: str, given: dict[str, Any]) -> FitOptions:
+    """Options of a preset; what is ``given`` wins."""
+    return FitOptions(**{**with_preset(preset), **given})
+
+
+def with_preset(preset: str) -> dict[str, Any]:
+    """The values that a preset sets."""
+    known = set(FitOptions.__dataclass_fields__)
+    return {"preset": preset, **{name: value for name, value in PRESETS[preset].items() if name in known}}
+
+
+__all__ = ["PRESETS", "resolve", "with_preset"]

@@ -1,0 +1,32 @@
+"""Options of fields that are trained ray by ray."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sattools.settings import option
+
+
+@dataclass(frozen=True)
+class RayOptions:
+    """What only `--field voxel` and `--field mlp` use, and which field it is."""
+
+    field: Literal["surface", "voxel", "mlp"] = option(
+        "surface", "What is fitted: a surface, a density grid, or a network of points."
+    )
+    network: Literal["satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv", "hapke"] = option(
+        "eonerf", "Network of --field mlp."
+    )
+    width: int | None = option(None, "Width of the network's trunk (default: the paper's).", minimum=8, maximum=4096)
+    rays: int = option(1024, "Rays per step.", minimum=1)
+    samples: int = option(64, "Stratified samples per ray.", minimum=2)
+    guided: int = option(0, "More samples around the prior's depth; needs a prior.", minimum=0)
+    steps: int = option(300000, "Steps of a fit ray by ray.", minimum=1)
+    rate: float = option(5e-4, "Adam step of the network (times 0.9 every epoch).", minimum=0)
+    depth_weight: float = option(1 / 3, "Weight of the prior's depths where a ray disagrees with them.", minimum=0)
+    beta: bool = option(False, "Learn an uncertainty per pixel (Sat-NeRF's loss), from the third epoch.")
+    solar_weight: float = option(0.0, "Weight of Sat-NeRF's solar correction of learned shadows.", minimum=0)
+
+
+__all__ = ["RayOptions"]

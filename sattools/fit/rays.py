@@ -1,0 +1,302 @@
+"""Training of a field ray by ray: batches, shading, losses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sattools.field.networks import EMBEDDING
+from sattools.field.protocol import Field
+from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, shadow_regularisation, shadow_weight
+from sattools.fit.losses import photometric
+from sattools.fit.options import FitOptions
+from sattools.reflectance import hapke, rpv
+from sattools.render.volume import RayBatch, composite, guided, median_share, stratified, towards_sun
+
+BETA_MIN, BETA_EPOCH = 0.05, 3  # Sat-NeRF: beta = softplus + 0.05, from the third epoch
+DECAY = 0.9  # of the rate, per epoch
+COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
+PRETRAIN = 0.2  # share of the steps before a reflectance model comes in
+SUN_SAMPLES = 24
+LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
+HAPKE_B_MAX = 0.95
+LEAST_STD = 1e-4  # of the depth range
+# standard deviation of a prior without confidence, in depth ranges: SparseSat-NeRF's own for networks
+STD_SCALE = {"mlp": 1.0, "voxel": 0.1}
+
+
+@dataclass
+class RaySet:
+    """All pixels of all views as rays.
+
+    Attributes:
+        start, path: ``[P, 3]`` see `RayBatch`; target ``[P, C]``; view ``[P]`` number of the view.
+        depth: ``[P]`` share of the path at which the prior's surface lies; confidence ``[P]`` in [0, 1], 0 = none.
+        normal: ``[P, 3]`` of the prior's surface there.
+        suns: ``[V, 3]`` unit vectors, nan where unknown; sights: ``[V, 3]`` unit vectors to the sensor.
+        top: height of the starts [m].
+    """
+
+    start: Tensor
+    path: Tensor
+    target: Tensor
+    view: Tensor
+    depth: Tensor
+    confidence: Tensor
+    normal: Tensor
+    suns: Tensor
+    sights: Tensor
+    top: float
+
+
+class RayTrainer:
+    """Fits a field to rays, in place; step k is the same whenever it is taken.
+
+    Args:
+        field: what is fitted.
+        rays: the pixels.
+        options: of the fit.
+        gain, offset: ``[V, C]`` first colour relations; the first view's stay.
+        rates: Adam steps of the field's tensors that do not take `options.rate`.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        rays: RaySet,
+        options: FitOptions,
+        gain: Tensor,
+        offset: Tensor,
+        rates: dict[str, float] | None = None,
+    ) -> None:
+        self.field, self.rays, self.options = field, rays, options
+        views = len(rays.suns)
+        random = torch.Generator().manual_seed(options.seed)
+        self.colour = {"gain": gain.clone(), "offset": offset.clone(), "ambient": torch.full_like(gain, 0.2)}
+        self.embedding = 0.01 * torch.randn(views, EMBEDDING, generator=random).to(gain)
+        self.tensors: dict[str, Tensor] = {f"field.{n}": t for n, t in field.named_tensors().items()}
+        self.tensors |= {f"colour.{n}": t for n, t in self.colour.items()} | {"embedding": self.embedding}
+        groups = []
+        for name, tensor in self.tensors.items():
+            tensor.requires_grad_(True)
+            own = (rates or {}).get(name.removeprefix("field."), options.rate)
+            rate = own if name.startswith("field.") else EMBEDDING_RATE if name == "embedding" else COLOUR_RATE
+            groups.append({"params": [tensor], "lr": rate, "initial": rate})
+        self.adam = torch.optim.Adam(groups)
+        pixels = max(1, len(rays.target) // options.rays)
+        self.epoch_steps = max(1, min(pixels, options.steps // 10))
+
+    def step(self, number: int) -> float:
+        """One step; its photometric loss."""
+        options, rays = self.options, self.rays
+        random = torch.Generator().manual_seed(options.seed * 1_000_003 + number)
+        epoch = number // self.epoch_steps + 1
+        for group in self.adam.param_groups:
+            group["lr"] = group["initial"] * DECAY ** (epoch - 1)
+        chosen = torch.randint(len(rays.target), (options.rays,), generator=random)
+        self.adam.zero_grad(set_to_none=True)
+        loss, extra = self._losses(chosen, epoch, number / options.steps, random)
+        (loss + extra).backward()
+        for name in ("gain", "offset"):
+            grad = self.colour[name].grad
+            if grad is not None:
+                grad[0] = 0  # the first view is the gauge
+        self.adam.step()
+        with torch.no_grad():
+            self.colour["ambient"].clamp_(0.02, 1.0)
+            self.colour["gain"].clamp_(0.05, 20.0)
+        return float(loss.detach())
+
+    def _losses(
+        self, chosen: Tensor, epoch: int, share: float, random: torch.Generator
+    ) -> tuple[Tensor, Tensor | float]:
+        options, rays = self.options, self.rays
+        view = rays.view[chosen]
+        batch = RayBatch(rays.start[chosen], rays.path[chosen])
+        length = batch.path.norm(dim=1)
+        prior, confidence = rays.depth[chosen], rays.confidence[chosen]
+        std = STD_SCALE[options.field] * (1 - confidence) + LEAST_STD
+        t = stratified(len(chosen), options.samples, random)
+        if options.guided:
+            t = torch.cat([t, guided(prior, std, options.guided, random)], dim=1).sort(dim=1).values
+        points = batch.points(t)
+        sigma, features = self.field.density(points.reshape(-1, 3))
+        sigma = sigma.reshape(t.shape)
+        weights, _ = composite(sigma, t, length)
+        sun = rays.suns[view]
+        known = torch.isfinite(sun).all(dim=1)
+        sun = torch.where(known[:, None], sun, sun.new_tensor([0.0, 0.0, 1.0]))
+
+        def per_sample(values: Tensor) -> Tensor:
+            return values[:, None].expand(-1, t.shape[1], -1).reshape(-1, values.shape[1])
+
+        look = self.field.look(features, per_sample(sun), per_sample(self.embedding[view]))
+        look = {name: value.reshape(*t.shape, -1) for name, value in look.items()}
+        mean = {name: (weights[..., None] * value).sum(dim=1) for name, value in look.items()}
+        depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
+        surface = batch.start + depth.detach()[:, None] * batch.path
+        s, extra = self._sunlight(look, mean, surface, sun, known, epoch, random)
+        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.sights[view], share)
+        if s is None:
+            lit = albedo
+        elif "sky" in look:  # Sat-NeRF shades every sample
+            visible = look["sun"]
+            lit = (weights[..., None] * look["albedo"] * (visible + (1 - visible) * look["sky"])).sum(dim=1)
+        else:
+            ambient = mean["ambient"] if "ambient" in mean else self.colour["ambient"][view]
+            lit = albedo * (s + (1 - s) * ambient)
+        predicted = self.colour["gain"][view] * lit + self.colour["offset"][view]
+        error = photometric(options.loss, predicted, rays.target[chosen], options.robust)
+        if options.beta and "beta" in mean and epoch >= BETA_EPOCH:
+            beta = mean["beta"] + BETA_MIN
+            loss = beta_loss(error, beta)
+        else:
+            loss = error.mean()
+        if options.depth_weight > 0 and bool((confidence > 0).any()):
+            extra = extra + options.depth_weight * depth_loss(weights, t, depth, prior, confidence, std)
+        return loss, extra + self.field.penalty()
+
+    def _sunlight(
+        self,
+        look: dict[str, Tensor],
+        mean: dict[str, Tensor],
+        surface: Tensor,
+        sun: Tensor,
+        known: Tensor,
+        epoch: int,
+        random: torch.Generator,
+    ) -> tuple[Tensor | None, Tensor | float]:
+        """Visibility of the sun ``[R, 1]`` (None = all lit), and what the losses hold against it."""
+        options = self.options
+        extra: Tensor | float = 0.0
+        tau = mean["tau"] if options.transient == "on" and "tau" in mean else None
+        if options.shadow == "none":
+            return tau, extra
+        if options.shadow == "learned" and "sun" in mean:
+            s = mean["sun"]
+            weight = shadow_weight(options)
+            if weight > 0 and epoch >= FIRST_EPOCH:
+                with torch.no_grad():
+                    cast = self._towards_sun(surface, sun, random)
+                only = epoch > FIRST_EPOCH + WARM_UP_EPOCHS
+                extra = extra + weight * shadow_regularisation(s[known, 0], cast[known, 0], only_shadowed=only)
+            if options.solar_weight > 0:
+                extra = extra + options.solar_weight * self._solar_correction(surface, sun, random)
+        elif epoch >= FIRST_EPOCH:
+            s = self._towards_sun(surface, sun, random)
+        else:
+            return tau, extra
+        s = torch.where(known[:, None], s, 1.0)
+        return (s if tau is None else tau * s), extra
+
+    def _towards_sun(self, surface: Tensor, sun: Tensor, random: torch.Generator) -> Tensor:
+        """Geometric visibility ``[R, 1]``: transmittance from the surface point to the highest height (EO-NeRF)."""
+        lifted = surface + surface.new_tensor([0.0, 0.0, LIFT_M])
+        batch = towards_sun(lifted, sun, self.rays.top)
+        t = stratified(len(surface), SUN_SAMPLES, random)
+        sigma, _ = self.field.density(batch.points(t).reshape(-1, 3))
+        weights, _ = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
+        return 1 - weights.sum(dim=1, keepdim=True)
+
+    def _solar_correction(self, surface: Tensor, sun: Tensor, random: torch.Generator) -> Tensor:
+        """Sat-NeRF, eq. 10: sum (T - s)^2 + 1 - sum T alpha s along rays of the sun through the surface points."""
+        up = towards_sun(surface, sun, self.rays.top)
+        batch = RayBatch(up.start + up.path, -1.5 * up.path)
+        t = stratified(len(surface), SUN_SAMPLES, random)
+        sigma, features = self.field.density(batch.points(t).reshape(-1, 3))
+        directions = sun[:, None].expand(-1, SUN_SAMPLES, -1).reshape(-1, 3)
+        s = self.field.look(features, directions, None)["sun"].reshape(t.shape)
+        weights, transmittance = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
+        return solar_correction(weights.detach(), transmittance.detach(), s)
+
+    def _reflected(self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, sight: Tensor, share: float) -> Tensor:
+        """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence) / cos(zenith)."""
+        if self.options.network not in ("rpv", "hapke") or "theta" not in mean or share < PRETRAIN:
+            return mean["albedo"]
+        n, s, v = (x[:, None] for x in (normal, sun, sight))
+        cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / sun[:, 2:].clamp_min(0.05)
+        if self.options.network == "rpv":
+            return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
+        b = mean["b"].clamp_max(HAPKE_B_MAX)
+        return hapke(n, s, v, mean["albedo"], b, mean["c"], mean["theta"].clamp_min(0.1)) * cosine
+
+    # ---- reading the result, checkpoints ----------------------------------------------------------------
+
+    @torch.no_grad()
+    def ground_maps(self, x: Tensor, y: Tensor, z: tuple[float, float], samples: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` at x ``[W]``,
+        y ``[H]`` [m]."""
+        low, high = z
+        rows = []
+        for north in y:
+            start = torch.stack([x, torch.full_like(x, float(north)), torch.full_like(x, high)], dim=1)
+            batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
+            t = stratified(len(x), samples, None)
+            sigma, features = self.field.density(batch.points(t).reshape(-1, 3))
+            weights, _ = composite(sigma.reshape(t.shape), t, torch.full_like(x, high - low))
+            colour = self.field.look(features, None, None)["albedo"].reshape(*t.shape, -1)
+            height = high - (high - low) * median_share(weights, t)
+            total = weights.sum(dim=1).clamp_min(1e-6)
+            centre = (weights * t).sum(dim=1) / total
+            spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt() * (high - low)
+            rows.append((height, spread, (weights[..., None] * colour).sum(dim=1)))
+        height, spread, colour = (torch.stack(part) for part in zip(*rows, strict=True))
+        return height, spread, colour
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything that a continued run needs, as flat tensors."""
+        found = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
+        for name, tensor in self.tensors.items():
+            for key, value in self.adam.state.get(tensor, {}).items():
+                found[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
+        return found
+
+    @torch.no_grad()
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Inverse of `state`."""
+        for name, tensor in self.tensors.items():
+            tensor.copy_(state[name])
+            prefix = f"adam.{name}."
+            saved = {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
+            if saved:
+                self.adam.state[tensor] = {k: v if k == "step" else v.to(tensor.device) for k, v in saved.items()}
+
+
+def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
+    """mean[squared / (2 beta^2)] + mean[3 + log beta] / 2 (Sat-NeRF, eq. 7; Martin-Brualla et al. 2021).
+
+    Args:
+        squared: ``[R, C]`` squared residuals.
+        beta: ``[R, 1]`` uncertainty, at least 0.05, so that 3 + log beta is positive.
+    """
+    return (squared / (2 * beta**2)).mean() + (3 + torch.log(beta)).mean() / 2
+
+
+def solar_correction(weights: Tensor, transmittance: Tensor, s: Tensor) -> Tensor:
+    """mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF)."""
+    return ((transmittance - s) ** 2).sum(dim=1).mean() + (1 - (weights * s).sum(dim=1)).mean()
+
+
+def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confidence: Tensor, std: Tensor) -> Tensor:
+    """Confidence-weighted squared depth error where it matters (SparseSat-NeRF, section 3.3; Hapke-NeRF).
+
+    It matters where the ray disagrees with the prior by more than the prior's standard deviation, or where its own
+    spread is larger. Depths as shares of the path, of which the papers' unit is half.
+    """
+    spread = ((weights * (t - depth[:, None]) ** 2).sum(dim=1)).clamp_min(0).sqrt()
+    matters = ((depth - prior).abs() > std) | (spread > std)
+    return (confidence * (2 * (depth - prior)) ** 2 * matters).mean()
+
+
+def join(parts: Sequence[RaySet]) -> RaySet:
+    """Rays of several views as one set; suns and sights are taken from the first, which knows them all."""
+    names = ("start", "path", "target", "view", "depth", "confidence", "normal")
+    joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **joined)
+
+
+__all__ = ["RaySet", "RayTrainer", "beta_loss", "depth_loss", "join", "solar_correction"]

@@ -1,0 +1,150 @@
+"""Absolute calibration from vendors' metadata: digital numbers -> radiance -> top-of-atmosphere reflectance."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
+from sattools.errors import InputError
+
+# Mean solar irradiance outside the atmosphere [W / m^2 / um] at 1 astronomical unit (Thuillier et al. 2003), from
+# "Radiometric Use of WorldView-3 Imagery" (Kuester 2016) and its counterpart for WorldView-2
+SOLAR_IRRADIANCE = {
+    "WorldView-3": {
+        "P": 1574.41, "C": 1757.89, "B": 2004.61, "G": 1830.18, "Y": 1712.07, "R": 1535.33, "RE": 1348.08,
+        "N": 1055.94, "N2": 858.77,
+    },
+    "WorldView-2": {
+        "P": 1571.36, "C": 1773.81, "B": 2007.27, "G": 1829.62, "Y": 1701.85, "R": 1538.85, "RE": 1346.09,
+        "N": 1053.21, "N2": 856.599,
+    },
+}  # fmt: skip
+WORLDVIEW_BANDS = ("C", "B", "G", "Y", "R", "RE", "N", "N2")  # order of an eight-band product
+
+
+@dataclass(frozen=True)
+class BandCalibration:
+    """Radiance = gain * DN + offset [W / m^2 / sr / um]; solar irradiance [W / m^2 / um], None if not stated."""
+
+    name: str
+    gain: float
+    offset: float = 0.0
+    irradiance: float | None = None
+
+
+def read_calibration(path: Path) -> list[BandCalibration]:
+    """Calibration of every band in a metadata file, in the image's order; empty where the file states none.
+
+    DigitalGlobe (.IMD, .XML): gain = absCalFactor / effectiveBandwidth (Kuester 2016, eq. 1, with gain 1 and offset 0).
+    DIMAP: radiance = DN / GAIN + BIAS, with the solar irradiance beside it.
+
+    Raises:
+        InputError: unreadable, or numbers that cannot be a calibration.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".imd":
+        return _digitalglobe(path, _imd_groups(read_text(path)))
+    if suffix != ".xml":
+        return []
+    root = parse_xml(path)
+    if local_name(root) == "Dimap_Document":
+        return _dimap(path, root)
+    blocks = [e for e in root.iter() if local_name(e).startswith("BAND_")]
+    return _digitalglobe(
+        path, {local_name(b)[5:]: {local_name(e).upper(): (e.text or "").strip() for e in b.iter()} for b in blocks}
+    )
+
+
+def _imd_groups(text: str) -> dict[str, dict[str, str]]:
+    groups = re.finditer(r"BEGIN_GROUP\s*=\s*BAND_(\w+)(.*?)END_GROUP", text, re.DOTALL)
+    return {
+        g[1]: {m[1].upper(): m[2].strip().strip('"') for m in re.finditer(r"(\w+)\s*=\s*([^;\n]+)", g[2])}
+        for g in groups
+    }
+
+
+def _digitalglobe(path: Path, groups: dict[str, dict[str, str]]) -> list[BandCalibration]:
+    found = []
+    for name, values in groups.items():
+        if "ABSCALFACTOR" not in values or "EFFECTIVEBANDWIDTH" not in values:
+            continue
+        factor = _positive(path, f"absCalFactor of band {name}", values["ABSCALFACTOR"])
+        width = _positive(path, f"effectiveBandwidth of band {name}", values["EFFECTIVEBANDWIDTH"])
+        found.append(BandCalibration(name, factor / width))
+    return found
+
+
+def _dimap(path: Path, root: object) -> list[BandCalibration]:
+    def table(tag: str, key: str) -> dict[str, dict[str, str]]:
+        rows = [{local_name(e): (e.text or "").strip() for e in block.iter()} for block in find_all(root, tag)]
+        return {row["BAND_ID"]: row for row in rows if "BAND_ID" in row and key in row}
+
+    radiance, sun = table("Band_Radiance", "GAIN"), table("Band_Solar_Irradiance", "VALUE")
+    places = table("Raster_Index", "BAND_INDEX")
+    order = sorted(radiance, key=lambda b: int(places[b]["BAND_INDEX"])) if set(radiance) <= set(places) else radiance
+    found = []
+    for name in order:
+        gain = _positive(path, f"GAIN of band {name}", radiance[name]["GAIN"])
+        bias = radiance[name].get("BIAS") or "0"
+        irradiance = _positive(path, f"solar irradiance of band {name}", sun[name]["VALUE"]) if name in sun else None
+        found.append(BandCalibration(name, 1 / gain, float(bias), irradiance))
+    return found
+
+
+def _positive(path: Path, what: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{path}: found {text!r} as {what}, expected a positive number")
+    return value
+
+
+def with_irradiance(bands: Sequence[BandCalibration], platform: str | None) -> list[BandCalibration]:
+    """The bands with the platform's solar irradiance where the metadata do not state one."""
+    known = SOLAR_IRRADIANCE.get(platform or "", {})
+    return [BandCalibration(b.name, b.gain, b.offset, b.irradiance or known.get(b.name)) for b in bands]
+
+
+def earth_sun_distance(time: datetime) -> float:
+    """Distance in astronomical units, to 1e-4 (US Naval Observatory, "Approximate Solar Coordinates")."""
+    days = (time - datetime(2000, 1, 1, 12, tzinfo=UTC)).total_seconds() / 86400
+    g = math.radians(357.529 + 0.98560028 * days)
+    return 1.00014 - 0.01671 * math.cos(g) - 0.00014 * math.cos(2 * g)
+
+
+def reflectance(
+    numbers: np.ndarray, bands: Sequence[BandCalibration], distance: float, sun_elevation_deg: float | None
+) -> np.ndarray:
+    """pi L d^2 / (E cos theta_sun), or pi L d^2 / E without a sun elevation; float32, nothing clipped.
+
+    Args:
+        numbers: ``[C, H, W]`` digital numbers less the black level.
+        bands: one calibration per band, with irradiance.
+        distance: Earth to sun [astronomical units].
+        sun_elevation_deg: above the horizon, or None.
+    """
+    cosine = 1.0 if sun_elevation_deg is None else math.sin(math.radians(sun_elevation_deg))
+    gain = np.array([b.gain for b in bands])[:, None, None]
+    offset = np.array([b.offset for b in bands])[:, None, None]
+    irradiance = np.array([b.irradiance for b in bands], np.float64)[:, None, None]
+    return (math.pi * distance**2 / (irradiance * cosine) * (gain * numbers + offset)).astype(np.float32)
+
+
+__all__ = [
+    "SOLAR_IRRADIANCE",
+    "WORLDVIEW_BANDS",
+    "BandCalibration",
+    "earth_sun_distance",
+    "read_calibration",
+    "reflectance",
+    "with_irradiance",
+]

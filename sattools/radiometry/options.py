@@ -1,0 +1,39 @@
+"""Options of `sattools normalise`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sattools.settings import option
+
+
+@dataclass(frozen=True)
+class NormaliseOptions:
+    """How digital numbers become linear radiance."""
+
+    bits: int | None = option(
+        None, "Significant bits of the numbers (default: the scene's, by metadata or values).", minimum=1, maximum=32
+    )
+    black: float = option(0.0, "Digital number of no light.", minimum=0)
+    saturated: Literal["mask", "keep"] = option("mask", "Saturated pixels: masked (NaN), or kept as lower bounds.")
+    saturation: float | None = option(
+        None, "Digital number from which a pixel is saturated (default: 2^bits - 1).", minimum=0
+    )
+    bands: list[int] = option(
+        [], "Band to take, from 1 (repeatable, in order; default: 5 3 2 = RGB of eight WorldView bands, else all)."
+    )
+    quantity: Literal["auto", "toa_reflectance", "reflectance_factor", "relative"] = option(
+        "auto",
+        "What the result is: pi L / (E cos sun zenith), pi L / E, or DN / full scale (auto: the first that the "
+        "metadata of all images allow, else relative).",
+    )
+    metadata: str | None = option(None, "Folder with vendor metadata (.IMD, .XML, DIM_*.XML) for the calibration.")
+    gamma: float | None = option(
+        None, "Undo this exponent on 8-bit tone-mapped images, linear = (DN / 255)^gamma (default: leave them).",
+        minimum=0.1, maximum=10,
+    )  # fmt: skip
+    match: bool = option(False, "Bring all dates to the first one by gain and offset per band (16 and 84 % quantiles).")
+
+
+__all__ = ["NormaliseOptions"]

@@ -1,0 +1,244 @@
+"""The stage `normalise`: digital numbers become linear radiance, and the scene says of what kind."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sattools.errors import SceneError
+from sattools.progress import Progress, silent
+from sattools.radiometry.calibration import (
+    WORLDVIEW_BANDS,
+    BandCalibration,
+    earth_sun_distance,
+    read_calibration,
+    reflectance,
+    with_irradiance,
+)
+from sattools.radiometry.histogram import histogram_figure
+from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
+from sattools.radiometry.options import NormaliseOptions
+from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
+from sattools.scene.raster import read_image, write_image_like
+from sattools.scene.sidecars import sidecars
+
+log = logging.getLogger(__name__)
+FIGURE = "normalise/histogram.png"
+RGB_OF_EIGHT = [5, 3, 2]
+EIGHT_BAND_PLATFORMS = ("WorldView-2", "WorldView-3", None)  # None: eight bands are WorldView's unless somebody says so
+SAMPLE = 20000  # pixels per image and band in the histogram
+LABELS = {
+    "toa_reflectance": "reflectance at the top of the atmosphere, pi L / (E cos sun zenith)",
+    "reflectance_factor": "reflectance factor, pi L / E",
+    "relative": "radiance / full scale",
+}
+
+
+@dataclass
+class _Job:
+    """What is known of the images before the first is written."""
+
+    scene: Scene
+    options: NormaliseOptions
+    quantity: str
+    calibrations: dict[str, list[BandCalibration]]
+    bits: dict[str, int]
+    reference: np.ndarray | None = None  # [2, C] middle and spread of the first image, for --match
+    numbers: list[list[np.ndarray]] = field(default_factory=list)
+    radiance: list[list[np.ndarray]] = field(default_factory=list)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+
+def normalise(
+    scene: Scene, options: NormaliseOptions, progress: Progress = silent, overwrite: bool = True
+) -> dict[str, Any]:
+    """Write a linear float32 `radiance` asset for every image; NaN where it has no data or is saturated.
+
+    Sets per item `sattools:radiance` (``toa_reflectance``, ``reflectance_factor`` or ``relative``) and
+    `sattools:tone` (``linear``, or ``tone-mapped`` for 8-bit images left as they are). Nothing is clipped.
+
+    Returns:
+        Shares of masked pixels per image, and remarks, for the history.
+
+    Raises:
+        SceneError: no images, bands that are not there, or a calibration asked for that the metadata do not allow.
+        InputError: an image or metadata file that cannot be read.
+    """
+    items = [item for item in scene.items if "image" in item.assets]
+    if not items:
+        raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
+    remarks: list[str] = []
+    calibrations = {item.id: _calibration(scene, item, options) for item in items}
+    quantity = _quantity(scene, items, options, calibrations, remarks)
+    job = _Job(scene, options, quantity, calibrations, _bits(items, options, remarks))
+    outputs = {item.id: scene.output(f"radiance/{item.id}.tif", overwrite) for item in items}
+    figure = scene.output(FIGURE, overwrite)
+    shares = {}
+    for k, item in enumerate(items):
+        progress(k / len(items), item.id)
+        shares[item.id] = _one(job, item, outputs[item.id], remarks)
+    pooled = [[np.concatenate(band) for band in zip(*part, strict=True)] for part in (job.numbers, job.radiance)]
+    label = LABELS[job.quantity]
+    histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", figure)
+    scene.products["radiance_histogram"] = FIGURE
+    for text in remarks:
+        log.warning("%s", text)
+    progress(1.0, "normalised")
+    return {"remarks": remarks, "quantity": job.quantity, "images": shares}
+
+
+def _one(job: _Job, item: Item, output: Path, remarks: list[str]) -> dict[str, float]:
+    options, bits = job.options, job.bits[item.id]
+    path = job.scene.path(item.assets["image"].href)
+    everything = read_image(path)
+    chosen = _bands(job.scene, item, everything.shape[0], options)
+    bands = everything[[b - 1 for b in chosen]]
+    saturation = options.saturation if options.saturation is not None else 2.0**bits - 1
+    empty, full = invalid_numbers(bands, saturation)
+    values = np.where(empty, np.nan, bands)
+    if options.saturated == "mask":
+        values = np.where(full, np.nan, values)
+    tone_mapped = bits <= 8
+    if job.quantity == "relative":
+        radiance = linear_radiance(values, bits, options.black)
+        if tone_mapped and options.gamma is not None:
+            radiance = undo_gamma(radiance, options.gamma)
+    else:
+        calibration = [job.calibrations[item.id][b - 1] for b in chosen]
+        distance = earth_sun_distance(datetime.fromisoformat(item.properties["datetime"]))
+        elevation = item.sun[1] if job.quantity == "toa_reflectance" and item.sun else None
+        radiance = reflectance(values - options.black, calibration, distance, elevation)
+    if options.match:
+        radiance = _match(job, radiance)
+    write_image_like(output, radiance, path, [f"band {b}" for b in chosen])
+    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"])
+    item.properties["sattools:radiance"] = "relative" if options.match else job.quantity
+    left = tone_mapped and options.gamma is None
+    item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
+    if tone_mapped:
+        what = "left as they are (give --gamma)" if left else f"linearised by the exponent {options.gamma:g}, a guess"
+        remarks.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
+    job.numbers.append(_sample(job, bands))
+    job.radiance.append(_sample(job, radiance))
+    known = radiance[np.isfinite(radiance)]
+    shares = {
+        "no_data": float(empty.mean()),
+        "saturated": float(full.mean()),
+        "below_0": float((known < 0).mean()) if known.size else 0.0,
+        "above_1": float((known > 1).mean()) if known.size else 0.0,
+    }
+    if not known.size:
+        raise SceneError(f"{path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)")
+    if shares["saturated"] > 0.05:
+        remarks.append(f"{item.id}: {100 * shares['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
+    return {name: round(share, 6) for name, share in shares.items()}
+
+
+def _sample(job: _Job, bands: np.ndarray) -> list[np.ndarray]:
+    flat = bands.reshape(bands.shape[0], -1)
+    where = job.rng.integers(flat.shape[1], size=min(SAMPLE, flat.shape[1]))
+    return list(flat[:, where])
+
+
+def _match(job: _Job, radiance: np.ndarray) -> np.ndarray:
+    """The image brought to the first one's middle and spread."""
+    low, middle, high = np.nanpercentile(radiance, [16, 50, 84], axis=(1, 2))
+    found = np.stack([middle, high - low])
+    if job.reference is None:
+        job.reference = found
+    gain, offset = gain_and_offset(found, job.reference)
+    return np.asarray((radiance * gain[:, None, None] + offset[:, None, None]).astype(np.float32))
+
+
+def _bits(items: list[Item], options: NormaliseOptions, remarks: list[str]) -> dict[str, int]:
+    """Significant bits per image; images of one sensor share the largest, as a dark scene's values prove nothing."""
+    found = {item.id: options.bits or item_bits(item.properties) for item in items}
+    groups = {item.id: (item.properties.get("platform"), item.properties.get("sattools:dtype")) for item in items}
+    for group in set(groups.values()):
+        members = [i for i in found if groups[i] == group]
+        highest = max(found[i] for i in members)
+        for name in members:
+            if found[name] < highest:
+                remarks.append(f"{name}: values fit {found[name]} bits, taken as {highest} like its sensor's others")
+                found[name] = highest
+    return found
+
+
+def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> list[int]:
+    chosen = options.bands
+    if not chosen:
+        eight = count == 8 and item.properties.get("platform") in EIGHT_BAND_PLATFORMS
+        return RGB_OF_EIGHT if eight else list(range(1, count + 1))
+    wrong = [b for b in chosen if not 1 <= b <= count]
+    if wrong:
+        raise SceneError(f"scene {scene.id}: item {item.id} has {count} bands, expected --bands within them: {wrong}")
+    return chosen
+
+
+def _calibration(scene: Scene, item: Item, options: NormaliseOptions) -> list[BandCalibration]:
+    """Calibration per band of the image, from the first metadata file that has one; empty if there is none."""
+    original = Path(item.properties.get("sattools:source") or scene.path(item.assets["image"].href))
+    folders = [Path(options.metadata)] if options.metadata else []
+    if options.metadata and not folders[0].is_dir():
+        raise SceneError(f"{options.metadata}: found no folder, expected one with vendor metadata")
+    if original.parent.is_dir():
+        folders.append(original.parent)
+    for path in sidecars(original, folders):
+        bands = with_irradiance(read_calibration(path), item.properties.get("platform"))
+        order = {name: k for k, name in enumerate(WORLDVIEW_BANDS)}
+        if bands and all(b.name in order for b in bands):
+            bands.sort(key=lambda b: order[b.name])
+        if bands:
+            return bands
+    return []
+
+
+def _quantity(
+    scene: Scene,
+    items: list[Item],
+    options: NormaliseOptions,
+    calibrations: dict[str, list[BandCalibration]],
+    remarks: list[str],
+) -> str:
+    """The quantity asked for, or the best that all images allow."""
+
+    def lacks(item: Item, sun: bool) -> str | None:
+        bands = calibrations[item.id]
+        count = item.properties.get("sattools:bands")
+        if item_bits(item.properties) <= 8:
+            return "it has 8-bit, tone-mapped numbers"
+        if not bands or any(b.irradiance is None for b in bands):
+            return "no metadata with a calibration and a solar irradiance were found"
+        if count is not None and len(bands) != count:
+            return f"the calibration has {len(bands)} bands, the image {count}"
+        if not item.properties.get("datetime"):
+            return "its time is unknown"
+        if sun and (item.sun is None or item.sun[1] <= 0):
+            return "its sun is unknown or below the horizon"
+        return None
+
+    wanted = options.quantity
+    if wanted == "relative":
+        return wanted
+    for quantity in ("toa_reflectance", "reflectance_factor"):
+        if wanted not in ("auto", quantity):
+            continue
+        reasons = {item.id: lacks(item, quantity == "toa_reflectance") for item in items}
+        missing = {name: reason for name, reason in reasons.items() if reason}
+        if not missing:
+            return quantity
+        if wanted != "auto":
+            name, reason = next(iter(missing.items()))
+            raise SceneError(f"scene {scene.id}: {quantity} was asked for, but of {name} {reason}")
+    commonest = Counter(r for r in reasons.values() if r).most_common(1)[0][0]
+    remarks.append(f"linear up to an unknown factor: {commonest}")
+    return "relative"
+
+
+__all__ = ["normalise"]

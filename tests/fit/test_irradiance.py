@@ -1,0 +1,165 @@
+"""Learned shadows, their tie to the geometric ones, transients, and the choice between models of the light."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.fit.checkpoint import load
+from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, Light, shadow_regularisation, shadow_weight
+from sattools.fit.irradiance_choice import Shown, transient_share
+from sattools.fit.losses import GAMMA, photometric, robust_scale
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+from sattools.scene.raster import read_raster
+
+QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[4])
+SUN = (0.0, 0.6, 0.8)
+
+
+def test_the_regularisation_of_a_case_done_by_hand():
+    """Shadowed: 0.2^2 and 0.9^2; lit (s_geo = 0.5 counts as lit): (1 - 0.6)^2 and (1 - 0.3)^2."""
+    net, geometric = torch.tensor([0.2, 0.9, 0.6, 0.3]), torch.tensor([0.0, 0.49, 0.5, 1.0])
+    assert float(shadow_regularisation(net, geometric, False)) == pytest.approx((0.04 + 0.81 + 0.16 + 0.49) / 4)
+    # after the warm-up: only the first and the last, whose s_net is at most 0.5
+    assert float(shadow_regularisation(net, geometric, True)) == pytest.approx((0.04 + 0.49) / 2)
+    assert float(shadow_regularisation(net[1:3], geometric[1:3], True)) == 0.0
+
+
+def test_the_geometric_shadow_gets_no_gradient():
+    net, geometric = torch.tensor([0.2, 0.7], requires_grad=True), torch.tensor([0.1, 0.9], requires_grad=True)
+    shadow_regularisation(net, geometric, False).backward()
+    assert net.grad.tolist() == pytest.approx([0.2, -0.3])
+    assert geometric.grad is None
+
+
+def test_the_weight_is_the_papers_unless_one_is_given():
+    assert [shadow_weight(FitOptions(loss=name)) for name in ("raw-log", "raw-gamma", "mse", "mse-gamma")] == [
+        0.01, 0.01, 0.0005, 0.0005,
+    ]  # fmt: skip
+    assert shadow_weight(FitOptions(shadow_weight=0.3)) == 0.3
+
+
+def test_the_regularisation_begins_in_the_second_epoch_and_narrows_after_the_warm_up():
+    options = FitOptions(shadow="learned", shadow_weight=2.0)
+    light = Light.start(options, (3, 4), 1, torch.device("cpu"))
+    dark = torch.zeros(3, 4)
+    costs = [light.cost(0, SUN, dark, epoch, options, 1.0) for epoch in range(1, 20)]
+    assert costs[0] is None
+    net = light.net(SUN).detach()
+    assert float(net.min()) > 0.5
+    assert float(costs[FIRST_EPOCH - 1]) == pytest.approx(2 * float(net.square().mean()))
+    assert float(costs[FIRST_EPOCH + WARM_UP_EPOCHS]) == 0.0
+    assert light.cost(0, None, dark, 5, options, 1.0) is None  # a sun that is unknown
+
+
+def test_a_learned_shadow_is_within_0_and_1_and_depends_on_the_sun():
+    light = Light.start(FitOptions(shadow="learned"), (8, 8), 1, torch.device("cpu"))
+    light.tensors["features"].mul_(1000)
+    morning, evening = light.net((0.7, 0.1, 0.7)), light.net((-0.7, 0.1, 0.7))
+    for net in (morning, evening):
+        assert float(net.min()) >= 0
+        assert float(net.max()) <= 1
+    assert not torch.allclose(morning, evening)
+
+
+def test_transients_only_darken_and_are_the_images_own():
+    options = FitOptions(transient="on")
+    light = Light.start(options, (2, 2), 2, torch.device("cpu"))
+    half = torch.full((2, 2), 0.5)
+    assert light.visibility(0, SUN, half).tolist() == half.tolist()
+    light.tensors["transient"][1] = torch.tensor([[0.4, 0.0], [1.7, -0.2]])
+    light.clamp()
+    assert light.visibility(1, SUN, half).tolist() == [[pytest.approx(0.3), 0.5], [0.0, 0.5]]
+    assert light.visibility(0, SUN, None).tolist() == [[1.0, 1.0], [1.0, 1.0]]
+    assert light.visibility(1, SUN, None)[0].tolist() == pytest.approx([0.6, 1.0])
+    assert float(light.cost(1, SUN, None, 1, options, 1.0)) > float(light.cost(0, SUN, None, 1, options, 1.0)) == 0
+
+
+def test_without_learned_shadows_and_transients_the_light_is_the_geometric_one():
+    light = Light.start(FitOptions(), (2, 2), 1, torch.device("cpu"))
+    geometric = torch.rand(2, 2)
+    assert light.tensors == {}
+    assert light.visibility(0, SUN, geometric) is geometric
+    assert light.cost(0, SUN, geometric, 9, FitOptions(), 1.0) is None
+
+
+def test_the_light_on_a_finer_grid_keeps_its_values():
+    light = Light.start(FitOptions(shadow="learned", transient="on"), (4, 4), 2, torch.device("cpu"))
+    light.tensors["features"] = torch.ones(4, 4, 8) * torch.arange(8.0)
+    light.tensors["transient"][1] = 0.25
+    finer = light.resized((8, 8), 0.5)
+    assert finer.tensors["features"].shape == (8, 8, 8)
+    assert finer.net(SUN)[3, 3] == pytest.approx(float(light.net(SUN)[1, 1]), abs=1e-6)
+    assert finer.tensors["transient"][1].unique().tolist() == [0.25]
+
+
+@pytest.mark.parametrize("name", ["mse", "mse-gamma", "raw-gamma", "raw-log"])
+def test_all_losses_weigh_a_pixel_of_typical_brightness_the_same(name):
+    """A small residual at the median radiance, in units of the loss's scale; raw-gamma's is the tone-mapped one."""
+    typical = 0.2
+    predicted, target = torch.tensor([typical]), torch.tensor([typical + 1e-4], dtype=torch.float32)
+    found = float(photometric(name, predicted, target)) ** 0.5 / robust_scale(name, 0.1, typical)
+    slope = typical ** (1 / GAMMA - 1) / GAMMA
+    assert found == pytest.approx(1e-4 * slope / 0.1, rel=2e-3)
+
+
+def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(make_town):
+    scene = make_town()
+    fit(scene, replace(QUICK, epochs=[12], shadow="learned", transient="on"))
+    tensors, meta = load(scene.path("fit/model.safetensors"))
+    assert (meta["shadow"], meta["transient"]) == ("learned", "on")
+    assert tensors["s_net"].shape == tensors["tau"].shape == (6, 32, 32)
+    assert 0 <= float(tensors["s_net"].min()) < 0.5 < float(tensors["s_net"].max()) <= 1
+    assert 0 <= float(tensors["tau"].min()) < 1
+    export(scene, ExportOptions())
+    array, _ = read_raster(scene.path(scene.items[2].assets["s_net"].href))
+    assert np.array_equal(array[0], tensors["s_net"][2].numpy())
+    assert "shadow" in scene.items[0].assets
+
+
+def test_a_fit_with_learned_shadows_can_be_resumed(make_town):
+    whole, broken = make_town("WHOLE"), make_town("BROKEN")
+    options = replace(QUICK, epochs=[6], shadow="learned", transient="on")
+    fit(whole, options)
+
+    def stop(fraction, message):
+        if "epoch 5" in message:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(broken, options, stop)
+    fit(broken, replace(options, resume=True))
+    for name in ("height", "s_net", "tau"):
+        assert torch.equal(*(load(s.path("fit/model.safetensors"))[0][name] for s in (whole, broken))), name
+
+
+def test_auto_settles_the_light_and_says_why(make_town):
+    scene = make_town()
+    found = fit(scene, replace(QUICK, epochs=[1], shadow="auto", transient="auto"))
+    meta = load(scene.path("fit/model.safetensors"))[1]
+    shadow, transient = found["remarks"][:2]
+    assert shadow.startswith(f"shadow {meta['shadow']}: geometric ")
+    assert shadow.endswith("(tone-mapped error of held-out views)")
+    assert transient.startswith(f"transient {meta['transient']}: ")
+
+
+def test_objects_that_one_image_alone_shows_are_counted():
+    """Eight images of 60 x 60 level cells of random texture; one holds a dark object of 6 x 4 cells."""
+    random = torch.Generator().manual_seed(0)
+    texture = 0.2 + 0.1 * torch.rand(60, 60, generator=random)
+    gains = torch.linspace(0.7, 1.4, 8)[:, None, None]
+    images = gains * texture + 0.02 + 0.002 * torch.randn(8, 60, 60, generator=random)
+    images[3, 20:26, 30:34] *= 0.3
+    shown = Shown(images[..., None], torch.ones(8, 60, 60), torch.ones(8, 60, 60))
+    share = transient_share(shown, torch.zeros(60, 60))
+    # corners have too few odd neighbours
+    assert share == pytest.approx(20 / (8 * 3600), rel=0.3)
+    # not on a slope, not in the shade
+    assert transient_share(shown, torch.arange(60.0).repeat(60, 1)) == 0
+    assert transient_share(Shown(shown.colour, shown.weight, torch.zeros(8, 60, 60)), torch.zeros(60, 60)) == 0
+    assert math.isfinite(share)

@@ -1,0 +1,166 @@
+"""Fields that are trained ray by ray: losses, presets, and the way from images to a surface."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.compare import compare_dsm, read_reference
+from sattools.errors import SceneError
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.fit.checkpoint import load
+from sattools.fit.options import FitOptions
+from sattools.fit.presets import PRESETS, resolve
+from sattools.fit.rays import beta_loss, depth_loss, solar_correction
+from sattools.fit.stage import fit
+from sattools.scene import Grid
+
+PAPERS = [name for name in PRESETS if name != "fast"]
+TINY = {"width": 16, "rays": 64, "samples": 12, "steps": 20, "resolution": 2.0, "rate": 2e-3}
+
+
+def tiny(preset, **more):
+    few = {"guided": 8} if PRESETS[preset].get("guided") else {}
+    return resolve(preset, {**TINY, **few, **more})
+
+
+def test_beta_loss_by_hand():
+    """0.02 / (2 * 0.1^2) + (3 + ln 0.1) / 2 and 0.08 / (2 * 0.2^2) + (3 + ln 0.2) / 2, averaged."""
+    found = beta_loss(torch.tensor([[0.02], [0.08]]), torch.tensor([[0.1], [0.2]]))
+    assert float(found) == pytest.approx(((1 + (3 + math.log(0.1)) / 2) + (1 + (3 + math.log(0.2)) / 2)) / 2)
+    # least at the root mean square of the residual: d/dbeta = 0 where beta^2 = 2 * squared
+    beta = torch.linspace(0.05, 1, 2000)
+    losses = torch.stack([beta_loss(torch.tensor([[0.02]]), b.reshape(1, 1)) for b in beta])
+    assert float(beta[losses.argmin()]) == pytest.approx(0.2, abs=0.001)
+
+
+def test_solar_correction_by_hand():
+    """(1 - 0.8)^2 + (0.5 - 0.4)^2 + 1 - (0.5 * 0.8 + 0.5 * 0.4)."""
+    found = solar_correction(torch.tensor([[0.5, 0.5]]), torch.tensor([[1.0, 0.5]]), torch.tensor([[0.8, 0.4]]))
+    assert float(found) == pytest.approx(0.04 + 0.01 + 0.4)
+
+
+def test_depths_count_only_where_ray_and_prior_disagree_or_the_ray_is_unsure():
+    t = torch.tensor([[0.40, 0.42], [0.40, 0.42], [0.1, 0.9]])
+    weights = torch.full((3, 2), 0.5)
+    depth = (weights * t).sum(dim=1)
+    prior, confidence, std = torch.tensor([0.45, 0.8, 0.5]), torch.tensor([1.0, 0.5, 1.0]), torch.tensor([0.1] * 3)
+    found = depth_loss(weights, t, depth, prior, confidence, std)
+    # the first agrees within 0.1; the second is 0.39 off with half the confidence; the third is right but spread
+    assert float(found) == pytest.approx(0.5 * (2 * 0.39) ** 2 / 3, rel=1e-4)
+
+
+@pytest.mark.parametrize("preset", PAPERS)
+def test_presets_take_the_papers_values_and_what_is_given_wins(preset):
+    options = resolve(preset, {})
+    assert (options.field, options.rate, options.rays, options.steps) == ("mlp", 5e-4, 1024, 300000)
+    assert options.samples + options.guided == (64 if preset == "satnerf" else 128)
+    assert resolve(preset, {"samples": 7}).samples == 7
+
+
+def test_papers_weights():
+    sat, shadow, sps = (resolve(name, {}) for name in ("satnerf", "eonerf-learned-shadow", "spsnerf"))
+    assert (sat.solar_weight, sat.beta, sat.loss) == (0.05, True, "mse")
+    assert (shadow.shadow_weight, shadow.loss, shadow.beta, shadow.transient) == (0.01, "raw-log", False, "off")
+    assert (sps.samples, sps.guided, sps.depth_weight) == (64, 64, 1 / 3)
+
+
+def test_the_command_prints_the_resolved_preset():
+    printed = CliRunner().invoke(main, ["fit", "--preset", "satnerf", "--loss", "raw-gamma", "--print-config"]).output
+    assert 'network = "satnerf"' in printed
+    assert "solar-weight = 0.05" in printed
+    assert 'loss = "raw-gamma"' in printed
+    assert 'field = "surface"' in CliRunner().invoke(main, ["fit", "--print-config"]).output
+
+
+@pytest.mark.parametrize("preset", PAPERS)
+def test_every_preset_runs_and_its_model_can_be_exported(make_town, preset):
+    scene = make_town()
+    found = fit(scene, tiny(preset))
+    tensors, meta = load(scene.path("fit/model.safetensors"))
+    assert (meta["field"], meta["network"]) == ("mlp", resolve(preset, {}).network)
+    assert found["fit"]["epochs"] == 20
+    low, high = scene.height_range_m
+    assert low <= float(tensors["height"].min()) <= float(tensors["height"].max()) <= high
+    for name in ("height", "height_std", "albedo", "gain"):
+        assert torch.isfinite(tensors[name]).all(), name
+    export(scene, ExportOptions())
+    assert scene.path(scene.products["dsm"]).is_file()
+
+
+def test_a_voxel_field_stays_by_the_prior(make_town):
+    """A free density grid drifts away from it: 300 steps took the error of such a town from 1.2 to 2.1 m."""
+    scene = make_town()
+    fit(scene, FitOptions(field="voxel", resolution=2.0, rays=256, samples=32, steps=40))
+    tensors, meta = load(scene.path("fit/model.safetensors"))
+    truth = read_reference(str(scene.path(scene.products["truth_dsm"])))
+    grid = Grid.from_dict(meta["grid"])
+    error = compare_dsm(tensors["height"].numpy(), truth, grid).figures["mae"]
+    flat = compare_dsm(np.full(grid.shape, np.nanmean(truth.heights), np.float32), truth, grid).figures["mae"]
+    assert error < 0.4 * flat
+
+
+def test_an_interrupted_fit_goes_on_to_the_same_end(make_town):
+    whole, broken = make_town("WHOLE"), make_town("BROKEN")
+    options = tiny("eonerf", steps=40)
+    fit(whole, options)
+
+    def stop(fraction, message):
+        if "step 24/" in message:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(broken, options, stop)
+    assert not broken.path("fit/model.safetensors").exists()
+    fit(broken, replace(options, resume=True))
+    one, other = (load(s.path("fit/model.safetensors"))[0] for s in (whole, broken))
+    assert set(one) == set(other)
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_a_budget_stops_the_training(make_town):
+    scene = make_town()
+    found = fit(scene, tiny("eonerf", steps=100000, budget=0.5))
+    assert found["remarks"][0].startswith("stopped by the budget of 0.5 s at step ")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"preset": "eonerf", "guided": 8}, "--guided: found no prior"),
+        ({"preset": "eonerf", "shadow": "learned"}, "network eonerf has no head for it"),
+        ({"preset": "spsnerf", "solar_weight": 0.1}, "--solar-weight: expected a network with learned shadows"),
+        ({"preset": "eonerf", "transient": "auto"}, "expected --field surface"),
+    ],
+)
+def test_what_cannot_work_is_refused(make_town, options, message):
+    with pytest.raises(SceneError, match=message):
+        fit(make_town(), tiny(**options))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PAPERS)
+def test_every_preset_learns_the_town(make_town, preset):
+    """A minute on one core: the photometric loss falls and the surface beats a level plane."""
+    scene = make_town()
+    few = {"guided": 16} if PRESETS[preset].get("guided") else {}
+    options = resolve(
+        preset,
+        {"width": 64, "rays": 256, "samples": 24, "steps": 250, "resolution": 1.0, "rate": 2e-3, "beta": False, **few},
+    )
+    losses = []
+    fit(scene, replace(options, budget=60.0), lambda share, text: losses.append(text))
+    steps = [float(text.split("loss ")[1]) for text in losses if "loss" in text]
+    assert steps[-1] < 0.7 * steps[1]
+    tensors, meta = load(scene.path("fit/model.safetensors"))
+    truth = read_reference(str(scene.path(scene.products["truth_dsm"])))
+    grid = Grid.from_dict(meta["grid"])
+    error = compare_dsm(tensors["height"].numpy(), truth, grid).figures["mae"]
+    flat = compare_dsm(np.full(grid.shape, np.nanmean(truth.heights), np.float32), truth, grid).figures["mae"]
+    assert error < 0.85 * flat, json.dumps({"error": error, "flat": flat})

@@ -1,0 +1,215 @@
+"""`normalise`: what the numbers become, what is masked, and what the scene says about it."""
+
+import json
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+import rasterio
+from synthetic_views import parallel_rpc
+
+from sattools.camera import RPC
+from sattools.errors import InputError, SceneError
+from sattools.radiometry.calibration import BandCalibration, earth_sun_distance, read_calibration, reflectance
+from sattools.radiometry.linear import invalid_numbers, undo_gamma
+from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.stage import normalise
+from sattools.scene import Asset, Item, Scene
+from sattools.scene.raster import read_image
+
+CAMERA = parallel_rpc()
+WV3_FACTORS = {"C": 9.3, "B": 7.0, "G": 5.7, "Y": 5.1, "R": 5.9, "RE": 4.2, "N": 5.9, "N2": 4.9}
+IMD = "version = AA;\n" + "".join(
+    f"BEGIN_GROUP = BAND_{name}\n\tabsCalFactor = {factor}e-03;\n\teffectiveBandwidth = 5.0e-02;\n"
+    f"END_GROUP = BAND_{name}\n"
+    for name, factor in WV3_FACTORS.items()
+)
+DIMAP = """<Dimap_Document><Radiometric_Data><Radiometric_Calibration><Instrument_Calibration><Band_Measurement_List>
+<Band_Radiance><BAND_ID>B0</BAND_ID><BIAS>1</BIAS><GAIN>10</GAIN></Band_Radiance>
+<Band_Radiance><BAND_ID>B2</BAND_ID><BIAS>0</BIAS><GAIN>8</GAIN></Band_Radiance>
+<Band_Solar_Irradiance><BAND_ID>B0</BAND_ID><VALUE>1915</VALUE></Band_Solar_Irradiance>
+<Band_Solar_Irradiance><BAND_ID>B2</BAND_ID><VALUE>1594</VALUE></Band_Solar_Irradiance>
+</Band_Measurement_List></Instrument_Calibration></Radiometric_Calibration></Radiometric_Data>
+<Raster_Index_List><Raster_Index><BAND_ID>B2</BAND_ID><BAND_INDEX>1</BAND_INDEX></Raster_Index>
+<Raster_Index><BAND_ID>B0</BAND_ID><BAND_INDEX>2</BAND_INDEX></Raster_Index></Raster_Index_List></Dimap_Document>"""
+
+
+@pytest.fixture
+def make_scene(tmp_path):
+    """Makes a scene of images given as arrays ``[C, H, W]``; they all have RPC tags."""
+
+    def make(*arrays, **properties) -> Scene:
+        scene = Scene("N", tmp_path / "N")
+        for k, array in enumerate(arrays):
+            name = f"i{k}"
+            path = scene.output(f"images/{name}.tif")
+            with rasterio.open(
+                path, "w", driver="GTiff", dtype=array.dtype, count=array.shape[0], height=array.shape[1],
+                width=array.shape[2],
+            ) as data:  # fmt: skip
+                data.write(array)
+                data.update_tags(ns="RPC", **CAMERA.to_tags())
+            known = {"sattools:bits": 11, "sattools:dtype": str(array.dtype), "sattools:bands": array.shape[0]}
+            known |= {"datetime": "2015-05-02T16:19:43Z", "platform": "WorldView-3"}
+            known |= {"view:sun_azimuth": 110.0, "view:sun_elevation": 30.0, **properties}
+            scene.items.append(Item(name, None, None, known, {"image": Asset(f"images/{name}.tif")}))
+        return scene
+
+    return make
+
+
+def numbers(*values, bands=1):
+    """An image of one row; value times band number."""
+    row = np.array(values, np.uint16)
+    return np.stack([row * (b + 1) for b in range(bands)])[:, None]
+
+
+def result(scene, name="i0"):
+    return read_image(scene.path(f"radiance/{name}.tif"))[:, 0]
+
+
+def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene):
+    scene = make_scene(numbers(100, 30, 2046))
+    found = normalise(scene, NormaliseOptions(black=50))
+    assert result(scene)[0].tolist() == pytest.approx([50 / 1997, -20 / 1997, 1996 / 1997])
+    assert found["images"]["i0"]["below_0"] == pytest.approx(1 / 3, abs=1e-6)
+    item = scene.items[0]
+    assert (item.properties["sattools:radiance"], item.properties["sattools:tone"]) == ("relative", "linear")
+    assert item.assets["radiance"].href == "radiance/i0.tif"
+    assert found["remarks"] == [
+        "linear up to an unknown factor: no metadata with a calibration and a solar irradiance were found"
+    ]
+    assert scene.path(scene.products["radiance_histogram"]).read_bytes()[:4] == b"\x89PNG"
+    with rasterio.open(scene.path("radiance/i0.tif")) as data:
+        assert RPC.from_tags(data.tags(ns="RPC"), "test").row_offset == CAMERA.row_offset
+        assert math.isnan(data.nodata)
+
+
+def test_saturated_pixels_and_the_frame_are_masked_in_all_bands_and_counted(make_scene):
+    array = numbers(0, 100, 700, 900, bands=3)  # third band: 0, 300, 2100, 2700
+    scene = make_scene(array)
+    found = normalise(scene, NormaliseOptions())
+    assert np.isnan(result(scene)).tolist() == [[True, False, True, True]] * 3
+    assert found["images"]["i0"] == {"no_data": 0.25, "saturated": 0.5, "below_0": 0.0, "above_1": 0.0}
+    found = normalise(scene, NormaliseOptions(saturated="keep"))
+    assert result(scene)[2].tolist()[1:] == pytest.approx([300 / 2047, 2100 / 2047, 2700 / 2047])
+    assert found["images"]["i0"]["above_1"] == pytest.approx(2 / 9, abs=1e-6)
+
+
+def test_a_pixel_that_is_dark_in_one_band_is_no_frame():
+    empty, full = invalid_numbers(np.array([[[0.0, 0.0]], [[0.0, 5.0]]]), 2047)
+    assert empty.tolist() == [[True, False]]
+    assert not full.any()
+
+
+def test_red_green_and_blue_of_eight_worldview_bands(make_scene):
+    scene = make_scene(numbers(10, 20, bands=8))
+    normalise(scene, NormaliseOptions())
+    assert result(scene)[:, 0] * 2047 == pytest.approx([50, 30, 20])
+    normalise(scene, NormaliseOptions(bands=[7, 1]))
+    assert result(scene)[:, 0] * 2047 == pytest.approx([70, 10])
+    with pytest.raises(SceneError, match=r"item i0 has 8 bands.*\[9\]"):
+        normalise(scene, NormaliseOptions(bands=[9]))
+
+
+def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene, tmp_path):
+    """Red: L = 5.9e-3 / 0.05 * 500 = 59 W/m2/sr/um; E = 1535.33 W/m2/um, d = 1.00778 AU (NREL), sun 30 degrees high."""
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta/i0.IMD").write_text(IMD)
+    options = NormaliseOptions(metadata=str(tmp_path / "meta"))
+    scene = make_scene(numbers(100, 200, bands=8))
+    assert normalise(scene, options)["quantity"] == "toa_reflectance"
+    expected = math.pi * 59.0 * 1.00778**2 / (1535.33 * 0.5)
+    assert result(scene)[0, 0] == pytest.approx(expected, rel=1e-4)
+    normalise(scene, replace(options, quantity="reflectance_factor"))
+    assert result(scene)[0, 0] == pytest.approx(expected / 2, rel=1e-4)
+    assert scene.items[0].properties["sattools:radiance"] == "reflectance_factor"
+    # without the sun: the quantity that needs none, or a refusal
+    del scene.items[0].properties["view:sun_elevation"]
+    assert normalise(scene, options)["quantity"] == "reflectance_factor"
+    with pytest.raises(SceneError, match="toa_reflectance was asked for, but of i0 its sun is unknown"):
+        normalise(scene, replace(options, quantity="toa_reflectance"))
+
+
+def test_dimap_calibration_in_the_order_of_the_raster(tmp_path):
+    path = tmp_path / "DIM_X.XML"
+    path.write_text(DIMAP)
+    assert read_calibration(path) == [
+        BandCalibration("B2", 1 / 8, 0.0, 1594.0),
+        BandCalibration("B0", 0.1, 1.0, 1915.0),
+    ]
+    path.write_text(DIMAP.replace("<GAIN>10<", "<GAIN>0<"))
+    with pytest.raises(InputError, match=r"DIM_X.XML: found '0' as GAIN of band B0"):
+        read_calibration(path)
+
+
+def test_the_sun_is_nearest_in_january():
+    assert earth_sun_distance(datetime(2015, 1, 4, tzinfo=UTC)) == pytest.approx(0.98328, abs=1e-4)
+    assert earth_sun_distance(datetime(2015, 7, 6, tzinfo=UTC)) == pytest.approx(1.01668, abs=1e-4)
+
+
+def test_a_white_lambertian_surface_has_reflectance_one():
+    """It returns pi L = E cos(sun zenith)."""
+    radiance = 1500.0 * math.sin(math.radians(40)) / math.pi
+    band = [BandCalibration("R", 0.1, 0.0, 1500.0)]
+    dn = np.full((1, 1, 1), radiance / 0.1)
+    assert reflectance(dn, band, 1.0, 40.0)[0, 0, 0] == pytest.approx(1)
+
+
+def test_eight_bit_images_are_recognised_and_linearised_only_when_asked(make_scene):
+    array = numbers(0, 51, 128, 254).astype(np.uint8)
+    scene = make_scene(array, **{"sattools:bits": 8})
+    found = normalise(scene, NormaliseOptions())
+    assert result(scene)[0, 1] == pytest.approx(0.2)
+    assert scene.items[0].properties["sattools:tone"] == "tone-mapped"
+    assert "8-bit numbers: found a tone-mapped image, left as they are" in found["remarks"][-1]
+    normalise(scene, NormaliseOptions(gamma=2.2))
+    assert result(scene)[0, 1] == pytest.approx(0.2**2.2)
+    assert scene.items[0].properties["sattools:tone"] == "linear"
+
+
+def test_undoing_a_gamma_keeps_the_sign():
+    assert undo_gamma(np.array([-0.5, 0.0, 0.5]), 2.0).tolist() == [-0.25, 0.0, 0.25]
+
+
+def test_images_of_one_sensor_share_their_bits(make_scene):
+    scene = make_scene(numbers(100, 2000), numbers(100, 900))
+    scene.items[1].properties["sattools:bits"] = 10
+    found = normalise(scene, NormaliseOptions())
+    assert result(scene, "i1")[0, 0] == result(scene, "i0")[0, 0]
+    assert "i1: values fit 10 bits, taken as 11 like its sensor's others" in found["remarks"]
+
+
+def test_dates_are_brought_to_the_first_one(make_scene):
+    first = np.random.default_rng(0).integers(200, 900, (2, 40, 50)).astype(np.uint16)
+    scene = make_scene(first, (first * 0.5 + 100).astype(np.uint16))
+    normalise(scene, NormaliseOptions(match=True))
+    a, b = (read_image(scene.path(f"radiance/i{k}.tif")) for k in range(2))
+    assert np.abs(a - b).max() < 2 / 2047  # the second image was rounded to whole numbers, then doubled
+
+
+def test_the_fit_reads_the_radiance(make_town):
+    from sattools.views import load_sources
+
+    scene = make_town()
+    before = load_sources(scene, scene.items)[0]
+    normalise(scene, NormaliseOptions())
+    after = load_sources(scene, scene.items)[0]
+    known = np.isfinite(after.radiance)
+    assert known.mean() > 0.9
+    assert np.array_equal(after.radiance[known], before.radiance[known])
+    assert after.linear
+
+
+@pytest.mark.parametrize(("folder", "bits"), [("nitf", 11), ("pleiades/marseille_triplet", 12)])
+def test_real_images(data_dir, tmp_path, folder, bits):
+    path = sorted(p for p in (data_dir / folder).iterdir() if p.suffix.lower() in (".ntf", ".tif"))[0]
+    scene = Scene("REAL", tmp_path)
+    properties = {"sattools:bits": bits, "sattools:dtype": "uint16", "datetime": None}
+    scene.items.append(Item("a", None, None, properties, {"image": Asset(str(path))}))
+    found = normalise(scene, NormaliseOptions())
+    radiance = read_image(scene.path("radiance/a.tif"))
+    assert np.allclose(radiance * (2**bits - 1), read_image(path), atol=1e-3)
+    assert json.loads(json.dumps(found))["quantity"] == "relative"

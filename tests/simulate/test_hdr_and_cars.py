@@ -1,0 +1,80 @@
+"""Simulated extremes of light, and cars that are elsewhere in every image."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sattools.errors import InputError
+from sattools.scene.raster import read_image, read_raster
+from sattools.simulate import SimulateOptions, simulate
+from sattools.simulate.cars import with_cars
+from sattools.simulate.city import build_city
+
+OPTIONS = SimulateOptions(size=48.0, views=2, dates=2, hdr=True, seed=5)
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """The same scene with 11 bits, with 8 bits, and with 20 cars."""
+    folder = tmp_path_factory.mktemp("hdr")
+    return {
+        "linear": simulate(OPTIONS, folder / "linear"),
+        "toned": simulate(replace(OPTIONS, bits=8), folder / "toned"),
+        "cars": simulate(replace(OPTIONS, cars=20), folder / "cars"),
+        "usual": simulate(replace(OPTIONS, hdr=False), folder / "usual"),
+    }
+
+
+def images(scene):
+    return [read_image(scene.path(item.assets["image"].href)) for item in scene.items]
+
+
+def test_eight_bits_show_the_same_scene_through_a_tone_curve(scenes):
+    for linear, toned in zip(images(scenes["linear"]), images(scenes["toned"]), strict=True):
+        order = np.argsort(linear.ravel())
+        assert (np.diff(toned.ravel()[order]) >= 0).all()
+        assert toned.max() == 255
+
+
+def test_hdr_shadows_are_deeper_and_dates_differ_more(scenes):
+    def contrast(name):
+        low, high = np.percentile(images(scenes[name])[0], [2, 98])
+        return high / low
+
+    def gains(name):
+        found = [item.properties["sattools:simulated"]["gain"][1] for item in scenes[name].items]
+        return max(found) / min(found)
+
+    assert contrast("linear") > 1.3 * contrast("usual")
+    assert gains("linear") > gains("usual")
+
+
+def test_cars_are_in_the_images_but_not_in_the_truth(scenes):
+    plain, cars = scenes["linear"], scenes["cars"]
+    for name in ("truth_dsm", "truth_classes", "truth_albedo"):
+        assert np.array_equal(*(read_raster(s.path(s.products[name]))[0] for s in (plain, cars)), equal_nan=True), name
+    changed = [np.abs(a - b).max(axis=0) > 40 for a, b in zip(images(plain), images(cars), strict=True)]
+    for mask in changed:
+        assert 0.002 < mask.mean() < 0.2
+    # cameras and noise are the same: most pixels are identical
+    for a, b in zip(images(plain), images(cars), strict=True):
+        assert (a == b).mean() > 0.7
+
+
+def test_every_image_has_its_cars_elsewhere_on_the_streets():
+    world = build_city((0.0, 0.0), 60.0, 0.25, 0.0, np.random.default_rng(0))
+    first, second = (with_cars(world, 15, 30.0, np.random.default_rng(k)) for k in range(2))
+    places = [np.abs(w.height - world.height) > 1.0 for w in (first, second)]
+    for place in places:
+        area = place.sum() * 0.25**2
+        assert area == pytest.approx(15 * 4.4 * 1.8, rel=0.1)
+        assert world.streets[place].all()
+    assert (places[0] & places[1]).sum() < 0.5 * places[0].sum()
+    assert np.array_equal(first.classes, world.classes)
+
+
+def test_terrain_without_streets_has_no_cars():
+    world = build_city((0.0, 0.0), 40.0, 0.5, 0.0, np.random.default_rng(0))
+    with pytest.raises(InputError, match="--cars: found no streets"):
+        with_cars(replace(world, streets=None), 3, 20.0, np.random.default_rng(0))
