@@ -9,10 +9,11 @@ TORCH_ARGS ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo install dev test lint format docs clean
+QGIS_PROFILE ?= $(HOME)/.local/share/QGIS/QGIS3/profiles/default
+.PHONY: help demo install dev test lint format docs qgis-zip qgis-install clean
 
 help: ## list the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 demo: install ## simulate a city, reconstruct it, score it; results in ./demo
 	bash examples/quickstart.sh demo
@@ -36,6 +37,15 @@ format: dev ## put the code into the project's format
 
 docs: install ## write docs/commands.md from the commands' help
 	$(BIN)/python docs/generate_commands.py
+
+qgis-zip: ## pack the QGIS plugin for "install from zip"
+	rm -f dist/sattools_qgis.zip && mkdir -p dist
+	cd qgis_plugin && $(PYTHON) -m zipfile -c ../dist/sattools_qgis.zip sattools_qgis
+
+qgis-install: ## copy the QGIS plugin into the profile (QGIS_PROFILE), from where QGIS loads it
+	mkdir -p "$(QGIS_PROFILE)/python/plugins"
+	rm -rf "$(QGIS_PROFILE)/python/plugins/sattools_qgis"
+	cp -r qgis_plugin/sattools_qgis "$(QGIS_PROFILE)/python/plugins/"
 
 clean: ## remove .venv, caches and the demo
 	rm -rf $(VENV) demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

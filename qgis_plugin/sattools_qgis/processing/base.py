@@ -22,7 +22,6 @@ class Base(QgsProcessingAlgorithm):
     def __init__(self, executable):
         super().__init__()
         self.executable = executable
-        self.stylers = []  # QGIS does not own them
 
     def icon(self):
         return QIcon(os.path.join(os.path.dirname(os.path.dirname(__file__)), "icon.svg"))
@@ -64,6 +63,5 @@ class Base(QgsProcessingAlgorithm):
             details = QgsProcessingContext.LayerDetails(name, context.project(), name)
             post = styler(name)
             if post is not None:
-                self.stylers.append(post)
                 details.setPostProcessor(post)
             context.addLayerToLoadOnCompletion(layer.id(), details)

@@ -81,6 +81,7 @@ def shade(layer):
     below = QgsRasterLayer(layer.source(), f"{layer.name()} hillshade")
     renderer = QgsHillshadeRenderer(below.dataProvider(), 1, 315, 40)
     renderer.setMultiDirectional(True)
+    renderer.setZFactor(0.4)  # walls of a city would be black otherwise
     below.setRenderer(renderer)
     layer.setBlendMode(QPainter.CompositionMode_Multiply)
     project = QgsProject.instance()
@@ -90,6 +91,12 @@ def shade(layer):
     parent.insertLayer(place + 1, below)
 
 
+# QGIS calls a post-processor after the algorithm is gone and does not own it
+_STYLERS = {}
+
+
 def styler(name):
     """The post-processor of a product, or None for layers that QGIS shows well as they are."""
-    return Styler(name) if name in RAMPS or name == "difference" else None
+    if name not in RAMPS and name != "difference":
+        return None
+    return _STYLERS.setdefault(name, Styler(name))
