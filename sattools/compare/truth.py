@@ -104,8 +104,14 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
 
 
 def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
-    """Any georeferenced DSM as reference, with an optional class map in any grid. Raises InputError."""
+    """Any georeferenced DSM as reference, with an optional class map in any grid.
+
+    A tile of the contest, `<AOI>_DSM.tif` with `<AOI>_DSM.txt` beside it, has no georeference of its own and is read by
+    `read_dfc2019`, its class map included. Raises InputError.
+    """
     dsm = Path(dsm)
+    if classes is None and dsm.name.endswith("_DSM.tif") and dsm.with_suffix(".txt").exists():
+        return read_dfc2019(dsm.parent, dsm.name.removesuffix("_DSM.tif"))
     array, grid = read_raster(dsm)
     from pyproj import CRS
 

@@ -54,6 +54,12 @@ def test_contest_tile_lies_where_its_text_file_says(tmp_path):
     assert truth.protocol == "dfc2019"
 
 
+def test_a_contest_dsm_named_alone_is_read_with_its_text_file_and_classes(tmp_path):
+    write_contest_tile(tmp_path, "JAX_068", city(), np.full((160, 160), 9, np.uint8))
+    truth = read_reference(tmp_path / "JAX_068_DSM.tif")
+    assert (truth.grid, truth.protocol, truth.classes[0, 0]) == (GRID, "dfc2019", 9)
+
+
 def test_omaha_is_in_zone_15_and_other_places_are_refused(tmp_path):
     for aoi in ("OMA_001", "XYZ_001"):
         write_contest_tile(tmp_path, aoi, city(), np.full((160, 160), 2, np.uint8))
