@@ -3,7 +3,7 @@
     python benchmarks/growth.py [--sizes 64 128 256 512] [--views 3 6 12 17] [--out FOLDER]
     python benchmarks/growth.py --seeds 0 1 2 SCENE.json DSM
 
-Areas: simulated cities with six images each; images: a city of 128 m. CPU seconds of the whole command, which suffer less
+Areas: simulated cities of six images; images: a city of 128 m. CPU seconds of the whole command, which suffer less
 from other programs than the clock, start-up included; the exponent is that of a power law through all points.
 With --seeds a scene is fitted once per seed and scored: mean and spread of the error.
 """
