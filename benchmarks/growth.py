@@ -1,7 +1,7 @@
 """How `prior` and `fit` grow with the area and with the number of images, and how much errors depend on the seed.
 
     python benchmarks/growth.py [--sizes 64 128 256 512] [--views 3 6 12 17] [--out FOLDER]
-    python benchmarks/growth.py --seeds 0 1 2 SCENE.json DSM
+    python benchmarks/growth.py SCENE.json DSM --seeds 0 1 2
 
 Areas: simulated cities of six images; images: a city of 128 m. CPU seconds of the whole command, which suffer less
 from other programs than the clock, start-up included; the exponent is that of a power law through all points.
