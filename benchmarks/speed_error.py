@@ -111,7 +111,8 @@ def draw(path: Path, rows: list[dict[str, Any]], title: str) -> None:
         textcoords="offset points",
         ha="right",
     )
-    axes.set(title=title, xlabel="seconds of fit", ylabel="mean absolute error [m]", xlim=(0, None), ylim=(0, None))
+    axes.set(title=title, xlabel="seconds of fit", ylabel="mean absolute error [m]", xlim=(0, None))
+    axes.set_ylim(0, 1.15 * max(row["mae_m"] for row in rows))
     axes.grid(alpha=0.3)
     axes.legend()
     figure.savefig(path, dpi=110)
