@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
+NO_SHADE = np.float32(-1e9)
 TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
 
 
@@ -76,7 +77,10 @@ def _moments(moved, radius, mean, variance, sums, squares, line):
 def _add_pair(
     a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, radius, noise, brightness, sums, line, total, weight
 ):
-    """Add the squared agreement of one pair to ``total`` and 1 to ``weight`` where both see the point."""
+    """Add the squared agreement of one pair to ``total`` and 1 to ``weight`` where see the point in the same light.
+
+    seen_a, seen_b: 1 = seen in the sun, -1 = seen in shadow, 0 = not seen.
+    """
     rows, cols = total.shape
     norm = np.float32(1.0 / (2 * radius + 1) ** 2)
     floor = np.float32(noise * noise)
@@ -95,7 +99,7 @@ def _add_pair(
         ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
         sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
         for j in range(cols):
-            both = sa[j] * sb[j]
+            both = max(sa[j] * sb[j], np.float32(0))
             structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
             apart = ma[j] - mb[j]
             score = max(structure, np.float32(0)) / (one + apart * apart * steep)
@@ -119,9 +123,24 @@ def _fill_unseen(column, unseen):
 
 @njit(parallel=True, cache=True, fastmath=True)
 def correlate(
-    images, masks, slopes, heights, z_ref, hits, tolerance, pairs, radius, noise, brightness, margin, unseen, volume
+    images,
+    masks,
+    slopes,
+    heights,
+    z_ref,
+    hits,
+    shades,
+    tolerance,
+    pairs,
+    radius,
+    noise,
+    brightness,
+    margin,
+    unseen,
+    volume,
 ):
-    """Agreement of the views at every (cell, height): root mean square over the pairs that both see the point.
+    """Agreement of the views at every (cell, height): root mean square over the pairs that both see the point, either
+    both in the sun or both in shadow.
 
     A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness,
     1 / (1 + (difference of means / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form.
@@ -136,6 +155,7 @@ def correlate(
         heights: ``[D]`` float64 [m].
         z_ref: reference height of the frame [m].
         hits: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
+        shades: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
         tolerance: depth below it that still counts as seen [m].
         pairs: ``[P, 2]`` int64.
         radius: half width of the window in cells.
@@ -169,9 +189,10 @@ def correlate(
                 nr, nc = margin + r0 + round(dr), margin + round(dc)
                 for i in range(rows):
                     mask, hit = masks[v, nr + i, nc : nc + width], hits[v, nr + i, nc : nc + width]
-                    target = seen[v, i]
+                    shade, target = shades[v, r0 + i], seen[v, i]
                     for j in range(width):
-                        target[j] = np.float32(mask[j]) if hit[j] <= lowest_hit else np.float32(0)
+                        lit = np.float32(1) if heights[k] >= shade[j] else np.float32(-1)
+                        target[j] = lit * np.float32(mask[j]) if hit[j] <= lowest_hit else np.float32(0)
                 _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
             total[:] = 0
             weight[:] = 0
@@ -253,4 +274,31 @@ def descend(surface, bottom, top, low, high, depth, where):
                 before = z
 
 
-__all__ = ["correlate", "descend", "first_hits"]
+@njit(parallel=True, cache=True, fastmath=True)
+def shade_heights(surface, sun, cell, top, shade):
+    """Height below which a point over each cell lies in the shadow of the other cells.
+
+    Args:
+        surface: ``[H, W]`` float32 heights [m]; beyond its border nothing casts a shadow.
+        sun: ``[3]`` float64 (east, north, up) to the sun.
+        cell: edge of a cell [m].
+        top: highest surface [m].
+        shade: ``[H, W]`` float32, filled; far below the ground where the sun is free down to it.
+    """
+    rows, cols = surface.shape
+    flat = max(math.hypot(sun[0], sun[1]), 1e-9)
+    row_step, col_step, rise = -sun[1] / flat, sun[0] / flat, sun[2] / flat * cell
+    for row in prange(rows):
+        for col in range(cols):
+            best = NO_SHADE
+            t = 1.0
+            while top - t * rise > best:
+                r, c = round(row + t * row_step), round(col + t * col_step)
+                if r < 0 or c < 0 or r >= rows or c >= cols:
+                    break
+                best = max(best, np.float32(surface[r, c] - t * rise))
+                t += 1.0
+            shade[row, col] = best
+
+
+__all__ = ["correlate", "descend", "first_hits", "shade_heights"]

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import grey_erosion, median_filter, minimum_filter
 
+from sattools.prior.edges import sharpen
+from sattools.prior.frame import Frame
 from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, part, silent
 
@@ -20,39 +22,6 @@ MANY_PLANES = 160  # from this number of heights on, blocks that look near their
 BLOCK = 384  # cells of such a block
 SMOOTH = 3  # cells of the median filter that ends it all
 OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Views on the ground grid with a margin on every side.
-
-    Attributes:
-        images: ``[V, H + 2 margin, W + 2 margin]`` float32 grey radiance at the reference height.
-        masks: same shape, uint8, 1 = valid.
-        slopes: ``[V, 2]`` float64: (row, column) cells by which a point moves in the frame per metre of height.
-        z_ref: reference height [m].
-        cell: edge of a cell [m].
-        margin: cells.
-    """
-
-    images: np.ndarray
-    masks: np.ndarray
-    slopes: np.ndarray
-    z_ref: float
-    cell: float
-    margin: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the grid inside the margin."""
-        rows, cols = self.images.shape[1:]
-        return rows - 2 * self.margin, cols - 2 * self.margin
-
-    def halved(self) -> Frame:
-        """The same with cells of twice the size; margin, rows and columns must be even."""
-        images = self.images.reshape(len(self.images), self.images.shape[1] // 2, 2, -1, 2).mean(axis=(2, 4))
-        masks = self.masks.reshape(images.shape[0], images.shape[1], 2, -1, 2).min(axis=(2, 4))
-        return Frame(images, masks, self.slopes / 2, self.z_ref, self.cell * 2, self.margin // 2)
 
 
 @dataclass(frozen=True)
@@ -70,6 +39,29 @@ class Match:
     score: np.ndarray
     rival: np.ndarray
     views: np.ndarray
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What a surface hides from the views and from their suns.
+
+    Attributes:
+        hits: ``[V, Hf, Wf]`` float32 height at which the ray through a frame position first meets it [m].
+        shades: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow [m].
+    """
+
+    hits: np.ndarray
+    shades: np.ndarray
+
+    def doubled(self) -> Hidden:
+        """The same on cells of half the size."""
+        return Hidden(*(a.repeat(2, axis=1).repeat(2, axis=2) for a in (self.hits, self.shades)))
+
+
+def nothing_hidden(frame: Frame) -> Hidden:
+    """Everything is seen and lit."""
+    hits = np.full(frame.images.shape, UNKNOWN, np.float32)
+    return Hidden(hits, np.full((len(hits), *frame.shape), UNKNOWN, np.float32))
 
 
 def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
@@ -100,30 +92,32 @@ def match(
     images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
-    fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin)
+    fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin, frame.suns)
     step = options.step or plane_distance(frame, pairs)
-    hits = np.full(images.shape, UNKNOWN, np.float32)
+    hidden = nothing_hidden(fine)
     guide = None
     if options.rough_passes:
         rough = fine.halved()
-        coarse_hits = hits[:, ::2, ::2].copy()
+        seen = nothing_hidden(rough)
         before = None
         for k in range(options.rough_passes):
             progress(0.4 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
-            surface, score, _ = _in_blocks(rough, coarse_hits, pairs, z_range, 2 * step, options, silent, before)
+            surface, score, _ = _in_blocks(rough, seen, pairs, z_range, 2 * step, options, silent, before)
             surface = median_filter(surface, 3, mode="nearest")
             if k == 0:
                 z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step)
-            _find_hits(rough, surface, z_range, options, coarse_hits)
+            _hide(rough, surface, z_range, options, seen)
             if before is not None and np.mean(np.abs(surface - before) > step) < SETTLED:
                 break
             before = surface
-        hits = coarse_hits.repeat(2, axis=1).repeat(2, axis=2)
+        hidden = seen.doubled()
         guide = surface.repeat(2, axis=0).repeat(2, axis=1)
     last = part(progress, 0.4, 1.0)
-    height, score, rival = _in_blocks(fine, hits, pairs, z_range, step, options, last, guide)
+    height, score, rival = _in_blocks(fine, hidden, pairs, z_range, step, options, last, guide)
     height = median_filter(height, SMOOTH, mode="nearest")
-    return Match(height, score, rival, seeing(fine, hits, height, options.tolerance))
+    if options.edges:
+        height = sharpen(fine, hidden.hits, height, options.tolerance, options.edges)
+    return Match(height, score, rival, seeing(fine, hidden.hits, height, options.tolerance))
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
@@ -146,15 +140,18 @@ def narrow(heights: np.ndarray, z_range: tuple[float, float], margin: float) -> 
     return max(z_range[0], float(ordered[STRAY]) - margin), min(z_range[1], float(ordered[-STRAY - 1]) + margin)
 
 
-def _find_hits(
-    frame: Frame, surface: np.ndarray, z_range: tuple[float, float], options: PriorOptions, hits: np.ndarray
+def _hide(
+    frame: Frame, surface: np.ndarray, z_range: tuple[float, float], options: PriorOptions, hidden: Hidden
 ) -> None:
-    """Fill the first hits ``[V, Hf, Wf]`` of all rays with the surface, thinned: matching makes its edges too wide."""
-    from sattools.prior.kernels import first_hits
+    """Fill in what the surface hides and shades, thinned: matching makes its edges too wide."""
+    from sattools.prior.kernels import first_hits, shade_heights
 
     thin = grey_erosion(surface, footprint=disk(options.erode / frame.cell), mode="nearest")
     wide = np.pad(thin, frame.margin, mode="edge")
-    first_hits(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, hits)
+    first_hits(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, hidden.hits)
+    for sun, shade in zip(frame.suns, hidden.shades, strict=True):
+        if sun is not None:
+            shade_heights(thin, np.array(sun), frame.cell, float(thin.max()), shade)
 
 
 def disk(radius: float) -> np.ndarray:
@@ -188,7 +185,7 @@ def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: boo
 
 def _in_blocks(
     frame: Frame,
-    hits: np.ndarray,
+    hidden: Hidden,
     pairs: np.ndarray,
     z_range: tuple[float, float],
     step: float,
@@ -214,7 +211,8 @@ def _in_blocks(
             near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step)
         window = (slice(None), slice(top, bottom + 2 * frame.margin), slice(left, right + 2 * frame.margin))
         piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
-        new = sweep(piece, hits[window], pairs, planes(near, step), options)
+        inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right])
+        new = sweep(piece, inside, pairs, planes(near, step), options)
         for whole, part_found in zip(found, new, strict=True):
             inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
             whole[rows, cols] = part_found[inner]
@@ -222,7 +220,7 @@ def _in_blocks(
 
 
 def sweep(
-    frame: Frame, hits: np.ndarray, pairs: np.ndarray, heights: np.ndarray, options: PriorOptions
+    frame: Frame, hidden: Hidden, pairs: np.ndarray, heights: np.ndarray, options: PriorOptions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Correlate at all heights, aggregate, choose.
 
@@ -234,7 +232,8 @@ def sweep(
 
     volume = np.empty((*frame.shape, len(heights)), np.float32)
     correlate(
-        frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hits, options.tolerance, pairs,
+        frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hidden.hits, hidden.shades, options.tolerance,
+        pairs,
         options.window, options.noise, options.brightness, frame.margin, np.float32(options.unseen), volume,
     )  # fmt: skip
     total = np.empty_like(volume)

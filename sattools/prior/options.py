@@ -30,13 +30,18 @@ class PriorOptions:
         minimum=0,
         maximum=1,
     )
-    small_jump: float = option(0.3, "Semi-global penalty for a height change of one plane (a correlation).", minimum=0)
-    large_jump: float = option(1.5, "Semi-global penalty for any larger height change (a correlation).", minimum=0)
+    small_jump: float = option(0.2, "Semi-global penalty for a height change of one plane (an agreement).", minimum=0)
+    large_jump: float = option(0.5, "Semi-global penalty for any larger height change (an agreement).", minimum=0)
     rough_passes: int = option(
         5, "Passes, at most, at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0
     )
     erode: float = option(3.0, "Radius by which the surface is thinned before it hides anything [m].", minimum=0)
     tolerance: float = option(2.0, "Depth below the visible surface from which a point is hidden [m].", minimum=0)
+    edges: float = option(
+        0.04,
+        "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them.",
+        minimum=0,
+    )
     memory: float = option(1500.0, "Cost volume above which the area is matched in blocks [MB].", minimum=10)
     per_image: bool = option(False, "Also write the depth and confidence that every image sees, on its own pixels.")
 

@@ -10,7 +10,8 @@ import numpy as np
 from sattools.errors import SceneError
 from sattools.prior.confidence import confidence
 from sattools.prior.files import write_sensor_map
-from sattools.prior.match import Frame, Match, margin_for, match
+from sattools.prior.frame import Frame
+from sattools.prior.match import Match, margin_for, match
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
 from sattools.prior.pairs import choose_pairs
@@ -128,7 +129,7 @@ def make_frame(
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
     images = to_eye(images, masks, all(s.linear for s in sources))
-    return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin), views
+    return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin, tuple(v.sun for v in views)), views
 
 
 def _per_image(

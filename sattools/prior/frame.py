@@ -1,0 +1,45 @@
+"""Views on the ground grid, as matching wants them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Views on the ground grid with a margin on every side.
+
+    Attributes:
+        images: ``[V, H + 2 margin, W + 2 margin]`` float32 grey radiance at the reference height.
+        masks: same shape, uint8, 1 = valid.
+        slopes: ``[V, 2]`` float64: (row, column) cells by which a point moves in the frame per metre of height.
+        z_ref: reference height [m].
+        cell: edge of a cell [m].
+        margin: cells.
+        suns: per view, unit vector (east, north, up) to the sun; None = unknown, then nothing counts as shaded.
+    """
+
+    images: np.ndarray
+    masks: np.ndarray
+    slopes: np.ndarray
+    z_ref: float
+    cell: float
+    margin: int
+    suns: tuple[tuple[float, float, float] | None, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the grid inside the margin."""
+        rows, cols = self.images.shape[1:]
+        return rows - 2 * self.margin, cols - 2 * self.margin
+
+    def halved(self) -> Frame:
+        """The same with cells of twice the size; margin, rows and columns must be even."""
+        images = self.images.reshape(len(self.images), self.images.shape[1] // 2, 2, -1, 2).mean(axis=(2, 4))
+        masks = self.masks.reshape(images.shape[0], images.shape[1], 2, -1, 2).min(axis=(2, 4))
+        return Frame(images, masks, self.slopes / 2, self.z_ref, self.cell * 2, self.margin // 2, self.suns)
+
+
+__all__ = ["Frame"]
