@@ -15,11 +15,21 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
+from sattools.fit.light import (
+    Radiance,
+    check_light,
+    choose_views,
+    light_scale,
+    material_remarks,
+    prior_normals,
+    radiance_kind,
+)  # fmt: skip
 from sattools.fit.options import FitOptions
+from sattools.fit.reflective import ReflectiveScene, reflective, restored
+from sattools.fit.resample import resample_map
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
 from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
@@ -71,19 +81,24 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     unknown = set(options.holdout) - {item.id for item in scene.items}
     if unknown:
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r} to hold out")
+    choose_views(scene, options.views)
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+    radiance = radiance_kind(scene, items)
+    remarks = check_light(scene, items, radiance, options.brdf)
     device = choose_device(options.device)
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
     prior = load_prior(scene, options, part(progress, 0.0, 0.2))
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
-    job = _Job(scene, sources, options, stages, prior, z_ref, device)
-    surface, finest, remarks = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
+    job = _Job(scene, sources, options, stages, prior, z_ref, device, radiance)
+    surface, finest, more = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
+    remarks += more
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     tensors["height_std"] = job.height_std.cpu()
+    tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
     checkpoint.save(
         model_path,
         tensors,
@@ -96,6 +111,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
             "slopes": [v.slope for v in job.views],
             "z_ref": z_ref,
             "shadow": options.shadow,
+            "radiance": radiance,
+            "brdf": options.brdf,
         },
     )
     write_text(scene.output(TRACE), job.trace.to_csv())
@@ -138,10 +155,12 @@ class _Job:
     prior: tuple[np.ndarray, np.ndarray, Grid] | None
     z_ref: float
     device: torch.device
+    radiance: Radiance = "relative"
     trace: Trace = field(default_factory=Trace)
     views: list[View] = field(default_factory=list)
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
+    parameter_std: dict[str, Tensor] = field(default_factory=dict)
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
         remarks: list[str] = []
@@ -159,9 +178,11 @@ class _Job:
             self._warn_spread(stage.cell_size, remarks)
             if surface is None:
                 surface = self._start(grid)
-            else:
+            elif surface.height.shape != grid.shape:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
+            if stage.reflective:
+                surface = self._reflective(surface, grid, saved[0] if saved else None)
             trainer = StageTrainer(surface, self.views, stage, self.options, self._prior_on(grid), k)
             start = 0
             if saved:
@@ -174,6 +195,8 @@ class _Job:
                 break
         assert surface is not None
         self.height_std = trainer.height_std()
+        if isinstance(surface, ReflectiveScene):
+            remarks += self._finish(surface, trainer, grid)
         progress(1.0, "fitted")
         return surface, grid, remarks
 
@@ -184,6 +207,8 @@ class _Job:
         else:
             height = resample_map(self.prior[0], self.prior[2], grid).nan_to_num(self.z_ref)
         gain, offset = match_colours(self.views)
+        if self.radiance != "relative":
+            gain, offset = np.ones_like(gain), np.zeros_like(offset)
         total = np.zeros_like(self.views[0].target)
         weight = np.zeros((*grid.shape, 1), np.float32)
         for view, a, b in zip(self.views, gain, offset, strict=True):
@@ -192,7 +217,29 @@ class _Job:
             weight += seen
         albedo = torch.from_numpy(total / np.maximum(weight, 1)).float()
         scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT)
+        scene.absolute = self.radiance != "relative"
         return scene.to(self.device)
+
+    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: dict[str, Tensor] | None) -> ReflectiveScene:
+        options = self.options
+        assert options.brdf != "lambert"  # the schedule asks for a model only then
+        if saved is not None:
+            own = {name.removeprefix("scene."): t for name, t in saved.items() if name.startswith("scene.")}
+            found = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
+            return found.to(self.device)  # type: ignore[return-value]
+        frozen = None
+        if options.normals == "prior":
+            frozen = prior_normals(self.prior, grid).to(self.device)
+        scale = [light_scale(self.radiance, view.sun) for view in self.views]
+        return reflective(
+            surface, options.brdf, self.views, scale, grid.cell_size, frozen, options.materials,
+            options.material_smooth, options.seed,
+        )  # fmt: skip
+
+    def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
+        """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""
+        self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
+        return material_remarks(surface, self.parameter_std)
 
     def _prior_on(self, grid: Grid) -> Prior | None:
         if self.prior is None:
@@ -275,23 +322,6 @@ class _Job:
         self.trace.rows = meta["rows"]
         self.trace.offset = self.trace.rows[-1]["seconds"]
         return tensors, meta
-
-
-def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
-    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no
-    further."""
-    factor = target.cell_size / source.cell_size
-    tensor = torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
-    known = torch.isfinite(tensor).float()
-    stack = torch.stack([torch.nan_to_num(tensor) * known, known])[None]
-    size = (round(target.height * factor), round(target.width * factor))
-    pad = (0, max(0, size[1] - source.width), 0, max(0, size[0] - source.height))
-    stack = torch.nn.functional.pad(stack, pad, mode="replicate")[..., : size[0], : size[1]]
-    if factor > 1:
-        value, weight = interpolate(stack, size=target.shape, mode="area")[0]
-    else:
-        value, weight = interpolate(stack, size=target.shape, mode="bilinear", align_corners=False)[0]
-    return torch.where(weight > 0.5, value / weight.clamp_min(1e-6), torch.nan)
 
 
 __all__ = ["Trace", "choose_device", "fit", "resample_map"]

@@ -22,7 +22,7 @@ from sattools.views import View
 # epochs between refreshes of the sun visibility and of the poses; a checkpoint can only be taken right before one
 REFRESH = 4
 # Adam steps of radiances, which lie in [0, 1]
-RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004}
+RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004, "amount": 0.04}
 BETAS = (0.9, 0.99)
 KNEE_M = 1.0
 WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a wall
@@ -30,13 +30,14 @@ WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a
 
 @dataclass(frozen=True)
 class StageSettings:
-    """One grid of the coarse-to-fine schedule: cell [m], epochs, softness [m] at its start and end, height range
-    [m]."""
+    """One step of the schedule: cell [m], epochs, softness [m] at its start and end, height range [m], and whether the
+    surface has a reflectance model."""
 
     cell_size: float
     epochs: int
     softness: tuple[float, float]
     z_range: tuple[float, float]
+    reflective: bool = False
 
 
 @dataclass
@@ -141,6 +142,8 @@ class StageTrainer:
             self._weigh_walls()
             if self.options.pose and epoch:
                 self._refine_poses()
+            if epoch:
+                self.scene.refresh(self.views, self.visibility, self.settings.cell_size)
 
     @torch.no_grad()
     def _weigh_walls(self) -> None:
@@ -174,11 +177,11 @@ class StageTrainer:
         # in units of the robust scale, so that the other weights mean the same for every loss
         loss = (error * self.weights[j]).sum() / self.masks[j].sum().clamp_min(1) / (options.robust**2 or 1.0)
         bumps = roughness(self.scene.height, self.settings.cell_size, ties, knee=self.knee)
-        total = loss + self.smooth * bumps
+        total = loss + self.smooth * bumps + self.scene.penalty()
         if self.prior is not None:
             total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
         total.backward()
-        for name in ("gain", "offset"):
+        for name in {"gain", "offset"} & self.parameters.keys():
             self.parameters[name].grad[0] = 0  # type: ignore[index]  # the first view is the gauge
         self.adam.step()
         with torch.no_grad():
