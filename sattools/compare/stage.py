@@ -17,7 +17,7 @@ from sattools.compare.resample import moved, padded, resampled
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
-from sattools.scene.document import Scene
+from sattools.scene.document import Item, Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import read_image, read_raster, write_cog, write_text
 from sattools.settings import option
@@ -163,17 +163,18 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, 
 
 
 def compare_views(scene: Scene) -> dict[str, Any]:
-    """Image figures of every item with both a `rendered` and a `radiance` asset, and their means.
+    """Image figures of every item with a `rendered` asset against its radiance, and their means.
 
-    Raises SceneError where there is none.
+    The radiance is the asset `radiance`, else the linear numbers of `image`. Raises SceneError where there is none.
     """
     views: dict[str, dict[str, float | None]] = {}
     for item in scene.items:
-        if {"rendered", "radiance"} <= item.assets.keys():
-            rendered, radiance = (read_image(scene.path(item.assets[name].href)) for name in ("rendered", "radiance"))
+        if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
+            rendered = read_image(scene.path(item.assets["rendered"].href))
+            radiance = _radiance(scene, item)
             views[item.id] = {"role": item.role, **image_errors(rendered, radiance)}  # type: ignore[dict-item]
     if not views:
-        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --views`")
+        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --view ID`")
     held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
     means: dict[str, Any] = {}
     for key in ("psnr", "ssim", "lpips", "avg"):
@@ -181,6 +182,14 @@ def compare_views(scene: Scene) -> dict[str, Any]:
         known = [value for value in values if value is not None]
         means[key] = float(np.mean(known)) if len(known) == len(values) else None
     return {**means, "views": views}
+
+
+def _radiance(scene: Scene, item: Item) -> np.ndarray:
+    from sattools.radiometry import item_bits, linear_radiance
+
+    if "radiance" in item.assets:
+        return read_image(scene.path(item.assets["radiance"].href))
+    return linear_radiance(read_image(scene.path(item.assets["image"].href)), item_bits(item.properties))
 
 
 def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:

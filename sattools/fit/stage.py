@@ -18,7 +18,7 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
-from sattools.fit.light import (
+from sattools.fit.illumination import (
     Radiance,
     check_light,
     choose_views,

@@ -160,6 +160,29 @@ def read_image(path: Path) -> np.ndarray:
     return array
 
 
+def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Sequence[str] | None = None) -> None:
+    """Write a float32 image ``[B, H, W]`` (NaN = no data) in the sensor geometry of another one, whose RPC it takes.
+
+    Raises:
+        InputError: ``like`` cannot be read.
+        SattoolsError: the file cannot be written.
+    """
+    with _opened(like) as source:
+        rpc = source.tags(ns="RPC")
+    bands, height, width = array.shape
+    with atomic(path) as temporary, warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(
+            temporary, "w", driver="GTiff", dtype="float32", count=bands, height=height, width=width,
+            nodata=float("nan"), tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
+        ) as data:  # fmt: skip
+            data.write(array.astype(np.float32))
+            if descriptions:
+                data.descriptions = tuple(descriptions)
+            if rpc:
+                data.update_tags(ns="RPC", **rpc)
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
     with warnings.catch_warnings():
@@ -183,4 +206,4 @@ def _read(data: rasterio.DatasetReader, path: Path) -> np.ndarray:
         ) from error
 
 
-__all__ = ["atomic", "read_image", "read_raster", "write_cog", "write_text"]
+__all__ = ["atomic", "read_image", "read_raster", "write_cog", "write_image_like", "write_text"]

@@ -9,8 +9,8 @@ import torch
 
 from sattools.errors import SceneError
 from sattools.fit.checkpoint import load
+from sattools.fit.illumination import choose_views, light_scale, phase_angles, radiance_kind
 from sattools.fit.inversion import Samples, invert, predict, shape_of, solve_amounts, start_members
-from sattools.fit.light import choose_views, light_scale, phase_angles, radiance_kind
 from sattools.fit.material import AMOUNT, SHAPE, blurred, line_to, radiance_factor, surface_normals
 from sattools.fit.members import soft_members
 from sattools.fit.options import FitOptions
