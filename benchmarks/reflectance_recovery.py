@@ -36,12 +36,13 @@ VARIANTS: dict[str, dict[str, object]] = {
 MAPS = ("w", "b", "c", "theta")
 
 
-def coverage(scene, name: str) -> float | None:
-    """Share of cells within two standard deviations of the truth."""
+def coverage(scene, name: str) -> tuple[float, float]:
+    """Share of cells within two standard deviations of the truth; root mean square of error over deviation."""
     from sattools.scene.raster import read_raster
 
     found, std, truth = (read_raster(scene.path(scene.products[n]))[0] for n in (name, f"{name}_std", f"truth_{name}"))
-    return float((np.abs(found - truth) <= 2 * std).mean())
+    z = (found - truth) / std
+    return float((np.abs(z) <= 2).mean()), float(np.sqrt((z**2).mean()))
 
 
 def measure(scene, options, held_out: str) -> dict[str, object]:
@@ -66,7 +67,7 @@ def measure(scene, options, held_out: str) -> dict[str, object]:
             arrays = [read_raster(scene.path(scene.products[n]))[0] for n in (name, f"truth_{name}")]
             errors = map_errors(*arrays)
             row |= {f"{name}_{k}": errors[k] for k in ("nrmse", "nrmse_constant", "nrmse_scaled", "correlation")}
-            row[f"{name}_coverage"] = coverage(scene, name)
+            row[f"{name}_coverage"], row[f"{name}_z"] = coverage(scene, name)
     if "normal" in scene.products:
         found, true = (read_raster(scene.path(scene.products[n]))[0] for n in ("normal", "truth_normal"))
         row["normal_deg"] = float(np.degrees(np.arccos(np.clip((found * true).sum(0), -1, 1))).mean())
@@ -119,7 +120,9 @@ def main() -> None:
         mean = {k: float(np.mean([row[k] for row in mine])) for k in keys}
         print(line({"seed": "all", "variant": name, **mean}))
     machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
-    arguments.out.write_text(json.dumps({"machine": machine, "threads": arguments.threads, "rows": rows}, indent=1) + "\n")
+    arguments.out.write_text(
+        json.dumps({"machine": machine, "threads": arguments.threads, "rows": rows}, indent=1) + "\n"
+    )
 
 
 def line(row: dict[str, object]) -> str:
@@ -135,7 +138,7 @@ def line(row: dict[str, object]) -> str:
         if f"{name}_nrmse" in row:
             parts.append(
                 f"{name} {number(name + '_nrmse')} (constant {number(name + '_nrmse_constant')}) "
-                f"r {number(name + '_correlation', 2)} cov {number(name + '_coverage', 2)}"
+                f"r {number(name + '_correlation', 2)} cov {number(name + '_coverage', 2)} z {number(name + '_z', 2)}"
             )
     return "  ".join(parts)
 

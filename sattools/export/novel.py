@@ -81,7 +81,8 @@ def render_item(
     pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
     light = light * light_scale(radiance, sun) if isinstance(surface, ReflectiveScene) else light
     rays = Rays(view.slope, view.z_ref, (pose[0], pose[1]))
-    quadrature = make_quadrature(float(meta["softness"]), z_range)
+    # the fit needs a soft surface for its gradients, a picture does not
+    quadrature = make_quadrature(float(meta["softness"]) / 2, z_range)
     rgb, depth, opacity = render(surface.height, light.contiguous(), rays, quadrature, grid.cell_size)
     picture = (rgb / opacity.clamp_min(1e-3)[..., None]).numpy()
     # rays that reach the ground beyond the model show its border over and over

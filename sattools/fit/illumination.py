@@ -6,6 +6,7 @@ import logging
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit.material import SHAPE, surface_normals
+from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.resample import resample_map
 from sattools.scene import Grid, Item, Scene
@@ -23,6 +25,8 @@ log = logging.getLogger(__name__)
 Radiance = Literal["reflectance_factor", "toa_reflectance", "relative"]
 KINDS = ("reflectance_factor", "toa_reflectance", "relative")
 NARROW_PHASE_DEG = 10.0  # below this span a phase function is a constant
+CALIBRATED_SHARE = 0.1
+CALIBRATED_SMOOTH = 0.2
 NORMAL_SMOOTHING_M = 6.0
 UNKNOWN_SHARE = 0.2  # standard deviation, as share of the range, from which a parameter counts as unknown
 
@@ -50,6 +54,24 @@ def light_scale(kind: Radiance, sun: tuple[float, float, float] | None) -> float
     if kind == "toa_reflectance" and sun is not None:
         return 1 / max(sun[2], 0.02)
     return 1.0
+
+
+def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
+    """The options with the weights of the loss set for images that agree to a per cent, as calibrated ones do.
+
+    They are given for images of many dates, in units of `FitOptions.robust`, a tenth of the range from black to white;
+    calibrated images differ by less before something is wrong, and the prior and the smoothness may be overruled by
+    less.
+    """
+    if kind == "relative":
+        return options
+    smooth = CALIBRATED_SMOOTH if options.smooth is None else options.smooth
+    return replace(
+        options,
+        robust=options.robust * CALIBRATED_SHARE,
+        prior_weight=options.prior_weight * CALIBRATED_SHARE,
+        smooth=smooth,
+    )
 
 
 def choose_views(scene: Scene, which: str) -> None:
@@ -156,6 +178,6 @@ def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid)
 
 
 __all__ = [
-    "KINDS", "Radiance", "check_light", "choose_views", "light_scale", "material_remarks",
+    "KINDS", "Radiance", "calibrated", "check_light", "choose_views", "light_scale", "material_remarks",
     "phase_angles", "prior_normals", "radiance_kind",
 ]  # fmt: skip

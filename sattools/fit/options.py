@@ -17,8 +17,10 @@ class FitOptions:
     )
     robust: float = option(0.1, "Residual, in tone-mapped units, from which it counts less; 0 = off.", minimum=0)
     shadow: Literal["none", "geometric"] = option("geometric", "Sun visibility model.")
-    brdf: Literal["lambert", "rpv", "hapke"] = option(
-        "lambert", "Reflectance: lambert = one colour per cell; rpv, hapke = models of normal, sun and view."
+    brdf: Literal["lambert", "rpv", "hapke", "auto"] = option(
+        "lambert",
+        "Reflectance: lambert = one colour per cell; rpv, hapke = models of normal, sun and view; "
+        "auto = the plainest that predicts held-out views as well as the others.",
     )
     pretrain: float = option(
         0.2, "Share of the last stage's epochs before the reflectance model comes in.", minimum=0, maximum=0.9

@@ -190,7 +190,8 @@ def reflective(
     members: int,
     smooth: float,
     seed: int,
-) -> ReflectiveScene:
+    solve: bool = True,
+) -> tuple[ReflectiveScene, list[Tensor]]:
     """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
 
     Args:
@@ -203,6 +204,10 @@ def reflective(
         members: most end-members.
         smooth: weight of the amounts' smoothness.
         seed: of the clustering.
+        solve: find members and amounts, too.
+
+    Returns:
+        The scene, and the sun's visibility in every view.
     """
     from sattools.render import sun_visibility
 
@@ -236,8 +241,9 @@ def reflective(
         frozen=frozen,
         smooth=smooth,
     )
-    found.solve(views, visibility, cell_size, 8, amounts=True)
-    return found
+    if solve:
+        found.solve(views, visibility, cell_size, 8, amounts=True)
+    return found, visibility
 
 
 def restored(

@@ -39,7 +39,7 @@ def schedule(options: FitOptions, cell: float, z_range: tuple[float, float], wit
         StageSettings(c, options.epochs[min(k, len(options.epochs) - 1)], (first * c, last * c), z_range)
         for k, c in enumerate(cells)
     ]
-    return stages if options.brdf == "lambert" else [*stages[:-1], *pretrained(stages[-1], options.pretrain)]
+    return stages if options.brdf in ("lambert", "auto") else [*stages[:-1], *pretrained(stages[-1], options.pretrain)]
 
 
 def pretrained(stage: StageSettings, share: float) -> list[StageSettings]:

@@ -9,7 +9,7 @@ import json
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,17 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
+from sattools.fit.auto import Choice, choose_model, draw
 from sattools.fit.illumination import (
     Radiance,
+    calibrated,
     check_light,
     choose_views,
     light_scale,
     material_remarks,
     prior_normals,
     radiance_kind,
-)  # fmt: skip
+)
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene, reflective, restored
 from sattools.fit.resample import resample_map
@@ -87,6 +89,7 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     radiance = radiance_kind(scene, items)
     remarks = check_light(scene, items, radiance, options.brdf)
+    options = calibrated(options, radiance)
     device = choose_device(options.device)
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
@@ -94,6 +97,11 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device, radiance)
+    if options.brdf == "auto":
+        choice = job.choose_brdf(stages[-1])
+        remarks += choice.remarks
+        options = job.options = replace(options, brdf=choice.model)
+        job.stages = schedule(options, grid.cell_size, z_range, prior is not None)
     surface, finest, more = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
     remarks += more
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
@@ -222,7 +230,7 @@ class _Job:
 
     def _reflective(self, surface: SurfaceScene, grid: Grid, saved: dict[str, Tensor] | None) -> ReflectiveScene:
         options = self.options
-        assert options.brdf != "lambert"  # the schedule asks for a model only then
+        assert options.brdf in ("rpv", "hapke")  # the schedule asks for a model only then
         if saved is not None:
             own = {name.removeprefix("scene."): t for name, t in saved.items() if name.startswith("scene.")}
             found = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
@@ -231,10 +239,27 @@ class _Job:
         if options.normals == "prior":
             frozen = prior_normals(self.prior, grid).to(self.device)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
-        return reflective(
+        found, _ = reflective(
             surface, options.brdf, self.views, scale, grid.cell_size, frozen, options.materials,
             options.material_smooth, options.seed,
         )  # fmt: skip
+        return found
+
+    def choose_brdf(self, stage: StageSettings) -> Choice:
+        """Settle ``--brdf auto`` on the prior's surface.
+
+        Raises:
+            SceneError: there is no prior, or a sun is unknown.
+        """
+        grid = self.scene.need_grid().resized(stage.cell_size)
+        self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
+        scale = [light_scale(self.radiance, view.sun) for view in self.views]
+        surface, lit = reflective(
+            self._start(grid), "rpv", self.views, scale, grid.cell_size,
+            prior_normals(self.prior, grid).to(self.device), self.options.materials, 0.0, self.options.seed, False,
+        )  # fmt: skip
+        cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
+        return choose_model(cells, block, self.radiance == "relative")
 
     def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
         """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""

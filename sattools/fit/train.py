@@ -97,6 +97,9 @@ class StageTrainer:
             p.requires_grad_(True)
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
         self.adam = torch.optim.Adam(groups, lr=0.0, betas=BETAS)
+        # colours take steps in proportion to the brightness of the images, where that is not stretched to [0, 1]
+        seen = torch.cat([t[m > 0].flatten()[::97] for t, m in zip(self.targets, self.masks, strict=True)])
+        self.brightness = min(1.0, 3 * float(seen.median())) if scene.absolute and seen.numel() else 1.0
         self.visibility: list[Tensor | None] = [None] * len(views)
         self.weights = [m.to(scene.height.dtype) for m in self.masks]
         self.quadrature = make_quadrature(settings.softness[0], settings.z_range)
@@ -132,6 +135,7 @@ class StageTrainer:
         decay = 1 - 0.7 * share
         for group in self.adam.param_groups:
             rate = self.options.height_rate * softness if group["name"] == "height" else RATES[group["name"]]
+            rate *= self.brightness if group["name"] == "albedo" else 1.0
             group["lr"] = decay * rate
         if epoch % REFRESH == 0:
             if self.options.shadow == "geometric":

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from sattools.errors import SceneError
+from sattools.fit.auto import blocks_of, choose_model, extreme_views
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import choose_views, light_scale, phase_angles, radiance_kind
 from sattools.fit.inversion import Samples, invert, predict, shape_of, solve_amounts, start_members
@@ -209,3 +210,43 @@ def test_a_model_without_a_sun_is_refused(make_hill):
     del scene.train_items()[0].properties["view:sun_azimuth"]
     with pytest.raises(SceneError, match="sun angles"):
         fit(scene, SHORT)
+
+
+def seen_by_noise(samples: Samples) -> Samples:
+    g = torch.Generator().manual_seed(1)
+    noise = torch.randn(samples.seen.shape, generator=g, dtype=torch.float64)
+    return replace(samples, seen=samples.seen + 0.01 * samples.seen * noise)
+
+
+@pytest.mark.parametrize(("members", "expected"), [((0.3, 0.5, 25.0), ("rpv", "hapke")), (None, ("lambert",))])
+def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(members, expected):
+    if members is None:
+        samples, amount = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
+        cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
+        seen = 0.4 * AMOUNT["hapke"].bounded(amount) * cosine[..., None]
+    else:
+        raw = [p.raw(torch.tensor(v, dtype=torch.float64)) for p, v in zip(SHAPE["hapke"], members, strict=True)]
+        samples, _ = made_up("hapke", torch.stack(raw)[None], 900)
+        seen = samples.seen
+    samples = seen_by_noise(replace(samples, seen=seen))
+    choice = choose_model(samples, torch.arange(900) // 9, relative=False)
+    assert choice.model in expected
+    assert len(choice.remarks) == 2
+    assert all("held-out views" in text and "standard error" in text for text in choice.remarks)
+
+
+def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles():
+    samples, _ = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 20)
+    assert sorted(extreme_views(samples)) == [0, 6]
+    few = replace(
+        samples, seen=samples.seen[:2], weight=samples.weight[:2], suns=samples.suns[:2], views=samples.views[:2]
+    )
+    assert choose_model(few, torch.zeros(20, dtype=torch.int64), False).model == "lambert"
+
+
+def test_blocks_alternate_so_that_half_of_them_can_set_the_scale():
+    blocks = blocks_of((32, 32)).reshape(32, 32)
+    assert blocks[0, 0] == blocks[7, 7]
+    parity = blocks[::8, ::8] % 2
+    assert (parity[:, 1:] != parity[:, :-1]).all()
+    assert (parity[1:] != parity[:-1]).all()
