@@ -1,6 +1,6 @@
 """What `fit --brdf auto` picks on scenes of known reflectance.
 
-    python benchmarks/reflectance_parsimony.py [--seeds 10] [--first 0] [--size 256]
+    python benchmarks/reflectance_parsimony.py [--seeds 10] [--first 0] [--size 192]
 
 For every seed a scene of each model is simulated (7 training views, 2 m GSD), its prior made, and the model chosen;
 one epoch follows, so that the choice stands in a model file. Prints the table of scene against choice and every
@@ -24,7 +24,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--size", type=float, default=256.0)
+    parser.add_argument("--size", type=float, default=192.0)
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     set_threads(arguments.threads)
@@ -41,7 +41,14 @@ def main() -> None:
         for model in MODELS:
             folder = Path(tempfile.mkdtemp(prefix="parsimony_"))
             simulated = SimulateOptions(
-                terrain="natural", id="AUTO", seed=seed, size=arguments.size, reflectance=model, views=15, units=4
+                terrain="natural",
+                id="AUTO",
+                seed=seed,
+                size=arguments.size,
+                reflectance=model,
+                views=9,
+                off_nadir=18.0,
+                units=4,
             )
             scene = simulate(simulated, folder / "AUTO")
             prior(scene, PriorOptions())

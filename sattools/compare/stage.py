@@ -38,6 +38,9 @@ class CompareOptions:
     )
     region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
     map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
+    points: str | None = option(
+        None, "Samples (CSV with name, x, y or lon, lat; GeoPackage) of reflectance_1 ..., theta or any product."
+    )
     views: bool = option(False, "Also score the rendered images of held-out views.")
     out: str | None = option(None, "With --predicted: folder for the difference map.")
 
@@ -133,8 +136,11 @@ def compare(
     if options.map:
         progress(0.6, "parameter maps")
         figures["parameters"] = {
-            name: _compare_map(scene, name, reference, result) for name, reference in map(_name_and_file, options.map)
+            name: _compare_map(scene, name, reference, result, overwrite)
+            for name, reference in map(_name_and_file, options.map)
         }
+    if options.points:
+        figures["points"] = _compare_points(scene, Path(options.points), result)
     if options.views:
         progress(0.7, "views")
         figures |= compare_views(scene)
@@ -192,7 +198,18 @@ def _radiance(scene: Scene, item: Item) -> np.ndarray:
     return linear_radiance(read_image(scene.path(item.assets["image"].href)), item_bits(item.properties))
 
 
-def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:
+def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[dict[str, Any]]:
+    from sattools.compare.points import compare_points, read_points
+
+    points = read_points(path)
+    wanted = {key for point in points for key in point.values}
+    names = [n for n in scene.products if any(key == n or key.rpartition("_")[0] == n for key in wanted)]
+    maps = {name: read_raster(scene.path(scene.products[name])) for name in names}
+    east, north, _ = result.registration.metres(result.grid.cell_size)
+    return compare_points(points, maps, (east, north))
+
+
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison, overwrite: bool) -> dict[str, Any]:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
@@ -201,7 +218,12 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -
         raise InputError(f"{reference}: found {array.shape[0]} bands, expected {predicted.shape[0]} as in {name}")
     # a map lies where its surface lies: it moves with the DSM
     east, north, _ = result.registration.metres(result.grid.cell_size)
-    return map_errors(resampled(predicted, predicted_grid, moved(grid, -east, -north)), array.astype(np.float32))
+    carried = resampled(predicted, predicted_grid, moved(grid, -east, -north))
+    errors = map_errors(carried, array.astype(np.float32))
+    from sattools.compare.picture import scatter_picture
+
+    scatter_picture(carried, array, name, scene.output(f"compare/scatter_{name}.png", overwrite))
+    return errors
 
 
 def _name_and_file(text: str) -> tuple[str, Path]:
@@ -252,6 +274,12 @@ def table(figures: Mapping[str, Any]) -> str:
             f"  {name:9s} NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
             f"one factor {_text(errors['nrmse_scaled'])})   correlation {_text(errors['correlation'])}"
         )
+    for row in figures.get("points", []):
+        values = (
+            f"{key} {_text(v['map'])} (sample {_text(v['sample'])}, difference {_text(v['difference'])})"
+            for key, v in row["values"].items()
+        )
+        lines.append(f"  {row['name']:9s} " + "   ".join(values))
     if "psnr" in figures:
         lines.append("  views     " + "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg")))
     return "\n".join(lines)

@@ -11,7 +11,7 @@ from sattools.fit.inversion import STEP, Samples, Solution, noise_of, predict
 from sattools.fit.material import AMOUNT, SHAPE, Kind
 
 SLOPE_STD = 0.06  # of the surface's slopes, metres per metre: about 3.5 degrees
-MEMBER_FACTOR = 2.0  # errors of the geometry are alike in neighbouring cells, which the curvature takes for independent
+MEMBER_FACTOR = 1.4  # errors of the geometry are alike in neighbouring cells, which the curvature takes for independent
 
 
 @torch.no_grad()
