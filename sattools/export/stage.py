@@ -64,7 +64,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
     if meta["shadow"] == "geometric":
         _shadows(scene, grid, height, names, suns, progress, overwrite)
-    _views(scene, options, grid, tensors, meta, part(progress, 0.6, 1.0), overwrite)
+    if meta.get("brdf", "lambert") != "lambert" or options.view or options.sun is not None:
+        _views(scene, options, grid, tensors, meta, part(progress, 0.6, 1.0), overwrite)
     progress(1.0, "exported")
     return {"vertical_datum": datum}
 
