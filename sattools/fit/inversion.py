@@ -156,7 +156,7 @@ def invert(
         covariance = torch.linalg.inv(hessian)
         step = torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
         members = (members + step.reshape(members.shape).clamp(-0.7, 0.7)).clamp(-6, 6)
-        amount, _ = solve_amounts(kind, s, members, amount, 2)
+        amount, _ = solve_amounts(kind, s, members, amount, 1)
     amount, members = best if free else (amount, members)
     return Solution(amount, members, covariance)
 

@@ -11,7 +11,8 @@ from sattools.fit.inversion import STEP, Samples, Solution, noise_of, predict
 from sattools.fit.material import AMOUNT, SHAPE, Kind
 
 SLOPE_STD = 0.06  # of the surface's slopes, metres per metre: about 3.5 degrees
-MEMBER_FACTOR = 1.4  # errors of the geometry are alike in neighbouring cells, which the curvature takes for independent
+TEXTURE_STD = 0.04  # of the amount: texture finer than the surface's own error in place is smeared
+MEMBER_FACTOR = 1.8  # errors of the geometry are alike in neighbouring cells, which the curvature takes for independent
 
 
 @torch.no_grad()
@@ -19,9 +20,9 @@ def parameter_std(kind: Kind, s: Samples, amount: Tensor, found: Solution) -> di
     """Standard deviations of the amount ``[N, C]`` and of the three shape parameters ``[N]``, by name.
 
     From the Gauss-Newton curvature of `invert`: cells of one material, with their many slopes, speak together for its
-    shape; a cell's amount has the noise of its own views, the share of the shape's error that it takes up, and the
-    error of its slope (`SLOPE_STD`), which all views under one sun share. Materials that were told apart wrongly are
-    not in it.
+    shape; a cell's amount has the noise of its own views, the share of the shape's error that it takes up, the error
+    of its slope (`SLOPE_STD`), which all views under one sun share, and that of its texture's place (`TEXTURE_STD`).
+    Materials that were told apart wrongly are not in it.
     """
     members = found.members
     sigma = noise_of(s)
@@ -53,8 +54,10 @@ def parameter_std(kind: Kind, s: Samples, amount: Tensor, found: Solution) -> di
         follow.append(answer(predict(kind, s, amount, moved) - here) / STEP)
     j = torch.stack(follow, -1)  # [N, C, 3]
     variance = variance + torch.einsum("ncp,npq,ncq->nc", j, own, j)
+    value, slope = AMOUNT[kind].bounded(amount), AMOUNT[kind].slope(amount)
+    variance = variance + (TEXTURE_STD * value / slope) ** 2
     # beyond one unit of the unbounded form the range itself is the limit
-    result = {AMOUNT[kind].name: variance.sqrt().clamp_max(1.5) * AMOUNT[kind].slope(amount)}
+    result = {AMOUNT[kind].name: variance.sqrt().clamp_max(1.5) * slope}
     for p, parameter in enumerate(SHAPE[kind]):
         std = own[:, p, p].sqrt().clamp_max(1.5)
         result[parameter.name] = std * parameter.slope(s.shares @ members[:, p])

@@ -19,7 +19,7 @@ from sattools.views import View, shown_on
 
 STANDARD_SUN_DEG = 15.0
 LIT = 0.95  # sun visibility from which a cell tells of its reflectance
-SAMPLES = 6000
+SAMPLES = 4000
 LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
 SATURATED = 0.999  # a number at full scale is a lower limit, not a value
 TEXTURE = 0.05  # deviation of the log amount, beyond small texture, that one material has anyway
@@ -148,7 +148,7 @@ class ReflectiveScene(SurfaceScene):
         found = invert(self.kind, whole.subset(usable[order]), self.members, rounds)
         self.members.copy_(found.members)
         if amounts:
-            amount, _ = solve_amounts(self.kind, whole, self.members, rounds=6)
+            amount, _ = solve_amounts(self.kind, whole, self.members, rounds=4)
             self.amount.copy_(amount.reshape(self.amount.shape))
         return whole, found
 
@@ -158,12 +158,19 @@ class ReflectiveScene(SurfaceScene):
 
     @torch.no_grad()
     def finish(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> dict[str, Tensor]:
-        """Members and amounts for the final heights; the albedo becomes the reflectance at standard geometry.
+        """Members for the final heights; the albedo becomes the reflectance at standard geometry.
+
+        The amounts stay those of gradient descent, which undoes the blur of the images, but for what they must move
+        along with the members.
 
         Returns:
             Standard deviation of every parameter, by name.
         """
-        whole, found = self.solve(views, visibility, cell_size, 6, amounts=True)
+        before = self.members.clone()
+        whole, found = self.solve(views, visibility, cell_size, 4, amounts=False)
+        flat = self.amount.reshape(whole.normal.shape[0], -1)
+        old, new = (solve_amounts(self.kind, whole, members, flat, 1)[0] for members in (before, self.members))
+        self.amount.copy_((flat + new - old).reshape(self.amount.shape))
         std = parameter_std(self.kind, whole, self.amount.reshape(whole.normal.shape[0], -1), found)
         self.albedo = standard_reflectance(self)
         rows, cols = self.height.shape
@@ -214,7 +221,8 @@ def reflective(
     height = scene.height.detach()
     suns = height.new_tensor([view.sun for view in views])
     lines = height.new_tensor([line_to(view.slope) for view in views])
-    visibility = [sun_visibility(height, cell_size, view.sun) for view in views if view.sun is not None]
+    cast = {view.sun: sun_visibility(height, cell_size, view.sun) for view in views if view.sun is not None}
+    visibility = [cast[view.sun] for view in views if view.sun is not None]
     normal = surface_normals(height, cell_size) if frozen is None else frozen
     mean = torch.zeros_like(scene.albedo)
     total = torch.zeros_like(height)

@@ -140,9 +140,9 @@ class StageTrainer:
         if epoch % REFRESH == 0:
             if self.options.shadow == "geometric":
                 height = self.scene.height.detach()
-                self.visibility = [
-                    sun_visibility(height, self.settings.cell_size, v.sun) if v.sun else None for v in self.views
-                ]
+                suns = {v.sun for v in self.views if v.sun}
+                cast = {sun: sun_visibility(height, self.settings.cell_size, sun) for sun in suns}
+                self.visibility = [cast[v.sun] if v.sun else None for v in self.views]
             self._weigh_walls()
             if self.options.pose and epoch:
                 self._refine_poses()

@@ -1,5 +1,7 @@
 """Maps, held-out views and relighting of a fitted reflectance model."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
