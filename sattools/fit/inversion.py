@@ -17,6 +17,7 @@ from sattools.fit.material import AMOUNT, SHAPE, Kind, radiance_factor
 
 STEP = 1e-3  # of the finite differences in the unbounded form
 GAP_SHARE = 0.02  # error of the model and the geometry, as share of the signal
+LIKENESS = 1.0  # spread of the log amount of one material: wide, but it lets the shading of its slopes speak
 ROBUST = 2.5  # residual, in standard deviations, from which a view of a cell counts less
 
 
@@ -70,7 +71,12 @@ def noise_of(s: Samples) -> Tensor:
 
 @torch.no_grad()
 def solve_amounts(
-    kind: Kind, s: Samples, members: Tensor, amount: Tensor | None = None, rounds: int = 4
+    kind: Kind,
+    s: Samples,
+    members: Tensor,
+    amount: Tensor | None = None,
+    rounds: int = 4,
+    centre: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Unbounded amounts ``[N, C]`` that fit best, and their curvature ``[N, C]`` sum (J / sigma)^2."""
     limits = AMOUNT[kind]
@@ -85,10 +91,24 @@ def solve_amounts(
         j = slope / sigma
         curvature = (weight * j * j).sum(0)
         # a weak pull to the usual keeps cells that no view sees
-        pull = 1e-3 * (limits.raw(amount.new_tensor(limits.usual)) - amount)
-        step = ((weight * j * residual).sum(0) + pull) / (curvature + 1e-3)
+        tie = torch.full_like(amount, 1e-3) if centre is None else tie_of(centre)
+        aim = limits.raw(amount.new_tensor(limits.usual)) if centre is None else centre
+        step = ((weight * j * residual).sum(0) + tie * (aim - amount)) / (curvature + tie)
         amount = (amount + step.clamp(-1.5, 1.5)).clamp(-9, 9)
     return amount, curvature
+
+
+def material_mean(shares: Tensor, amount: Tensor) -> Tensor:
+    """Mean amount of the materials of every cell ``[N, C]``, unbounded."""
+    return shares @ (shares.T @ amount / (shares.sum(0)[:, None] + 1e-6))
+
+
+def tie_of(centre: Tensor) -> Tensor:
+    """Precision of the unbounded amounts about their material's mean: `LIKENESS` in logarithms of the amount.
+
+    In the unbounded form bright materials would vary more than dark ones of the same texture, and be pulled down.
+    """
+    return ((1 - torch.sigmoid(centre)) / LIKENESS) ** 2
 
 
 @dataclass
@@ -128,7 +148,9 @@ def invert(
         here = predict(kind, s, amount, members)
         residual = (s.seen - here) / sigma
         weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
+        centre = material_mean(s.shares, amount)
         now = float((weight * residual**2).sum()) * independent
+        now += float((tie_of(centre) * (amount - centre) ** 2).sum()) * independent
         now += float((((members - usual).reshape(-1) / width) ** 2).sum())
         if now < cost:
             damping, cost, best = max(damping / 4, 1e-6), now, (amount, members)
@@ -142,12 +164,12 @@ def invert(
             moved[:, p] += STEP
             columns.append((predict(kind, s, amount, moved) - here) / STEP / sigma)
         j_shape = torch.stack(columns, -1)  # [V, N, C, 3]
-        a = (weight * j_amount**2).sum(0) + 1e-3  # [N, C]
+        a = (weight * j_amount**2).sum(0) + tie_of(centre)  # [N, C]
         cross = (weight[..., None] * j_amount[..., None] * j_shape).sum(0)  # [N, C, 3]
         full = torch.einsum("vncp,vncq->npq", weight[..., None] * j_shape, j_shape)
         reduced = full - torch.einsum("ncp,ncq->npq", cross / a[..., None], cross)
         g_shape = torch.einsum("vncp,vnc->np", j_shape, weight * residual)
-        g_amount = (weight * j_amount * residual).sum(0)
+        g_amount = (weight * j_amount * residual).sum(0) + tie_of(centre) * (centre - amount)
         g = g_shape - torch.einsum("ncp,nc->np", cross, g_amount / a)
         hessian = torch.einsum("nk,nl,npq->kplq", s.shares, s.shares, reduced).reshape(count, count) * independent
         gradient = torch.einsum("nk,np->kp", s.shares, g).reshape(count) * independent
@@ -156,7 +178,7 @@ def invert(
         covariance = torch.linalg.inv(hessian)
         step = torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
         members = (members + step.reshape(members.shape).clamp(-0.7, 0.7)).clamp(-6, 6)
-        amount, _ = solve_amounts(kind, s, members, amount, 1)
+        amount, _ = solve_amounts(kind, s, members, amount, 1, centre)
     amount, members = best if free else (amount, members)
     return Solution(amount, members, covariance)
 
