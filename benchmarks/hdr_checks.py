@@ -189,7 +189,7 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
     import torch
 
     from sattools.camera.rpc import RPC
-    from sattools.fit.stage import resample_map
+    from sattools.fit.resample import resample_map
     from sattools.render import sun_visibility
     from sattools.scene.raster import read_image
     from sattools.views import make_view, shown_on

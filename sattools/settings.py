@@ -34,6 +34,7 @@ class OptionSpec:
         default: default value.
         help: help text.
         minimum, maximum: inclusive limits, or None.
+        count: how many values it takes at once.
     """
 
     name: str
@@ -45,6 +46,7 @@ class OptionSpec:
     help: str
     minimum: float | None
     maximum: float | None
+    count: int = 1
 
 
 def specs(cls: type) -> list[OptionSpec]:
@@ -54,7 +56,8 @@ def specs(cls: type) -> list[OptionSpec]:
     for item in dataclasses.fields(cls):
         if "help" not in item.metadata:
             continue
-        kind, choices, optional, multiple = _resolve(hints[item.name])
+        hint = hints[item.name]
+        kind, choices, optional, multiple = _resolve(hint)
         default = item.default_factory() if item.default_factory is not MISSING else item.default
         found.append(
             OptionSpec(
@@ -67,9 +70,18 @@ def specs(cls: type) -> list[OptionSpec]:
                 item.metadata["help"],
                 item.metadata["minimum"],
                 item.metadata["maximum"],
+                _count(hint),
             )
         )
     return found
+
+
+def _count(hint: Any) -> int:
+    """2 for `tuple[float, float]`, also where None is allowed."""
+    for part in (hint, *typing.get_args(hint)):
+        if typing.get_origin(part) is tuple:
+            return len(typing.get_args(part))
+    return 1
 
 
 def _resolve(hint: Any) -> tuple[type, tuple[str, ...] | None, bool, bool]:
@@ -81,6 +93,8 @@ def _resolve(hint: Any) -> tuple[type, tuple[str, ...] | None, bool, bool]:
     if origin is list:
         kind, choices, _, _ = _resolve(typing.get_args(hint)[0])
         return kind, choices, False, True
+    if origin is tuple:
+        return typing.get_args(hint)[0], None, False, False
     if origin is typing.Literal:
         return str, tuple(typing.get_args(hint)), False, False
     return hint, None, False, False

@@ -79,6 +79,7 @@ def _click_option(spec: OptionSpec) -> Callable[[F], F]:
         type=None if spec.kind is bool else kind,
         default=spec.default,
         multiple=spec.multiple,
+        nargs=spec.count,
         show_default=show,
         help=spec.help,
     )

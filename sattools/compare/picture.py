@@ -36,3 +36,24 @@ def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Pat
     figure.colorbar(shown, ax=axes, extend="both", label="prediction minus reference [m]")
     with atomic(path) as temporary:
         figure.savefig(temporary, format="png")
+
+
+def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, path: Path) -> None:
+    """PNG of a parameter map against its reference, both ``[B, H, W]``: density of cells, line of equality."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    both = np.isfinite(predicted) & np.isfinite(reference)
+    p, r = predicted[both], reference[both]
+    low, high = (float(f(np.concatenate([np.percentile(a, [0.5, 99.5]) for a in (p, r)]))) for f in (np.min, np.max))
+    pad = 0.05 * (high - low) + 1e-6
+    figure = Figure(figsize=(5.2, 4.8), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    extent = (low - pad, high + pad, low - pad, high + pad)
+    shown = axes.hexbin(r, p, gridsize=60, extent=extent, bins="log", mincnt=1, cmap="viridis")
+    axes.plot(extent[:2], extent[:2], color="0.3", linewidth=1)
+    axes.set(xlabel=f"{name}, reference", ylabel=f"{name}, found", xlim=extent[:2], ylim=extent[2:])
+    figure.colorbar(shown, ax=axes, label="cells")
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png")

@@ -17,7 +17,7 @@ from sattools.compare.resample import moved, padded, resampled
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
-from sattools.scene.document import Scene
+from sattools.scene.document import Item, Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import read_image, read_raster, write_cog, write_text
 from sattools.settings import option
@@ -38,6 +38,9 @@ class CompareOptions:
     )
     region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
     map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
+    points: str | None = option(
+        None, "Samples (CSV with name, x, y or lon, lat; GeoPackage) of reflectance_1 ..., theta or any product."
+    )
     views: bool = option(False, "Also score the rendered images of held-out views.")
     out: str | None = option(None, "With --predicted: folder for the difference map.")
 
@@ -133,8 +136,11 @@ def compare(
     if options.map:
         progress(0.6, "parameter maps")
         figures["parameters"] = {
-            name: _compare_map(scene, name, reference, result) for name, reference in map(_name_and_file, options.map)
+            name: _compare_map(scene, name, reference, result, overwrite)
+            for name, reference in map(_name_and_file, options.map)
         }
+    if options.points:
+        figures["points"] = _compare_points(scene, Path(options.points), result)
     if options.views:
         progress(0.7, "views")
         figures |= compare_views(scene)
@@ -163,17 +169,18 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, 
 
 
 def compare_views(scene: Scene) -> dict[str, Any]:
-    """Image figures of every item with both a `rendered` and a `radiance` asset, and their means.
+    """Image figures of every item with a `rendered` asset against its radiance, and their means.
 
-    Raises SceneError where there is none.
+    The radiance is the asset `radiance`, else the linear numbers of `image`. Raises SceneError where there is none.
     """
     views: dict[str, dict[str, float | None]] = {}
     for item in scene.items:
-        if {"rendered", "radiance"} <= item.assets.keys():
-            rendered, radiance = (read_image(scene.path(item.assets[name].href)) for name in ("rendered", "radiance"))
+        if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
+            rendered = read_image(scene.path(item.assets["rendered"].href))
+            radiance = _radiance(scene, item)
             views[item.id] = {"role": item.role, **image_errors(rendered, radiance)}  # type: ignore[dict-item]
     if not views:
-        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --views`")
+        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --view ID`")
     held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
     means: dict[str, Any] = {}
     for key in ("psnr", "ssim", "lpips", "avg"):
@@ -183,7 +190,26 @@ def compare_views(scene: Scene) -> dict[str, Any]:
     return {**means, "views": views}
 
 
-def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:
+def _radiance(scene: Scene, item: Item) -> np.ndarray:
+    from sattools.radiometry import item_bits, linear_radiance
+
+    if "radiance" in item.assets:
+        return read_image(scene.path(item.assets["radiance"].href))
+    return linear_radiance(read_image(scene.path(item.assets["image"].href)), item_bits(item.properties))
+
+
+def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[dict[str, Any]]:
+    from sattools.compare.points import compare_points, read_points
+
+    points = read_points(path)
+    wanted = {key for point in points for key in point.values}
+    names = [n for n in scene.products if any(key == n or key.rpartition("_")[0] == n for key in wanted)]
+    maps = {name: read_raster(scene.path(scene.products[name])) for name in names}
+    east, north, _ = result.registration.metres(result.grid.cell_size)
+    return compare_points(points, maps, (east, north))
+
+
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison, overwrite: bool) -> dict[str, Any]:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
@@ -192,7 +218,12 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -
         raise InputError(f"{reference}: found {array.shape[0]} bands, expected {predicted.shape[0]} as in {name}")
     # a map lies where its surface lies: it moves with the DSM
     east, north, _ = result.registration.metres(result.grid.cell_size)
-    return map_errors(resampled(predicted, predicted_grid, moved(grid, -east, -north)), array.astype(np.float32))
+    carried = resampled(predicted, predicted_grid, moved(grid, -east, -north))
+    errors = map_errors(carried, array.astype(np.float32))
+    from sattools.compare.picture import scatter_picture
+
+    scatter_picture(carried, array, name, scene.output(f"compare/scatter_{name}.png", overwrite))
+    return errors
 
 
 def _name_and_file(text: str) -> tuple[str, Path]:
@@ -243,6 +274,12 @@ def table(figures: Mapping[str, Any]) -> str:
             f"  {name:9s} NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
             f"one factor {_text(errors['nrmse_scaled'])})   correlation {_text(errors['correlation'])}"
         )
+    for row in figures.get("points", []):
+        values = (
+            f"{key} {_text(v['map'])} (sample {_text(v['sample'])}, difference {_text(v['difference'])})"
+            for key, v in row["values"].items()
+        )
+        lines.append(f"  {row['name']:9s} " + "   ".join(values))
     if "psnr" in figures:
         lines.append("  views     " + "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg")))
     return "\n".join(lines)

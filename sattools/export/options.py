@@ -15,6 +15,10 @@ class ExportOptions:
     vertical: Literal["ellipsoid", "egm96", "egm2008"] = option(
         "ellipsoid", "Heights above the WGS84 ellipsoid, or above a geoid whose grid PROJ has."
     )
+    view: list[str] = option([], "Item to render as the model predicts it, in its own geometry (repeatable).")
+    sun: tuple[float, float] | None = option(
+        None, "Sun to relight the scene and the --view images with: azimuth and elevation [degrees]."
+    )
 
 
 __all__ = ["ExportOptions"]

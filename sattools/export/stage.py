@@ -11,7 +11,7 @@ from sattools.errors import InputError, SceneError
 from sattools.export.datum import to_datum
 from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
-from sattools.progress import Progress, silent
+from sattools.progress import Progress, part, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.raster import write_cog
 
@@ -40,6 +40,9 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     except KeyError as error:
         raise InputError(f"{source}: found a model without {error}, expected a surface model") from error
     targets = {name: scene.output(name, overwrite) for name in (DSM, STD, ALBEDO, PICTURE)}
+    unknown = set(options.view) - {item.id for item in scene.items}
+    if unknown:
+        raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected one for --view")
 
     progress(0.1, "DSM")
     dsm, datum = to_datum(height.numpy(), grid, options.vertical)
@@ -55,7 +58,10 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     write_picture(dsm, grid, f"{scene.id}: DSM, {grid.cell_size:g} m", targets[PICTURE])
     progress(0.3, "albedo")
     bands = [f"albedo {b + 1}" for b in range(albedo.shape[-1])]
-    relative = {"SCALE": "relative: radiance of the first training image in full sun", "SOFTWARE": "sattools"}
+    scale = "relative: radiance of the first training image in full sun"
+    if meta.get("radiance", "relative") != "relative":
+        scale = f"absolute: {meta['radiance']}"
+    relative = {"SCALE": scale, "SOFTWARE": "sattools"}
     write_cog(targets[ALBEDO], albedo.permute(2, 0, 1).numpy(), grid, units="1", tags=relative, descriptions=bands)
     scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
     if meta["shadow"] != "none":
@@ -63,6 +69,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     for name, description in IMAGE_MAPS.items():
         if name in tensors:
             _image_maps(scene, grid, tensors[name], name, description, names, overwrite)
+    if meta.get("brdf", "lambert") != "lambert" or options.view or options.sun is not None:
+        _views(scene, options, grid, tensors, meta, part(progress, 0.6, 1.0), overwrite)
     progress(1.0, "exported")
     return {"vertical_datum": datum}
 
@@ -77,6 +85,33 @@ def _image_maps(
             href = f"export/{name}/{item_id}.tif"
             write_cog(scene.output(href, overwrite), array, grid, units="1", descriptions=[description])
             items[item_id].assets[name] = Asset(href)
+
+
+def _views(
+    scene: Scene,
+    options: ExportOptions,
+    grid: Grid,
+    tensors: dict[str, torch.Tensor],
+    meta: dict[str, Any],
+    progress: Progress,
+    overwrite: bool,
+) -> None:
+    """Maps of a reflectance model, the images asked for, the scene under another sun."""
+    from sattools.export.material import write_material
+    from sattools.export.novel import write_relit, write_view
+    from sattools.fit.reflective import ReflectiveScene, restored_model
+
+    surface = restored_model(tensors, meta)
+    if isinstance(surface, ReflectiveScene):
+        progress(0.0, "reflectance")
+        write_material(scene, grid, surface, tensors, overwrite)
+    for k, name in enumerate(options.view):
+        progress((k + 1) / (len(options.view) + 2), f"rendering {name}")
+        write_view(scene, name, surface, meta, None, overwrite)
+    if options.sun is not None:
+        write_relit(scene, surface, meta, options.sun, overwrite)
+        for name in options.view:
+            write_view(scene, name, surface, meta, options.sun, overwrite)
 
 
 def _shadows(

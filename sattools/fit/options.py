@@ -34,6 +34,20 @@ class FitOptions(RayOptions):
     transient: Literal["on", "off", "auto"] = option(
         "off", "A darkening of each image's own, for moving objects; auto = where images hold such."
     )
+    brdf: Literal["lambert", "rpv", "hapke", "auto"] = option(
+        "lambert",
+        "Reflectance: lambert = one colour per cell; rpv, hapke = models of normal, sun and view; "
+        "auto = the plainest that predicts held-out views as well as the others.",
+    )
+    pretrain: float = option(
+        0.2, "Share of the last stage's epochs before the reflectance model comes in.", minimum=0, maximum=0.9
+    )
+    normals: Literal["analytic", "prior"] = option(
+        "analytic", "Normals of the reflectance model: those of the fitted height, or frozen to the prior's."
+    )
+    materials: int = option(8, "Most end-members that share b, c, theta (k, asymmetry, rhoc).", minimum=1, maximum=32)
+    material_smooth: float = option(0.02, "Weight of the smoothness of w (rho0) within a material.", minimum=0)
+    views: str = option("all", "Images to train on: all, or nearest-nadir:N of the training images.")
     resolution: float | None = option(
         None, "Finest cell of the surface [m] (default: twice the scene grid's, about three pixels).", minimum=0.01
     )

@@ -104,7 +104,7 @@ def prior_maps(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid) ->
     """The prior's height and confidence ``[H, W]`` on the grid; unknown heights are the median, without confidence."""
     if prior is None:
         return None
-    from sattools.fit.stage import resample_map
+    from sattools.fit.resample import resample_map
 
     height, confidence = (resample_map(m, prior[2], grid) for m in prior[:2])
     known = torch.isfinite(height)

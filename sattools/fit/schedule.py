@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.train import StageSettings
@@ -33,10 +35,20 @@ def schedule(options: FitOptions, cell: float, z_range: tuple[float, float], wit
     while cells[0] * 2 <= coarsest * (1 + 1e-9):
         cells.insert(0, cells[0] * 2)
     first, last = options.softness
-    return [
+    stages = [
         StageSettings(c, options.epochs[min(k, len(options.epochs) - 1)], (first * c, last * c), z_range)
         for k, c in enumerate(cells)
     ]
+    return stages if options.brdf in ("lambert", "auto") else [*stages[:-1], *pretrained(stages[-1], options.pretrain)]
+
+
+def pretrained(stage: StageSettings, share: float) -> list[StageSettings]:
+    """A stage in two: a share of its epochs without, the rest with a reflectance model; softness goes on falling."""
+    before = min(round(share * stage.epochs), stage.epochs - 1)
+    first, last = stage.softness
+    middle = first * (last / first) ** (before / stage.epochs)
+    later = replace(stage, epochs=stage.epochs - before, softness=(middle, last), reflective=True)
+    return [replace(stage, epochs=before, softness=(first, middle)), later] if before else [later]
 
 
 __all__ = ["schedule"]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import logging
 import time
@@ -16,15 +14,28 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
+from sattools.fit.auto import Choice, choose_model, draw
+from sattools.fit.illumination import (
+    Radiance,
+    calibrated,
+    check_light,
+    choose_views,
+    light_scale,
+    material_remarks,
+    prior_normals,
+    radiance_kind,
+)
 from sattools.fit.irradiance import Light
 from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
+from sattools.fit.reflective import ReflectiveScene, reflective, restored
+from sattools.fit.resample import resample_map
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
+from sattools.fit.trace import Trace
 from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
 from sattools.progress import Progress, part, silent
 from sattools.scene import Grid, Scene
@@ -34,28 +45,6 @@ from sattools.views import Source, View, load_sources, match_colours, shown_on, 
 log = logging.getLogger(__name__)
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
 START_AMBIENT = 0.4
-
-
-@dataclass
-class Trace:
-    """What happened when; one row per epoch."""
-
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    offset: float = 0.0  # seconds spent before an interruption
-    started: float = field(default_factory=time.perf_counter)
-
-    def seconds(self) -> float:
-        """Time spent on the fit, earlier runs of a resumed one included."""
-        return self.offset + time.perf_counter() - self.started
-
-    def to_csv(self) -> str:
-        """The rows as CSV text."""
-        text = io.StringIO()
-        names = list(dict.fromkeys(name for row in self.rows for name in row))
-        writer = csv.DictWriter(text, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return text.getvalue()
 
 
 def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
@@ -74,9 +63,13 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     unknown = set(options.holdout) - {item.id for item in scene.items}
     if unknown:
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r} to hold out")
+    choose_views(scene, options.views)
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+    radiance = radiance_kind(scene, items)
+    remarks = check_light(scene, items, radiance, options.brdf)
+    options = calibrated(options, radiance)
     device = choose_device(options.device)
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
@@ -86,15 +79,21 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
 
         trace = Trace()
         progress = part(progress, 0.2 if prior else 0.0, 1.0)
-        tensors, meta, remarks = fit_rays(scene, sources, options, prior, device, trace, progress)
-        return _save(scene, model_path, tensors, meta, trace, remarks)
+        tensors, meta, more = fit_rays(scene, sources, options, prior, device, trace, progress)
+        return _save(scene, model_path, tensors, meta, trace, remarks + more)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
-    job = _Job(scene, sources, options, stages, prior, z_ref, device)
-    surface, finest, remarks = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
+    job = _Job(scene, sources, options, stages, prior, z_ref, device, radiance)
+    if options.brdf == "auto":
+        choice = job.choose_brdf(stages[-1])
+        remarks += choice.remarks
+        options = job.options = replace(options, brdf=choice.model)
+        job.stages = schedule(options, grid.cell_size, z_range, prior is not None)
+    surface, finest, more = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     tensors["height_std"] = job.height_std.cpu()
+    tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
     tensors |= job.light.maps([v.sun for v in job.views])
     meta = {
         "field": "surface",
@@ -106,8 +105,10 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         "z_ref": z_ref,
         "shadow": options.shadow,
         "transient": options.transient,
+        "radiance": radiance,
+        "brdf": options.brdf,
     }
-    return _save(scene, model_path, tensors, meta, job.trace, remarks)
+    return _save(scene, model_path, tensors, meta, job.trace, remarks + more)
 
 
 def _save(
@@ -155,10 +156,12 @@ class _Job:
     prior: tuple[np.ndarray, np.ndarray, Grid] | None
     z_ref: float
     device: torch.device
+    radiance: Radiance = "relative"
     trace: Trace = field(default_factory=Trace)
     views: list[View] = field(default_factory=list)
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
+    parameter_std: dict[str, Tensor] = field(default_factory=dict)
     light: Light = field(default_factory=lambda: Light({}))
     settled: dict[str, Any] = field(default_factory=dict)
 
@@ -180,10 +183,12 @@ class _Job:
                 surface = self._start(grid)
                 remarks += self._choose_light(surface, stage.cell_size, saved)
                 self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
-            else:
+            elif surface.height.shape != grid.shape:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
                 self.light = self.light.resized(grid.shape, ratio)
+            if stage.reflective:
+                surface = self._reflective(surface, grid, saved[0] if saved else None)
             trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light)
             start = 0
             if saved:
@@ -196,6 +201,8 @@ class _Job:
                 break
         assert surface is not None
         self.height_std = trainer.height_std()
+        if isinstance(surface, ReflectiveScene):
+            remarks += self._finish(surface, trainer, grid)
         progress(1.0, "fitted")
         return surface, grid, remarks
 
@@ -220,6 +227,8 @@ class _Job:
         else:
             height = resample_map(self.prior[0], self.prior[2], grid).nan_to_num(self.z_ref)
         gain, offset = match_colours(self.views)
+        if self.radiance != "relative":
+            gain, offset = np.ones_like(gain), np.zeros_like(offset)
         total = np.zeros_like(self.views[0].target)
         weight = np.zeros((*grid.shape, 1), np.float32)
         for view, a, b in zip(self.views, gain, offset, strict=True):
@@ -228,7 +237,46 @@ class _Job:
             weight += seen
         albedo = torch.from_numpy(total / np.maximum(weight, 1)).float()
         scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT)
+        scene.absolute = self.radiance != "relative"
         return scene.to(self.device)
+
+    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: dict[str, Tensor] | None) -> ReflectiveScene:
+        options = self.options
+        assert options.brdf in ("rpv", "hapke")  # the schedule asks for a model only then
+        if saved is not None:
+            own = {name.removeprefix("scene."): t for name, t in saved.items() if name.startswith("scene.")}
+            found = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
+            return found.to(self.device)  # type: ignore[return-value]
+        frozen = None
+        if options.normals == "prior":
+            frozen = prior_normals(self.prior, grid).to(self.device)
+        scale = [light_scale(self.radiance, view.sun) for view in self.views]
+        found, _ = reflective(
+            surface, options.brdf, self.views, scale, grid.cell_size, frozen, options.materials,
+            options.material_smooth, options.seed,
+        )  # fmt: skip
+        return found
+
+    def choose_brdf(self, stage: StageSettings) -> Choice:
+        """Settle ``--brdf auto`` on the prior's surface.
+
+        Raises:
+            SceneError: there is no prior, or a sun is unknown.
+        """
+        grid = self.scene.need_grid().resized(stage.cell_size)
+        self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
+        scale = [light_scale(self.radiance, view.sun) for view in self.views]
+        surface, lit = reflective(
+            self._start(grid), "rpv", self.views, scale, grid.cell_size,
+            prior_normals(self.prior, grid).to(self.device), self.options.materials, 0.0, self.options.seed, False,
+        )  # fmt: skip
+        cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
+        return choose_model(cells, block, self.radiance == "relative")
+
+    def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
+        """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""
+        self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
+        return material_remarks(surface, self.parameter_std)
 
     def _prior_on(self, grid: Grid) -> Prior | None:
         if self.prior is None:
@@ -312,23 +360,6 @@ class _Job:
         self.trace.rows = meta["rows"]
         self.trace.offset = self.trace.rows[-1]["seconds"]
         return tensors, meta
-
-
-def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
-    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no
-    further."""
-    factor = target.cell_size / source.cell_size
-    tensor = torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
-    known = torch.isfinite(tensor).float()
-    stack = torch.stack([torch.nan_to_num(tensor) * known, known])[None]
-    size = (round(target.height * factor), round(target.width * factor))
-    pad = (0, max(0, size[1] - source.width), 0, max(0, size[0] - source.height))
-    stack = torch.nn.functional.pad(stack, pad, mode="replicate")[..., : size[0], : size[1]]
-    if factor > 1:
-        value, weight = interpolate(stack, size=target.shape, mode="area")[0]
-    else:
-        value, weight = interpolate(stack, size=target.shape, mode="bilinear", align_corners=False)[0]
-    return torch.where(weight > 0.5, value / weight.clamp_min(1e-6), torch.nan)
 
 
 __all__ = ["Trace", "choose_device", "fit", "resample_map"]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from sattools.views import View
 
 
 @dataclass
@@ -22,6 +27,7 @@ class SurfaceScene:
         gain, offset: ``[V, C]``; the first view's are 1 and 0.
         ambient: ``[V, C]`` share of the light that reaches a shaded cell.
         pose: ``[V, 2]`` (east, north) shift of each view's rays [m]; not trained by gradient.
+        absolute: the images are reflectances, so that gain and offset stay as they are.
     """
 
     height: Tensor
@@ -30,6 +36,7 @@ class SurfaceScene:
     offset: Tensor
     ambient: Tensor
     pose: Tensor
+    absolute: bool = False
 
     def colour(self, index: int, visibility: Tensor | None) -> Tensor:
         """Radiance ``[H, W, C]`` of every cell towards image ``index``; visibility ``[H, W]`` or None = all lit."""
@@ -41,21 +48,25 @@ class SurfaceScene:
 
     def trainable(self) -> dict[str, Tensor]:
         """Tensors that gradient descent changes."""
-        return {
-            "height": self.height,
-            "albedo": self.albedo,
-            "gain": self.gain,
-            "offset": self.offset,
-            "ambient": self.ambient,
-        }
+        found = {"height": self.height, "albedo": self.albedo, "ambient": self.ambient}
+        return found if self.absolute else {**found, "gain": self.gain, "offset": self.offset}
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors, for saving."""
-        return {**self.trainable(), "pose": self.pose}
+        names = ("height", "albedo", "gain", "offset", "ambient", "pose")
+        return {name: getattr(self, name) for name in names}
+
+    def penalty(self) -> Tensor | float:
+        """What the loss holds against the scene's materials, beside the images."""
+        return 0.0
+
+    def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
+        """Bring up to date what is not trained by gradient; called every few epochs."""
 
     def to(self, device: torch.device) -> SurfaceScene:
         """The scene on a device."""
-        return SurfaceScene(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
+        moved: dict[str, Any] = {name: tensor.to(device) for name, tensor in self.tensors().items()}
+        return replace(self, **moved)
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
         """The scene on another grid with the same upper left corner.
@@ -78,10 +89,13 @@ class SurfaceScene:
             self.offset.detach().clone(),
             self.ambient.detach().clone(),
             self.pose.clone(),
+            self.absolute,
         )
 
 
-def start_scene(height: Tensor, albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float) -> SurfaceScene:
+def start_scene(
+    height: Tensor, albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float, absolute: bool = False
+) -> SurfaceScene:
     """A first surface ``[H, W]`` with an albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``."""
     return SurfaceScene(
         height.clone(),
@@ -90,6 +104,7 @@ def start_scene(height: Tensor, albedo: Tensor, gain: Tensor, offset: Tensor, am
         offset.clone(),
         torch.full_like(gain, ambient),
         torch.zeros(gain.shape[0], 2),
+        absolute,
     )
 
 

@@ -23,7 +23,7 @@ from sattools.views import View
 # epochs between refreshes of the sun visibility and of the poses; a checkpoint can only be taken right before one
 REFRESH = 4
 # Adam steps of radiances, which lie in [0, 1]
-RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004}
+RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004, "amount": 0.04}
 BETAS = (0.9, 0.99)
 KNEE_M = 1.0
 WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a wall
@@ -31,13 +31,14 @@ WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a
 
 @dataclass(frozen=True)
 class StageSettings:
-    """One grid of the coarse-to-fine schedule: cell [m], epochs, softness [m] at its start and end, height range
-    [m]."""
+    """One step of the schedule: cell [m], epochs, softness [m] at its start and end, height range [m], and whether the
+    surface has a reflectance model."""
 
     cell_size: float
     epochs: int
     softness: tuple[float, float]
     z_range: tuple[float, float]
+    reflective: bool = False
 
 
 @dataclass
@@ -103,6 +104,9 @@ class StageTrainer:
             p.requires_grad_(True)
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
         self.adam = torch.optim.Adam(groups, lr=0.0, betas=BETAS)
+        # colours take steps in proportion to the brightness of the images, where that is not stretched to [0, 1]
+        seen = torch.cat([t[m > 0].flatten()[::97] for t, m in zip(self.targets, self.masks, strict=True)])
+        self.brightness = min(1.0, 3 * float(seen.median())) if scene.absolute and seen.numel() else 1.0
         self.visibility: list[Tensor | None] = [None] * len(views)
         self.weights = [m.to(scene.height.dtype) for m in self.masks]
         self.quadrature = make_quadrature(settings.softness[0], settings.z_range)
@@ -141,16 +145,19 @@ class StageTrainer:
         decay = 1 - 0.7 * share
         for group in self.adam.param_groups:
             rate = self.options.height_rate * softness if group["name"] == "height" else self._rate(group["name"])
+            rate *= self.brightness if group["name"] == "albedo" else 1.0
             group["lr"] = decay * rate
         if epoch % REFRESH == 0:
             if self.options.shadow != "none":
                 height = self.scene.height.detach()
-                self.visibility = [
-                    sun_visibility(height, self.settings.cell_size, v.sun) if v.sun else None for v in self.views
-                ]
+                suns = {v.sun for v in self.views if v.sun}
+                cast = {sun: sun_visibility(height, self.settings.cell_size, sun) for sun in suns}
+                self.visibility = [cast[v.sun] if v.sun else None for v in self.views]
             self._weigh_walls()
             if self.options.pose and epoch:
                 self._refine_poses()
+            if epoch:
+                self.scene.refresh(self.views, self.visibility, self.settings.cell_size)
 
     @torch.no_grad()
     def _weigh_walls(self) -> None:
@@ -186,7 +193,7 @@ class StageTrainer:
         # in units of the robust scale, so that the other weights mean the same for every loss
         loss = (error * self.weights[j]).sum() / self.masks[j].sum().clamp_min(1) / self.scale**2
         bumps = roughness(self.scene.height, self.settings.cell_size, ties, knee=self.knee)
-        total = loss + self.smooth * bumps
+        total = loss + self.smooth * bumps + self.scene.penalty()
         if self.prior is not None:
             total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
         epoch_of_all = epoch + 1 + self.index * self.settings.epochs
@@ -194,7 +201,7 @@ class StageTrainer:
         if light is not None:
             total = total + light
         total.backward()
-        for name in ("gain", "offset"):
+        for name in {"gain", "offset"} & self.parameters.keys():
             self.parameters[name].grad[0] = 0  # type: ignore[index]  # the first view is the gauge
         self.adam.step()
         with torch.no_grad():

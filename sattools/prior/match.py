@@ -94,6 +94,8 @@ def match(
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
     fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin, frame.suns)
     step = options.step or plane_distance(frame, pairs)
+    # the first surface is known to the planes of the rough passes: what is nearer must not count as hidden
+    options = replace(options, tolerance=max(options.tolerance, 2 * step))
     hidden = nothing_hidden(fine)
     guide = None
     if options.rough_passes:

@@ -36,7 +36,9 @@ class PriorOptions:
         5, "Passes, at most, at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0
     )
     erode: float = option(3.0, "Radius by which the surface is thinned before it hides anything [m].", minimum=0)
-    tolerance: float = option(2.0, "Depth below the visible surface from which a point is hidden [m].", minimum=0)
+    tolerance: float = option(
+        2.0, "Depth below the visible surface from which a point is hidden [m]; at least two planes.", minimum=0
+    )
     edges: float = option(
         0.04,
         "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them.",

@@ -31,6 +31,8 @@ SKY_STRIDE = 8
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
 CAR_KEY = 1000
+CITY = {"size": 128.0, "views": 12, "gsd": 0.5, "off_nadir": 26.0, "bits": 11}
+NATURAL = {"size": 512.0, "views": 21, "gsd": 2.0, "off_nadir": 45.0, "bits": 12}
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
 
 
@@ -40,24 +42,53 @@ class SimulateOptions:
 
     id: str = option("SIM_001", "Name of the scene.")
     out: str = option(".", "Folder in which the scene's own folder is made.")
-    terrain: Literal["city"] = option("city", "What is built: city (streets, houses, courts, a tower).")
+    terrain: Literal["city", "natural"] = option(
+        "city", "What is built: city (streets, houses, courts, a tower), or natural (relief with geological units)."
+    )
     dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.")
     classes: str | None = option(None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.")
-    size: float = option(128.0, "Edge of the square scene [m].", minimum=32, maximum=1024)
-    views: int = option(12, "Number of images.", minimum=1, maximum=200)
+    size: float = option(None, "Edge of the square scene [m] (default: 128; natural 512).", minimum=32, maximum=1024)
+    views: int = option(None, "Number of images (default: 12; natural 21, in one pass).", minimum=1, maximum=200)
     dates: int = option(6, "Number of dates over which they are spread.", minimum=1, maximum=200)
     test_views: int = option(0, "How many of them are held out (role test).", minimum=0)
-    gsd: float = option(0.5, "Edge of a pixel across the line of sight [m].", minimum=0.1, maximum=10)
-    off_nadir: float = option(26.0, "Largest off-nadir angle [degrees].", minimum=0, maximum=45)
+    gsd: float = option(
+        None, "Edge of a pixel across the line of sight [m] (default: 0.5; natural 2).", minimum=0.1, maximum=10
+    )
+    off_nadir: float = option(
+        None, "Largest off-nadir angle [degrees] (default: 26; natural 45).", minimum=0, maximum=60
+    )
     bias_px: float = option(0.0, "Error of the RPCs in the images' tags, radius per view [px].", minimum=0)
     noise: float = option(1.0, "Sensor noise relative to a usual one.", minimum=0)
-    bits: int = option(11, "11: linear numbers in 16-bit files; 8: tone-mapped.", minimum=8, maximum=11)
+    bits: int = option(
+        None,
+        "11: linear numbers in 16-bit files; 8: tone-mapped (default: 11; natural always 12).",
+        minimum=8,
+        maximum=12,
+    )
     trees: bool = option(True, "Plant trees.")
     cars: int = option(0, "Cars on the streets, elsewhere in every image; not in the truth.", minimum=0, maximum=2000)
     hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
     lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
+    reflectance: Literal["lambert", "rpv", "hapke"] = option("hapke", "Reflectance model of natural ground.")
+    units: int = option(5, "Geological units of natural ground.", minimum=1, maximum=6)
+    slope: float = option(15.0, "Mean slope of the fractal relief of natural ground [degrees].", minimum=0, maximum=60)
+    sun_azimuth: float = option(135.0, "Sun over natural ground, from north [degrees].", minimum=0, maximum=360)
+    sun_elevation: float = option(48.0, "Sun over natural ground, above the horizon [degrees].", minimum=2, maximum=90)
+    train: int = option(
+        7, "Most nadir views of natural ground that are for training; the others are held out.", minimum=2
+    )
     seed: int = option(0, "Seed of everything that is drawn.", minimum=0)
+
+    def __post_init__(self) -> None:
+        usual = NATURAL if self.terrain == "natural" else CITY
+        for name, value in usual.items():
+            if getattr(self, name) is None:
+                setattr(self, name, value)
+        if self.terrain == "natural":
+            self.bits = 12
+        elif self.bits == 12:
+            raise InputError("--bits: found 12, expected 8 or 11 for a city")
 
 
 @dataclass(frozen=True)
@@ -65,7 +96,7 @@ class View:
     """One image to be taken.
 
     Attributes:
-        id: name; time: UTC; sun, sensor: (azimuth from true north, elevation) in degrees.
+        id: name; time: UTC; bits: of 16-bit numbers; sun, sensor: (azimuth from true north, elevation) in degrees.
         camera: exact; rpc: fitted to it; rpc_error_px: largest error of the fit.
         shape: (rows, columns); radiometry: of its date; bias: (columns, rows) error of the delivered RPC.
     """
@@ -81,6 +112,7 @@ class View:
     radiometry: Radiometry
     bias: tuple[float, float]
     role: str
+    bits: int = 11
 
 
 def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, overwrite: bool = False) -> Scene:
@@ -92,6 +124,10 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     """
     scene = Scene(options.id, Path(root))
     scene.output("scene.json", overwrite)
+    if options.terrain == "natural":
+        from sattools.simulate.fan import simulate_natural
+
+        return simulate_natural(scene, options, progress)
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
     grid, world = _world(options, np.random.default_rng(seeds[0]))
@@ -107,7 +143,7 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     sky = sky_share(world, SKY_STRIDE)
     views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
     noise_seeds = seeds[2].spawn(len(views))
-    with ThreadPoolExecutor(max_workers=min(len(views), _threads())) as pool:
+    with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
         jobs = pool.map(
             lambda job: _take(scene, options, _on_the_day(options, world, job[0]), sky, *job[1:]),
             zip(range(len(views)), views, noise_seeds, strict=True),
@@ -147,7 +183,7 @@ def plan_views(
         sensor = (azimuth, 90.0 - float(tilts[k]))
         view = grid_direction(*sensor, grid.crs, lon, lat)
         camera = Pushbroom.towards(np.array([x, y, z]), view, options.gsd, (1, 1), float(rng.uniform(-8, 8)))
-        camera, shape = _framed(camera, corners)
+        camera, shape = framed(camera, corners)
         rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
         angle = rng.uniform(0, 2 * np.pi)
         bias = options.bias_px * np.sqrt(rng.uniform()) * np.array([np.cos(angle), np.sin(angle)])
@@ -206,7 +242,7 @@ def _on_the_day(options: SimulateOptions, world: World, number: int) -> World:
     return with_cars(world, options.cars, options.size / 2, rng)
 
 
-def _framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int, int]]:
+def framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int, int]]:
     """The camera with its first pixel moved so that the image just holds the corners [N, 3], and the image's shape."""
     from dataclasses import replace
 
@@ -235,6 +271,14 @@ def _take(
     rng = np.random.default_rng(seed)
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
+    return write_view(scene, view, image, lit, height, sun, options.gsd)
+
+
+def write_view(
+    scene: Scene, view: View, image: np.ndarray, lit: np.ndarray, height: np.ndarray, sun: np.ndarray, gsd: float
+) -> Item:
+    """Write the files of one view: image [B, H, W], share of sunlit ground and heights [H, W]; its item."""
+    assert scene.grid is not None  # set before the views are taken
     delivered = view.rpc.shifted(*view.bias)
     date = view.time.strftime("%Y-%m-%dT%H:%M:%SZ")
     files = {
@@ -258,7 +302,7 @@ def _take(
     properties: dict[str, Any] = {
         "datetime": date,
         "platform": "simulated",
-        "gsd": options.gsd,
+        "gsd": gsd,
         "proj:code": scene.grid.crs,
         "proj:shape": list(view.shape),
         "view:sun_azimuth": round(view.sun[0], 4),
@@ -269,7 +313,7 @@ def _take(
         "sattools:view_direction": (-view.camera.look).round(8).tolist(),
         "sattools:sun": "time and place",
         "sattools:sun_direction": sun.round(8).tolist(),
-        "sattools:bits": 8 if image.dtype == np.uint8 else 11,
+        "sattools:bits": 8 if image.dtype == np.uint8 else view.bits,
         "sattools:dtype": str(image.dtype),
         "sattools:bands": 3,
         "sattools:value_range": [float(image.min()), float(image.max())],
@@ -308,7 +352,7 @@ def _footprint(view: View, height: float) -> list[list[float]]:
     return [[float(a), float(b)] for a, b in zip(lon, lat, strict=True)]
 
 
-def _threads() -> int:
+def threads() -> int:
     asked = os.environ.get("NUMBA_NUM_THREADS", "")
     return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
 

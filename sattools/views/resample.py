@@ -127,13 +127,16 @@ def _cell_blur(col: np.ndarray, row: np.ndarray) -> tuple[float, float]:
     return tuple(math.sqrt(max(0.0, f * f - 1) / 12) for f in (along_col, along_row))  # type: ignore[return-value]
 
 
-def shown_on(view: View, height: np.ndarray, cell_size: float) -> tuple[np.ndarray, np.ndarray]:
+def shown_on(
+    view: View, height: np.ndarray, cell_size: float, pose: tuple[float, float] = (0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
     """What a view shows at the surface points of the grid, occlusion ignored.
 
     Args:
         view: image on the reference plane.
         height: ``[H, W]`` [m].
         cell_size: [m].
+        pose: (east, north) shift of the view's rays [m].
 
     Returns:
         ``[H, W, C]`` radiance and ``[H, W, 1]`` float32, 1 where the view has a value.
@@ -142,8 +145,8 @@ def shown_on(view: View, height: np.ndarray, cell_size: float) -> tuple[np.ndarr
 
     rows, cols = height.shape
     dz = height - view.z_ref
-    col = (np.arange(cols)[None, :] - view.slope[0] * dz / cell_size).astype(np.float32)
-    row = (np.arange(rows)[:, None] + view.slope[1] * dz / cell_size).astype(np.float32)
+    col = (np.arange(cols)[None, :] - (pose[0] + view.slope[0] * dz) / cell_size).astype(np.float32)
+    row = (np.arange(rows)[:, None] + (pose[1] + view.slope[1] * dz) / cell_size).astype(np.float32)
     picture = cv2.remap(view.target, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(view.mask, col, row, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return picture.reshape(*height.shape, -1), seen[..., None].astype(np.float32)

@@ -1,0 +1,149 @@
+"""Comparison with laboratory or field samples at named points."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sattools.errors import InputError
+from sattools.scene.grid import Grid
+
+TEXT = ("name",)
+PLACES = (("x", "y"), ("lon", "lat"))
+
+
+@dataclass(frozen=True)
+class Point:
+    """A sample: name, place (in `crs`), and its values: ``reflectance_1`` ..., ``theta``, any product's name."""
+
+    name: str
+    x: float
+    y: float
+    crs: str | None
+    values: Mapping[str, float]
+
+
+def read_points(path: Path) -> list[Point]:
+    """Samples from a CSV or any vector file that GDAL reads (GeoPackage, GeoJSON, ...).
+
+    A CSV has the columns ``name`` and ``x``, ``y`` (in the CRS of the maps) or ``lon``, ``lat`` (WGS84); all other
+    columns with numbers are values. Of a vector file the point geometries and the attributes are taken.
+
+    Raises:
+        InputError: unreadable, without places, or without values.
+    """
+    points = _read_csv(path) if path.suffix.lower() == ".csv" else _read_vector(path)
+    if not points:
+        raise InputError(f"{path}: found no sample point, expected at least one")
+    if not any(point.values for point in points):
+        raise InputError(f"{path}: found no value beside the places, expected columns such as reflectance_1 or theta")
+    return points
+
+
+def _read_csv(path: Path) -> list[Point]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read ({error}), expected a CSV of sample points") from error
+    points = []
+    for number, row in enumerate(rows, 1):
+        place = next((pair for pair in PLACES if row.get(pair[0]) and row.get(pair[1])), None)
+        if place is None:
+            raise InputError(f"{path}: found no x, y or lon, lat in row {number}, expected one of them")
+        numbers = {key: _number(value) for key, value in row.items() if key and key not in TEXT}
+        if numbers[place[0]] is None or numbers[place[1]] is None:
+            raise InputError(f"{path}: found {row[place[0]]!r}, {row[place[1]]!r} in row {number}, expected numbers")
+        values = {k: v for k, v in numbers.items() if v is not None and k not in {n for pair in PLACES for n in pair}}
+        crs = "EPSG:4326" if place[0] == "lon" else None
+        points.append(
+            Point(row.get("name") or str(number), float(numbers[place[0]]), float(numbers[place[1]]), crs, values)  # type: ignore[arg-type]
+        )
+    return points
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return float(text) if text else None
+    except ValueError:
+        return None
+
+
+def _read_vector(path: Path) -> list[Point]:
+    import geopandas
+
+    try:
+        frame = geopandas.read_file(path)
+    except Exception as error:  # GDAL's drivers raise a dozen kinds
+        raise InputError(f"{path}: cannot be read ({error}), expected a vector file of sample points") from error
+    if not (frame.geometry.geom_type == "Point").all():
+        raise InputError(f"{path}: found {sorted(set(frame.geometry.geom_type))}, expected points")
+    names = frame["name"] if "name" in frame else [str(k + 1) for k in range(len(frame))]
+    numeric = frame.select_dtypes("number").columns
+    crs = frame.crs.to_string() if frame.crs else None
+    return [
+        Point(
+            str(name), float(row.geometry.x), float(row.geometry.y), crs,
+            {c: float(row[c]) for c in numeric if np.isfinite(row[c])},
+        )
+        for name, (_, row) in zip(names, frame.iterrows(), strict=True)
+    ]  # fmt: skip
+
+
+def compare_points(
+    points: list[Point], maps: Mapping[str, tuple[np.ndarray, Grid]], shift: tuple[float, float] = (0.0, 0.0)
+) -> list[dict[str, Any]]:
+    """Map values beside the samples' own.
+
+    Args:
+        points: samples; a value is named like its map, with ``_<band>`` (from 1) where that has several bands.
+        maps: ``[B, H, W]`` and grid by name.
+        shift: (east, north) by which the maps were moved to fit their reference [m].
+
+    Returns:
+        Per point: name, and per value ``map``, ``sample``, ``difference`` (None where the map has no value there).
+    """
+    table = []
+    for point in points:
+        row: dict[str, Any] = {"name": point.name, "values": {}}
+        for key, sample in point.values.items():
+            name, band = _band_of(key, maps)
+            if name is None:
+                continue
+            array, grid = maps[name]
+            east, north = _on(grid, point)
+            col = int(np.floor((east - shift[0] - grid.left) / grid.cell_size))
+            line = int(np.floor((grid.top - (north - shift[1])) / grid.cell_size))
+            inside = 0 <= col < grid.width and 0 <= line < grid.height
+            found = float(array[band, line, col]) if inside and np.isfinite(array[band, line, col]) else None
+            difference = None if found is None else found - sample
+            row["values"][key] = {"map": found, "sample": sample, "difference": difference}
+        table.append(row)
+    return table
+
+
+def _on(grid: Grid, point: Point) -> tuple[float, float]:
+    """(easting, northing) of a point in the grid's CRS."""
+    if point.crs is None or point.crs == grid.crs:
+        return point.x, point.y
+    from sattools.camera.ground import from_geographic, to_geographic
+
+    east, north = from_geographic(grid.crs, *to_geographic(point.crs, point.x, point.y))
+    return float(east), float(north)
+
+
+def _band_of(key: str, maps: Mapping[str, tuple[np.ndarray, Grid]]) -> tuple[str | None, int]:
+    if key in maps and maps[key][0].shape[0] == 1:
+        return key, 0
+    stem, _, number = key.rpartition("_")
+    if stem in maps and number.isdigit() and 1 <= int(number) <= maps[stem][0].shape[0]:
+        return stem, int(number) - 1
+    return None, 0
+
+
+__all__ = ["Point", "compare_points", "read_points"]

@@ -1,0 +1,64 @@
+"""Maps of a fitted reflectance model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sattools.fit.material import AMOUNT, SHAPE
+from sattools.fit.material_std import SLOPE_STD
+from sattools.fit.reflective import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import write_cog
+
+ABSOLUTE = "absolute: the images are reflectances"
+RELATIVE = "relative: the images have an unknown scale"
+
+
+def material_maps(surface: ReflectiveScene, tensors: dict[str, Tensor]) -> dict[str, np.ndarray]:
+    """Every map ``[B, H, W]`` by the name of its product; standard deviations end in ``_std``.
+
+    ``normal_std`` is in degrees about either axis: 86 % of the normals are within twice as much.
+    """
+    amount, shape = surface.values()
+    maps = {AMOUNT[surface.kind].name: amount.permute(2, 0, 1)}
+    maps |= {p.name: value[None] for p, value in zip(SHAPE[surface.kind], shape, strict=True)}
+    for name in list(maps):
+        if f"{name}_std" in tensors:
+            std = tensors[f"{name}_std"]
+            maps[f"{name}_std"] = std.permute(2, 0, 1) if std.ndim == 3 else std[None]
+    maps["normal"] = surface.normals().permute(2, 0, 1)
+    tilt = torch.atan(torch.full_like(surface.height, SLOPE_STD))
+    maps["normal_std"] = torch.rad2deg(tilt)[None]
+    maps["reflectance"] = standard_reflectance(surface).permute(2, 0, 1)
+    return {name: tensor.detach().cpu().numpy() for name, tensor in maps.items()}
+
+
+def write_material(
+    scene: Scene, grid: Grid, surface: ReflectiveScene, tensors: dict[str, Tensor], overwrite: bool
+) -> None:
+    """Write `material_maps` below ``export/`` and name them as products."""
+    tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": surface.kind}
+    for name, array in material_maps(surface, tensors).items():
+        href = f"export/{name}.tif"
+        own = dict(tags)
+        stem = name.removesuffix("_std")
+        if stem in (AMOUNT[surface.kind].name, "reflectance"):
+            own["SCALE"] = ABSOLUTE if surface.absolute else RELATIVE
+        if name == "reflectance":
+            own["GEOMETRY"] = f"level ground, nadir view, sun {STANDARD_SUN_DEG:g} degrees from the vertical"
+        if name.endswith("_std"):
+            own["METHOD"] = "curvature of the fit; materials told apart wrongly are not in it"
+        if stem == "normal" and array.shape[0] == 3:
+            bands = ["normal east", "normal north", "normal up"]
+        else:
+            bands = [name] if array.shape[0] == 1 else [f"{name} {b + 1}" for b in range(array.shape[0])]
+        unit = "degrees" if name in ("theta", "theta_std", "normal_std") else "1"
+        write_cog(scene.output(href, overwrite), array, grid, units=unit, tags=own, descriptions=bands)
+        scene.products[name] = href
+
+
+__all__ = ["material_maps", "write_material"]

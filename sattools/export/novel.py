@@ -1,0 +1,161 @@
+"""The fitted scene as other cameras and other suns would show it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sattools.camera.ground import from_geographic, grid_direction, to_geographic
+from sattools.camera.rpc import RPC
+from sattools.errors import SceneError
+from sattools.fit.illumination import light_scale
+from sattools.fit.material import line_to
+from sattools.fit.reflective import ReflectiveScene
+from sattools.fit.surface import SurfaceScene
+from sattools.fit.train import make_quadrature
+from sattools.render import Rays, render, sun_visibility
+from sattools.scene import Asset, Grid, Scene
+from sattools.scene.document import GEOTIFF_TYPE
+from sattools.scene.raster import write_cog, write_image_like
+from sattools.views import load_sources, views_on
+
+Vector = tuple[float, float, float]
+
+
+def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
+    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon."""
+    west, south, east, north = grid.bounds
+    lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
+    vector = grid_direction(azimuth_deg, elevation_deg, grid.crs, float(lon), float(lat))
+    return float(vector[0]), float(vector[1]), float(vector[2])
+
+
+@torch.no_grad()
+def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, line: Vector) -> Tensor:
+    """Light ``[H, W, C]`` of every cell towards ``line``: pi L / E of a reflectance model, else in units of the albedo.
+
+    Shade has the mean ambient light of the images.
+    """
+    visibility = sun_visibility(surface.height, cell, sun) if shadow and sun is not None else None
+    ambient = surface.ambient.mean(0)
+    if isinstance(surface, ReflectiveScene):
+        if sun is None:
+            raise SceneError("export: found no sun for a reflectance model, expected sun angles or --sun")
+        sun_at, line_at = (surface.height.new_tensor(v) for v in (sun, line))
+        return surface.light(sun_at, line_at, visibility, ambient)
+    if visibility is None:
+        return surface.albedo
+    v = visibility[..., None]
+    return surface.albedo * (v + (1 - v) * ambient)
+
+
+@torch.no_grad()
+def render_item(
+    scene: Scene, item_id: str, surface: SurfaceScene, meta: dict[str, Any], sun_angles: tuple[float, float] | None
+) -> np.ndarray:
+    """An item's image ``[C, h, w]`` as the model predicts it, on the image's own pixels; NaN beyond the model.
+
+    A training image has the gain and offset that the fit found. Any other one has none where the radiance is absolute;
+    where it is relative, both are fitted on its western half, which is then left out (NaN), so that the eastern half
+    can be scored.
+    """
+    import cv2
+
+    grid = Grid.from_dict(meta["grid"])
+    items = [item for item in scene.items if item.id == item_id]
+    if not items:
+        raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
+    (source,) = load_sources(scene, items)
+    z_range = scene.need_height_range()
+    z_ref = float(meta["z_ref"])
+    (view,) = views_on([source], grid, z_ref, z_range)
+    sun = grid_sun(grid, *sun_angles) if sun_angles else view.sun
+    light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, line_to(view.slope))
+    known = meta["items"].index(item_id) if item_id in meta["items"] else None
+    radiance = meta.get("radiance", "relative")
+    if known is not None:
+        light = surface.gain[known] * light + surface.offset[known]
+    pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
+    light = light * light_scale(radiance, sun) if isinstance(surface, ReflectiveScene) else light
+    rays = Rays(view.slope, view.z_ref, (pose[0], pose[1]))
+    # the fit needs a soft surface for its gradients, a picture does not
+    quadrature = make_quadrature(float(meta["softness"]) / 2, z_range)
+    rgb, depth, opacity = render(surface.height, light.contiguous(), rays, quadrature, grid.cell_size)
+    picture = (rgb / opacity.clamp_min(1e-3)[..., None]).numpy()
+    # rays that reach the ground beyond the model show its border over and over
+    rise = (depth / opacity.clamp_min(1e-3)).numpy() - z_ref
+    rows, cols = picture.shape[:2]
+    col = np.arange(cols)[None] + (pose[0] + view.slope[0] * rise) / grid.cell_size
+    row = np.arange(rows)[:, None] - (pose[1] + view.slope[1] * rise) / grid.cell_size
+    inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity.numpy() > 0.5)
+    if known is None and radiance == "relative":
+        picture = _matched(picture, view.target, (view.mask > 0) & inside)
+        inside[:, : cols // 2] = False
+    picture[~inside] = np.nan
+    at_col, at_row = _pixels_on(source.rpc, source.radiance.shape[1:], grid, z_ref)
+    shown = cv2.remap(
+        picture, at_col, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
+    )
+    return np.asarray(shown.reshape(*at_col.shape, -1).transpose(2, 0, 1))
+
+
+def _matched(picture: np.ndarray, target: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """``picture`` with gain and offset per band that bring its western half to the target's."""
+    half = counted.copy()
+    half[:, counted.shape[1] // 2 :] = False
+    if half.sum() < 10:
+        return picture
+    result = picture.copy()
+    for b in range(picture.shape[-1]):
+        design = np.stack([picture[half][:, b], np.ones(int(half.sum()))], axis=1)
+        (gain, offset), *_ = np.linalg.lstsq(design, target[half][:, b], rcond=None)
+        result[..., b] = gain * picture[..., b] + offset
+    return result
+
+
+def _pixels_on(rpc: RPC, shape: tuple[int, ...], grid: Grid, z_ref: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the lines of sight of an image's pixels cross the reference height: (column, row) of the grid, float32."""
+    rows, cols = shape[-2:]
+    col, row = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    lon, lat = rpc.localization(col.ravel(), row.ravel(), np.full(col.size, z_ref))
+    east, north = from_geographic(grid.crs, lon, lat)
+    at_col = (np.asarray(east) - grid.left) / grid.cell_size - 0.5
+    at_row = (grid.top - np.asarray(north)) / grid.cell_size - 0.5
+    return at_col.reshape(col.shape).astype(np.float32), at_row.reshape(col.shape).astype(np.float32)
+
+
+def write_view(
+    scene: Scene,
+    item_id: str,
+    surface: SurfaceScene,
+    meta: dict[str, Any],
+    sun_angles: tuple[float, float] | None,
+    overwrite: bool,
+) -> None:
+    """Write the item's asset ``rendered`` (with another sun: ``relit``)."""
+    picture = render_item(scene, item_id, surface, meta, sun_angles)
+    name = "relit" if sun_angles else "rendered"
+    href = f"export/{name}/{item_id}.tif"
+    item = next(item for item in scene.items if item.id == item_id)
+    like = next(item.assets[asset] for asset in ("radiance", "image") if asset in item.assets)
+    write_image_like(scene.output(href, overwrite), picture, scene.path(like.href))
+    item.assets[name] = Asset(href, GEOTIFF_TYPE)
+
+
+def write_relit(
+    scene: Scene, surface: SurfaceScene, meta: dict[str, Any], sun_angles: tuple[float, float], overwrite: bool
+) -> None:
+    """The scene from above under another sun, on the ground grid: product ``relit``."""
+    grid = Grid.from_dict(meta["grid"])
+    sun = grid_sun(grid, *sun_angles)
+    light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, (0.0, 0.0, 1.0))
+    tags = {"SUN_AZIMUTH": f"{sun_angles[0]:g}", "SUN_ELEVATION": f"{sun_angles[1]:g}", "SOFTWARE": "sattools"}
+    href = "export/relit.tif"
+    write_cog(scene.output(href, overwrite), light.permute(2, 0, 1).numpy(), grid, units="1", tags=tags)
+    scene.products["relit"] = href
+
+
+__all__ = ["light_towards", "render_item", "write_relit", "write_view"]

@@ -1,0 +1,183 @@
+"""What a scene's numbers are, under which angles it was seen, and what that allows to find out."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sattools.errors import SceneError
+from sattools.fit.material import SHAPE, surface_normals
+from sattools.fit.options import FitOptions
+from sattools.fit.reflective import ReflectiveScene
+from sattools.fit.resample import resample_map
+from sattools.scene import Grid, Item, Scene
+
+log = logging.getLogger(__name__)
+
+Radiance = Literal["reflectance_factor", "toa_reflectance", "relative"]
+KINDS = ("reflectance_factor", "toa_reflectance", "relative")
+NARROW_PHASE_DEG = 10.0  # below this span a phase function is a constant
+CALIBRATED_SHARE = 0.1
+CALIBRATED_SMOOTH = 0.2
+NORMAL_SMOOTHING_M = 6.0
+UNKNOWN_SHARE = 0.2  # standard deviation, as share of the range, from which a parameter counts as unknown
+
+
+def radiance_kind(scene: Scene, items: Sequence[Item]) -> Radiance:
+    """What the items' numbers are (property ``sattools:radiance``); ``relative`` where nothing is said.
+
+    ``reflectance_factor`` is pi L / E with the sun's irradiance E across its beam, ``toa_reflectance`` pi L / (E sin
+    (sun elevation)), ``relative`` has an unknown scale.
+
+    Raises:
+        SceneError: an unknown kind, or items of different kinds.
+    """
+    found = {str(item.properties.get("sattools:radiance", "relative")) for item in items}
+    for kind in sorted(found):
+        if kind not in KINDS:
+            raise SceneError(f"scene {scene.id}: found sattools:radiance {kind!r}, expected one of {', '.join(KINDS)}")
+    if len(found) > 1:
+        raise SceneError(f"scene {scene.id}: found images with sattools:radiance {sorted(found)}, expected one kind")
+    return cast(Radiance, found.pop())
+
+
+def light_scale(kind: Radiance, sun: tuple[float, float, float] | None) -> float:
+    """Numbers in the image per pi L / E."""
+    if kind == "toa_reflectance" and sun is not None:
+        return 1 / max(sun[2], 0.02)
+    return 1.0
+
+
+def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
+    """The options with the weights of the loss set for images that agree to a per cent, as calibrated ones do.
+
+    They are given for images of many dates, in units of `FitOptions.robust`, a tenth of the range from black to white;
+    calibrated images differ by less before something is wrong, and the prior and the smoothness may be overruled by
+    less.
+    """
+    if kind == "relative":
+        return options
+    smooth = CALIBRATED_SMOOTH if options.smooth is None else options.smooth
+    return replace(
+        options,
+        robust=options.robust * CALIBRATED_SHARE,
+        prior_weight=options.prior_weight * CALIBRATED_SHARE,
+        smooth=smooth,
+    )
+
+
+def choose_views(scene: Scene, which: str) -> None:
+    """Hold out the training images that ``which`` (``all`` or ``nearest-nadir:N``) leaves out.
+
+    Raises:
+        SceneError: another text, or an image without its off-nadir angle.
+    """
+    if which == "all":
+        return
+    match = re.fullmatch(r"nearest-nadir:([1-9]\d*)", which)
+    if not match:
+        raise SceneError(f"--views: found {which!r}, expected all or nearest-nadir:N")
+    items = scene.train_items()
+    for item in items:
+        if item.properties.get("view:off_nadir") is None:
+            raise SceneError(f"scene {scene.id}: item {item.id} has no view:off_nadir, expected it for --views {which}")
+    items.sort(key=lambda item: float(item.properties["view:off_nadir"]))
+    for item in items[int(match[1]) :]:
+        item.properties["sattools:role"] = "test"
+
+
+def phase_angles(items: Sequence[Item]) -> np.ndarray:
+    """Angle between sun and sensor of every item that has both [degrees]."""
+    found = []
+    for item in items:
+        azimuth, tilt = item.properties.get("view:azimuth"), item.properties.get("view:incidence_angle")
+        if tilt is None:
+            tilt = item.properties.get("view:off_nadir")
+        if item.sun is None or azimuth is None or tilt is None:
+            continue
+        a, b = math.radians(item.sun[0] - float(azimuth)), math.radians(float(tilt))
+        z = math.radians(90 - item.sun[1])
+        cosine = math.cos(z) * math.cos(b) + math.sin(z) * math.sin(b) * math.cos(a)
+        found.append(math.degrees(math.acos(min(1.0, max(-1.0, cosine)))))
+    return np.array(found)
+
+
+def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) -> list[str]:
+    """Remarks about phase and incidence angles and what they allow.
+
+    Raises:
+        SceneError: a reflectance model is asked for and a sun is unknown.
+    """
+    if brdf == "lambert":
+        return []
+    for item in items:
+        if item.sun is None:
+            raise SceneError(f"scene {scene.id}: item {item.id} has no sun angles, expected them for --brdf {brdf}")
+    phase = phase_angles(items)
+    zeniths = sorted({round(90 - item.sun[1], 1) for item in items if item.sun is not None})
+    remarks = []
+    if len(phase):
+        span = float(np.ptp(phase))
+        text = (
+            f"phase angles {phase.min():.0f} to {phase.max():.0f} degrees, "
+            f"sun {zeniths[0]:g} to {zeniths[-1]:g} degrees from the vertical"
+        )
+        if span < NARROW_PHASE_DEG:
+            text += f": a span of {span:.0f} degrees does not show a phase function; its shape is the prior's"
+        elif brdf == "hapke":
+            text += ": b and c are known along one line only, the prior says where on it; theta comes from the slopes"
+        remarks.append(text)
+    if kind == "relative":
+        remarks.append("radiance of unknown scale: amounts are relative, their ratios mean something, their level not")
+    if zeniths and zeniths[-1] > 70:
+        remarks.append(f"sun only {90 - zeniths[-1]:.0f} degrees high: long shadows, and slopes in grazing light")
+    for text in remarks:
+        log.info(text)
+    return remarks
+
+
+def material_remarks(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
+    """What was found of the materials' shapes, and which of it the data do not determine."""
+    _, shape = scene.values()
+    remarks = [f"{scene.members.shape[0]} end-members"]
+    for parameter, value in zip(SHAPE[scene.kind], shape, strict=True):
+        spread = float(std[parameter.name].median())
+        text = f"{parameter.name} {float(value.min()):.2f} to {float(value.max()):.2f}, std {spread:.2f}"
+        if spread > UNKNOWN_SHARE * (parameter.high - parameter.low):
+            text += " (not determined by these views: its prior)"
+        remarks.append(text)
+    return ["; ".join(remarks)]
+
+
+def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid) -> Tensor:
+    """Normals ``[H, W, 3]`` of the prior's surface, smoothed over `NORMAL_SMOOTHING_M`, on a grid.
+
+    Raises:
+        SceneError: there is no prior.
+    """
+    if prior is None:
+        raise SceneError("--normals prior: found no prior, expected one (--prior-weight above 0)")
+    from scipy.ndimage import gaussian_filter
+
+    height, _, own = prior
+    known = np.isfinite(height)
+    sigma = NORMAL_SMOOTHING_M / own.cell_size
+    weight = gaussian_filter(known.astype(np.float64), sigma, mode="nearest")
+    smooth = gaussian_filter(np.where(known, height, 0.0).astype(np.float64), sigma, mode="nearest")
+    smooth = np.where(weight > 1e-3, smooth / np.maximum(weight, 1e-3), np.nanmean(height))
+    on_grid = resample_map(smooth, own, grid)
+    return surface_normals(torch.nan_to_num(on_grid, nan=float(np.nanmean(height))), grid.cell_size)
+
+
+__all__ = [
+    "KINDS", "Radiance", "calibrated", "check_light", "choose_views", "light_scale", "material_remarks",
+    "phase_angles", "prior_normals", "radiance_kind",
+]  # fmt: skip

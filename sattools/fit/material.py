@@ -1,0 +1,137 @@
+"""Reflectance of a surface: parameter maps, and the light that every cell sends towards a view.
+
+A model's amount (Hapke's w, Rahman's rho0) is a map per band; its three shape parameters belong to few end-members of
+which every cell holds fixed shares. All are trained in an unbounded form and come out within their ranges by smooth
+maps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from sattools.reflectance import hapke, rpv
+
+Kind = Literal["rpv", "hapke"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Name, range and usual value of a parameter, with the width of its prior in the unbounded form."""
+
+    name: str
+    low: float
+    high: float
+    usual: float
+    width: float = 1.0
+
+    def bounded(self, raw: Tensor) -> Tensor:
+        """Value within the range."""
+        return self.low + (self.high - self.low) * torch.sigmoid(raw)
+
+    def raw(self, value: Tensor) -> Tensor:
+        """Inverse of `bounded`; values at or beyond the range come just inside."""
+        share = ((value - self.low) / (self.high - self.low)).clamp(1e-4, 1 - 1e-4)
+        return torch.log(share / (1 - share))
+
+    def slope(self, raw: Tensor) -> Tensor:
+        """d bounded / d raw."""
+        s = torch.sigmoid(raw)
+        return (self.high - self.low) * s * (1 - s)
+
+
+AMOUNT: dict[Kind, Parameter] = {
+    "rpv": Parameter("rho0", 0.0, 1.0, 0.2),
+    "hapke": Parameter("w", 0.0, 0.98, 0.4),
+}
+SHAPE: dict[Kind, tuple[Parameter, Parameter, Parameter]] = {
+    "rpv": (
+        Parameter("k", 0.3, 1.7, 0.85),
+        Parameter("asymmetry", -0.6, 0.6, -0.1),
+        Parameter("rhoc", 0.0, 1.0, 0.8),
+    ),
+    "hapke": (
+        Parameter("b", 0.0, 0.9, 0.3, 0.4),
+        Parameter("c", 0.0, 1.0, 0.5, 0.4),
+        Parameter("theta", 0.2, 50.0, 20.0, 1.0),
+    ),
+}
+"""Prior centres are usual values of rocks and soils; widths are in the unbounded form."""
+
+
+def radiance_factor(
+    kind: Kind, normal: Tensor, sun: Tensor, view: Tensor, amount: Tensor, shape: tuple[Tensor, Tensor, Tensor]
+) -> Tensor:
+    """BRF * cos i = pi L / E ``[..., C]``, E the sun's irradiance across its beam.
+
+    Args:
+        kind: model.
+        normal: ``[..., 3]`` unit vectors.
+        sun, view: ``[3]`` unit vectors.
+        amount: ``[..., C]``.
+        shape: three ``[...]``.
+    """
+    facet = normal[..., None, :]
+    parts = [p[..., None] for p in shape]
+    model = hapke if kind == "hapke" else rpv
+    return model(facet, sun, view, amount, *parts) * (normal @ sun).clamp_min(0)[..., None]
+
+
+def diffuse(kind: Kind, amount: Tensor) -> Tensor:
+    """Share of light from all sides that leaves again: Hapke's diffusive reflectance r0, or rho0 itself."""
+    if kind == "rpv":
+        return amount
+    root = torch.sqrt(1 - amount)
+    return (1 - root) / (1 + root)
+
+
+def surface_normals(height: Tensor, cell_size: float) -> Tensor:
+    """Unit normals ``[H, W, 3]`` (east, north, up) of a height map ``[H, W]``, row 0 = north; Sobel differences.
+
+    The averaging across the direction of the difference keeps noise of single cells out.
+    """
+    padded = torch.nn.functional.pad(height[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
+    # a mirrored slope beyond the edge instead of a halved one
+    padded[0, :], padded[-1, :] = 2 * padded[1, :] - padded[2, :], 2 * padded[-2, :] - padded[-3, :]
+    padded = padded.clone()
+    padded[:, 0], padded[:, -1] = 2 * padded[:, 1] - padded[:, 2], 2 * padded[:, -2] - padded[:, -3]
+    down = padded[:-2] + 2 * padded[1:-1] + padded[2:]
+    east = (down[:, 2:] - down[:, :-2]) / (8 * cell_size)
+    along = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
+    north = (along[:-2] - along[2:]) / (8 * cell_size)
+    normal = torch.stack([-east, -north, torch.ones_like(east)], dim=-1)
+    return normal / normal.norm(dim=-1, keepdim=True)
+
+
+def blurred(maps: Tensor, sigma: float) -> Tensor:
+    """Gaussian blur of maps ``[..., H, W]``, sigma in cells; beyond the edge the nearest cell goes on."""
+    radius = max(1, math.ceil(3 * sigma))
+    taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1, dtype=maps.dtype, device=maps.device) / sigma) ** 2)
+    taps = taps / taps.sum()
+    rows, cols = maps.shape[-2:]
+    flat = torch.nn.functional.pad(maps.reshape(-1, 1, rows, cols), (radius,) * 4, mode="replicate")
+    flat = torch.nn.functional.conv2d(flat, taps.reshape(1, 1, -1, 1))
+    return torch.nn.functional.conv2d(flat, taps.reshape(1, 1, 1, -1)).reshape(maps.shape)
+
+
+def line_to(slope: tuple[float, float]) -> tuple[float, float, float]:
+    """Unit vector to the sensor from its displacement per metre of height."""
+    length = (slope[0] ** 2 + slope[1] ** 2 + 1) ** 0.5
+    return slope[0] / length, slope[1] / length, 1 / length
+
+
+__all__ = [
+    "AMOUNT",
+    "SHAPE",
+    "Kind",
+    "Parameter",
+    "blurred",
+    "diffuse",
+    "line_to",
+    "radiance_factor",
+    "surface_normals",
+]

@@ -1,0 +1,276 @@
+"""A surface scene with a reflectance model instead of a plain albedo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sattools.fit.inversion import Samples, Solution, invert, shape_of, solve_amounts, start_members
+from sattools.fit.material import AMOUNT, Kind, blurred, diffuse, line_to, radiance_factor, surface_normals
+from sattools.fit.material_std import parameter_std
+from sattools.fit.members import soft_members
+from sattools.fit.surface import SurfaceScene
+from sattools.views import View, shown_on
+
+STANDARD_SUN_DEG = 15.0
+LIT = 0.95  # sun visibility from which a cell tells of its reflectance
+SAMPLES = 4000
+LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
+SATURATED = 0.999  # a number at full scale is a lower limit, not a value
+TEXTURE = 0.05  # deviation of the log amount, beyond small texture, that one material has anyway
+NORMAL_CELLS = 2.0  # standard deviation of the smoothing of the heights that normals are taken from
+
+
+@dataclass
+class ReflectiveScene(SurfaceScene):
+    """A `SurfaceScene` whose cells reflect by a model; per cell and view it costs one evaluation.
+
+    The radiance of a cell towards image j is gain_j scale_j (v BRF cos i + (1 - v) ambient_j r) + offset_j with the
+    sun's visibility v and the surface's diffuse reflectance r; scale_j is 1 for reflectance factors pi L / E and
+    1 / sin(sun elevation) for top-of-atmosphere reflectance.
+
+    Attributes:
+        kind: model.
+        amount: ``[H, W, C]`` w or rho0 in the unbounded form of `Parameter`.
+        members: ``[K, 3]`` unbounded shape parameters of the end-members; found by `invert`, not by gradient descent.
+        shares: ``[H, W, K]`` of the end-members in each cell; fixed.
+        suns, lines: ``[V, 3]`` unit vectors to sun and sensor; scale: ``[V]``.
+        cell_size: [m].
+        frozen: ``[H, W, 3]`` normals that do not follow the height, or None.
+        smooth: weight of the amounts' smoothness.
+    """
+
+    kind: Kind = "hapke"
+    amount: Tensor = field(default_factory=lambda: torch.zeros(0))
+    members: Tensor = field(default_factory=lambda: torch.zeros(0))
+    shares: Tensor = field(default_factory=lambda: torch.zeros(0))
+    suns: Tensor = field(default_factory=lambda: torch.zeros(0))
+    lines: Tensor = field(default_factory=lambda: torch.zeros(0))
+    scale: Tensor = field(default_factory=lambda: torch.zeros(0))
+    cell_size: float = 1.0
+    frozen: Tensor | None = None
+    smooth: float = 0.0
+
+    def normals(self) -> Tensor:
+        """Normals ``[H, W, 3]`` that the light is computed with."""
+        if self.frozen is not None:
+            return self.frozen
+        # heights are noisier than slopes may be; and texture must not be taken for the shading of small bumps
+        return surface_normals(blurred(self.height, NORMAL_CELLS), self.cell_size)
+
+    def values(self) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
+        """Amount ``[H, W, C]`` and the three shape parameters ``[H, W]``, within their ranges."""
+        return AMOUNT[self.kind].bounded(self.amount), shape_of(self.kind, self.shares, self.members)
+
+    def colour(self, index: int, visibility: Tensor | None) -> Tensor:
+        """Radiance ``[H, W, C]`` of every cell towards image ``index``; visibility ``[H, W]`` or None = all lit."""
+        light = self.light(self.suns[index], self.lines[index], visibility, self.ambient[index])
+        return self.gain[index] * self.scale[index] * light + self.offset[index]
+
+    def light(self, sun: Tensor, line: Tensor, visibility: Tensor | None, ambient: Tensor) -> Tensor:
+        """pi L / E ``[H, W, C]`` towards ``line`` under ``sun`` (unit vectors)."""
+        amount, shape = self.values()
+        light = radiance_factor(self.kind, self.normals(), sun, line, amount, shape)
+        if visibility is None:
+            return light
+        v = visibility[..., None]
+        return v * light + (1 - v) * ambient * diffuse(self.kind, amount)
+
+    def trainable(self) -> dict[str, Tensor]:
+        """Tensors that gradient descent changes."""
+        found = super().trainable()
+        del found["albedo"]
+        return {**found, "amount": self.amount}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All tensors, for saving."""
+        names = ["amount", "members", "shares", "suns", "lines", "scale"]
+        own = {name: getattr(self, name) for name in names}
+        if self.frozen is not None:
+            own["frozen"] = self.frozen
+        return {**super().tensors(), **own}
+
+    def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
+        """Not possible: the model comes with the last grid."""
+        raise NotImplementedError("a reflectance model lives on one grid")
+
+    def penalty(self) -> Tensor:
+        """Deviation of the log amount from its material's mean, over the reach of the normals.
+
+        The bands' common change counts: it is what shading could be mistaken for. Smaller texture is free, and steps
+        between materials cost nothing.
+        """
+        log = torch.log(AMOUNT[self.kind].bounded(self.amount)).mean(-1)
+        mass = self.shares.sum((0, 1)) + 1e-6
+        mean = torch.einsum("hw,hwk->k", log.detach(), self.shares) / mass
+        deviation = blurred(log - self.shares @ mean, NORMAL_CELLS) / TEXTURE
+        return self.smooth * (torch.sqrt(1 + deviation * deviation) - 1).mean()
+
+    @torch.no_grad()
+    def samples(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> Samples:
+        """What the views show of the present surface, as pi L / E; shade and what is outside weighs nothing."""
+        height = self.height.detach()
+        seen, weight = [], []
+        for j, view in enumerate(views):
+            east, north = self.pose[j].tolist()
+            picture, shown = shown_on(view, height.cpu().numpy(), cell_size, (east, north))
+            light = (torch.from_numpy(picture).to(height) - self.offset[j]) / (self.gain[j] * self.scale[j])
+            seen.append(light)
+            lit = torch.from_numpy(shown[..., 0]).to(height)
+            v = visibility[j]
+            lit = lit * (torch.from_numpy(picture).to(height).amax(-1) < SATURATED)
+            weight.append(lit if v is None else lit * (v > LIT))
+        count = height.numel()
+        return Samples(
+            self.normals().detach().reshape(count, 3),
+            self.shares.reshape(count, -1),
+            torch.stack(seen).reshape(len(views), count, -1),
+            torch.stack(weight).reshape(len(views), count),
+            list(self.suns),
+            list(self.lines),
+        )
+
+    @torch.no_grad()
+    def solve(
+        self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float, rounds: int, amounts: bool
+    ) -> tuple[Samples, Solution]:
+        """Find the members anew, from `SAMPLES` cells, and the amounts of all cells if asked for."""
+        whole = self.samples(views, visibility, cell_size)
+        usable = torch.nonzero((whole.weight > 0).sum(0) >= 2)[:, 0]
+        if len(usable) == 0:
+            usable = torch.arange(whole.normal.shape[0])
+        order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(0))[:SAMPLES]
+        found = invert(self.kind, whole.subset(usable[order]), self.members, rounds)
+        self.members.copy_(found.members)
+        if amounts:
+            amount, _ = solve_amounts(self.kind, whole, self.members, rounds=4)
+            self.amount.copy_(amount.reshape(self.amount.shape))
+        return whole, found
+
+    def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
+        """The end-members for the present heights."""
+        self.solve(views, visibility, cell_size, 2, amounts=False)
+
+    @torch.no_grad()
+    def finish(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> dict[str, Tensor]:
+        """Members for the final heights; the albedo becomes the reflectance at standard geometry.
+
+        The amounts stay those of gradient descent, which undoes the blur of the images, but for what they must move
+        along with the members.
+
+        Returns:
+            Standard deviation of every parameter, by name.
+        """
+        before = self.members.clone()
+        whole, found = self.solve(views, visibility, cell_size, 4, amounts=False)
+        flat = self.amount.reshape(whole.normal.shape[0], -1)
+        old, new = (solve_amounts(self.kind, whole, members, flat, 1)[0] for members in (before, self.members))
+        self.amount.copy_((flat + new - old).reshape(self.amount.shape))
+        std = parameter_std(self.kind, whole, self.amount.reshape(whole.normal.shape[0], -1), found)
+        self.albedo = standard_reflectance(self)
+        rows, cols = self.height.shape
+        return {name: t.reshape(rows, cols, *t.shape[1:]) for name, t in std.items()}
+
+
+def standard_reflectance(scene: ReflectiveScene) -> Tensor:
+    """BRF ``[H, W, C]`` of level ground seen from above, the sun `STANDARD_SUN_DEG` from the vertical."""
+    amount, shape = scene.values()
+    up = amount.new_tensor([0.0, 0.0, 1.0])
+    tilt = math.radians(STANDARD_SUN_DEG)
+    sun = amount.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
+    level = up.expand(*amount.shape[:-1], 3)
+    return radiance_factor(scene.kind, level, sun, up, amount, shape) / math.cos(tilt)
+
+
+def reflective(
+    scene: SurfaceScene,
+    kind: Kind,
+    views: Sequence[View],
+    scale: Sequence[float],
+    cell_size: float,
+    frozen: Tensor | None,
+    members: int,
+    smooth: float,
+    seed: int,
+    solve: bool = True,
+) -> tuple[ReflectiveScene, list[Tensor]]:
+    """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
+
+    Args:
+        scene: heights and albedo found so far.
+        kind: model.
+        views: images on the scene's grid; all with a known sun.
+        scale: see `ReflectiveScene`.
+        cell_size: [m].
+        frozen: normals that stay, or None = those of the height.
+        members: most end-members.
+        smooth: weight of the amounts' smoothness.
+        seed: of the clustering.
+        solve: find members and amounts, too.
+
+    Returns:
+        The scene, and the sun's visibility in every view.
+    """
+    from sattools.render import sun_visibility
+
+    height = scene.height.detach()
+    suns = height.new_tensor([view.sun for view in views])
+    lines = height.new_tensor([line_to(view.slope) for view in views])
+    cast = {view.sun: sun_visibility(height, cell_size, view.sun) for view in views if view.sun is not None}
+    visibility = [cast[view.sun] for view in views if view.sun is not None]
+    normal = surface_normals(height, cell_size) if frozen is None else frozen
+    mean = torch.zeros_like(scene.albedo)
+    total = torch.zeros_like(height)
+    for j, view in enumerate(views):
+        picture, shown = shown_on(view, height.cpu().numpy(), cell_size)
+        weight = torch.from_numpy(shown[..., 0]).to(height) * (visibility[j] > LIT)
+        cosine = (normal @ suns[j]).clamp_min(LOW_LIGHT)
+        light = (torch.from_numpy(picture).to(height) - scene.offset[j]) / (scene.gain[j] * scale[j])
+        mean += weight[..., None] * light / cosine[..., None]
+        total += weight
+    mean = mean / total.clamp_min(1)[..., None]
+    shares = soft_members(mean.cpu().numpy(), (total > 0).cpu().numpy(), members, seed)
+    found = ReflectiveScene(
+        **scene.tensors(),
+        absolute=scene.absolute,
+        kind=kind,
+        amount=torch.zeros_like(scene.albedo),
+        members=start_members(kind, shares.shape[-1], height),
+        shares=torch.from_numpy(shares).to(height),
+        suns=suns,
+        lines=lines,
+        scale=height.new_tensor(scale),
+        cell_size=cell_size,
+        frozen=frozen,
+        smooth=smooth,
+    )
+    if solve:
+        found.solve(views, visibility, cell_size, 8, amounts=True)
+    return found, visibility
+
+
+def restored(
+    tensors: Mapping[str, Tensor], kind: Kind, cell_size: float, smooth: float, absolute: bool
+) -> ReflectiveScene:
+    """A scene from its own `ReflectiveScene.tensors`; others are left out."""
+    names = {f.name for f in fields(ReflectiveScene)}
+    own = {name: t.clone() for name, t in tensors.items() if name in names}
+    return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
+
+
+def restored_model(tensors: Mapping[str, Tensor], meta: Mapping[str, Any]) -> SurfaceScene:
+    """The scene of a model file (tensors and description as `sattools.fit.checkpoint.load` gives them)."""
+    absolute = meta.get("radiance", "relative") != "relative"
+    kind = meta.get("brdf", "lambert")
+    if kind != "lambert":
+        return restored(tensors, kind, float(meta["grid"]["cell_size"]), 0.0, absolute)
+    names = ("height", "albedo", "gain", "offset", "ambient", "pose")
+    return SurfaceScene(**{name: tensors[name] for name in names}, absolute=absolute)
+
+
+__all__ = ["NORMAL_CELLS", "ReflectiveScene", "reflective", "restored", "restored_model", "standard_reflectance"]

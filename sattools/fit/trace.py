@@ -1,0 +1,34 @@
+"""What happened during a fit, one row per epoch."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class Trace:
+    """What happened when; one row per epoch."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    offset: float = 0.0  # seconds spent before an interruption
+    started: float = field(default_factory=time.perf_counter)
+
+    def seconds(self) -> float:
+        """Time spent on the fit, earlier runs of a resumed one included."""
+        return self.offset + time.perf_counter() - self.started
+
+    def to_csv(self) -> str:
+        """The rows as CSV text."""
+        text = io.StringIO()
+        names = list(dict.fromkeys(name for row in self.rows for name in row))
+        writer = csv.DictWriter(text, names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+
+__all__ = ["Trace"]

@@ -1,0 +1,149 @@
+"""One pass over natural ground: a fan of views along the track under a fixed sun."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from sattools.camera.ground import grid_direction, to_geographic
+from sattools.progress import Progress
+from sattools.scene.document import Item, Scene
+from sattools.scene.grid import Grid
+from sattools.scene.raster import write_cog
+from sattools.simulate.camera import Pushbroom, fit_rpc
+from sattools.simulate.files import write_truth
+from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_natural
+from sattools.simulate.natural_trace import render_natural
+from sattools.simulate.sensor import Radiometry
+from sattools.simulate.stage import SimulateOptions, View, framed, threads, write_view
+
+HEADING_DEG = 190.0  # of a descending orbit over the tropics
+ROLL_DEG = 2.0  # across the track
+START = datetime(2020, 1, 21, 7, 30, tzinfo=UTC)
+SECONDS_BETWEEN = 9.0
+READ_NOISE_DN = 2.0
+SHOT_NOISE_DN = 0.02  # variance per digital number: signal to noise about 120 at a reflectance of 0.1
+
+
+def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress) -> Scene:
+    """Fill a scene: see `sattools.simulate.simulate`; every item says what its numbers are in `sattools:radiance`.
+
+    Digital number 4095 is a reflectance factor pi L / E of 1, E the sun's irradiance across its beam. The most nadir
+    `options.train` views are for training, the others are held out.
+    """
+    seeds = np.random.SeedSequence(options.seed).spawn(3)
+    progress(0.0, "building")
+    grid, world = build_natural(
+        options.size, options.gsd, options.units, options.slope, options.reflectance,
+        (options.lon, options.lat), options.dsm, np.random.default_rng(seeds[0]),
+    )  # fmt: skip
+    low, high = float(world.height.min()), float(world.height.max())
+    scene.grid = grid
+    scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
+    write_truth(scene, world, grid)
+    write_parameters(scene, world, grid, options.reflectance)
+    progress(0.05, "compiling the ray tracer")
+    views = plan_fan(options, grid, (low, high), np.random.default_rng(seeds[1]))
+    noise_seeds = seeds[2].spawn(len(views))
+    with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
+        jobs = pool.map(lambda pair: _take(scene, options, world, *pair), zip(views, noise_seeds, strict=True))
+        for number, item in enumerate(jobs, 1):
+            scene.items.append(item)
+            progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
+    return scene
+
+
+def plan_fan(
+    options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
+) -> list[View]:
+    """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle."""
+    west, south, east, north = grid.bounds
+    x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
+    lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
+    corners = np.array([(e, n, h) for e in (west, east) for n in (south, north) for h in heights])
+    pitches = np.linspace(options.off_nadir, -options.off_nadir, options.views) if options.views > 1 else np.zeros(1)
+    heading = np.radians(HEADING_DEG)
+    ahead, across = (np.array([f(heading + turn) for f in (np.sin, np.cos)]) for turn in (0.0, np.pi / 2))
+    order = np.argsort(np.abs(pitches), kind="stable")
+    train = set(order[: options.train].tolist())
+    views = []
+    for k, pitch in enumerate(np.radians(pitches)):
+        # a sensor that looks ahead stands behind
+        flat = -np.tan(pitch) * ahead + np.tan(np.radians(ROLL_DEG)) * across
+        sensor = (
+            float(np.degrees(np.arctan2(flat[0], flat[1])) % 360),
+            float(np.degrees(np.arctan2(1.0, np.hypot(*flat)))),
+        )
+        view = grid_direction(*sensor, grid.crs, lon, lat)
+        yaw = HEADING_DEG - 180.0
+        camera = Pushbroom.towards(np.array([x, y, z]), view, options.gsd, (1, 1), yaw)
+        camera, shape = framed(camera, corners)
+        rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
+        angle, radius = rng.uniform(0, 2 * np.pi), options.bias_px * np.sqrt(rng.uniform())
+        views.append(
+            View(
+                f"{options.id}_{k + 1:03d}", START + timedelta(seconds=SECONDS_BETWEEN * k),
+                (options.sun_azimuth, options.sun_elevation), sensor, camera, rpc, error, shape,
+                Radiometry(np.ones(3), np.zeros(3)),
+                (float(radius * np.cos(angle)), float(radius * np.sin(angle))), "train" if k in train else "test", 12,
+            )
+        )  # fmt: skip
+    return views
+
+
+def _take(
+    scene: Scene, options: SimulateOptions, world: NaturalWorld, view: View, seed: np.random.SeedSequence
+) -> Item:
+    """Render one view and write its files."""
+    assert scene.grid is not None  # set before the views are taken
+    sun = grid_direction(*view.sun, scene.grid.crs, view.rpc.lon_offset, view.rpc.lat_offset)
+    low, high = float(world.height.min()) - 2.0, float(world.height.max()) + 2.0
+    camera = view.camera
+    factor, lit, height = render_natural(
+        world.height, world.slope_x, world.slope_y, world.albedo, world.parameters, world.model, world.cell_size,
+        np.array(world.centre), camera.origin, camera.velocity, camera.look, camera.across, camera.focal, camera.col0,
+        camera.row0, view.shape, 2, sun, low, high,
+    )  # fmt: skip
+    full = 2**12 - 1
+    signal = full * factor
+    sigma = options.noise * np.sqrt(READ_NOISE_DN**2 + SHOT_NOISE_DN * signal)
+    noisy = signal + sigma * np.random.default_rng(seed).standard_normal(signal.shape)
+    image = np.clip(np.rint(noisy), 0, full).astype(np.uint16)
+    item = write_view(scene, view, image, lit, height, sun, options.gsd)
+    item.properties["sattools:radiance"] = "reflectance_factor"
+    return item
+
+
+def write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance: str) -> None:
+    """Truth of the reflectance parameters, units and normals on the scene's grid, as products ``truth_<name>``."""
+    maps: dict[str, np.ndarray] = {AMOUNT[reflectance]: _pooled(world, world.albedo, grid).transpose(2, 0, 1)}
+    shape = world.on_grid(world.parameters, grid)
+    maps |= {name: shape[..., k] for k, name in enumerate(PARAMETERS[reflectance])}
+    slope = np.stack([-world.slope_x, world.slope_y, np.ones_like(world.slope_x)])
+    normal = slope / np.linalg.norm(slope, axis=0)
+    mean = _pooled(world, normal.transpose(1, 2, 0), grid).transpose(2, 0, 1)
+    maps["normal"] = mean / np.linalg.norm(mean, axis=0)
+    for name, array in maps.items():
+        href = f"truth/{scene.id}_{name.upper()}.tif"
+        write_cog(scene.output(href), array.astype(np.float32), grid, units="degrees" if name == "theta" else "1")
+        scene.products[f"truth_{name}"] = href
+    href = f"truth/{scene.id}_UNITS.tif"
+    write_cog(scene.output(href), world.on_grid(world.units, grid), grid, nodata=None)
+    scene.products["truth_units"] = href
+
+
+def _pooled(world: NaturalWorld, raster: np.ndarray, grid: Grid) -> np.ndarray:
+    """Mean over the four cells of a world ``[H, W, C]`` that fill a cell of the grid."""
+    quarter = grid.cell_size / 4
+    corners = [
+        replace(grid, left=grid.left + east, top=grid.top + north)
+        for east in (-quarter, quarter)
+        for north in (-quarter, quarter)
+    ]
+    return np.asarray(np.mean([world.on_grid(raster, moved) for moved in corners], axis=0))
+
+
+__all__ = ["plan_fan", "simulate_natural"]

@@ -1,0 +1,96 @@
+"""Maps, held-out views and relighting of a fitted reflectance model."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.compare.stage import compare_views
+from sattools.errors import SceneError
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+from sattools.scene import Scene
+from sattools.scene.raster import read_image, read_raster
+from sattools.simulate import SimulateOptions, simulate
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory) -> Scene:
+    options = SimulateOptions(terrain="natural", id="HILL", size=160.0, views=9, units=2, seed=5, off_nadir=30.0)
+    scene = simulate(options, tmp_path_factory.mktemp("hill") / "HILL")
+    fit(scene, FitOptions(brdf="hapke", resolution=2.0, epochs=[8]))
+    export(scene, ExportOptions(view=["HILL_001", "HILL_005"], sun=(250.0, 35.0)))
+    return scene
+
+
+def product(scene: Scene, name: str) -> np.ndarray:
+    return read_raster(scene.path(scene.products[name]))[0]
+
+
+def test_every_parameter_has_a_map_and_its_uncertainty_in_the_right_units(fitted):
+    shapes = {name: product(fitted, name).shape[0] for name in ("w", "b", "c", "theta", "normal", "reflectance")}
+    assert shapes == {"w": 3, "b": 1, "c": 1, "theta": 1, "normal": 3, "reflectance": 3}
+    for name in ("w", "b", "c", "theta"):
+        assert product(fitted, name).shape == product(fitted, f"{name}_std").shape
+        assert (product(fitted, f"{name}_std") > 0).all()
+    assert np.allclose(np.linalg.norm(product(fitted, "normal"), axis=0), 1, atol=1e-5)
+    assert 0.2 < product(fitted, "theta").min() < product(fitted, "theta").max() < 50
+    import rasterio
+
+    with rasterio.open(fitted.path(fitted.products["theta"])) as data:
+        assert data.units == ("degrees",)
+    with rasterio.open(fitted.path(fitted.products["reflectance"])) as data:
+        assert "15 degrees from the vertical" in data.tags()["GEOMETRY"]
+        assert data.tags()["SCALE"].startswith("absolute")
+
+
+def test_a_held_out_view_comes_out_in_its_own_geometry_without_any_gain(fitted):
+    item = next(i for i in fitted.items if i.id == "HILL_001")
+    assert item.role == "test"
+    rendered = read_image(fitted.path(item.assets["rendered"].href))
+    image = read_image(fitted.path(item.assets["image"].href)) / 4095
+    assert rendered.shape == image.shape
+    known = np.isfinite(rendered).all(0)
+    assert 0.3 < known.mean() < 0.95  # the image shows surroundings that the model does not have
+    assert np.corrcoef(rendered[:, known].ravel(), image[:, known].ravel())[0, 1] > 0.9
+    figures = compare_views(fitted)
+    assert set(figures["views"]) == {"HILL_001", "HILL_005"}
+    assert figures["psnr"] == figures["views"]["HILL_001"]["psnr"] > 30
+
+
+def test_relighting_moves_the_shade_to_the_other_side(fitted):
+    relit = product(fitted, "relit")
+    normal = product(fitted, "normal")
+    west, east = normal[0] < -0.2, normal[0] > 0.2
+    # sun in the west-south-west: slopes that fall to the west are the bright ones
+    assert relit[:, west].mean() > 1.3 * relit[:, east].mean()
+    assert "relit" in next(i for i in fitted.items if i.id == "HILL_001").assets
+
+
+def test_an_unknown_view_is_refused_before_anything_is_written(fitted):
+    with pytest.raises(SceneError, match="NO_SUCH"):
+        export(fitted, ExportOptions(view=["NO_SUCH"]))
+
+
+def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_half(make_town):
+    scene = make_town("TOWN")
+    scene.items[0].properties["sattools:role"] = "test"
+    fit(scene, FitOptions(resolution=2.0, coarsest=4.0, epochs=[4], prior_weight=0.0))
+    export(scene, ExportOptions(view=[scene.items[0].id]))
+    rendered = read_image(scene.path(scene.items[0].assets["rendered"].href))
+    known = np.isfinite(rendered).all(0)
+    columns = np.flatnonzero(known.any(0))
+    # the western half set the gain and offset
+    assert columns.min() > 0.35 * rendered.shape[2]
+    assert compare_views(scene)["views"].keys() == {scene.items[0].id}
+
+
+def test_the_sun_takes_two_numbers_on_the_command_line():
+    shown = CliRunner().invoke(main, ["export", "--sun", "135", "40", "--view", "A", "--view", "B", "--print-config"])
+    values = tomllib.loads(shown.output)["export"]
+    assert (values["sun"], values["view"]) == ([135.0, 40.0], ["A", "B"])
+    assert CliRunner().invoke(main, ["export", "--sun", "135"]).exit_code == 2

@@ -1,0 +1,117 @@
+"""Natural scenes: an independent reflectance in the tracer, and what the scene says of itself."""
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from scipy.ndimage import map_coordinates
+
+from sattools.camera import RPC
+from sattools.camera.ground import project
+from sattools.cli import main
+from sattools.errors import InputError
+from sattools.reflectance import hapke, rpv
+from sattools.scene import Scene
+from sattools.scene.raster import read_image, read_raster
+from sattools.simulate import SimulateOptions, simulate
+from sattools.simulate.brdf import HAPKE, LAMBERT, RPV, radiance_factor
+
+SMALL = {"terrain": "natural", "size": 64.0, "views": 5, "train": 3, "units": 3, "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    return simulate(SimulateOptions(**SMALL), tmp_path_factory.mktemp("natural"))
+
+
+def directions(count: int, rng: np.random.Generator) -> np.ndarray:
+    v = rng.normal(size=(count, 3)) * 0.7 + (0, 0, 1)
+    v[:, 2] = np.abs(v[:, 2])
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("model", [HAPKE, RPV])
+def test_the_tracers_reflectance_and_the_fits_agree_though_they_share_nothing(model):
+    rng = np.random.default_rng(0)
+    n, s, v = (directions(2000, rng) for _ in range(3))
+    if model == HAPKE:
+        low, high, function = (0, 0, 0, 1), (0.9, 0.9, 1, 50), hapke
+    else:
+        low, high, function = (0, 0.4, -0.6, 0), (1, 1.6, 0.6, 1), rpv
+    p = rng.uniform(low, high, (2000, 4))
+    traced = np.array([radiance_factor(model, *n[k], *s[k], *v[k], *p[k]) for k in range(2000)])
+    cos_i = (n * s).sum(-1)
+    fitted = function(*(torch.from_numpy(a) for a in (n, s, v)), *(torch.from_numpy(a) for a in p.T)).numpy() * cos_i
+    usual = (cos_i > 0.02) & ((n * v).sum(-1) > 0.02)  # arc cosines lose digits near the horizon
+    assert usual.sum() > 1000
+    np.testing.assert_allclose(traced[usual], fitted[usual], rtol=2e-6, atol=1e-9)
+    assert (traced[cos_i < 0] == 0).all()
+
+
+def test_hapkes_golden_value():
+    # i = 45, e = 10, psi = 0, theta = 15 degrees: BRF 0.154039
+    i, e = np.radians([45, 10])
+    got = radiance_factor(
+        HAPKE, 0.0, 0.0, 1.0, np.sin(i), 0.0, np.cos(i), np.sin(e), 0.0, np.cos(e), 0.6, 0.3, 0.4, 15.0
+    )
+    assert got / np.cos(i) == pytest.approx(0.154039, abs=1e-6)
+    lambert = radiance_factor(LAMBERT, 0.0, 0.0, 1.0, 0.6, 0.0, 0.8, 0.0, 0.0, 1.0, 0.5, 0.0, 0.0, 0.0)
+    assert lambert == pytest.approx(0.4)
+
+
+def test_a_scene_says_what_its_radiance_is_and_which_views_are_for_training(scene):
+    assert {item.properties["sattools:radiance"] for item in scene.items} == {"reflectance_factor"}
+    assert [item.role for item in scene.items] == ["test", "train", "train", "train", "test"]
+    tilts = [item.properties["view:off_nadir"] for item in scene.items]
+    assert tilts == pytest.approx([45, 22.6, 2, 22.6, 45], abs=0.1)
+    assert len({item.sun for item in scene.items}) == 1
+    assert all(item.properties["sattools:bits"] == 12 for item in scene.items)
+
+
+def test_images_show_the_truth(scene):
+    """Nadir view over the truth maps: reflectance by the fit's own function of the true normals."""
+    nadir = scene.items[2]
+    image = read_image(scene.path(nadir.assets["image"].href)) / 4095
+    truth = {k: read_raster(scene.path(scene.products[f"truth_{k}"]))[0] for k in ("w", "b", "c", "theta", "normal")}
+    normal = torch.from_numpy(truth["normal"].transpose(1, 2, 0)).double()
+    sun, view = (torch.tensor(nadir.properties[f"sattools:{k}_direction"]).double() for k in ("sun", "view"))
+    w = torch.from_numpy(truth["w"].transpose(1, 2, 0)).double()
+    shape = [torch.from_numpy(truth[k])[0][..., None].double() for k in ("b", "c", "theta")]
+    factor = hapke(normal[..., None, :], sun, view, w, *shape) * (normal @ sun).clamp_min(0)[..., None]
+    heights, grid = read_raster(scene.path(scene.products["truth_dsm"]))
+    east, north = np.meshgrid(grid.x(), grid.y())
+    rpc = RPC.from_file(scene.path(nadir.assets["rpc"].href))
+    at = project(rpc, grid.crs, east.ravel(), north.ravel(), heights[0].ravel())
+    shown = np.stack([map_coordinates(band, at[::-1], order=1).reshape(grid.shape) for band in image], axis=-1)
+    # 1024 cells of 10 % texture on another lattice than the pixels
+    assert shown.mean() == pytest.approx(float(factor.mean()), rel=0.02)
+    assert np.corrcoef(shown.ravel(), factor.numpy().ravel())[0, 1] > 0.98
+
+
+def test_the_models_differ_and_the_same_seed_gives_the_same_scene(scene, tmp_path):
+    again = simulate(SimulateOptions(**SMALL), tmp_path / "again")
+    plain = simulate(SimulateOptions(**SMALL, reflectance="lambert"), tmp_path / "plain")
+    name = scene.items[0].assets["image"].href
+    assert np.array_equal(read_image(again.path(name)), read_image(scene.path(name)))
+    assert not np.array_equal(read_image(plain.path(name)), read_image(scene.path(name)))
+    assert {"truth_reflectance", "truth_normal"} <= plain.products.keys()
+    assert "truth_theta" not in plain.products
+
+
+def test_given_relief_is_taken(data_dir, tmp_path):
+    options = SimulateOptions(**{**SMALL, "views": 2}, dsm=str(data_dir / "terrain/TM1_564_146.tif"))
+    scene = simulate(options, tmp_path)
+    truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
+    given, whole = read_raster(data_dir / "terrain/TM1_564_146.tif")
+    row, col = int((whole.top - grid.top) / whole.cell_size), int((grid.left - whole.left) / whole.cell_size)
+    # smoothed to what a pixel can show
+    assert truth[0] == pytest.approx(given[0, row : row + 64 : 2, col : col + 64 : 2], abs=1.5)
+
+
+def test_terrains_have_their_own_defaults_and_limits():
+    assert SimulateOptions().gsd == 0.5
+    assert SimulateOptions(terrain="natural").gsd == 2.0
+    with pytest.raises(InputError, match="12"):
+        SimulateOptions(bits=12)
+    shown = CliRunner().invoke(main, ["simulate", "--terrain", "natural", "--print-config"])
+    assert "views = 21" in shown.output
