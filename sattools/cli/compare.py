@@ -9,7 +9,7 @@ import click
 
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
 from sattools.cli.pipe import Run, report_error, run_scenes
-from sattools.compare.stage import CompareOptions
+from sattools.compare.options import CompareOptions
 from sattools.errors import SattoolsError
 from sattools.progress import Progress
 

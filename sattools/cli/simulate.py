@@ -10,7 +10,7 @@ import click
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, run_source
 from sattools.progress import Progress
-from sattools.simulate.stage import SimulateOptions
+from sattools.simulate.options import SimulateOptions
 
 if TYPE_CHECKING:
     from sattools.scene import Scene

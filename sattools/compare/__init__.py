@@ -1,9 +1,33 @@
 """Score surfaces, parameter maps and images against references."""
 
-from sattools.compare.metrics import height_errors, image_errors, map_errors
-from sattools.compare.registration import Registration, register
-from sattools.compare.stage import CompareOptions, Comparison, compare, compare_dsm, compare_file, read_truth, table
-from sattools.compare.truth import Truth, read_dfc2019, read_reference
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sattools.compare.metrics import height_errors, image_errors, map_errors
+    from sattools.compare.options import CompareOptions
+    from sattools.compare.registration import Registration, register
+    from sattools.compare.stage import Comparison, compare, compare_dsm, compare_file, read_truth, table
+    from sattools.compare.truth import Truth, read_dfc2019, read_reference
+
+_HOMES = {
+    "metrics": ("height_errors", "image_errors", "map_errors"),
+    "options": ("CompareOptions",),
+    "registration": ("Registration", "register"),
+    "stage": ("Comparison", "compare", "compare_dsm", "compare_file", "read_truth", "table"),
+    "truth": ("Truth", "read_dfc2019", "read_reference"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    # imported when used: the command's help needs the options alone
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"sattools.compare.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __all__ = [
     "CompareOptions",

@@ -17,8 +17,9 @@ from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.files import write_truth
 from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_natural
 from sattools.simulate.natural_trace import render_natural
+from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
-from sattools.simulate.stage import SimulateOptions, View, framed, threads, write_view
+from sattools.simulate.stage import View, framed, threads, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from sattools.progress import Progress, silent
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster
-from sattools.settings import option
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
 from sattools.simulate.files import sat_nerf_metadata, write_json, write_sensor_image, write_truth
+from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
 from sattools.simulate.world import World
 
@@ -31,64 +31,7 @@ SKY_STRIDE = 8
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
 CAR_KEY = 1000
-CITY = {"size": 128.0, "views": 12, "gsd": 0.5, "off_nadir": 26.0, "bits": 11}
-NATURAL = {"size": 512.0, "views": 21, "gsd": 2.0, "off_nadir": 45.0, "bits": 12}
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
-
-
-@dataclass
-class SimulateOptions:
-    """Options of `sattools simulate`."""
-
-    id: str = option("SIM_001", "Name of the scene.")
-    out: str = option(".", "Folder in which the scene's own folder is made.")
-    terrain: Literal["city", "natural"] = option(
-        "city", "What is built: city (streets, houses, courts, a tower), or natural (relief with geological units)."
-    )
-    dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.")
-    classes: str | None = option(None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.")
-    size: float = option(None, "Edge of the square scene [m] (default: 128; natural 512).", minimum=32, maximum=1024)
-    views: int = option(None, "Number of images (default: 12; natural 21, in one pass).", minimum=1, maximum=200)
-    dates: int = option(6, "Number of dates over which they are spread.", minimum=1, maximum=200)
-    test_views: int = option(0, "How many of them are held out (role test).", minimum=0)
-    gsd: float = option(
-        None, "Edge of a pixel across the line of sight [m] (default: 0.5; natural 2).", minimum=0.1, maximum=10
-    )
-    off_nadir: float = option(
-        None, "Largest off-nadir angle [degrees] (default: 26; natural 45).", minimum=0, maximum=60
-    )
-    bias_px: float = option(0.0, "Error of the RPCs in the images' tags, radius per view [px].", minimum=0)
-    noise: float = option(1.0, "Sensor noise relative to a usual one.", minimum=0)
-    bits: int = option(
-        None,
-        "11: linear numbers in 16-bit files; 8: tone-mapped (default: 11; natural always 12).",
-        minimum=8,
-        maximum=12,
-    )
-    trees: bool = option(True, "Plant trees.")
-    cars: int = option(0, "Cars on the streets, elsewhere in every image; not in the truth.", minimum=0, maximum=2000)
-    hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
-    lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
-    lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
-    reflectance: Literal["lambert", "rpv", "hapke"] = option("hapke", "Reflectance model of natural ground.")
-    units: int = option(5, "Geological units of natural ground.", minimum=1, maximum=6)
-    slope: float = option(15.0, "Mean slope of the fractal relief of natural ground [degrees].", minimum=0, maximum=60)
-    sun_azimuth: float = option(135.0, "Sun over natural ground, from north [degrees].", minimum=0, maximum=360)
-    sun_elevation: float = option(48.0, "Sun over natural ground, above the horizon [degrees].", minimum=2, maximum=90)
-    train: int = option(
-        7, "Most nadir views of natural ground that are for training; the others are held out.", minimum=2
-    )
-    seed: int = option(0, "Seed of everything that is drawn.", minimum=0)
-
-    def __post_init__(self) -> None:
-        usual = NATURAL if self.terrain == "natural" else CITY
-        for name, value in usual.items():
-            if getattr(self, name) is None:
-                setattr(self, name, value)
-        if self.terrain == "natural":
-            self.bits = 12
-        elif self.bits == 12:
-            raise InputError("--bits: found 12, expected 8 or 11 for a city")
 
 
 @dataclass(frozen=True)
