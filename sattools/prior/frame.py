@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,14 @@ class Frame:
         images = self.images.reshape(len(self.images), self.images.shape[1] // 2, 2, -1, 2).mean(axis=(2, 4))
         masks = self.masks.reshape(images.shape[0], images.shape[1], 2, -1, 2).min(axis=(2, 4))
         return Frame(images, masks, self.slopes / 2, self.z_ref, self.cell * 2, self.margin // 2, self.suns)
+
+    def widened(self, margin: int) -> Frame:
+        """The same with at least that margin; what is added has no valid pixel."""
+        add = max(0, margin - self.margin)
+        around = ((0, 0), (add, add), (add, add))
+        return replace(
+            self, images=np.pad(self.images, around), masks=np.pad(self.masks, around), margin=self.margin + add
+        )
 
 
 __all__ = ["Frame"]

@@ -16,6 +16,7 @@ from sattools.progress import Progress, part, silent
 UNKNOWN = -1e9  # first hit of a ray when nothing is known about the surface: everything is seen
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 STRAY = 30  # cells that may be wrong about it at either end
+BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 SETTLED = 0.002  # share of cells that may still change when the rough passes stop
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
@@ -73,7 +74,7 @@ def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], w
 
 def planes(z_range: tuple[float, float], step: float) -> np.ndarray:
     """Heights ``[D]`` float64 to try: one plane beyond either end, at least three."""
-    count = max(3, math.ceil((z_range[1] - z_range[0]) / step - 1e-9) + 3)
+    count = max(3, math.ceil((z_range[1] - z_range[0]) / step - 1e-9) + 1 + BEYOND_PLANES)
     return z_range[0] - step + step * np.arange(count)
 
 
@@ -96,6 +97,10 @@ def match(
     step = options.step or plane_distance(frame, pairs)
     # the first surface is known to the planes of the rough passes: what is nearer must not count as hidden
     options = replace(options, tolerance=max(options.tolerance, 2 * step))
+    # the kernels test no bounds: the highest and lowest planes of the roughest pass must stay within the frame
+    beyond = 2 * BEYOND_PLANES * step
+    reached = (z_range[0] - beyond, z_range[1] + beyond)
+    fine = fine.widened(margin_for(fine.slopes, fine.z_ref, reached, options.window))
     hidden = nothing_hidden(fine)
     guide = None
     if options.rough_passes:

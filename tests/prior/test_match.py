@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sattools.prior.frame import Frame
+from sattools.prior.kernels import correlate
 from sattools.prior.match import BLOCK, _blocks, margin_for, match
 from sattools.prior.options import PriorOptions
 
@@ -115,3 +116,19 @@ def test_the_result_does_not_depend_on_the_number_of_threads(house):
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(first.height, second.height)
+
+
+def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypatch):
+    """The kernels test no bounds; reading too far would make results depend on what else is in memory."""
+    _, frame = house
+    seen = []
+
+    def spy(images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, radius, *rest):
+        margin = rest[2]
+        seen.append(margin - radius - 1 - np.abs(slopes).max() * np.abs(heights - z_ref).max())
+        return correlate(images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, radius, *rest)
+
+    monkeypatch.setattr("sattools.prior.kernels.correlate", spy)
+    match(frame, ALL, RANGE, PriorOptions(step=4.0, rough_passes=1))
+    assert len(seen) == 2
+    assert min(seen) >= 0
