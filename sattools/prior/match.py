@@ -16,6 +16,7 @@ from sattools.progress import Progress, part, silent
 UNKNOWN = -1e9  # first hit of a ray when nothing is known about the surface: everything is seen
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 STRAY = 30  # cells that may be wrong about it at either end
+MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 SETTLED = 0.002  # share of cells that may still change when the rough passes stop
@@ -244,7 +245,7 @@ def sweep(
         options.window, options.noise, options.brightness, frame.margin, np.float32(options.unseen), volume,
     )  # fmt: skip
     total = np.empty_like(volume)
-    aggregate(volume, np.float32(options.small_jump), np.float32(options.large_jump), total)
+    aggregate(volume, np.float32(options.small_jump), np.float32(options.large_jump * scarcity(len(pairs))), total)
     height = np.empty(frame.shape, np.float32)
     index = np.empty(frame.shape, np.int64)
     lowest(total, heights, height, index)
@@ -252,6 +253,11 @@ def sweep(
     gap = np.empty(frame.shape, np.float32)
     rival(total, index, gap)
     return height, np.clip(score, 0, 1), gap / 8
+
+
+def scarcity(pairs: int) -> float:
+    """Factor of the penalty for height jumps: agreement is an average, and so the noisier the fewer pairs there are."""
+    return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
 
 
 def seeing(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float) -> np.ndarray:

@@ -31,7 +31,11 @@ class PriorOptions:
         maximum=1,
     )
     small_jump: float = option(0.2, "Semi-global penalty for a height change of one plane (an agreement).", minimum=0)
-    large_jump: float = option(0.5, "Semi-global penalty for any larger height change (an agreement).", minimum=0)
+    large_jump: float = option(
+        0.5,
+        "Semi-global penalty for any larger height change (an agreement); up to 4 x with fewer than 60 pairs.",
+        minimum=0,
+    )
     rough_passes: int = option(
         5, "Passes, at most, at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0
     )

@@ -8,7 +8,7 @@ import pytest
 
 from sattools.prior.confidence import confidence
 from sattools.prior.frame import Frame
-from sattools.prior.match import Match, disk, margin_for, narrow, plane_distance, planes
+from sattools.prior.match import Match, disk, margin_for, narrow, plane_distance, planes, scarcity
 from sattools.prior.normals import normals
 from sattools.prior.pairs import angle_deg, choose_pairs
 from sattools.prior.stage import to_eye
@@ -155,3 +155,8 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
     dark = to_eye(images, masks, linear=True)[0].ravel()
     straight = to_eye(images, masks, linear=False)[0].ravel()
     assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])
+
+
+def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier():
+    # the noise of a mean falls with the square root of its terms; a single pair is not trusted sixteen times less
+    assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
