@@ -19,6 +19,7 @@ FLOORS = [
     {"field", "views"},
     {"render"},
     {"prep", "prior", "fit", "export", "compare", "simulate"},
+    {"batch"},
     {"cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
@@ -94,6 +95,7 @@ def test_imports_point_one_way(path):
         ("field", {"rasterio", "click"}),
         ("fit", {"rasterio", "click"}),
         ("export", {"click"}),
+        ("batch", {"click", "torch"}),
         ("cli", {"numpy", "torch", "scipy", "rasterio", "math"}),
     ],
 )
