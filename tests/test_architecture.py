@@ -20,6 +20,7 @@ FLOORS = [
     {"render"},
     {"prep", "prior", "fit", "export", "compare", "simulate"},
     {"batch"},
+    {"report"},
     {"cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
@@ -96,6 +97,7 @@ def test_imports_point_one_way(path):
         ("fit", {"rasterio", "click"}),
         ("export", {"click"}),
         ("batch", {"click", "torch"}),
+        ("report", {"click", "torch", "rasterio"}),
         ("cli", {"numpy", "torch", "scipy", "rasterio", "math"}),
     ],
 )

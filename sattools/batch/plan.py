@@ -177,9 +177,11 @@ def _reference_files(configuration: Configuration, truth: Path | None, scene: st
     for folder in {given.get("truth"), truth}:
         if folder and Path(folder).is_dir():
             yield from Path(folder).glob(f"{given.get('aoi') or scene}_*")
-    for name in ("dsm", "classes"):
+    for name in ("dsm", "classes", "points"):
         if given.get(name):
             yield Path(given[name])
+    for pair in given.get("map") or ():
+        yield Path(pair.partition("=")[2])
 
 
 def _toml(configuration: Configuration, commands: list[str]) -> str:
