@@ -101,6 +101,7 @@ def _run(task: Task, command: list[str], threads: int, memory_mb: float | None, 
         if process.poll() is None:
             process.kill()
             process.wait()
+        process.stderr.close()
     if too_much.is_set():
         raise SattoolsError(f"sattools {command[0]}: needed more than {memory_mb:.0f} MB of memory and was stopped")
     if status:
