@@ -19,7 +19,7 @@ MEASURED = {"scene", "seconds", "fit_s", "export_s", "peak_memory_mb"}  # differ
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Two scenes with the same images under two names, and a configuration that is good for nothing but speed."""
+    """Two scenes with the same images under two names, and a configuration of two epochs."""
     from sattools.scene import Scene
     from sattools.scene.raster import write_text
     from sattools.simulate import SimulateOptions, simulate
@@ -31,7 +31,7 @@ def folder(tmp_path_factory) -> Path:
     other = Scene.from_file(root / "A/scene.json")
     other.id, other.root = "B", root / "B"
     (root / "B/scene.json").write_text(other.to_json() + "\n")
-    (root / "quick.toml").write_text("[fit]\nepochs = [2]\nprior-weight = 0.0\ncoarsest = 2.0\nresolution = 2.0\n")
+    (root / "quick.toml").write_text("[fit]\nepochs = [2]\n")
     return root
 
 
@@ -53,14 +53,14 @@ def attempts(folder: Path, scene: str) -> list[dict]:
 def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(folder):
     call = ("A/scene.json", "B/scene.json", "--config", "quick.toml", "--out", "out", "--workers", "1")
     running = start(folder, *call)
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + 200
     while not attempts(folder, "B"):
         assert running.poll() is None, running.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.05)
     time.sleep(0.3)  # in the middle of the fit
     os.kill(attempts(folder, "B")[0]["pid"], signal.SIGKILL)
-    out, said = running.communicate(timeout=100)
+    out, said = running.communicate(timeout=300)
     assert running.returncode == 0, said
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["A", "B"]
     assert [len(attempts(folder, name)) for name in "AB"] == [1, 2]
@@ -68,7 +68,7 @@ def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(f
     one, two = ({k: v for k, v in row.items() if k not in MEASURED} for row in table(folder))
     assert one == two
     assert one["status"] == "done"
-    assert float(one["mae_m"]) > 0
+    assert 0 < float(one["mae_m"]) < 5
     assert (folder / "out/speed_error.png").stat().st_size > 1000
     assert '"message": "batch: 2 of 2 done' in said
 
