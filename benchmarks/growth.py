@@ -87,9 +87,8 @@ def exponent(amounts: list[float], values: list[float]) -> float:
 
 def spread(scene: Path, dsm: Path, seeds: list[int]) -> None:
     """Fit the scene once per seed in a folder of its own."""
-    from speed_error import in_another_root
-
     from sattools.compare import compare_dsm, read_reference
+    from sattools.scene.copies import in_another_root
 
     truth, errors = read_reference(dsm), []
     for seed in seeds:

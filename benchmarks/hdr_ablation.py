@@ -67,14 +67,13 @@ def run(options: argparse.Namespace, loss: str, chosen: dict[str, Any], name: st
     """One fit, scored."""
     import tempfile
 
-    from speed_error import in_another_root
-
     from sattools.compare import compare_dsm, read_dfc2019, read_reference
     from sattools.compare.picture import difference_picture
     from sattools.fit.checkpoint import load
     from sattools.fit.options import FitOptions
     from sattools.fit.stage import fit
     from sattools.scene import Grid, Scene
+    from sattools.scene.copies import in_another_root
 
     with tempfile.TemporaryDirectory() as folder:
         scene = Scene.from_file(in_another_root(options.scene, Path(folder) / "fit"))

@@ -17,6 +17,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from sattools.scene.copies import in_another_root
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -52,22 +54,6 @@ def run(threads: int | None, *arguments: str) -> str:
     """Run a command of the suite; its stdout."""
     command = [sys.executable, "-m", "sattools", *(["--threads", str(threads)] if threads else []), *arguments]
     return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
-
-
-def in_another_root(path: Path, root: Path) -> Path:
-    """A copy of a scene's document that reads its files where they are and writes below `root`."""
-    from sattools.scene import Scene
-
-    scene = Scene.from_file(path)
-    for item in scene.items:
-        for asset in item.assets.values():
-            asset.href = str(scene.path(asset.href))
-    scene.products = {name: str(scene.path(href)) for name, href in scene.products.items()}
-    root.mkdir(parents=True)
-    scene.root = root
-    copy = root / "scene.json"
-    copy.write_text(scene.to_json())
-    return copy
 
 
 def read_trace(line: str) -> list[dict[str, float]]:

@@ -19,6 +19,8 @@ FLOORS = [
     {"field", "views"},
     {"render"},
     {"prep", "prior", "fit", "export", "compare", "simulate"},
+    {"batch"},
+    {"report"},
     {"cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
@@ -94,6 +96,8 @@ def test_imports_point_one_way(path):
         ("field", {"rasterio", "click"}),
         ("fit", {"rasterio", "click"}),
         ("export", {"click"}),
+        ("batch", {"click", "torch"}),
+        ("report", {"click", "torch", "rasterio"}),
         ("cli", {"numpy", "torch", "scipy", "rasterio", "math"}),
     ],
 )

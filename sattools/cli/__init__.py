@@ -23,6 +23,8 @@ COMMANDS = {
     "export": "Fitted scene -> DSM, albedo, shadows as georeferenced files.",
     "compare": "Compare a DSM with lidar and print the error table.",
     "simulate": "Make a ray-traced scene with known truth.",
+    "batch": "Many scenes in many configurations -> one table, error against seconds.",
+    "report": "Scene or batch -> one self-contained HTML page.",
     "info": "Print a summary of a scene.",
 }
 

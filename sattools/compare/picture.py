@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,14 @@ from sattools.scene.raster import atomic
 
 
 def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, limit_m: float = 5.0) -> None:
-    """PNG of `difference` [H, W] in metres: blue too low, red too high, grey not scored; scale ±`limit_m`."""
+    """PNG of `difference_figure`."""
+    figure = difference_figure(difference, grid, title, limit_m)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: float = 5.0) -> Any:
+    """matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`limit_m`."""
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -34,8 +42,7 @@ def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Pat
     axes.set_xlabel(f"metres east of {west:.0f}")
     axes.set_ylabel(f"metres north of {south:.0f} ({grid.crs})")
     figure.colorbar(shown, ax=axes, extend="both", label="prediction minus reference [m]")
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png")
+    return figure
 
 
 def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, path: Path) -> None:

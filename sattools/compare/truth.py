@@ -95,7 +95,7 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     grid = _dfc2019_grid(folder / f"{aoi}_DSM.txt", heights.shape, _dfc2019_crs(folder / f"{aoi}_DSM.tif", aoi))
     path = folder / f"{aoi}_CLS.tif"
     corrected = folder / f"{aoi}_CLS_v2.tif"
-    if aoi in CORRECTED_CLASSES and corrected.exists():
+    if corrected.exists() and (aoi in CORRECTED_CLASSES or not path.exists()):
         path = corrected
     classes = read_image(path)[0]
     if classes.shape != heights.shape:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,14 @@ def hillshade(
 
 
 def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> None:
-    """PNG of a DSM: colour ramp over hillshade, with axes in metres and a colour bar."""
+    """PNG of `picture`."""
+    figure = picture(height, grid, title)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png", bbox_inches="tight")
+
+
+def picture(height: np.ndarray, grid: Grid, title: str) -> Any:
+    """matplotlib figure of a DSM [H, W] in metres: colour ramp over hillshade, with axes in metres and a colour bar."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -42,8 +50,7 @@ def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> Non
     axes.imshow(np.clip(image, 0, 1), extent=extent)
     axes.set(title=title, xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
     figure.colorbar(mappable, ax=axes, label="height above the ellipsoid [m]", shrink=0.8)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png", bbox_inches="tight")
+    return figure
 
 
-__all__ = ["hillshade", "write_picture"]
+__all__ = ["hillshade", "picture", "write_picture"]

@@ -1,0 +1,1 @@
+"""Many scenes times many configurations, on one machine or a cluster."""

@@ -1,0 +1,165 @@
+"""Tasks on a Dask cluster: this machine's own, or any whose scheduler has an address."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Task
+from sattools.batch.task import perform
+from sattools.errors import InputError, SattoolsError
+
+TOPIC = "sattools-batch"
+_REPORT_EVERY_S = 0.5
+_NO_DASK = "batch: found no Dask, expected the extra: pip install 'sattools[batch]'"
+
+Finished = Callable[[Task, dict[str, Any]], None]
+Told = Callable[[str, float, str], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A task and the one that must be done before it."""
+
+    task: Task
+    after: Job | None = None
+    gpu: bool = False
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What a task may use; None = decided by the worker."""
+
+    workers: int
+    threads: int | None
+    memory_mb: float | None
+    gpus: list[str] = field(default_factory=list)
+
+
+def shares(options: BatchOptions, cores: int) -> Shares:
+    """Threads and memory of a task. Raises InputError where GPUs are asked for and none is found."""
+    if options.scheduler is not None:
+        return Shares(0, options.task_threads, options.memory_limit)
+    gpus = _gpus() if options.gpu else []
+    if options.gpu and not gpus:
+        raise InputError("--gpu: found no GPU by nvidia-smi, expected one (or --scheduler with workers that have some)")
+    workers = options.workers or len(gpus) or max(1, cores // 2)
+    try:
+        import psutil
+    except ImportError as error:
+        raise SattoolsError(_NO_DASK) from error
+    memory = options.memory_limit or psutil.virtual_memory().total / 2**20 / workers
+    return Shares(workers, options.task_threads or max(1, cores // workers), memory, gpus)
+
+
+def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finished, told: Told) -> None:
+    """Do all jobs; `finished` is called for each as soon as it is done, `told` with name, share and message.
+
+    Raises SattoolsError where Dask is not installed or the scheduler does not answer.
+    """
+    try:
+        from distributed import as_completed
+    except ImportError as error:
+        raise SattoolsError(_NO_DASK) from error
+    with _client(options, share) as client:
+        client.subscribe_topic(TOPIC, lambda event: told(*event[1]))
+        futures: dict[str, Any] = {}
+        of_key: dict[str, Task] = {}
+        for job in jobs:
+            before = futures.get(job.after.task.key) if job.after else None
+            futures[job.task.key] = client.submit(
+                work,
+                job.task,
+                before,
+                share,
+                key=f"sattools-{job.task.key}",
+                resources={"GPU": 1} if job.gpu else None,
+                retries=options.retries,
+                pure=False,
+            )
+            of_key[futures[job.task.key].key] = job.task
+        for future in as_completed(list(futures.values())):
+            task = of_key[future.key]
+            if future.status == "finished":
+                result = future.result()
+            else:
+                lost = future.exception()
+                result = {"key": task.key, "status": "failed", "error": f"{type(lost).__name__}: {lost}"}
+            finished(task, result)
+
+
+def work(task: Task, before: dict[str, Any] | None, share: Shares) -> dict[str, Any]:
+    """Runs on a worker."""
+    from time import monotonic
+
+    from distributed import get_worker
+
+    if before is not None and before["status"] != "done":
+        return {"key": task.key, "status": "failed", "error": before["error"]}
+    worker = get_worker()
+    last = [monotonic() - _REPORT_EVERY_S]
+
+    def report(fraction: float, message: str) -> None:
+        if monotonic() - last[0] >= _REPORT_EVERY_S:
+            last[0] = monotonic()
+            worker.log_event(TOPIC, (task.name, fraction, message))
+
+    gpu = share.gpus[int(worker.name) % len(share.gpus)] if share.gpus else None
+    return perform(task, share.threads or worker.state.nthreads, share.memory_mb, report, gpu)
+
+
+@contextmanager
+def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
+    import dask
+    from distributed import Client, LocalCluster
+
+    # Dask's own messages are for those who run the cluster
+    logging.getLogger("distributed").propagate = False
+    # a lost task may be the fault of the task: it is not tried for ever
+    settings = {"distributed.scheduler.allowed-failures": options.retries}
+    with dask.config.set(settings):
+        if options.scheduler is not None:
+            try:
+                client = Client(options.scheduler, timeout=10)
+            except (OSError, ValueError) as error:
+                raise SattoolsError(f"--scheduler {options.scheduler}: found no Dask scheduler ({error})") from error
+            with client:
+                yield client
+            return
+        # the commands that a worker starts are watched one by one (`perform`): the worker itself needs next to nothing
+        cluster = LocalCluster(
+            n_workers=share.workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address="127.0.0.1:0",
+            worker_dashboard_address=None,
+            scheduler_kwargs={"dashboard": False},
+            resources={"GPU": 1} if share.gpus else None,
+            silence_logs=50,
+        )
+        with cluster, Client(cluster) as client:
+            yield client
+
+
+def _gpus() -> list[str]:
+    """CUDA devices by the numbers that CUDA_VISIBLE_DEVICES takes."""
+    if os.environ.get("CUDA_VISIBLE_DEVICES"):
+        return os.environ["CUDA_VISIBLE_DEVICES"].split(",")
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return []
+    done = subprocess.run([program, "-L"], capture_output=True, text=True, check=False)
+    return [
+        str(number) for number, _ in enumerate(line for line in done.stdout.splitlines() if line.startswith("GPU "))
+    ]
+
+
+__all__ = ["Job", "Shares", "run", "shares"]

@@ -1,0 +1,83 @@
+"""Error against seconds, and which configurations nothing else beats in both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sattools.scene.raster import atomic
+
+Point = tuple[str, float, float]
+
+
+def means(rows: Sequence[dict[str, Any]]) -> list[Point]:
+    """(configuration, seconds, MAE [m]), means over the scenes that all configurations have scored."""
+    scored = [row for row in rows if row.get("mae_m") is not None]
+    names = list(dict.fromkeys(row["configuration"] for row in scored))
+    scenes = [{row["scene"] for row in scored if row["configuration"] == name} for name in names]
+    common = set.intersection(*scenes) if scenes else set()
+    points = []
+    for name in names:
+        own = [row for row in scored if row["configuration"] == name and row["scene"] in common]
+        if own:
+            points.append(
+                (name, sum(row["seconds"] for row in own) / len(own), sum(row["mae_m"] for row in own) / len(own))
+            )
+    return points
+
+
+def pareto_front(points: Sequence[Point]) -> list[Point]:
+    """The points that no other one beats in seconds without losing in error, by seconds."""
+    front: list[Point] = []
+    for point in sorted(points, key=lambda p: (p[1], p[2])):
+        if not front or point[2] < front[-1][2]:
+            front.append(point)
+    return front
+
+
+def speed_error_figure(rows: Sequence[dict[str, Any]]) -> Any | None:
+    """matplotlib figure: small dots are scenes, large ones means, ringed where on the front; None without any error."""
+    points = means(rows)
+    if not points:
+        return None
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4.4), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for number, (name, seconds, error) in enumerate(points):
+        own = [row for row in rows if row["configuration"] == name and row.get("mae_m") is not None]
+        colour = f"C{number % 10}"
+        axes.plot([r["seconds"] for r in own], [r["mae_m"] for r in own], ".", color=colour, alpha=0.5)
+        axes.plot(seconds, error, "o", color=colour, label=name, markersize=8)
+    front = pareto_front(points)
+    axes.plot(
+        [p[1] for p in front],
+        [p[2] for p in front],
+        "o--",
+        color="black",
+        markerfacecolor="none",
+        markersize=14,
+        linewidth=1,
+        label="Pareto front of the means",
+    )
+    axes.set(xlabel="seconds from images to surface model", ylabel="mean absolute error [m]")
+    axes.set(xlim=(0, None), ylim=(0, None), title=f"{len({row['scene'] for row in rows})} scenes")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    return figure
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> bool:
+    """Write `speed_error_figure` as PNG; False where there is nothing to show."""
+    figure = speed_error_figure(rows)
+    if figure is None:
+        return False
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png")
+    return True
+
+
+__all__ = ["draw", "means", "pareto_front", "speed_error_figure"]

@@ -1,0 +1,193 @@
+"""What a batch has to do: tasks, and a key for each by which finished ones are known again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sattools import __version__
+from sattools.errors import InputError
+from sattools.scene.copies import in_another_root
+from sattools.scene.document import Scene, check_id
+from sattools.scene.raster import write_text
+
+# what a configuration may hold, in the order of the pipe
+COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare")
+OPTIONAL = ("normalise", "prior")  # run only where a configuration asks for them; `fit` does without or by itself
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Options of all commands under one name.
+
+    Attributes:
+        name: of the file, or `default`.
+        tables: command -> options as given.
+        resolved: command -> all options, defaults included; what a result is known by.
+    """
+
+    name: str
+    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
+    resolved: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One unit of work: commands, run one after the other in a folder of its own.
+
+    Attributes:
+        name: for messages.
+        folder: where `task.json`, `config.toml` and the results go.
+        key: hash of everything that the result depends on.
+        scene: id of the scene; configuration: name.
+        commands: arguments of `sattools`, one list a command; `{scene}` stands for the folder's scene.json.
+        config: TOML with the options.
+        source: scene.json to copy, or None where the first command makes the scene.
+    """
+
+    name: str
+    folder: str
+    key: str
+    scene: str
+    configuration: str
+    commands: list[list[str]]
+    config: str
+    source: str | None = None
+
+    def result(self) -> dict[str, Any] | None:
+        """What an earlier run of the very same task left, or None."""
+        try:
+            found = json.loads((Path(self.folder) / "task.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        same = isinstance(found, dict) and found.get("key") == self.key
+        return found if same and Path(found["scene_json"]).is_file() else None
+
+    def start(self) -> Path:
+        """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
+        folder = Path(self.folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "task.json").unlink(missing_ok=True)
+        write_text(folder / "config.toml", self.config)
+        if self.source is not None:
+            return in_another_root(Path(self.source), folder)
+        return folder / self.scene / "scene.json"
+
+
+class Digests:
+    """SHA-256 of files, remembered in a file as long as size and time of change stay what they were."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self.known = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            self.known = {}
+
+    def __call__(self, path: Path) -> str:
+        try:
+            state = path.stat()
+            name, stamp = str(path.resolve()), [state.st_size, state.st_mtime_ns]
+            if self.known.get(name, [None])[:2] != stamp:
+                with open(path, "rb") as file:
+                    self.known[name] = [*stamp, hashlib.file_digest(file, "sha256").hexdigest()]
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}), expected a file of the scene") from error
+        return str(self.known[name][2])
+
+    def save(self) -> None:
+        """Write what is known."""
+        write_text(self.path, json.dumps(self.known) + "\n")
+
+
+def key_of(*parts: Any) -> str:
+    """Hash of JSON-able parts and the suite's version."""
+    text = json.dumps([__version__, *parts], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def files_of(scene: Scene) -> list[Path]:
+    """All files that a scene's document names, sorted."""
+    hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
+    return sorted({scene.path(href) for href in [*hrefs, *scene.products.values()]})
+
+
+def scene_content(scene: Scene, digests: Digests) -> list[Any]:
+    """What a scene holds, but not where it lies nor how long it took to make."""
+    document = scene.to_dict()
+    for name in ("root", "history"):
+        del document["sattools"][name]
+    return [document, [digests(path) for path in files_of(scene)]]
+
+
+def run_task(
+    out: Path,
+    scene: str,
+    source: Path,
+    content: Any,
+    configuration: Configuration,
+    truth: Path | None,
+    digests: Digests,
+) -> Task:
+    """The task that fits, exports and scores one scene in one configuration."""
+    commands = []
+    for name in COMMANDS[1:]:
+        if name in OPTIONAL and name not in configuration.tables:
+            continue
+        arguments = [name, "{scene}", "--overwrite"]
+        if name == "compare":
+            given = configuration.resolved.get("compare", {})
+            if not (given.get("truth") or given.get("dsm")):
+                if truth is None:
+                    continue
+                arguments += ["--truth", str(truth)] if truth.is_dir() else []
+        commands.append(arguments)
+    references = sorted(_reference_files(configuration, truth, scene))
+    wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
+    key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
+    folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
+    name = f"{scene}/{configuration.name}"
+    config = _toml(configuration, [c for c in COMMANDS if c != "prep"])
+    return Task(name, str(folder), key, scene, configuration.name, commands, config, str(source))
+
+
+def prep_task(
+    out: Path, aoi: str, images: list[Path], arguments: list[str], configuration: Configuration, digests: Digests
+) -> Task:
+    """The task that makes the scene of an area; configurations with the same options of `prep` share it."""
+    options = configuration.resolved.get("prep", {})
+    key = key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
+    folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
+    command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *arguments, "--overwrite"]
+    config = _toml(configuration, ["prep"])
+    return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, [command], config)
+
+
+def task_parts(task: Task) -> dict[str, Any]:
+    """The task as plain types."""
+    return asdict(task)
+
+
+def _reference_files(configuration: Configuration, truth: Path | None, scene: str) -> Iterable[Path]:
+    given = configuration.resolved.get("compare", {})
+    for folder in {given.get("truth"), truth}:
+        if folder and Path(folder).is_dir():
+            yield from Path(folder).glob(f"{given.get('aoi') or scene}_*")
+    for name in ("dsm", "classes", "points"):
+        if given.get(name):
+            yield Path(given[name])
+    for pair in given.get("map") or ():
+        yield Path(pair.partition("=")[2])
+
+
+def _toml(configuration: Configuration, commands: list[str]) -> str:
+    import tomli_w
+
+    return tomli_w.dumps({name: configuration.tables[name] for name in commands if name in configuration.tables})
+
+
+__all__ = ["COMMANDS", "Configuration", "Digests", "Task", "key_of", "prep_task", "run_task", "scene_content"]

@@ -1,0 +1,214 @@
+"""The batch stage: every scene in every configuration, one table and one figure."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sattools.batch.cluster import Job, run, shares
+from sattools.batch.figure import draw
+from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Configuration, Digests, prep_task, run_task, scene_content
+from sattools.batch.table import Row, failed_row, write_tables
+from sattools.errors import InputError, SattoolsError, SceneError
+from sattools.progress import Progress, silent
+from sattools.scene.document import Scene
+from sattools.scene.raster import write_text
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Batch:
+    """A planned batch.
+
+    Attributes:
+        jobs: what is still to be done, in order.
+        results: (scene, configuration) -> result of a finished task.
+        rows: (scene, configuration) in the table's order.
+        errors: (scene, configuration) -> why there is no result.
+    """
+
+    jobs: list[Job] = field(default_factory=list)
+    results: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
+    rows: list[tuple[str, str]] = field(default_factory=list)
+    errors: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
+
+    def table(self) -> list[Row]:
+        """The rows that are known by now."""
+        rows = []
+        for pair in self.rows:
+            if pair in self.results:
+                rows.append(self.results[pair]["row"])
+            elif pair in self.errors:
+                rows.append(failed_row(*pair, *self.errors[pair]))
+        return rows
+
+
+def batch(
+    options: BatchOptions,
+    scenes: Sequence[Scene],
+    configurations: Sequence[Configuration],
+    cores: int,
+    progress: Progress = silent,
+    overwrite: bool = False,
+    emit: Callable[[str], None] = lambda line: None,
+) -> Batch:
+    """Run every scene in every configuration and write the table below `options.out`.
+
+    A failed task does not stop the others; `Batch.errors` names it. What an earlier run has finished with the same
+    inputs, options and version is taken from there.
+
+    Args:
+        options: the options of the batch.
+        scenes: scenes to use beside the areas of `options.dfc2019`.
+        configurations: sets of options; names differ.
+        cores: CPU cores that may be used.
+        progress: share of the whole batch.
+        overwrite: do finished tasks again.
+        emit: called with the scene document of every finished task as soon as it is there.
+    """
+    out = Path(options.out).absolute()
+    plan = make_plan(options, scenes, configurations, overwrite)
+    for pair, (_, error) in plan.errors.items():
+        log.error("%s/%s: %s", *pair, error)
+    for result in plan.results.values():
+        emit(_line(result))
+    total, open_ = len(plan.rows), {job.task.name: 0.0 for job in plan.jobs if not _is_prep(job)}
+    log.info("%d tasks, %d of them done before", total, len(plan.results))
+
+    def told(name: str, share: float, message: str) -> None:
+        if name in open_:
+            open_[name] = share
+        done = total - len(open_) + sum(open_.values())
+        progress(min(1.0, done / max(1, total)), f"{total - len(open_)} of {total} done, {name}: {message}")
+
+    def finished(task: Any, result: dict[str, Any]) -> None:
+        if task.name in prep_names:
+            told(task.name, 1.0, result["status"])
+            return
+        pair = (task.scene, task.configuration)
+        open_.pop(task.name, None)
+        if result["status"] == "done":
+            plan.results[pair] = result
+            emit(_line(result))
+        else:
+            plan.errors[pair] = ("failed", result["error"])
+            log.error("%s: %s", task.name, result["error"])
+        write_tables(plan.table(), out)
+        told(task.name, 1.0, result["status"])
+
+    prep_names = {job.task.name for job in plan.jobs if _is_prep(job)}
+    if plan.jobs:
+        run(plan.jobs, options, shares(options, cores), finished, told)
+    rows = plan.table()
+    write_tables(rows, out)
+    draw(rows, out / "speed_error.png")
+    return plan
+
+
+def make_plan(
+    options: BatchOptions, scenes: Sequence[Scene], configurations: Sequence[Configuration], overwrite: bool = False
+) -> Batch:
+    """What there is to do, and what is done already."""
+    names = [c.name for c in configurations]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"--config: found two files named {sorted(twice)[0]!r}, expected different names")
+    ids = [scene.id for scene in scenes] + list(options.aoi)
+    twice = {name for name in ids if ids.count(name) > 1}
+    if twice:
+        raise SceneError(f"batch: found scene id {sorted(twice)[0]!r} twice, expected unique ids")
+    if options.aoi and options.dfc2019 is None:
+        raise InputError("--aoi: found no --dfc2019, expected the root of the contest's data")
+    out = Path(options.out).absolute()
+    plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations])
+    digests = Digests(out / "digests.json")
+    for scene in scenes:
+        truth = scene.products.get("truth_dsm")
+        for c in configurations:
+            try:
+                content = scene_content(scene, digests)
+                source = _document(scene, out)
+                truth_path = scene.path(truth) if truth else None
+                task = run_task(out, scene.id, source, content, c, truth_path, digests)
+            except SattoolsError as error:
+                plan.errors[scene.id, c.name] = ("failed", str(error))
+                continue
+            _add(plan, Job(task, gpu=options.gpu), overwrite)
+    for aoi in options.aoi:
+        _add_area(plan, aoi, options, configurations, digests, overwrite)
+    digests.save()
+    return plan
+
+
+def _add_area(
+    plan: Batch,
+    aoi: str,
+    options: BatchOptions,
+    configurations: Sequence[Configuration],
+    digests: Digests,
+    overwrite: bool,
+) -> None:
+    from sattools.prep.dfc2019 import find_images, find_truth, is_crop
+
+    assert options.dfc2019 is not None
+    root, out = Path(options.dfc2019).absolute(), Path(options.out).absolute()
+    try:
+        images, metadata = find_images(root, aoi, options.imagery)
+    except InputError as error:
+        plan.errors |= {(aoi, c.name): ("missing", str(error)) for c in configurations}
+        return
+    truth = find_truth(root, aoi)
+    arguments = ["--metadata", str(metadata)] if metadata else []
+    if truth is not None and not is_crop(images[0]):
+        from sattools.compare.truth import read_dfc2019
+
+        # the contest's tiles show more than the area that is scored
+        grid = read_dfc2019(truth, aoi).grid
+        arguments += ["--bounds", *(f"{value:.3f}" for value in grid.bounds), "--crs", grid.crs]
+    for c in configurations:
+        given = [*arguments]
+        if c.tables.get("prep", {}).get("metadata"):
+            given = [*given[2:]] if metadata else given
+        prep = prep_task(out, aoi, images, given, c, digests)
+        task = run_task(out, aoi, Path(prep.folder) / aoi / "scene.json", prep.key, c, truth, digests)
+        earlier = None if overwrite else prep.result()
+        before = None
+        if earlier is None:
+            before = next((job for job in plan.jobs if job.task.key == prep.key), Job(prep))
+        if _add(plan, Job(task, before, options.gpu), overwrite) and before is not None and before not in plan.jobs:
+            plan.jobs.insert(len(plan.jobs) - 1, before)
+
+
+def _add(plan: Batch, job: Job, overwrite: bool) -> bool:
+    task = job.task
+    if overwrite:
+        (Path(task.folder) / "task.json").unlink(missing_ok=True)
+    earlier = task.result()
+    if earlier is not None:
+        plan.results[task.scene, task.configuration] = earlier
+        return False
+    plan.jobs.append(job)
+    return True
+
+
+def _document(scene: Scene, out: Path) -> Path:
+    """A file with the scene's document: what came on stdin may not be the one in its folder."""
+    path = out / "scenes" / f"{scene.id}.json"
+    write_text(path, scene.to_json() + "\n")
+    return path
+
+
+def _is_prep(job: Job) -> bool:
+    return job.task.source is None
+
+
+def _line(result: dict[str, Any]) -> str:
+    return Scene.from_file(result["scene_json"]).to_json()
+
+
+__all__ = ["Batch", "batch", "make_plan"]

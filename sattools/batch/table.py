@@ -1,0 +1,110 @@
+"""The table of a batch: one row a scene and configuration."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sattools.scene.document import Scene
+from sattools.scene.raster import atomic, write_text
+
+Row = dict[str, Any]
+TIMED = ("prep", "normalise", "prior", "fit", "export")
+ERRORS = ("mae", "median", "rmse", "nmad", "completeness", "within_1m", "within_2_5m", "mae_filled")
+CLASSES = ("ground", "trees", "buildings")
+COLUMNS = (
+    *("scene", "configuration", "status"),
+    *("mae_m", "median_m", "rmse_m", "nmad_m", "completeness", "within_1m", "within_2_5m", "mae_filled_m"),
+    *(f"{name}_mae_m" for name in CLASSES),
+    *("seconds", *(f"{name}_s" for name in TIMED), "peak_memory_mb", "cells", "protocol"),
+    *("sattools", "python", "numpy", "torch", "rasterio", "error"),
+)
+# what a page has room for: column -> heading
+SHORT = {
+    "scene": "scene",
+    "configuration": "configuration",
+    "status": "status",
+    "mae_m": "MAE [m]",
+    "median_m": "median [m]",
+    "completeness": "completeness",
+    "ground_mae_m": "ground [m]",
+    "trees_mae_m": "trees [m]",
+    "buildings_mae_m": "buildings [m]",
+    "seconds": "seconds",
+    "peak_memory_mb": "memory [MB]",
+    "sattools": "version",
+    "error": "error",
+}
+
+
+def make_row(scene: str, configuration: str, path: Path) -> Row:
+    """The row of a finished scene, from its history; seconds are those of the steps up to `export`."""
+    last = {entry["command"]: entry for entry in Scene.from_file(path).history}
+    steps = {name: last[name] for name in TIMED if name in last}
+    row: Row = {"scene": scene, "configuration": configuration, "status": "done"}
+    row["seconds"] = round(sum(entry["seconds"] for entry in steps.values()), 3)
+    row |= {f"{name}_s": entry["seconds"] for name, entry in steps.items()}
+    row["peak_memory_mb"] = max((entry["peak_memory_mb"] for entry in steps.values()), default=None)
+    for entry in steps.values():
+        row |= entry["versions"]
+    figures = last.get("compare", {}).get("errors", {})
+    for name in ERRORS:
+        unit = "_m" if name in ("mae", "median", "rmse", "nmad", "mae_filled") else ""
+        row[name + unit] = figures.get(name)
+    for name in CLASSES:
+        row[f"{name}_mae_m"] = figures.get("classes", {}).get(name, {}).get("mae")
+    row |= {"cells": figures.get("cells"), "protocol": figures.get("protocol")}
+    return row
+
+
+def failed_row(scene: str, configuration: str, status: str, error: str) -> Row:
+    """The row of a scene without a result."""
+    return {"scene": scene, "configuration": configuration, "status": status, "error": error}
+
+
+def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
+    """`table.csv`, `table.md`, and `table.parquet` where pyarrow is installed; the files written."""
+    written = [out / "table.csv", out / "table.md"]
+    write_text(written[0], to_csv(rows))
+    write_text(written[1], to_markdown(rows))
+    if importlib.util.find_spec("pyarrow"):
+        import pandas
+
+        frame = pandas.DataFrame(rows, columns=list(COLUMNS))
+        written.append(out / "table.parquet")
+        with atomic(written[-1]) as temporary:
+            frame.to_parquet(temporary, engine="pyarrow", index=False)
+    return written
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """All columns."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(COLUMNS), lineterminator="\n", extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def to_markdown(rows: Sequence[Row]) -> str:
+    """The columns of `SHORT` that have a value in some row."""
+    shown = [name for name in SHORT if any(row.get(name) is not None for row in rows)]
+    lines = ["| " + " | ".join(SHORT[name] for name in shown) + " |", "|" + "---|" * len(shown)]
+    lines += ["| " + " | ".join(_text(name, row.get(name)) for name in shown) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _text(name: str, value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        digits = 1 if name == "seconds" else 0 if name == "peak_memory_mb" else 4 if name == "completeness" else 3
+        return f"{value:.{digits}f}"
+    return " ".join(str(value).split()).replace("|", "\\|")
+
+
+__all__ = ["COLUMNS", "SHORT", "failed_row", "make_row", "to_csv", "to_markdown", "write_tables"]

@@ -1,0 +1,98 @@
+"""`sattools batch`: many scenes in many configurations."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.batch.options import BatchOptions
+from sattools.cli.options import build, dataclass_options, scene_argument
+from sattools.cli.pipe import documents, parse, report_error
+from sattools.cli.progress import make_progress
+from sattools.errors import SattoolsError
+
+if TYPE_CHECKING:
+    from sattools.batch.plan import Configuration
+
+# options that say how a command runs, not what comes out of it
+_HOUSEKEEPING = {"scenes", "images", "overwrite", "dry_run", "print_config", "out", "dfc2019"}
+
+
+@click.command("batch")
+@scene_argument
+@dataclass_options(BatchOptions)
+@click.option(
+    "--config",
+    "configs",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="TOML file = one configuration, with tables [prep], [normalise], [prior], [fit], [export], [compare]; "
+    "repeatable [default: the commands' defaults].",
+)
+@click.option("--overwrite", is_flag=True, help="Do again what an earlier run has finished.")
+@click.option("--dry-run", is_flag=True, help="Say on stderr what would be done, do nothing.")
+def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool, dry_run: bool, **values: Any) -> None:
+    """Fit, export and score every scene in every configuration, on this machine or on a Dask cluster.
+
+    Scenes: documents on stdin, paths of scene.json, or areas of the contest (--dfc2019 ROOT --aoi JAX_004 --aoi ...).
+    Writes table.csv, table.md, table.parquet (with pyarrow) and speed_error.png below --out. Called again it does
+    only what is not done or has changed. Prints the finished scenes.
+    """
+    options = build(BatchOptions, values)
+    configurations = [configuration(path) for path in configs] or [configuration(None)]
+    from sattools.batch.stage import batch, make_plan
+
+    try:
+        names = scenes if scenes or options.dfc2019 else ("-",)
+        found = [parse(source, text) for source, text in (documents(names) if names else ())]
+        if not found and not options.aoi:
+            raise click.UsageError("expected scenes, or --dfc2019 ROOT --aoi AREA")
+        if dry_run:
+            plan = make_plan(options, found, configurations)
+            for job in plan.jobs:
+                click.echo(f"sattools batch: would do {job.task.name} in {job.task.folder}", err=True)
+            return
+        root = click.get_current_context().find_root()
+        cores = root.params.get("threads") or len(os.sched_getaffinity(0))
+        progress = make_progress(root.obj["progress"], "batch")
+        done = batch(options, found, configurations, cores, progress, overwrite, click.echo)
+    except SattoolsError as error:
+        report_error("batch", error)
+        sys.exit(1)
+    if root.obj["progress"] != "none" or not root.params.get("quiet"):
+        click.echo(Path(options.out, "table.md").read_text(encoding="utf-8"), err=True, nl=False)
+    if done.errors:
+        sys.exit(3 if done.results else 1)
+
+
+def configuration(path: Path | None) -> Configuration:
+    """A configuration checked by the commands' own parsers; the defaults where there is no file."""
+    from sattools.batch.plan import COMMANDS, Configuration
+    from sattools.cli import main
+
+    tables: dict[str, Any] = {}
+    if path is not None:
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise click.BadParameter(f"{path}: cannot be read ({error.strerror})", param_hint="--config") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise click.BadParameter(f"{path}: found no valid TOML ({error})", param_hint="--config") from error
+    wrong = [name for name, table in tables.items() if name not in COMMANDS or not isinstance(table, dict)]
+    if wrong:
+        expected = ", ".join(f"[{name}]" for name in COMMANDS)
+        raise click.BadParameter(f"{path}: found {wrong[0]!r}, expected the tables {expected}", param_hint="--config")
+    resolved = {}
+    parent = click.get_current_context().find_root()
+    for name in COMMANDS:
+        part = main.get_command(parent, name)
+        assert part is not None  # all of them are commands of this suite
+        arguments = ["--config", str(path)] if name in tables else []
+        with part.make_context(name, arguments, parent=parent) as context:
+            resolved[name] = {k: v for k, v in context.params.items() if k not in _HOUSEKEEPING}
+    return Configuration(path.stem if path else "default", tables, resolved)

@@ -1,0 +1,50 @@
+"""`sattools report`: one HTML page."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from sattools.cli.pipe import documents, parse, report_error
+from sattools.errors import OutputExistsError, SattoolsError
+
+
+@click.command("report")
+@click.argument("source", default="-", metavar="[SCENE|BATCH_FOLDER]")
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="The page [default: report.html beside the data]."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing page.")
+def command(source: str, out: Path | None, overwrite: bool) -> None:
+    """Write one self-contained HTML page about a scene, or about a folder that `sattools batch` has written.
+
+    Needs no network to be read; what a scene has no data for is left out. Prints the path of the page.
+    """
+    try:
+        batch = Path(source) / "table.csv"
+        if source != "-" and batch.is_file():
+            from sattools.report.batch import batch_page
+
+            write(out or batch.with_name("report.html"), batch_page(batch.parent), overwrite)
+            return
+        from sattools.report.scene import scene_page
+
+        name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
+        for origin, text in documents((name,)):
+            scene = parse(origin, text)
+            write(out or scene.output("report.html"), scene_page(scene), overwrite)
+    except SattoolsError as error:
+        report_error("report", error)
+        sys.exit(1)
+
+
+def write(path: Path, page: str, overwrite: bool) -> None:
+    """The page, atomically; its path on stdout."""
+    from sattools.scene.raster import write_text
+
+    if path.exists() and not overwrite:
+        raise OutputExistsError(f"{path}: exists already; give --overwrite to replace it")
+    write_text(path, page)
+    click.echo(str(path))

@@ -1,0 +1,137 @@
+"""Figures of the report: data in, matplotlib figures out, units on every axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sattools.scene.grid import Grid
+
+Outline = Sequence[Sequence[float]]
+
+
+def new_figure(width: float = 6.4, height: float = 4.4) -> Any:
+    """An empty figure that belongs to no window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def footprints(outlines: Mapping[str, Outline], area: Outline | None) -> Any:
+    """Outlines [(lon, lat), ...] in degrees of images, and of the scene's grid."""
+    figure = new_figure()
+    axes = figure.subplots()
+    for number, (name, outline) in enumerate(outlines.items()):
+        axes.plot(*np.asarray(outline, float)[:, :2].T, color=f"C{number % 10}", linewidth=1, label=name)
+    if area is not None:
+        axes.fill(*np.asarray(area, float).T, color="0.5", alpha=0.3, label="ground grid")
+    middle = np.mean([lat for outline in outlines.values() for _, lat in outline])
+    axes.set_aspect(1 / np.cos(np.radians(middle)))
+    axes.set(xlabel="longitude [degrees]", ylabel="latitude [degrees]")
+    axes.ticklabel_format(useOffset=False)
+    axes.tick_params("x", rotation=30)
+    axes.grid(alpha=0.3)
+    if len(outlines) <= 20:
+        axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def directions(suns: Sequence[tuple[float, float]], views: Sequence[tuple[float, float]]) -> Any:
+    """Suns and sensors as (azimuth from north, angle from the vertical), both in degrees, seen from above."""
+    figure = new_figure(5.2, 5.0)
+    axes = figure.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    axes.set_theta_direction(-1)
+    for points, style, label in ((suns, "*", "sun"), (views, "o", "sensor")):
+        if points:
+            azimuth, zenith = np.asarray(points, float).T
+            axes.plot(np.radians(azimuth), zenith, style, label=label, markersize=9 if style == "*" else 6)
+    axes.set_rlim(0, 90)
+    axes.set_title("azimuth from north, angle from the vertical [degrees]", fontsize=10)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.1, -0.1))
+    return figure
+
+
+def residuals(names: Sequence[str], before: Sequence[float], after: Sequence[float]) -> Any:
+    """Median residual of every image's tie points before and after the adjustment, in pixels."""
+    figure = new_figure(6.4, 1.4 + 0.22 * len(names))
+    axes = figure.subplots()
+    rows = np.arange(len(names))
+    axes.plot(before, rows, "o", color="0.6", label="before")
+    axes.plot(after, rows, "o", color="tab:blue", label="after")
+    axes.set_yticks(rows, names, fontsize=7)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.set(xlabel="median residual of the tie points [pixels]")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    return figure
+
+
+def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
+    """One line per image of its values `[N]`; `label` names them with their unit."""
+    figure = new_figure()
+    axes = figure.subplots()
+    pooled = np.concatenate(list(values.values()))
+    low, high = np.quantile(pooled, [0.001, 0.995])
+    edges = np.linspace(low, max(high, low + 1e-6), 100)
+    for number, (name, own) in enumerate(values.items()):
+        share = np.histogram(own, edges)[0] / max(1, own.size)
+        axes.stairs(100 * share, edges, color=f"C{number % 10}", label=name)
+    axes.set(xlabel=label, ylabel="share of the pixels [%]", ylim=(0, None))
+    if len(values) <= 20:
+        axes.legend(fontsize=7)
+    return figure
+
+
+def map_figure(array: np.ndarray, grid: Grid, label: str) -> Any:
+    """A map `[B, H, W]`: three bands as colours, one with a ramp; `label` says what it is, with its unit."""
+    from matplotlib import colormaps
+
+    figure = new_figure(5.6, 5.6 * grid.height / grid.width if grid.width else 5.6)
+    axes = figure.subplots()
+    extent = (0.0, grid.width * grid.cell_size, 0.0, grid.height * grid.cell_size)
+    known = array[np.isfinite(array)]
+    low, high = np.quantile(known, [0.01, 0.99]) if known.size else (0.0, 1.0)
+    if array.shape[0] == 3:
+        shown = np.clip((np.nan_to_num(array, nan=high) - low) / max(high - low, 1e-6), 0, 1)
+        axes.imshow(np.moveaxis(shown, 0, -1), extent=extent, interpolation="nearest")
+        axes.set_title(f"{label}: black {low:.3g}, white {high:.3g}", fontsize=10)
+    else:
+        colours = colormaps["viridis"].with_extremes(bad="0.75")
+        image = axes.imshow(
+            np.ma.masked_invalid(array[0]),
+            cmap=colours,
+            vmin=low,
+            vmax=max(high, low + 1e-6),
+            extent=extent,
+            interpolation="nearest",
+        )
+        figure.colorbar(image, ax=axes, label=label, shrink=0.8, extend="both")
+    axes.set(xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
+    return figure
+
+
+def training(rows: Sequence[Mapping[str, float]]) -> Any:
+    """Loss, and error where it was watched, over the seconds of the fit."""
+    figure = new_figure()
+    axes = figure.subplots()
+    seconds = [row["seconds"] for row in rows]
+    axes.plot(seconds, [row["loss"] for row in rows], ".-", color="tab:blue")
+    axes.set_yscale("log")
+    axes.set(xlabel="time of the fit [s]", ylabel="loss [1]")
+    axes.grid(alpha=0.3)
+    if all("mae_m" in row for row in rows):
+        other = axes.twinx()
+        other.plot(seconds, [row["mae_m"] for row in rows], ".-", color="tab:red")
+        other.set_ylabel("mean absolute error [m]", color="tab:red")
+        other.set_ylim(0, None)
+    return figure
+
+
+__all__ = ["directions", "footprints", "histograms", "map_figure", "new_figure", "residuals", "training"]

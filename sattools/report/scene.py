@@ -1,0 +1,242 @@
+"""The page of one scene."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sattools.report import figures
+from sattools.report.commands import pipeline
+from sattools.report.page import Code, Picture, Section, Table, render
+from sattools.scene.document import Scene
+from sattools.scene.raster import read_image, read_raster
+
+# product -> what it is, with its unit; shown where a scene has them
+MAPS = {
+    "dsm_std": "standard deviation of the height [m]",
+    "albedo": "albedo [1]",
+    "reflectance": "reflectance [1]",
+    "w": "single-scattering albedo w [1]",
+    "b": "asymmetry b of the phase function [1]",
+    "c": "backward share c of the phase function [1]",
+    "theta": "macroscopic roughness theta [degrees]",
+    "rho0": "amplitude rho0 [1]",
+    "k": "bowl shape k [1]",
+    "rhoc": "hot spot rhoc [1]",
+    "prior_confidence": "confidence of the prior [1]",
+}
+_PIXELS = 200_000  # of an image are enough for its histogram
+
+
+def scene_page(scene: Scene) -> str:
+    """HTML of everything that the scene has data for."""
+    makers: list[Callable[[Scene], Section]] = [_images, _adjustment, _radiometry, _surface, _errors, _maps, _training]
+    return render(f"Scene {scene.id}", [*(make(scene) for make in makers), _history(scene)])
+
+
+def _images(scene: Scene) -> Section:
+    section = Section("Images")
+    outlines = {
+        item.id: item.geometry["coordinates"][0]
+        for item in scene.items
+        if item.geometry and item.geometry.get("type") == "Polygon"
+    }
+    if outlines:
+        text = f"Footprints of {len(outlines)} images" + (" and the ground grid, shaded" if scene.grid else "")
+        section.parts.append(Picture(figures.footprints(outlines, _area(scene)), "Map of footprints", f"{text}."))
+    suns = [(item.sun[0], 90 - item.sun[1]) for item in scene.items if item.sun]
+    views = [
+        (float(p["view:azimuth"]), float(p["view:off_nadir"]))
+        for p in (item.properties for item in scene.items)
+        if p.get("view:azimuth") is not None and p.get("view:off_nadir") is not None
+    ]
+    if suns or views:
+        caption = "Where the sun and the sensors stand, seen from the ground: zenith in the middle, horizon at the rim."
+        section.parts.append(Picture(figures.directions(suns, views), "Polar plot of suns and sensors", caption))
+    if scene.items:
+        section.parts.append(_item_table(scene))
+    return section
+
+
+def _item_table(scene: Scene) -> Table:
+    rows = []
+    for item in scene.items:
+        p = item.properties
+        sun = item.sun or (None, None)
+        rows.append(
+            [
+                item.id,
+                str(p.get("datetime") or "")[:16].replace("T", " "),
+                *(_number(value, 1) for value in (*sun, p.get("view:azimuth"), p.get("view:off_nadir"))),
+                _number(p.get("gsd"), 2),
+                item.role,
+            ]
+        )
+    names = ["image", "UTC", "sun azimuth [°]", "sun elevation [°]", "view azimuth [°]", "off nadir [°]", "pixel [m]"]
+    return Table([*names, "role"], rows, "Azimuths from true north; images of the role test are held out of the fit.")
+
+
+def _adjustment(scene: Scene) -> Section:
+    section = Section("Camera adjustment")
+    path = _beside_images(scene, "adjustment.json")
+    if path is None:
+        return section
+    found = json.loads(path.read_text(encoding="utf-8"))
+    views = [v for v in found.get("views", []) if v.get("median_before_px") and v.get("median_after_px")]
+    if views:
+        figure = figures.residuals(
+            [v["id"] for v in views], [v["median_before_px"] for v in views], [v["median_after_px"] for v in views]
+        )
+        caption = (
+            f"Residuals of {found['observations']} observations of {found['ground_points']} ground points: median "
+            f"{found['median_before_px']:.2f} pixels before, {found['median_after_px']:.2f} after ({found['model']})."
+        )
+        section.parts.append(Picture(figure, "Residuals of every image before and after", caption))
+    return section
+
+
+def _radiometry(scene: Scene) -> Section:
+    section = Section("Radiometry")
+    name = "radiance" if any("radiance" in item.assets for item in scene.items) else "image"
+    values = {}
+    for item in scene.items:
+        path = scene.path(item.assets[name].href) if name in item.assets else None
+        if path is not None and path.is_file():
+            array = read_image(path)
+            gray = array.mean(axis=0).ravel()
+            gray = gray[:: max(1, gray.size // _PIXELS)]
+            values[item.id] = gray[np.isfinite(gray)]
+    values = {name: own for name, own in values.items() if own.size}
+    if values:
+        label = f"{'linear radiance' if name == 'radiance' else 'digital number'}, mean of the bands [1]"
+        figure = figures.histograms(values, label)
+        section.parts.append(Picture(figure, "Histograms of the images", "Brightness: one line per image."))
+    return section
+
+
+def _surface(scene: Scene) -> Section:
+    from sattools.compare.picture import difference_figure
+    from sattools.export.hillshade import picture
+
+    section = Section("Surface")
+    path = _product(scene, "dsm")
+    if path is not None:
+        heights, grid = read_raster(path)
+        caption = f"Surface model, colours over a hillshade lit from the north-west; cells of {grid.cell_size:g} m."
+        section.parts.append(Picture(picture(heights[0], grid, scene.id), "Map of the heights", caption))
+    path = _product(scene, "difference")
+    if path is not None:
+        difference, grid = read_raster(path)
+        caption = "Registered surface minus reference: blue too low, red too high, grey not scored [m]."
+        figure = difference_figure(difference[0], grid, "difference to the reference")
+        section.parts.append(Picture(figure, "Map of the height differences", caption))
+    return section
+
+
+def _errors(scene: Scene) -> Section:
+    section = Section("Errors")
+    path = _product(scene, "errors")
+    if path is None:
+        return section
+    found = json.loads(path.read_text(encoding="utf-8"))
+    rows = [_error_row("all", found, found.get("cells"))]
+    rows += [_error_row(name, own, own["n"]) for name, own in (found.get("classes") or {}).items() if own.get("n")]
+    east, north, up = found["shift_m"]
+    caption = (
+        f"Protocol {found['protocol']}, reference {found['reference']}; scored: {found['mask']}. "
+        f"Registered by {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up. "
+        f"Completeness {100 * found['completeness']:.2f} %, within 1 m {100 * found['within_1m']:.1f} %."
+    )
+    section.parts.append(Table(["cells", "MAE [m]", "median [m]", "RMSE [m]", "NMAD [m]", "n"], rows, caption))
+    return section
+
+
+def _maps(scene: Scene) -> Section:
+    section = Section("Maps")
+    for name, label in MAPS.items():
+        path = _product(scene, name)
+        if path is None:
+            continue
+        array, grid = read_raster(path)
+        shown = array.astype(np.float32)
+        shown = shown[:3] if shown.shape[0] >= 3 else shown[:1]
+        caption = f"{label[0].upper()}{label[1:]}, product {name}."
+        section.parts.append(Picture(figures.map_figure(shown, grid, label), f"Map: {label}", caption))
+    return section
+
+
+def _training(scene: Scene) -> Section:
+    section = Section("Fit")
+    path = _product(scene, "trace")
+    if path is None:
+        return section
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = [{k: float(v) for k, v in row.items() if _is_number(v)} for row in csv.DictReader(file)]
+    rows = [row for row in rows if {"seconds", "loss"} <= row.keys()]
+    if rows:
+        caption = "Loss after every epoch; it jumps where a finer stage begins."
+        section.parts.append(Picture(figures.training(rows), "Training curve", caption))
+    return section
+
+
+def _history(scene: Scene) -> Section:
+    section = Section("How it was made")
+    if not scene.history:
+        return section
+    rows = []
+    for entry in scene.history:
+        versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
+        rows.append([entry["command"], _number(entry["seconds"], 1), _number(entry["peak_memory_mb"], 0), versions])
+    names = ["command", "time [s]", "peak memory [MB]", "versions"]
+    section.parts.append(Table(names, rows, "Every command that changed the scene."))
+    text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
+    section.parts.append(Code(pipeline(scene.history), text))
+    remarks = [f"{entry['command']}: {remark}" for entry in scene.history for remark in entry.get("remarks", [])]
+    section.parts.extend(remarks)
+    return section
+
+
+def _error_row(name: str, found: dict[str, Any], cells: int | None) -> list[str]:
+    return [name, *(_number(found.get(key), 3) for key in ("mae", "median", "rmse", "nmad")), str(cells or "")]
+
+
+def _area(scene: Scene) -> list[list[float]] | None:
+    if scene.grid is None:
+        return None
+    from sattools.camera.ground import to_geographic
+
+    west, south, east, north = scene.grid.bounds
+    lon, lat = to_geographic(scene.grid.crs, [west, east, east, west], [south, south, north, north])
+    return [[float(x), float(y)] for x, y in zip(lon, lat, strict=True)]
+
+
+def _beside_images(scene: Scene, name: str) -> Path | None:
+    """A report of `prep`: in the scene's root, or where its images lie."""
+    images = [scene.path(item.assets["image"].href) for item in scene.items if "image" in item.assets]
+    folders = [scene.root, *(image.parent.parent for image in images[:1])]
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)
+
+
+def _product(scene: Scene, name: str) -> Path | None:
+    path = scene.path(scene.products[name]) if name in scene.products else None
+    return path if path is not None and path.is_file() else None
+
+
+def _number(value: Any, digits: int) -> str:
+    return "" if value is None else f"{float(value):.{digits}f}"
+
+
+def _is_number(text: str | None) -> bool:
+    try:
+        float(text or "")
+    except ValueError:
+        return False
+    return True
+
+
+__all__ = ["MAPS", "scene_page"]

@@ -1,0 +1,146 @@
+"""What a batch plans: keys that follow the inputs, the contest's layout, and errors before anything is computed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sattools.batch.figure import means, pareto_front
+from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Configuration
+from sattools.batch.stage import make_plan
+from sattools.batch.table import failed_row, to_csv, to_markdown
+from sattools.cli import main
+from sattools.prep.dfc2019 import find_images, find_truth
+from sattools.scene.raster import write_cog
+
+DEFAULT = Configuration("default")
+
+
+def keys(tmp_path, scene, *configurations):
+    plan = make_plan(BatchOptions(out=str(tmp_path / "out")), [scene], configurations or [DEFAULT])
+    return [job.task.key for job in plan.jobs]
+
+
+def contest(root: Path) -> Path:
+    """The contest's folders with images of two areas, a reference of the first, crops of a third."""
+    for name in (
+        "Track3-RGB-1/JAX_004_006_RGB.tif",
+        "Track3-RGB-2/JAX_004_007_RGB.tif",
+        "Track3-MSI-1/JAX_004_006_MSI.tif",
+        "Track3-RGB-1/JAX_070_001_RGB.tif",
+        "Track3-RGB-crops/JAX_068/JAX_068_001_RGB.tif",
+        "Track3-RGB-3/JAX_068_001_RGB.tif",
+        "Track3-Truth/JAX_004_DSM.tif",
+    ):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(name.encode())
+    return root
+
+
+def test_the_contests_folders_are_searched_and_no_image_is_found_twice(tmp_path):
+    root = contest(tmp_path)
+    names = {kind: [p.parent.name for p in find_images(root, "JAX_068", kind)[0]] for kind in ("auto", "crops", "rgb")}
+    assert names == {"auto": ["JAX_068"], "crops": ["JAX_068"], "rgb": ["Track3-RGB-3"]}
+    assert [p.name for p in find_images(root, "JAX_004")[0]] == ["JAX_004_006_RGB.tif", "JAX_004_007_RGB.tif"]
+    assert [p.name for p in find_images(root, "JAX_004", "msi")[0]] == ["JAX_004_006_MSI.tif"]
+    assert find_truth(root, "JAX_004") == root / "Track3-Truth"
+    assert find_truth(root, "JAX_070") is None
+
+
+def test_missing_areas_are_named_and_the_others_planned(tmp_path):
+    options = BatchOptions(
+        out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070", "JAX_999", "OMA_001"]
+    )
+    plan = make_plan(options, [], [DEFAULT])
+    assert [job.task.name for job in plan.jobs] == ["JAX_070/prep", "JAX_070/default"]
+    assert {pair: kind for pair, (kind, _) in plan.errors.items()} == {
+        ("JAX_999", "default"): "missing",
+        ("OMA_001", "default"): "missing",
+    }
+    assert "images of JAX_999" in plan.errors["JAX_999", "default"][1]
+
+
+def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path):
+    from sattools.scene import Grid
+
+    root = contest(tmp_path / "data")
+    grid = Grid("EPSG:32617", 435525.0, 3354400.0, 0.5, 8, 8)
+    for name in ("DSM", "CLS_v2"):
+        # overwritten by real rasters, with the sidecar of the contest
+        (root / f"Track3-Truth/JAX_004_{name}.tif").unlink(missing_ok=True)
+        write_cog(root / f"Track3-Truth/JAX_004_{name}.tif", np.full((1, 8, 8), 2.0, np.float32), grid)
+    (root / "Track3-Truth/JAX_004_DSM.txt").write_text("435525.0\n3354396.0\n8\n0.5\n")
+    options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(root), aoi=["JAX_004"])
+    prep, fit = (job.task for job in make_plan(options, [], [DEFAULT]).jobs)
+    at = prep.commands[0].index("--bounds")
+    assert prep.commands[0][at + 1 : at + 7] == [
+        *("435525.000", "3354396.000", "435529.000", "3354400.000"),
+        *("--crs", "EPSG:32617"),
+    ]
+    assert fit.commands[-1] == ["compare", "{scene}", "--overwrite", "--truth", str(root / "Track3-Truth")]
+
+
+def test_configurations_that_prepare_alike_share_the_prepared_scene(tmp_path):
+    options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070"])
+    fast = Configuration("fast", {"fit": {"epochs": [2]}}, {"prep": {"correction": "auto"}, "fit": {"epochs": [2]}})
+    slow = Configuration("slow", {}, {"prep": {"correction": "auto"}, "fit": {"epochs": [9]}})
+    shift = Configuration("shift", {}, {"prep": {"correction": "shift"}, "fit": {"epochs": [9]}})
+    names = [job.task.name for job in make_plan(options, [], [fast, slow, shift]).jobs]
+    assert names == ["JAX_070/prep", "JAX_070/fast", "JAX_070/slow", "JAX_070/prep", "JAX_070/shift"]
+
+
+def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path, make_town):
+    town = make_town("TOWN")
+    [first] = keys(tmp_path, town)
+    image = town.path(town.items[0].assets["image"].href)
+    image.touch()
+    town.history.append({"command": "info", "seconds": 1.0})
+    assert keys(tmp_path, town) == [first]
+    assert keys(tmp_path, town, Configuration("default", {}, {"fit": {"seed": 1}})) != [first]
+    with open(image, "ab") as file:
+        file.write(b"\0")
+    assert keys(tmp_path, town) != [first]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[fit]\nsede = 3", "found option 'sede', which `sattools fit` does not have"),
+        ("[fit]\nseed = -3", "-3 is not in the range x>=0"),
+        ("[train]\nseed = 3", "found 'train', expected the tables [prep], [normalise]"),
+        ("seed = 3", "found 'seed', expected the tables"),
+        ("[fit", "found no valid TOML"),
+    ],
+)
+def test_a_wrong_configuration_ends_the_batch_before_it_starts(tmp_path, text, words):
+    (tmp_path / "c.toml").write_text(text)
+    result = CliRunner().invoke(main, ["batch", "scene.json", "--config", str(tmp_path / "c.toml")])
+    assert result.exit_code == 2
+    assert words in " ".join(result.stderr.split())
+
+
+def test_areas_need_the_contests_root(tmp_path):
+    result = CliRunner().invoke(main, ["batch", "--aoi", "JAX_004", "--out", str(tmp_path)], input="")
+    assert result.exit_code == 1
+    assert "found no --dfc2019" in result.stderr
+
+
+def test_the_front_holds_what_nothing_beats_in_both_time_and_error():
+    points = [("a", 10.0, 2.0), ("b", 20.0, 1.0), ("c", 25.0, 1.5), ("d", 5.0, 3.0), ("e", 12.0, 2.0)]
+    assert [name for name, _, _ in pareto_front(points)] == ["d", "a", "b"]
+
+
+def test_means_are_over_the_scenes_that_all_configurations_have():
+    rows = [
+        {"scene": scene, "configuration": name, "seconds": seconds, "mae_m": error}
+        for scene, name, seconds, error in (("A", "x", 1.0, 1.0), ("B", "x", 3.0, 9.0), ("A", "y", 5.0, 0.5))
+    ]
+    assert means(rows) == [("x", 1.0, 1.0), ("y", 5.0, 0.5)]
+
+
+def test_a_table_names_what_failed_and_why():
+    row = failed_row("JAX_999", "fast", "missing", "found no | images")
+    assert to_markdown([row]).splitlines()[2] == "| JAX_999 | fast | missing | found no \\| images |"
+    assert to_csv([row]).splitlines()[1].startswith("JAX_999,fast,missing,,")

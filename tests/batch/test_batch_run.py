@@ -1,0 +1,129 @@
+"""A batch on a real local cluster: lost workers, resuming, failures."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed", reason="needs the extra `batch`")
+
+MEASURED = {"scene", "seconds", "fit_s", "export_s", "peak_memory_mb"}  # differ from run to run
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Two scenes with the same images under two names, and a configuration of two epochs."""
+    from sattools.scene import Scene
+    from sattools.scene.raster import write_text
+    from sattools.simulate import SimulateOptions, simulate
+
+    root = tmp_path_factory.mktemp("batch")
+    scene = simulate(SimulateOptions(id="A", size=48.0, views=4, dates=2), root / "A")
+    write_text(scene.output("scene.json"), scene.to_json() + "\n")
+    shutil.copytree(root / "A", root / "B")
+    other = Scene.from_file(root / "A/scene.json")
+    other.id, other.root = "B", root / "B"
+    (root / "B/scene.json").write_text(other.to_json() + "\n")
+    (root / "quick.toml").write_text("[fit]\nepochs = [2]\n")
+    return root
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen:
+    command = [sys.executable, "-m", "sattools", "--threads", "1", "--progress", "json", "batch", *arguments]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with open(folder / "out/table.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def attempts(folder: Path, scene: str) -> list[dict]:
+    path = folder / f"out/runs/quick/{scene}/attempts.jsonl"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(folder):
+    call = ("A/scene.json", "B/scene.json", "--config", "quick.toml", "--out", "out", "--workers", "1")
+    running = start(folder, *call)
+    deadline = time.monotonic() + 200
+    while not attempts(folder, "B"):
+        assert running.poll() is None, running.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(0.3)  # in the middle of the fit
+    os.kill(attempts(folder, "B")[0]["pid"], signal.SIGKILL)
+    out, said = running.communicate(timeout=300)
+    assert running.returncode == 0, said
+    assert [json.loads(line)["id"] for line in out.splitlines()] == ["A", "B"]
+    assert [len(attempts(folder, name)) for name in "AB"] == [1, 2]
+    # B shows what A shows: the interrupted task ends as the one that was left in peace
+    one, two = ({k: v for k, v in row.items() if k not in MEASURED} for row in table(folder))
+    assert one == two
+    assert one["status"] == "done"
+    assert 0 < float(one["mae_m"]) < 5
+    assert (folder / "out/speed_error.png").stat().st_size > 1000
+    assert '"message": "batch: 2 of 2 done' in said
+
+    before, begun = (folder / "out/table.csv").read_bytes(), time.perf_counter()
+    again = start(folder, *call)
+    out, said = again.communicate(timeout=60)
+    assert time.perf_counter() - begun < 5
+    assert again.returncode == 0, said
+    assert [json.loads(line)["id"] for line in out.splitlines()] == ["A", "B"]
+    assert [len(attempts(folder, name)) for name in "AB"] == [1, 2]
+    assert (folder / "out/table.csv").read_bytes() == before
+
+
+def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder):
+    from sattools.scene import Scene
+
+    broken = Scene.from_file(folder / "B/scene.json")
+    broken.id, broken.items[0].assets["image"].href = "C", "images/nowhere.tif"
+    (folder / "C.json").write_text(broken.to_json())
+    names = [str(folder / name) for name in ("C.json", "A/scene.json")]
+    running = start(folder, *names, "--config", "quick.toml", "--out", "out", "--workers", "1")
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 3, said
+    assert [row["status"] for row in table(folder)] == ["failed", "done"]
+    assert "images/nowhere.tif: cannot be read" in table(folder)[0]["error"]
+
+
+def test_a_command_that_needs_too_much_memory_is_stopped_and_named(folder):
+    from sattools.batch.plan import Task
+    from sattools.batch.task import perform
+
+    source = str(folder / "A/scene.json")
+    task = Task("A/big", str(folder / "big"), "key", "A", "big", [["fit", "{scene}"]], "", source)
+    # Python with numpy and torch takes more than 100 MB before it does anything
+    result = perform(task, 1, 100.0, lambda share, message: None)
+    assert result["status"] == "failed"
+    assert result["error"] == "sattools fit: needed more than 100 MB of memory and was stopped"
+    assert not (folder / "big/task.json").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
+def test_an_interrupted_batch_leaves_no_process(folder):
+    import psutil
+
+    running = start(folder, "A/scene.json", "--config", "quick.toml", "--out", "stopped", "--workers", "1")
+    seen = psutil.Process(running.pid)
+    deadline = time.monotonic() + 60
+    while not any("fit" in process.cmdline() for process in seen.children(recursive=True)):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    family = seen.children(recursive=True)
+    running.terminate()
+    running.communicate(timeout=30)
+    assert running.returncode == 143
+    _, left = psutil.wait_procs(family, timeout=10)
+    assert left == []
+    assert not (folder / "stopped/runs/quick/A/task.json").exists()

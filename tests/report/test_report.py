@@ -1,0 +1,224 @@
+"""The page: complete, self-contained, honest about what is missing, and sound in a real browser."""
+
+import json
+import shlex
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sattools.batch.table import write_tables
+from sattools.cli import main
+from sattools.report.commands import command_line, pipeline
+from sattools.report.page import Section, render
+from sattools.scene.raster import write_cog
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+class Page(HTMLParser):
+    """What a page shows, and everything that it would load."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.images, self.headings, self.captions, self.loaded, self.open = [], [], [], [], []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        if tag == "img":
+            self.images.append(values)
+        self.loaded += [values[name] for name in ("src", "href") if name in values]
+        self.open.append(tag)
+        if tag == "figcaption":
+            self.captions.append("")
+
+    def handle_data(self, data):
+        self.text += data
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+        if self.open and self.open[-1] == "figcaption":
+            self.captions[-1] += data
+
+    def handle_endtag(self, tag):
+        if tag in self.open:
+            del self.open[len(self.open) - 1 - self.open[::-1].index(tag) :]
+
+
+def run(*arguments, text=None):
+    return CliRunner().invoke(main, ["report", *map(str, arguments)], input=text)
+
+
+@pytest.fixture
+def finished(make_town):
+    """A scene with maps, a trace, errors, an adjustment and a name that HTML could mistake for a tag."""
+    scene = make_town("TOWN")
+    grid, rng = scene.need_grid(), np.random.default_rng(0)
+    for name, bands in (("dsm", 1), ("dsm_std", 1), ("albedo", 3), ("theta", 1), ("difference", 1)):
+        write_cog(scene.output(f"export/{name}.tif"), rng.random((bands, *grid.shape), np.float32), grid)
+        scene.products[name] = f"export/{name}.tif"
+    errors = {"mae": 1.25, "median": 0.5, "rmse": 2.0, "nmad": 0.4, "cells": 900, "completeness": 1.0, "within_1m": 0.8}
+    errors |= {"protocol": "dsm", "reference": "<b>LIDAR</b>", "mask": "all", "shift_m": [0.5, 0.0, -1.0]}
+    errors |= {"classes": {"trees": {"mae": 3.25, "median": 2.0, "rmse": 4.0, "nmad": 1.0, "n": 80}}}
+    scene.output("compare/errors.json").write_text(json.dumps(errors))
+    scene.output("fit/trace.csv").write_text("seconds,loss,mae_m\n1.0,0.5,2.0\n2.0,0.25,1.5\n")
+    scene.products |= {"errors": "compare/errors.json", "trace": "fit/trace.csv"}
+    view = {"id": "TOWN_001", "median_before_px": 0.9, "median_after_px": 0.1}
+    adjustment = {"observations": 10, "ground_points": 5, "median_before_px": 0.9, "median_after_px": 0.1}
+    (scene.root / "adjustment.json").write_text(json.dumps(adjustment | {"model": "shift", "views": [view]}))
+    entry = {"command": "fit", "options": {"seed": 7}, "seconds": 2.0, "peak_memory_mb": 300.0, "versions": {}}
+    scene.history.append(entry)
+    (scene.root / "scene.json").write_text(scene.to_json())
+    return scene
+
+
+def check_self_contained(page):
+    assert all(image["alt"] for image in page.images)
+    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
+    assert [name for name in page.loaded if not name.startswith(("data:", "#"))] == []
+    assert len(page.captions) == len(page.images)
+    assert all(caption.strip() for caption in page.captions)
+
+
+def test_a_scenes_page_shows_all_that_is_known(finished):
+    result = run(finished.root)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"{finished.root}/report.html\n"
+    page = Page((finished.root / "report.html").read_text())
+    check_self_contained(page)
+    assert page.headings == [
+        *("Images", "Camera adjustment", "Radiometry", "Surface", "Errors", "Maps", "Fit", "How it was made")
+    ]
+    # footprints, directions, residuals, histograms, heights, differences, three maps, training
+    assert len(page.images) == 10
+    assert "<b>LIDAR</b>" in page.text  # as text, not as a tag
+    for words in ("1.250", "3.250", "roughness theta [degrees]", "median 0.90 pixels before, 0.10 after", "--seed 7"):
+        assert words in page.text
+
+
+def test_what_a_scene_does_not_have_is_left_out(make_town):
+    scene = make_town("TOWN")
+    for item in scene.items:
+        item.assets.clear()
+    scene.history.clear()
+    result = run("--out", scene.root / "page.html", text=scene.to_json())
+    assert result.exit_code == 0, result.output
+    assert Page((scene.root / "page.html").read_text()).headings == ["Images"]
+
+
+def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished):
+    (finished.root / "report.html").write_text("mine")
+    refused = run(finished.root / "scene.json")
+    assert refused.exit_code == 1
+    assert "exists already; give --overwrite" in refused.stderr
+    assert (finished.root / "report.html").read_text() == "mine"
+    assert run(finished.root / "scene.json", "--overwrite").exit_code == 0
+
+
+@pytest.fixture
+def batch(tmp_path):
+    rows = [
+        {"scene": scene, "configuration": name, "status": "done", "seconds": seconds, "mae_m": error}
+        for scene, name, seconds, error in (("A", "fast", 10.0, 2.0), ("A", "slow", 60.0, 1.0))
+    ]
+    rows.append({"scene": "B", "configuration": "fast", "status": "missing", "error": "found no <images>"})
+    write_tables(rows, tmp_path)
+    folder = tmp_path / "runs/fast/A"
+    folder.mkdir(parents=True)
+    (folder / "config.toml").write_text("[fit]\nseed = 3\n")
+    (folder / "log.txt").write_text("$ sattools fit scene.json\nsaid something\n")
+    return tmp_path
+
+
+def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch):
+    result = run(batch)
+    assert result.exit_code == 0, result.output
+    page = Page((batch / "report.html").read_text())
+    check_self_contained(page)
+    assert page.headings == ["Error against time", "Results", "How it was made"]
+    for words in ("MAE [m]", "2.000", "found no <images>", "seed = 3", "sattools fit scene.json"):
+        assert words in page.text
+    assert "said something" not in page.text
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "scene,configuration,status,seconds,mae_m\n../x,fast,done,1,2\n"])
+def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path, text):
+    (tmp_path / "table.csv").write_text(text)
+    result = run(tmp_path)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("sattools report: error:")
+    assert result.stderr.count("\n") == 1
+
+
+def test_command_lines_name_what_is_not_the_default_and_can_be_pasted():
+    line = command_line("fit", {"preset": "fast", "epochs": [4, 2], "pose": False, "reference": "my dsm.tif"})
+    assert shlex.split(line) == [
+        *("sattools", "fit", "--epochs", "4", "--epochs", "2", "--no-pose", "--reference", "my dsm.tif")
+    ]
+    assert command_line("prep", {"bounds": [1.0, 2.0, 3.0, 4.0], "out": "."}) == (
+        "sattools prep IMAGE... --bounds 1.0 2.0 3.0 4.0"
+    )
+    history = [{"command": "fit", "options": {"seed": seed}} for seed in (1, 2)] + [{"command": "export"}]
+    assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
+
+
+def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished, batch, tmp_path):
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip("no Chromium or Chrome on this machine")
+    assert run(finished.root).exit_code == 0
+    assert run(batch).exit_code == 0
+    # a page that loads both in frames would need a policy of its own: each is opened by itself, a probe added at its
+    # end; the page itself holds no script
+    for path in (finished.root / "report.html", batch / "report.html"):
+        text = path.read_text()
+        assert "<script" not in text
+        probe = (
+            "<script>window.onload = () => { const all = [...document.images]; "
+            "const bad = all.filter(i => !i.complete || !i.naturalWidth); "
+            "document.title = `${all.length} images, ${bad.length} broken`; }"
+            "</script>"
+        )
+        open_policy = text.replace("style-src 'unsafe-inline'", "style-src 'unsafe-inline'; script-src 'unsafe-inline'")
+        probed = path.with_name("probed.html")
+        probed.write_text(open_policy.replace("</body>", probe + "</body>"))
+        for page, words in ((path, "<title>"), (probed, f"<title>{text.count('<img ')} images, 0 broken</title>")):
+            done = subprocess.run(
+                [
+                    *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+                    *("--no-first-run", f"--user-data-dir={tmp_path}/profile", "--enable-logging=stderr", "--v=0"),
+                    *("--virtual-time-budget=5000", "--dump-dom", page.as_uri()),
+                ],
+                capture_output=True,
+                text=True,
+                timeout=60,
+            )
+            assert words in done.stdout
+            # what pages say goes to the log as INFO:CONSOLE; the browser's own troubles on a bare machine do not
+            assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
+
+
+def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path):
+    """The probe above must be able to fail."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip("no Chromium or Chrome on this machine")
+    page = render("bad", [Section("x", ["y"])]).replace(
+        "</body>", '<script src="http://localhost/x.js"></script></body>'
+    )
+    path = tmp_path / "bad.html"
+    path.write_text(page)
+    done = subprocess.run(
+        [
+            *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+            *(f"--user-data-dir={tmp_path}/profile", "--enable-logging=stderr", "--v=0", "--dump-dom", path.as_uri()),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert any("CONSOLE" in line and "Content Security Policy" in line for line in done.stderr.splitlines())
