@@ -1,6 +1,6 @@
 """What `fit --brdf auto` picks on scenes of known reflectance.
 
-    python benchmarks/reflectance_parsimony.py [--seeds 10] [--first 0] [--size 192]
+    python benchmarks/reflectance_parsimony.py [--seeds 10] [--first 0] [--size 192] [--scenes lambert]
 
 For every seed a scene of each model is simulated (7 training views, 2 m GSD), its prior made, and the model chosen;
 one epoch follows, so that the choice stands in a model file. Prints the table of scene against choice and every
@@ -25,6 +25,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--size", type=float, default=192.0)
+    parser.add_argument("--scenes", nargs="+", choices=MODELS, default=list(MODELS))
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     set_threads(arguments.threads)
@@ -36,9 +37,9 @@ def main() -> None:
     from sattools.prior.stage import prior
     from sattools.simulate import SimulateOptions, simulate
 
-    table = {scene: dict.fromkeys(MODELS, 0) for scene in MODELS}
+    table = {scene: dict.fromkeys(MODELS, 0) for scene in arguments.scenes}
     for seed in range(arguments.first, arguments.first + arguments.seeds):
-        for model in MODELS:
+        for model in arguments.scenes:
             folder = Path(tempfile.mkdtemp(prefix="parsimony_"))
             simulated = SimulateOptions(
                 terrain="natural",
@@ -62,7 +63,7 @@ def main() -> None:
                     print(f"     {text}", flush=True)
             shutil.rmtree(folder)
     print("\nscene      " + "".join(f"{m:>9}" for m in MODELS))
-    for model in MODELS:
+    for model in arguments.scenes:
         print(f"{model:10s} " + "".join(f"{table[model][m]:9d}" for m in MODELS))
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from sattools.fit.inversion import Samples, invert, noise_of, predict, solve_amounts, start_members
+from sattools.fit.inversion import ROBUST, Samples, invert, noise_of, predict, solve_amounts, start_members
 from sattools.fit.material import Kind
 
 Model = Literal["lambert", "rpv", "hapke"]
@@ -17,6 +17,7 @@ CELLS = 3000
 BLOCK = 8  # cells of a block; blocks count as independent
 OUTLIER = 5.0  # residuals beyond this many standard deviations are something else than reflectance
 STANDARD_ERRORS = 2.0  # twice what is asked for at least: a wrong step up the ladder costs more than a missing one
+PLAIN_ROUNDS = 10
 LEAST_GAIN = 0.01  # share of the held-out error that a richer model must take away
 
 
@@ -81,10 +82,18 @@ def _only(s: Samples, j: int) -> Samples:
 
 
 def _plain(s: Samples, j: int) -> Tensor:
-    """View j ``[N, C]`` as the mean of the others: one colour per cell, as the fit's `lambert` has it."""
+    """View j ``[N, C]`` as one colour per cell, from the others: their mean, robust and weighted by noise.
+
+    The amounts of the richer models are found in the same way; were this the plain mean, their robustness alone would
+    be taken for a phase function.
+    """
     rest = _without(s, j)
-    weight = rest.weight[..., None]
-    return (weight * rest.seen).sum(0) / weight.sum(0).clamp_min(1e-6)
+    sigma, given = noise_of(rest), rest.weight[..., None]
+    weight = given / sigma**2
+    for _ in range(PLAIN_ROUNDS):
+        colour = (weight * rest.seen).sum(0) / weight.sum(0).clamp_min(1e-6)
+        weight = given / sigma**2 / (1 + ((rest.seen - colour) / sigma / ROBUST) ** 2)
+    return colour
 
 
 def _modelled(kind: Kind, s: Samples, j: int) -> Tensor:

@@ -215,9 +215,11 @@ def _train(
     total, count = 0.0, 0
     watch = part(progress, 0.0, 0.95)
     for number in range(start, options.steps):
+        begun = trace.seconds()
         total, count = total + trainer.step(number), count + 1
-        done = number + 1
-        over = bool(options.budget) and trace.seconds() > (options.budget or 0)
+        done, now = number + 1, trace.seconds()
+        # a step of a network can take a minute: none begins that would end after the budget
+        over = bool(options.budget) and 2 * now - begun > (options.budget or 0) and done < options.steps
         if done % note == 0 or done == options.steps or over:
             row = {"seconds": round(trace.seconds(), 3), "step": done, "loss": total / count}
             row |= _score(trainer, options, grid, z_range, trace)

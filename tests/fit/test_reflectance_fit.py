@@ -235,6 +235,17 @@ def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(members
     assert all("held-out views" in text and "standard error" in text for text in choice.remarks)
 
 
+def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function():
+    samples, amount = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
+    cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
+    seen = 0.4 * AMOUNT["hapke"].bounded(amount) * cosine[..., None]
+    random = torch.Generator().manual_seed(7)
+    wrong = torch.rand(seen.shape[:2], generator=random) < 0.05  # heights a cell off: views that show something else
+    seen = torch.where(wrong[..., None], 1.6 * seen, seen)
+    samples = seen_by_noise(replace(samples, seen=seen))
+    assert choose_model(samples, torch.arange(900) // 9, relative=False).model == "lambert"
+
+
 def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles():
     samples, _ = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 20)
     assert sorted(extreme_views(samples)) == [0, 6]
