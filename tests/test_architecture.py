@@ -13,7 +13,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A room may import rooms of a lower floor and itself, nothing else. Rooms of one floor do not know each other, except
 # where ALSO says so.
 FLOORS = [
-    {"errors", "progress", "settings"},
+    {"compiled", "errors", "progress", "settings"},
     {"scene"},
     {"camera", "radiometry", "reflectance"},
     {"field", "views"},

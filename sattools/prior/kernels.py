@@ -13,12 +13,14 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from sattools.compiled import FASTMATH
+
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 NO_SHADE = np.float32(-1e9)
 TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=FASTMATH)
 def _translate(image, row0, col0, row_shift, col_shift, out):
     """out(i, j) = image(row0 + i + row_shift, col0 + j + col_shift), bilinear."""
     rows, cols = out.shape
@@ -34,7 +36,7 @@ def _translate(image, row0, col0, row_shift, col_shift, out):
             target[j] = a * upper[j] + b * upper[j + 1] + c * lower[j] + d * lower[j + 1]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=FASTMATH)
 def _window_sum(columns, radius, out):
     """out(j) = sum of columns(j .. j + 2 radius); the shorter array sets the length."""
     cols = out.shape[0]
@@ -45,7 +47,7 @@ def _window_sum(columns, radius, out):
             out[j] += columns[j + k]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=FASTMATH)
 def _moments(moved, radius, mean, variance, sums, squares, line):
     """Mean and variance of every window."""
     rows, cols = mean.shape
@@ -73,7 +75,7 @@ def _moments(moved, radius, mean, variance, sums, squares, line):
             squares[j] -= leave[j] * leave[j]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=FASTMATH)
 def _add_pair(
     a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, radius, noise, brightness, sums, line, total, weight
 ):
@@ -109,7 +111,7 @@ def _add_pair(
             sums[j] -= leave_a[j] * leave_b[j]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=FASTMATH)
 def _fill_unseen(column, unseen):
     """Replace the negative scores of a cell (heights that no pair sees): a hidden height must stay possible, but not
     beat what is seen to agree, however poorly."""
@@ -121,7 +123,7 @@ def _fill_unseen(column, unseen):
             column[k] = min(unseen, GUARD * best)
 
 
-@njit(parallel=True, cache=True, fastmath=True)
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def correlate(
     images,
     masks,
@@ -211,7 +213,7 @@ def correlate(
                 _fill_unseen(volume[r0 + i, j], unseen)
 
 
-@njit(parallel=True, cache=True, fastmath=True)
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def first_hits(surface, slopes, z_ref, z_top, z_bottom, hits):
     """Height at which the ray through every frame position of every view first meets the surface.
 
@@ -274,7 +276,7 @@ def descend(surface, bottom, top, low, high, depth, where):
                 before = z
 
 
-@njit(parallel=True, cache=True, fastmath=True)
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def shade_heights(surface, sun, cell, top, shade):
     """Height below which a point over each cell lies in the shadow of the other cells.
 

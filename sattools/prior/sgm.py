@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from sattools.compiled import FASTMATH
+
 ROW_STEPS = (0, 0, 1, -1, 1, -1, 1, -1)
 COL_STEPS = (1, -1, 0, 0, 1, -1, -1, 1)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=FASTMATH)
 def _starts(rows, cols, dr, dc):
     """Cells ``[N, 2]`` on the edges where the paths of a direction enter; every cell lies on exactly one path."""
     starts = np.empty((rows + cols, 2), np.int64)
@@ -30,7 +32,7 @@ def _starts(rows, cols, dr, dc):
     return starts[:n]
 
 
-@njit(parallel=True, cache=True, fastmath=True)
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def aggregate(score, small, large, total):
     """Sum of the semi-global path costs of eight directions (Hirschmueller 2008, eq. 13), cost = 1 - score.
 
@@ -74,7 +76,7 @@ def aggregate(score, small, large, total):
                 col += dc
 
 
-@njit(parallel=True, cache=True, fastmath=True)
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def lowest(total, heights, height, index):
     """Height of least cost, refined by a parabola through its neighbours.
 
@@ -99,7 +101,7 @@ def lowest(total, heights, height, index):
             height[row, col] = z
 
 
-@njit(parallel=True, cache=True, fastmath=True)
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def rival(total, index, gap):
     """How much dearer the cheapest height is that is not a neighbour of the best one.
 

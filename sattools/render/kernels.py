@@ -14,6 +14,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from sattools.compiled import FASTMATH
+
 # beyond this many softness lengths the logistic density is below 1e-3 of its maximum
 EMPTY = 6.0
 MIN_TRANSMITTANCE = 1e-3
@@ -34,7 +36,7 @@ def tables(softness: float, step: float) -> np.ndarray:
     return np.stack([alpha, share * (1 - share) * step / softness**2], axis=1).astype(np.float32)
 
 
-@njit(fastmath=True, inline="always")
+@njit(fastmath=FASTMATH, inline="always")
 def _corner(px, py, width, height):
     """Cell index and weights of a bilinear read, clamped to the edge."""
     px = min(max(px, np.float32(0.0)), np.float32(width - 1))
@@ -44,7 +46,7 @@ def _corner(px, py, width, height):
     return ix, iy, px - np.float32(ix), py - np.float32(iy)
 
 
-@njit(fastmath=True, inline="always")
+@njit(fastmath=FASTMATH, inline="always")
 def _entry(u):
     """Index and fraction of a table read at u >= -EMPTY."""
     position = (min(u, np.float32(TABLE_END)) + np.float32(EMPTY)) * np.float32(TABLE_PER_UNIT)
@@ -52,7 +54,7 @@ def _entry(u):
     return k, position - np.float32(k)
 
 
-@njit(parallel=True, fastmath=True, cache=True, nogil=True)
+@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
 def march(
     height,
     ceiling,
@@ -138,7 +140,7 @@ def march(
     return counts.sum()
 
 
-@njit(parallel=True, fastmath=True, cache=True, nogil=True)
+@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
 def march_backward(
     height, ceiling, colour, offset, slope, z_ref, z_top, z_bottom, softness, step, table, mask, chunks,
     rgb, depth, opacity, grad_rgb, grad_depth, grad_opacity, height_buffers, colour_buffers,
@@ -222,7 +224,7 @@ def march_backward(
                     z -= step
 
 
-@njit(parallel=True, fastmath=True, cache=True, nogil=True)
+@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
 def shadow_march(height, direction, tangent, half_width, growth, top, visibility, caster, distance, chunks):
     """Sun visibility of every cell, and which cell casts the shadow.
 
