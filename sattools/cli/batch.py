@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sattools.batch.options import BatchOptions
-from sattools.cli.options import build, dataclass_options, scene_argument
+from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import documents, parse, report_error
 from sattools.cli.progress import make_progress
 from sattools.errors import SattoolsError
@@ -75,14 +74,7 @@ def configuration(path: Path | None) -> Configuration:
     from sattools.batch.plan import COMMANDS, Configuration
     from sattools.cli import main
 
-    tables: dict[str, Any] = {}
-    if path is not None:
-        try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise click.BadParameter(f"{path}: cannot be read ({error.strerror})", param_hint="--config") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise click.BadParameter(f"{path}: found no valid TOML ({error})", param_hint="--config") from error
+    tables = read_toml(path) if path is not None else {}
     wrong = [name for name, table in tables.items() if name not in COMMANDS or not isinstance(table, dict)]
     if wrong:
         expected = ", ".join(f"[{name}]" for name in COMMANDS)

@@ -92,15 +92,20 @@ def _range(spec: OptionSpec) -> click.IntRange | click.FloatRange:
     return click.IntRange(min=low, max=high)
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file's content; an unreadable one is wrong usage of --config."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise click.BadParameter(f"{path}: cannot be read ({error.strerror})", param_hint="--config") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise click.BadParameter(f"{path}: found no valid TOML ({error})", param_hint="--config") from error
+
+
 def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
     if value is None:
         return
-    try:
-        data = tomllib.loads(Path(value).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise click.BadParameter(f"{value}: cannot be read ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise click.BadParameter(f"{value}: found no valid TOML ({error})") from error
+    data = read_toml(Path(value))
     command = ctx.info_name or ""
     table = data.get(command, {k: v for k, v in data.items() if not isinstance(v, dict)})
     known = {p.name for p in ctx.command.params}
@@ -111,4 +116,4 @@ def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | No
     ctx.default_map = {**(ctx.default_map or {}), **resolved}
 
 
-__all__ = ["build", "common_options", "dataclass_options", "print_config", "scene_argument"]
+__all__ = ["build", "common_options", "dataclass_options", "print_config", "read_toml", "scene_argument"]

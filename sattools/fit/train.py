@@ -105,8 +105,7 @@ class StageTrainer:
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
         self.adam = torch.optim.Adam(groups, lr=0.0, betas=BETAS)
         # colours take steps in proportion to the brightness of the images, where that is not stretched to [0, 1]
-        seen = torch.cat([t[m > 0].flatten()[::97] for t, m in zip(self.targets, self.masks, strict=True)])
-        self.brightness = min(1.0, 3 * float(seen.median())) if scene.absolute and seen.numel() else 1.0
+        self.brightness = min(1.0, 3 * typical) if scene.absolute else 1.0
         self.visibility: list[Tensor | None] = [None] * len(views)
         self.weights = [m.to(scene.height.dtype) for m in self.masks]
         self.quadrature = make_quadrature(settings.softness[0], settings.z_range)

@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit, prange
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
-from sattools.compiled import FASTMATH
 from sattools.prior.frame import Frame
 
 NEAR = 3  # cells from a height step within which a cell may change sides: the matching window and its blur
@@ -49,7 +48,7 @@ def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float
     return median_filter(moved, 3, mode="nearest")
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@njit(cache=True)
 def _level(height, sure, row, col, low, high):
     """Weighted mean of the sure heights in [low, high) around a cell, NaN if there are too few."""
     rows, cols = height.shape
@@ -65,7 +64,7 @@ def _level(height, sure, row, col, low, high):
     return total / weight if weight > FEWEST_VIEWS - 0.5 else np.nan
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@njit(cache=True)
 def _strangeness(height, sure, image, mask, hit, row, col, z, at_row, at_col, limit, noise):
     """Minus twice the log-likelihood (up to a constant) that a pixel belongs to its neighbours at height z in a view.
 
@@ -99,7 +98,7 @@ def _strangeness(height, sure, image, mask, hit, row, col, z, at_row, at_col, li
     return min(apart * apart / variance, CAP) + math.log(variance / (noise * noise))
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
+@njit(parallel=True, cache=True)
 def choose_sides(height, sure, images, masks, slopes, z_ref, margin, hits, tolerance, noise, moved):
     """See `sharpen`; ``sure`` is ``[H, W]`` bool, ``moved`` ``[H, W]`` float32 is filled."""
     rows, cols = height.shape

@@ -79,7 +79,7 @@ def _moments(moved, radius, mean, variance, sums, squares, line):
 def _add_pair(
     a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, radius, noise, brightness, sums, line, total, weight
 ):
-    """Add the squared agreement of one pair to ``total`` and 1 to ``weight`` where see the point in the same light.
+    """Add a pair's squared agreement to ``total`` and 1 to ``weight`` where both see the point in the same light.
 
     seen_a, seen_b: 1 = seen in the sun, -1 = seen in shadow, 0 = not seen.
     """

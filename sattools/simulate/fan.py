@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -19,7 +18,7 @@ from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_na
 from sattools.simulate.natural_trace import render_natural
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
-from sattools.simulate.stage import View, framed, threads, write_view
+from sattools.simulate.stage import View, framed, take_all, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track
@@ -48,12 +47,7 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
     write_parameters(scene, world, grid, options.reflectance)
     progress(0.05, "compiling the ray tracer")
     views = plan_fan(options, grid, (low, high), np.random.default_rng(seeds[1]))
-    noise_seeds = seeds[2].spawn(len(views))
-    with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
-        jobs = pool.map(lambda pair: _take(scene, options, world, *pair), zip(views, noise_seeds, strict=True))
-        for number, item in enumerate(jobs, 1):
-            scene.items.append(item)
-            progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
+    take_all(scene, views, seeds[2], lambda _, view, seed: _take(scene, options, world, view, seed), progress)
     return scene
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -85,16 +86,27 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
 
     sky = sky_share(world, SKY_STRIDE)
     views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
-    noise_seeds = seeds[2].spawn(len(views))
+
+    def take(number: int, view: View, seed: np.random.SeedSequence) -> Item:
+        return _take(scene, options, _on_the_day(options, world, number), sky, view, seed)
+
+    take_all(scene, views, seeds[2], take, progress)
+    return scene
+
+
+def take_all(
+    scene: Scene,
+    views: Sequence[View],
+    seed: np.random.SeedSequence,
+    take: Callable[[int, View, np.random.SeedSequence], Item],
+    progress: Progress,
+) -> None:
+    """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise."""
     with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
-        jobs = pool.map(
-            lambda job: _take(scene, options, _on_the_day(options, world, job[0]), sky, *job[1:]),
-            zip(range(len(views)), views, noise_seeds, strict=True),
-        )
+        jobs = pool.map(take, range(len(views)), views, seed.spawn(len(views)))
         for number, item in enumerate(jobs, 1):
             scene.items.append(item)
             progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
-    return scene
 
 
 def plan_views(
