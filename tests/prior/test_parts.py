@@ -80,11 +80,11 @@ def test_the_margin_holds_the_farthest_displacement():
 
 def test_the_height_range_closes_on_what_was_found_but_for_strays():
     heights = np.concatenate([np.linspace(100, 120, 5000), np.full(20, 900.0), np.full(20, -50.0)])
-    low, high = narrow(heights, (-100.0, 1000.0), 5.0)
+    low, high = narrow(heights, (-100.0, 1000.0), 5.0, 1.0)
     assert 94.9 < low <= 95.1
     assert 124.9 <= high < 125.1
-    assert narrow(heights[:50], (-100.0, 1000.0), 5.0) == (-100.0, 1000.0)  # too few to say
-    assert narrow(heights, (98.0, 119.0), 5.0) == (98.0, 119.0)  # never wider than before
+    assert narrow(heights[:50], (-100.0, 1000.0), 5.0, 1.0) == (-100.0, 1000.0)  # too few to say
+    assert narrow(heights, (98.0, 119.0), 5.0, 1.0) == (98.0, 119.0)  # never wider than before
 
 
 def test_a_disk_of_one_cell_is_a_cross():
