@@ -97,6 +97,8 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
         scene, scene.output(MODEL), found, {**meta, "grid": whole.to_dict(), "softness": softness},
         _trace(plan, [COARSE, *names]), remarks,
     )  # fmt: skip
+    if spent := plan.spent():
+        result["parts"] = spent
     if plan.options.part == "all":
         shutil.rmtree(scene.root / FOLDER)
     return result

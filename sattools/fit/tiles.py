@@ -14,6 +14,7 @@ import json
 import logging
 import math
 import shutil
+import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from sattools.views import TONE_PROPERTY, Source, Tone, load_sources, views_on
 log = logging.getLogger(__name__)
 FOLDER, STATE, COARSE = "fit/tiles", "fit/tiles/tiles.json", "coarse"
 COMMON = "fit/tiles/common.safetensors"
+WHOLE = "fit/tiles/scene.json"  # the document of the whole as it was cut
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
@@ -61,6 +63,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         log.info("scene %s is no larger than a tile: fitted all at once", scene.id)
         if options.part == "split":
             plan.begin([])
+            write_text(scene.output(WHOLE), scene.to_json() + "\n")
             return {"tiles": []}
         return fit(scene, replace(options, tile=None, part="all"), progress)
     steps = len(plan.tiles) + 1
@@ -142,6 +145,7 @@ class Plan:
 
     def split(self, progress: Progress) -> list[str]:
         """Settle what the tiles share and write their scenes; remarks."""
+        started = time.perf_counter()
         state = self._state()
         if self.options.resume and state is not None:
             self.check_state(state)
@@ -184,7 +188,8 @@ class Plan:
                     item.properties[TONE_PROPERTY] = asdict(tones[item.id])
             write_text(one.output("scene.json"), one.to_json() + "\n")
             names.append(tile.name)
-        self._write_state(names, remarks)
+        write_text(self.scene.output(WHOLE), self.scene.to_json() + "\n")
+        self._write_state(names, remarks, time.perf_counter() - started)
         return remarks
 
     def fit(self, tile: Tile, progress: Progress) -> list[str]:
@@ -202,6 +207,19 @@ class Plan:
         shutil.rmtree(self.scene.root / FOLDER, ignore_errors=True)
         self._write_state(names, [])
 
+    def spent(self) -> dict[str, Any]:
+        """Seconds of `split` and of the tiles, and the most memory one of them took, where they were fitted by
+        commands of their own."""
+        entries = [entry for name in self.names() for entry in self.part_scene(name).history]
+        if not entries:
+            return {}
+        split = float((self._state() or {}).get("seconds", 0.0))
+        return {
+            "tiles": len(self.names()),
+            "seconds": round(split + sum(entry["seconds"] for entry in entries), 3),
+            "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
+        }
+
     def check_state(self, state: dict[str, Any]) -> None:
         """Raise SceneError where the tiles on disk belong to another fit."""
         if state["key"] != self._key():
@@ -218,8 +236,8 @@ class Plan:
         except (OSError, ValueError) as error:
             raise SceneError(f"{path}: found no list of tiles ({error}), expected one of `fit --tile`") from error
 
-    def _write_state(self, names: list[str] | None, remarks: list[str]) -> None:
-        state = {"key": self._key(), "tiles": names, "remarks": remarks}
+    def _write_state(self, names: list[str] | None, remarks: list[str], seconds: float = 0.0) -> None:
+        state = {"key": self._key(), "tiles": names, "remarks": remarks, "seconds": round(seconds, 3)}
         write_text(self.scene.output(STATE), json.dumps(state, indent=1) + "\n")
 
     def _key(self) -> str:

@@ -22,7 +22,7 @@ from rasterio.windows import Window
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.grid import Grid
 
-_STRIP_ROWS = 512  # of an image that are held at a time where it is read reduced
+_STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
 
 @contextmanager
@@ -185,7 +185,7 @@ def read_image(path: Path, window: tuple[slice, slice] | None = None, reduce: in
             return _numbers(data, path, rows, cols)
         height, width = (rows.stop - rows.start) // reduce, (cols.stop - cols.start) // reduce
         array = np.empty((data.count, height, width), np.float32)
-        strip = max(1, _STRIP_ROWS // reduce)
+        strip = max(1, _STRIP_PIXELS // (reduce * (cols.stop - cols.start)))
         for row in range(0, height, strip):
             some = min(strip, height - row)
             first = rows.start + row * reduce
