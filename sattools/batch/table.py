@@ -23,6 +23,7 @@ COLUMNS = (
     *("seconds", *(f"{name}_s" for name in TIMED), "peak_memory_mb", "cells", "protocol"),
     *("sattools", "python", "numpy", "torch", "rasterio", "error"),
 )
+TEXTS = ("scene", "configuration", "status", "protocol", "sattools", "python", "numpy", "torch", "rasterio", "error")
 # what a page has room for: column -> heading
 SHORT = {
     "scene": "scene",
@@ -76,7 +77,9 @@ def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
     if importlib.util.find_spec("pyarrow"):
         import pandas
 
-        frame = pandas.DataFrame(rows, columns=list(COLUMNS))
+        # a column has its type even where no row has a value
+        kinds = {name: "object" if name in TEXTS else "float64" for name in COLUMNS}
+        frame = pandas.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
         written.append(out / "table.parquet")
         with atomic(written[-1]) as temporary:
             frame.to_parquet(temporary, engine="pyarrow", index=False)

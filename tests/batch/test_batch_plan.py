@@ -10,7 +10,7 @@ from sattools.batch.figure import means, pareto_front
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration
 from sattools.batch.stage import make_plan
-from sattools.batch.table import failed_row, to_csv, to_markdown
+from sattools.batch.table import failed_row, to_csv, to_markdown, write_tables
 from sattools.cli import main
 from sattools.prep.dfc2019 import find_images, find_truth
 from sattools.scene.raster import write_cog
@@ -144,3 +144,24 @@ def test_a_table_names_what_failed_and_why():
     row = failed_row("JAX_999", "fast", "missing", "found no | images")
     assert to_markdown([row]).splitlines()[2] == "| JAX_999 | fast | missing | found no \\| images |"
     assert to_csv([row]).splitlines()[1].startswith("JAX_999,fast,missing,,")
+
+
+def test_the_parquet_table_is_the_csv_table_with_types(tmp_path):
+    """In one with failed rows only, too, numbers are numbers."""
+    pytest.importorskip("pyarrow", reason="needs pyarrow")
+    import pandas
+
+    done = {"scene": "A", "configuration": "fast", "status": "done", "mae_m": 1.25, "seconds": 10.5, "cells": 262144}
+    lost = failed_row("B", "fast", "missing", "found no <images>")
+    for name, rows in (("both", [done, lost]), ("lost", [lost])):
+        (tmp_path / name).mkdir()
+        written = write_tables(rows, tmp_path / name)
+        assert [path.name for path in written] == ["table.csv", "table.md", "table.parquet"]
+        found = pandas.read_parquet(written[2])
+        plain = pandas.read_csv(written[0])
+        assert list(found.columns) == list(plain.columns)
+        assert found["scene"].tolist() == plain["scene"].tolist()
+        assert found["error"].tolist()[-1] == "found no <images>"
+        assert all(found[column].dtype == "float64" for column in ("mae_m", "cells", "seconds", "prep_s"))
+        assert found["mae_m"].dropna().tolist() == ([1.25] if name == "both" else [])
+    assert not list(tmp_path.rglob("*.tmp*"))
