@@ -107,7 +107,7 @@ def memory(size: int, views: int, cut: list[str]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         scene = simulate(folder, size, views, 1)
         path = scene.root / "scene.json"
-        row: dict[str, Any] = {"size_m": size}
+        row: dict[str, Any] = {"size_m": size, "tile_m": float(cut[1]), "overlap_m": float(cut[3]), "views": views}
         _, row["coarse_s"], row["coarse_mb"] = run("fit", *cut, "--part", "split", path)
         tiles = sorted((scene.root / "fit/tiles").glob("r*/scene.json"))
         row["tiles"] = len(tiles)
@@ -116,6 +116,8 @@ def memory(size: int, views: int, cut: list[str]) -> dict[str, Any]:
         for name in tiles:
             if not (name.parent / "fit/model.safetensors").exists():
                 run("fit", name)
+        bytes_there = sum(path.stat().st_size for path in (scene.root / "fit/tiles").rglob("*") if path.is_file())
+        row["tiles_disk_mb"] = bytes_there / 2**20
         _, row["join_s"], row["join_mb"] = run("fit", *cut, "--part", "join", path)
         path.write_text(scene.to_json() + "\n")
         _, row["untiled_s"], row["untiled_mb"] = run("fit", "--overwrite", path)

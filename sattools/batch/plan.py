@@ -175,6 +175,33 @@ def prep_task(
     return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, [command], config, kind="prep")
 
 
+def shared_task(out: Path, run: Task, content: Any, configuration: Configuration) -> Task | None:
+    """The task that makes what runs of a scene may share, `normalise` and `prior`; None where the fit makes its own
+    prior, as held-out images have no part in it, or none."""
+    fit = configuration.resolved.get("fit", {})
+    apart = fit.get("holdout") or fit.get("views", "all") != "all" or fit.get("preset", "fast") != "fast"
+    if apart or fit.get("tile") or not fit.get("prior_weight", 1.0):
+        return None
+    wanted = {name: configuration.resolved.get(name) for name in OPTIONAL}
+    given = ["normalise"] if "normalise" in configuration.tables else []
+    folder = out / "shared" / key_of(wanted, given)[:8] / run.scene
+    return replace(
+        run,
+        name=f"{run.scene}: prior",
+        folder=str(folder),
+        key=key_of("shared", content, wanted, given),
+        commands=[[name, "{scene}", "--overwrite"] for name in (*given, "prior")],
+        config=_toml(configuration, list(OPTIONAL)),
+        kind="prep",
+    )
+
+
+def after_shared(run: Task, shared: Task) -> Task:
+    """A run that goes on from what `shared_task` has left."""
+    rest = [command for command in run.commands if command[0] not in OPTIONAL]
+    return replace(run, commands=rest, source=str(Path(shared.folder) / "scene.json"))
+
+
 def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
     """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`."""
     before = ("normalise", "prior", "fit")
@@ -231,6 +258,6 @@ def _toml(configuration: Configuration, commands: list[str]) -> str:
 
 
 __all__ = [
-    "COMMANDS", "Configuration", "Digests", "Task", "key_of", "prep_task", "run_task", "scene_content", "split_task",
-    "tile_tasks",
+    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "key_of", "prep_task", "run_task", "scene_content",
+    "shared_task", "split_task", "tile_tasks",
 ]  # fmt: skip

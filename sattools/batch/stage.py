@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sattools.batch.cluster import Job, run, shares
 from sattools.batch.figure import draw
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration, Digests, Task, prep_task, run_task, scene_content, split_task, tile_tasks
+from sattools.batch.plan import (
+    Configuration,
+    Digests,
+    Task,
+    after_shared,
+    prep_task,
+    run_task,
+    scene_content,
+    shared_task,
+    split_task,
+    tile_tasks,
+)
 from sattools.batch.table import Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
@@ -30,6 +41,7 @@ class Batch:
         results: (scene, configuration) -> result of a finished task.
         rows: (scene, configuration) in the table's order.
         errors: (scene, configuration) -> why there is no result.
+        shared: key of a task -> it, and the runs that need what it makes.
         tiled: key of a split -> the run that joins its tiles, and the run's configuration.
     """
 
@@ -37,7 +49,23 @@ class Batch:
     results: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
     rows: list[tuple[str, str]] = field(default_factory=list)
     errors: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
+    shared: dict[str, tuple[Task, list[Job]]] = field(default_factory=dict)
     tiled: dict[str, tuple[Job, Configuration]] = field(default_factory=dict)
+
+    def share(self, overwrite: bool) -> None:
+        """Let runs of one scene that differ only later on start from one prior."""
+        for task, runs in self.shared.values():
+            if len(runs) < 2:
+                continue
+            if overwrite:
+                task.record.unlink(missing_ok=True)
+            first = self.jobs.index(runs[0])
+            before = () if task.result() is not None else (Job(task, runs[0].after),)
+            for job in runs:
+                self.jobs[self.jobs.index(job)] = replace(
+                    job, task=after_shared(job.task, task), after=before or job.after
+                )
+            self.jobs[first:first] = before
 
     def follow(self, split: Task) -> list[Job]:
         """The jobs that are left of a run whose scene is cut into tiles: the tiles, and the run itself."""
@@ -164,6 +192,7 @@ def make_plan(
             _add(plan, Job(task, gpu=options.gpu), overwrite, c, content)
     for aoi in options.aoi:
         _add_area(plan, aoi, options, configurations, digests, overwrite)
+    plan.share(overwrite)
     digests.save()
     return plan
 
@@ -219,6 +248,9 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
         return False
     if not configuration.resolved.get("fit", {}).get("tile"):
         plan.jobs.append(job)
+        shared = shared_task(Path(task.folder).parents[2], task, content, configuration)
+        if shared is not None:
+            plan.shared.setdefault(shared.key, (shared, []))[1].append(job)
         return True
     split = split_task(task, content, configuration)
     plan.tiled[split.key] = (job, configuration)

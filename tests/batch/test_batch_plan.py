@@ -82,13 +82,25 @@ def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path):
     assert fit.commands[-1] == ["compare", "{scene}", "--overwrite", "--truth", str(root / "Track3-Truth")]
 
 
-def test_configurations_that_prepare_alike_share_the_prepared_scene(tmp_path):
+def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prior(tmp_path):
     options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070"])
     fast = Configuration("fast", {"fit": {"epochs": [2]}}, {"prep": {"correction": "auto"}, "fit": {"epochs": [2]}})
     slow = Configuration("slow", {}, {"prep": {"correction": "auto"}, "fit": {"epochs": [9]}})
     shift = Configuration("shift", {}, {"prep": {"correction": "shift"}, "fit": {"epochs": [9]}})
-    names = [job.task.name for job in make_plan(options, [], [fast, slow, shift]).jobs]
-    assert names == ["JAX_070/prep", "JAX_070/fast", "JAX_070/slow", "JAX_070/prep", "JAX_070/shift"]
+    jobs = make_plan(options, [], [fast, slow, shift]).jobs
+    names = [job.task.name for job in jobs]
+    assert names == [
+        *("JAX_070/prep", "JAX_070: prior", "JAX_070/fast", "JAX_070/slow", "JAX_070/prep", "JAX_070/shift")
+    ]
+    assert [job.after for job in jobs] == [(), (jobs[0],), (jobs[1],), (jobs[1],), (), (jobs[4],)]
+    assert [c[0] for c in jobs[1].task.commands] == ["prior"]
+    assert jobs[2].task.source == f"{jobs[1].task.folder}/scene.json"
+    # the prior must not see an image that is held out, so that this fit makes its own
+    held = Configuration("held", {}, {"prep": {"correction": "auto"}, "fit": {"holdout": ["JAX_070_001_RGB"]}})
+    names = [job.task.name for job in make_plan(options, [], [fast, held]).jobs]
+    assert names == ["JAX_070/prep", "JAX_070/fast", "JAX_070/held"]
+    # nor is anything shared by one alone
+    assert [job.task.name for job in make_plan(options, [], [fast]).jobs] == ["JAX_070/prep", "JAX_070/fast"]
 
 
 def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path, make_town):
