@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sattools.batch.figure import means, pareto_front
+from sattools.batch.figure import means, pareto_front, speed_error_figure
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration
 from sattools.batch.stage import make_plan
@@ -177,3 +177,14 @@ def test_the_parquet_table_is_the_csv_table_with_types(tmp_path):
         assert all(found[column].dtype == "float64" for column in ("mae_m", "cells", "seconds", "prep_s"))
         assert found["mae_m"].dropna().tolist() == ([1.25] if name == "both" else [])
     assert not list(tmp_path.rglob("*.tmp*"))
+
+
+def test_all_points_lie_within_the_figure_and_its_title_counts_what_was_scored():
+    rows = [
+        {"scene": "A", "configuration": "fast", "seconds": 100.0, "mae_m": 1.2},
+        {"scene": "A", "configuration": "slow", "seconds": 200.0, "mae_m": 1.0},
+        failed_row("B", "fast", "missing", "found no images"),
+    ]
+    [axes] = speed_error_figure(rows).axes
+    assert axes.get_title() == "1 of 2 scenes scored"
+    assert (axes.get_xlim(), axes.get_ylim()) == (pytest.approx((0, 230)), pytest.approx((0, 1.38)))
