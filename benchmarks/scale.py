@@ -3,9 +3,9 @@
     python benchmarks/scale.py [--measured tiles/memory.csv] [--tile 512] [--price 0.05] [--out FOLDER]
 
 Measurements are those of `benchmarks/tiles.py --memory` (given, or made here at 384 and 640 m): the same tile in two
-areas. What belongs to a tile is taken per tile; what grows with the area (joining, disk) is a line through the two
-areas; how a tile's own seconds and memory grow with its area is measured here with one tile at three sizes, so that
-another --tile than the measured one can be asked for. The coarse pass has at most a tile's cells, wherever it is made.
+areas. What grows with the area (joining, disk) is a line through the two. A tile's own CPU seconds and memory are those
+of a fit of its size, measured here at three sizes up to the default tile with its overlap, the exponent only serving
+for another --tile. The coarse pass and the pilots have at most a tile's cells each.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ class Rates:
     """What was measured, on one thread.
 
     Attributes:
-        edge: of the largest tile measured, its overlap included [m]; overlap: by which it reaches into neighbours [m].
-        tile_s, tile_mb: seconds and memory of that tile; their exponents over the tile's area.
-        coarse_s, coarse_mb: of the coarse pass.
+        edge: of the largest piece fitted alone [m]; overlap: by which a tile reaches into its neighbours [m].
+        tile_s, tile_mb: CPU seconds and memory of that piece; their exponents over its area.
         join_s, join_mb, disk_mb: intercept and slope per km2.
         tile_mb_growth: exponent of a tile's memory over the area that it is a part of.
     """
@@ -45,8 +44,6 @@ class Rates:
     tile_s_exponent: float
     tile_mb: float
     tile_mb_exponent: float
-    coarse_s: float
-    coarse_mb: float
     join_s: tuple[float, float]
     join_mb: tuple[float, float]
     disk_mb: tuple[float, float]
@@ -98,14 +95,12 @@ def rates_of(areas: list[dict[str, float]], alone: list[dict[str, float]]) -> Ra
 
     cells = [row["size_m"] ** 2 for row in alone]
     return Rates(
-        edge=first["tile_m"] + 2 * first["overlap_m"],
+        edge=alone[-1]["size_m"],
         overlap=first["overlap_m"],
-        tile_s=max(row["tile_s"] for row in areas),
+        tile_s=alone[-1]["fit_s"],
         tile_s_exponent=growth.exponent(cells, [row["fit_s"] for row in alone]),
-        tile_mb=max(row["tile_mb"] for row in areas),
+        tile_mb=alone[-1]["fit_mb"],
         tile_mb_exponent=growth.exponent(cells, [row["fit_mb"] for row in alone]),
-        coarse_s=max(row["coarse_s"] for row in areas),
-        coarse_mb=max(row["coarse_mb"] for row in areas),
         join_s=line("join_s"),
         join_mb=line("join_mb"),
         disk_mb=line("tiles_disk_mb"),
@@ -124,7 +119,8 @@ def table(rates: Rates, tile: float, cores: int, memory_gb: float, price: float)
     ]
     for area in AREAS_KM2:
         count = math.ceil(math.sqrt(area) * 1000 / tile) ** 2
-        coarse_s = rates.coarse_s * larger**rates.tile_s_exponent
+        pilots = 4 if math.sqrt(area) * 1000 > 4 * (tile + 2 * rates.overlap) else 0
+        coarse_s = (1 + pilots) * tile_s
         join_s, join_mb, disk_mb = (
             max(0.0, start + slope * area) for start, slope in (rates.join_s, rates.join_mb, rates.disk_mb)
         )
@@ -142,7 +138,7 @@ def table(rates: Rates, tile: float, cores: int, memory_gb: float, price: float)
         first = max(breaks)[1] if breaks else "nothing"
         lines.append(
             f"| {area:g} | {count} | {core_s / 3600:.2f} | {core_s / 3600 * price:.2f} | {wall / 3600:.2f} | "
-            f"{max(tile_mb, rates.coarse_mb) / 1024:.1f} | {join_gb:.1f} | {disk_gb:.1f} | {first} |"
+            f"{tile_mb / 1024:.1f} | {join_gb:.1f} | {disk_gb:.1f} | {first} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -48,9 +48,8 @@ class Sheet:
 
     def done(self) -> np.ndarray:
         """The map ``[H, W, B]``; NaN where nothing was added."""
-        known = self.weight > 0
-        self.total[known] /= self.weight[known][:, None]
-        self.total[~known] = np.nan
+        with np.errstate(invalid="ignore"):
+            self.total /= self.weight[..., None]  # 0 / 0 is NaN
         return self.total
 
 

@@ -160,3 +160,13 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
 def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier():
     # the noise of a mean falls with the square root of its terms; a single pair is not trusted sixteen times less
     assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
+
+
+def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch):
+    import sattools.prior.normals as module
+
+    height = np.random.default_rng(0).normal(size=(11, 7)).astype(np.float32)
+    height[4, 2:5] = np.nan
+    at_once = normals(height, 0.5)
+    monkeypatch.setattr(module, "STRIP", 3)
+    assert np.array_equal(normals(height, 0.5), at_once, equal_nan=True)
