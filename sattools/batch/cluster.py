@@ -20,17 +20,19 @@ TOPIC = "sattools-batch"
 _REPORT_EVERY_S = 0.5
 _NO_DASK = "batch: found no Dask, expected the extra: pip install 'sattools[batch]'"
 
-Finished = Callable[[Task, dict[str, Any]], None]
 Told = Callable[[str, float, str], None]
 
 
 @dataclass(frozen=True)
 class Job:
-    """A task and the one that must be done before it."""
+    """A task and those that must be done before it."""
 
     task: Task
-    after: Job | None = None
+    after: tuple[Job, ...] = ()
     gpu: bool = False
+
+
+Finished = Callable[[Task, dict[str, Any]], list[Job]]
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ def shares(options: BatchOptions, cores: int) -> Shares:
 
 
 def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finished, told: Told) -> None:
-    """Do all jobs; `finished` is called for each as soon as it is done, `told` with name, share and message.
+    """Do all jobs; `finished` is called for each as soon as it is done and gives the jobs that follow from it, `told`
+    with name, share and message.
 
     Raises SattoolsError where Dask is not installed or the scheduler does not answer.
     """
@@ -72,12 +75,12 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
         client.subscribe_topic(TOPIC, lambda event: told(*event[1]))
         futures: dict[str, Any] = {}
         of_key: dict[str, Task] = {}
-        for job in jobs:
-            before = futures.get(job.after.task.key) if job.after else None
+
+        def submit(job: Job) -> Any:
             futures[job.task.key] = client.submit(
                 work,
                 job.task,
-                before,
+                [futures[before.task.key] for before in job.after if before.task.key in futures],
                 share,
                 key=f"sattools-{job.task.key}",
                 resources={"GPU": 1} if job.gpu else None,
@@ -85,24 +88,29 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
                 pure=False,
             )
             of_key[futures[job.task.key].key] = job.task
-        for future in as_completed(list(futures.values())):
+            return futures[job.task.key]
+
+        waiting = as_completed([submit(job) for job in jobs])
+        for future in waiting:
             task = of_key[future.key]
             if future.status == "finished":
                 result = future.result()
             else:
                 lost = future.exception()
                 result = {"key": task.key, "status": "failed", "error": f"{type(lost).__name__}: {lost}"}
-            finished(task, result)
+            for job in finished(task, result):
+                waiting.add(submit(job))
 
 
-def work(task: Task, before: dict[str, Any] | None, share: Shares) -> dict[str, Any]:
+def work(task: Task, before: list[dict[str, Any]], share: Shares) -> dict[str, Any]:
     """Runs on a worker."""
     from time import monotonic
 
     from distributed import get_worker
 
-    if before is not None and before["status"] != "done":
-        return {"key": task.key, "status": "failed", "error": before["error"]}
+    for earlier in before:
+        if earlier["status"] != "done":
+            return {"key": task.key, "status": "failed", "error": earlier["error"]}
     worker = get_worker()
     last = [monotonic() - _REPORT_EVERY_S]
 

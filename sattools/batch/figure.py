@@ -64,9 +64,14 @@ def speed_error_figure(rows: Sequence[dict[str, Any]]) -> Any | None:
         label="Pareto front of the means",
     )
     axes.set(xlabel="seconds from images to surface model", ylabel="mean absolute error [m]")
-    axes.set(xlim=(0, None), ylim=(0, None), title=f"{len({row['scene'] for row in rows})} scenes")
+    scored = [row for row in rows if row.get("mae_m") is not None]
+    scenes, all_scenes = ({row["scene"] for row in some} for some in (scored, rows))
+    limits = (1.15 * max(float(row[name]) for row in scored) for name in ("seconds", "mae_m"))
+    title = f"{len(scenes)} of {len(all_scenes)} scenes scored"
+    axes.set(**{name: (0, limit) for name, limit in zip(("xlim", "ylim"), limits, strict=True)}, title=title)
     axes.grid(alpha=0.3)
-    axes.legend()
+    # errors of a batch lie within a factor of two or so, and so above it
+    axes.legend(loc="lower right")
     return figure
 
 

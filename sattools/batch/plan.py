@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sattools import __version__
 from sattools.errors import InputError
@@ -17,6 +17,7 @@ from sattools.scene.raster import write_text
 
 # what a configuration may hold, in the order of the pipe
 COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare")
+TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles`
 OPTIONAL = ("normalise", "prior")  # run only where a configuration asks for them; `fit` does without or by itself
 
 
@@ -47,6 +48,7 @@ class Task:
         commands: arguments of `sattools`, one list a command; `{scene}` stands for the folder's scene.json.
         config: TOML with the options.
         source: scene.json to copy, or None where the first command makes the scene.
+        kind: `prep`, `run` (whose result is a row of the table), or for a fit in tiles before it `split` and `tile`.
     """
 
     name: str
@@ -57,11 +59,17 @@ class Task:
     commands: list[list[str]]
     config: str
     source: str | None = None
+    kind: Literal["prep", "run", "split", "tile"] = "run"
+
+    @property
+    def record(self) -> Path:
+        """Where the result is kept; a split shares its folder with the run."""
+        return Path(self.folder) / ("split.json" if self.kind == "split" else "task.json")
 
     def result(self) -> dict[str, Any] | None:
         """What an earlier run of the very same task left, or None."""
         try:
-            found = json.loads((Path(self.folder) / "task.json").read_text(encoding="utf-8"))
+            found = json.loads(self.record.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         same = isinstance(found, dict) and found.get("key") == self.key
@@ -71,7 +79,7 @@ class Task:
         """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
         folder = Path(self.folder)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "task.json").unlink(missing_ok=True)
+        self.record.unlink(missing_ok=True)
         write_text(folder / "config.toml", self.config)
         if self.source is not None:
             return in_another_root(Path(self.source), folder)
@@ -164,7 +172,66 @@ def prep_task(
     folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
     command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *arguments, "--overwrite"]
     config = _toml(configuration, ["prep"])
-    return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, [command], config)
+    return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, [command], config, kind="prep")
+
+
+def shared_task(out: Path, run: Task, content: Any, configuration: Configuration) -> Task | None:
+    """The task that makes what runs of a scene may share, `normalise` and `prior`; None where the fit makes its own
+    prior, as held-out images have no part in it, or none."""
+    fit = configuration.resolved.get("fit", {})
+    apart = fit.get("holdout") or fit.get("views", "all") != "all" or fit.get("preset", "fast") != "fast"
+    if apart or fit.get("tile") or not fit.get("prior_weight", 1.0):
+        return None
+    wanted = {name: configuration.resolved.get(name) for name in OPTIONAL}
+    given = ["normalise"] if "normalise" in configuration.tables else []
+    folder = out / "shared" / key_of(wanted, given)[:8] / run.scene
+    return replace(
+        run,
+        name=f"{run.scene}: prior",
+        folder=str(folder),
+        key=key_of("shared", content, wanted, given),
+        commands=[[name, "{scene}", "--overwrite"] for name in (*given, "prior")],
+        config=_toml(configuration, list(OPTIONAL)),
+        kind="prep",
+    )
+
+
+def after_shared(run: Task, shared: Task) -> Task:
+    """A run that goes on from what `shared_task` has left."""
+    rest = [command for command in run.commands if command[0] not in OPTIONAL]
+    return replace(run, commands=rest, source=str(Path(shared.folder) / "scene.json"))
+
+
+def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
+    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`."""
+    before = ("normalise", "prior", "fit")
+    wanted = {name: configuration.resolved.get(name) for name in before}
+    given = [name for name in before if name in configuration.tables]
+    commands = [["normalise", "{scene}", "--overwrite"]] if "normalise" in given else []
+    commands.append(["fit", "{scene}", "--overwrite", "--part", "split"])
+    return replace(
+        run, name=f"{run.name}: split", key=key_of("split", content, wanted, given), commands=commands, kind="split"
+    )
+
+
+def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[list[Task], Task]:
+    """The tasks of the tiles that a finished split has left, and the run that joins them."""
+    folder = Path(run.folder) / TILES
+    found = json.loads((folder / "tiles.json").read_text(encoding="utf-8"))
+    steps = ["prior", "fit"] if "prior" in configuration.tables else ["fit"]
+    commands = [[step, "{scene}", "--overwrite"] for step in steps]
+    tiles = [
+        replace(
+            run, name=f"{run.name}: tile {name}", folder=str(folder / name), key=key_of("tile", split.key, name),
+            commands=commands, source=str(folder / name / "scene.json"), kind="tile",
+        )
+        for name in found["tiles"]
+    ]  # fmt: skip
+    # an area of one tile is fitted at once, by the run
+    done = OPTIONAL if tiles else ("normalise",)
+    rest = [command for command in run.commands if command[0] not in done]
+    joined = [[*command, "--part", "join"] if command[0] == "fit" else command for command in rest]
+    return tiles, replace(run, commands=joined, source=str(folder / "scene.json"))
 
 
 def task_parts(task: Task) -> dict[str, Any]:
@@ -190,4 +257,7 @@ def _toml(configuration: Configuration, commands: list[str]) -> str:
     return tomli_w.dumps({name: configuration.tables[name] for name in commands if name in configuration.tables})
 
 
-__all__ = ["COMMANDS", "Configuration", "Digests", "Task", "key_of", "prep_task", "run_task", "scene_content"]
+__all__ = [
+    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "key_of", "prep_task", "run_task", "scene_content",
+    "shared_task", "split_task", "tile_tasks",
+]  # fmt: skip

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sattools.batch.cluster import Job, run, shares
 from sattools.batch.figure import draw
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration, Digests, prep_task, run_task, scene_content
+from sattools.batch.plan import (
+    Configuration,
+    Digests,
+    Task,
+    after_shared,
+    prep_task,
+    run_task,
+    scene_content,
+    shared_task,
+    split_task,
+    tile_tasks,
+)
 from sattools.batch.table import Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
@@ -30,12 +41,38 @@ class Batch:
         results: (scene, configuration) -> result of a finished task.
         rows: (scene, configuration) in the table's order.
         errors: (scene, configuration) -> why there is no result.
+        shared: key of a task -> it, and the runs that need what it makes.
+        tiled: key of a split -> the run that joins its tiles, and the run's configuration.
     """
 
     jobs: list[Job] = field(default_factory=list)
     results: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
     rows: list[tuple[str, str]] = field(default_factory=list)
     errors: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
+    shared: dict[str, tuple[Task, list[Job]]] = field(default_factory=dict)
+    tiled: dict[str, tuple[Job, Configuration]] = field(default_factory=dict)
+
+    def share(self, overwrite: bool) -> None:
+        """Let runs of one scene that differ only later on start from one prior."""
+        for task, runs in self.shared.values():
+            if len(runs) < 2:
+                continue
+            if overwrite:
+                task.record.unlink(missing_ok=True)
+            first = self.jobs.index(runs[0])
+            before = () if task.result() is not None else (Job(task, runs[0].after),)
+            for job in runs:
+                self.jobs[self.jobs.index(job)] = replace(
+                    job, task=after_shared(job.task, task), after=before or job.after
+                )
+            self.jobs[first:first] = before
+
+    def follow(self, split: Task) -> list[Job]:
+        """The jobs that are left of a run whose scene is cut into tiles: the tiles, and the run itself."""
+        run, configuration = self.tiled[split.key]
+        tiles, joined = tile_tasks(run.task, split, configuration)
+        jobs = tuple(Job(task, gpu=run.gpu) for task in tiles if task.result() is None)
+        return [*jobs, Job(joined, jobs, run.gpu)]
 
     def table(self) -> list[Row]:
         """The rows that are known by now."""
@@ -77,21 +114,35 @@ def batch(
         log.error("%s/%s: %s", *pair, error)
     for result in plan.results.values():
         emit(_line(result))
-    total, open_ = len(plan.rows), {job.task.name: 0.0 for job in plan.jobs if not _is_prep(job)}
+    total = len(plan.rows)
+    open_ = {f"{scene}/{name}": 0.0 for scene, name in plan.rows if (scene, name) not in plan.results | plan.errors}
+    steps: dict[str, int] = {}  # of a run in tiles, once they are known
     log.info("%d tasks, %d of them done before", total, len(plan.results))
 
     def told(name: str, share: float, message: str) -> None:
-        if name in open_:
+        if name in open_ and name not in steps:
             open_[name] = share
         done = total - len(open_) + sum(open_.values())
         progress(min(1.0, done / max(1, total)), f"{total - len(open_)} of {total} done, {name}: {message}")
 
-    def finished(task: Any, result: dict[str, Any]) -> None:
-        if task.name in prep_names:
-            told(task.name, 1.0, result["status"])
-            return
+    def finished(task: Task, result: dict[str, Any]) -> list[Job]:
         pair = (task.scene, task.configuration)
-        open_.pop(task.name, None)
+        name = "/".join(pair)
+        if task.kind == "split" and result["status"] == "done":
+            try:
+                more = plan.follow(task)
+            except (OSError, ValueError) as error:
+                result = {"status": "failed", "error": str(error)}
+            else:
+                steps[name] = len(more) + 1
+                open_[name] = 1 / steps[name]
+                told(task.name, 1.0, result["status"])
+                return more
+        elif task.kind in ("prep", "tile"):  # a failed one fails the run that waits for it
+            open_[name] = open_.get(name, 0.0) + (1 / steps[name] if task.kind == "tile" and name in steps else 0.0)
+            told(task.name, 1.0, result["status"])
+            return []
+        open_.pop(name, None)
         if result["status"] == "done":
             plan.results[pair] = result
             emit(_line(result))
@@ -100,8 +151,8 @@ def batch(
             log.error("%s: %s", task.name, result["error"])
         write_tables(plan.table(), out)
         told(task.name, 1.0, result["status"])
+        return []
 
-    prep_names = {job.task.name for job in plan.jobs if _is_prep(job)}
     if plan.jobs:
         run(plan.jobs, options, shares(options, cores), finished, told)
     rows = plan.table()
@@ -138,9 +189,10 @@ def make_plan(
             except SattoolsError as error:
                 plan.errors[scene.id, c.name] = ("failed", str(error))
                 continue
-            _add(plan, Job(task, gpu=options.gpu), overwrite)
+            _add(plan, Job(task, gpu=options.gpu), overwrite, c, content)
     for aoi in options.aoi:
         _add_area(plan, aoi, options, configurations, digests, overwrite)
+    plan.share(overwrite)
     digests.save()
     return plan
 
@@ -177,14 +229,16 @@ def _add_area(
         prep = prep_task(out, aoi, images, given, c, digests)
         task = run_task(out, aoi, Path(prep.folder) / aoi / "scene.json", prep.key, c, truth, digests)
         earlier = None if overwrite else prep.result()
-        before = None
+        before: tuple[Job, ...] = ()
         if earlier is None:
-            before = next((job for job in plan.jobs if job.task.key == prep.key), Job(prep))
-        if _add(plan, Job(task, before, options.gpu), overwrite) and before is not None and before not in plan.jobs:
-            plan.jobs.insert(len(plan.jobs) - 1, before)
+            before = (next((job for job in plan.jobs if job.task.key == prep.key), Job(prep)),)
+        there = len(plan.jobs)
+        if _add(plan, Job(task, before, options.gpu), overwrite, c, prep.key) and before and before[0] not in plan.jobs:
+            plan.jobs.insert(there, before[0])
 
 
-def _add(plan: Batch, job: Job, overwrite: bool) -> bool:
+def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, content: Any) -> bool:
+    """Plan a run unless it is done before: as one job, or beginning with the split of its scene into tiles."""
     task = job.task
     if overwrite:
         (Path(task.folder) / "task.json").unlink(missing_ok=True)
@@ -192,7 +246,20 @@ def _add(plan: Batch, job: Job, overwrite: bool) -> bool:
     if earlier is not None:
         plan.results[task.scene, task.configuration] = earlier
         return False
-    plan.jobs.append(job)
+    if not configuration.resolved.get("fit", {}).get("tile"):
+        plan.jobs.append(job)
+        shared = shared_task(Path(task.folder).parents[2], task, content, configuration)
+        if shared is not None:
+            plan.shared.setdefault(shared.key, (shared, []))[1].append(job)
+        return True
+    split = split_task(task, content, configuration)
+    plan.tiled[split.key] = (job, configuration)
+    if overwrite:
+        split.record.unlink(missing_ok=True)
+    if split.result() is None:
+        plan.jobs.append(Job(split, job.after, job.gpu))
+    else:
+        plan.jobs += plan.follow(split)
     return True
 
 
@@ -201,10 +268,6 @@ def _document(scene: Scene, out: Path) -> Path:
     path = out / "scenes" / f"{scene.id}.json"
     write_text(path, scene.to_json() + "\n")
     return path
-
-
-def _is_prep(job: Job) -> bool:
-    return job.task.source is None
 
 
 def _line(result: dict[str, Any]) -> str:

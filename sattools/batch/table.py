@@ -23,6 +23,7 @@ COLUMNS = (
     *("seconds", *(f"{name}_s" for name in TIMED), "peak_memory_mb", "cells", "protocol"),
     *("sattools", "python", "numpy", "torch", "rasterio", "error"),
 )
+TEXTS = ("scene", "configuration", "status", "protocol", "sattools", "python", "numpy", "torch", "rasterio", "error")
 # what a page has room for: column -> heading
 SHORT = {
     "scene": "scene",
@@ -46,9 +47,11 @@ def make_row(scene: str, configuration: str, path: Path) -> Row:
     last = {entry["command"]: entry for entry in Scene.from_file(path).history}
     steps = {name: last[name] for name in TIMED if name in last}
     row: Row = {"scene": scene, "configuration": configuration, "status": "done"}
-    row["seconds"] = round(sum(entry["seconds"] for entry in steps.values()), 3)
-    row |= {f"{name}_s": entry["seconds"] for name, entry in steps.items()}
-    row["peak_memory_mb"] = max((entry["peak_memory_mb"] for entry in steps.values()), default=None)
+    # a fit in tiles says what its parts took, each a command of its own
+    parts = [entry["parts"] for entry in steps.values() if "parts" in entry]
+    row |= {f"{n}_s": round(e["seconds"] + e.get("parts", {}).get("seconds", 0), 3) for n, e in steps.items()}
+    row["seconds"] = round(sum(row[f"{name}_s"] for name in steps), 3)
+    row["peak_memory_mb"] = max((entry["peak_memory_mb"] for entry in [*steps.values(), *parts]), default=None)
     for entry in steps.values():
         row |= entry["versions"]
     figures = last.get("compare", {}).get("errors", {})
@@ -74,7 +77,9 @@ def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
     if importlib.util.find_spec("pyarrow"):
         import pandas
 
-        frame = pandas.DataFrame(rows, columns=list(COLUMNS))
+        # a column has its type even where no row has a value
+        kinds = {name: "object" if name in TEXTS else "float64" for name in COLUMNS}
+        frame = pandas.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
         written.append(out / "table.parquet")
         with atomic(written[-1]) as temporary:
             frame.to_parquet(temporary, engine="pyarrow", index=False)

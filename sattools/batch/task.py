@@ -28,7 +28,7 @@ _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2), Linux
 def perform(
     task: Task, threads: int, memory_mb: float | None, report: Report, gpu: str | None = None
 ) -> dict[str, Any]:
-    """Run a task unless it is done already; its result, also left in `task.json`.
+    """Run a task unless it is done already; its result, also left in `Task.record`.
 
     Args:
         task: what to do.
@@ -38,7 +38,7 @@ def perform(
         gpu: the CUDA device that the commands see; None = all.
 
     Returns:
-        key, status (`done` or `failed`), scene_json, row, and for a failure the last line of the command.
+        key, status (`done` or `failed`), scene_json, row (of a run), and for a failure the last line of the command.
     """
     earlier = task.result()
     if earlier is not None:
@@ -55,8 +55,10 @@ def perform(
                 report((number + fraction) / len(task.commands), message)
 
             _run(task, [str(scene) if part == "{scene}" else part for part in command], threads, memory_mb, step, gpu)
-        result |= {"status": "done", "scene_json": str(scene), "row": make_row(task.scene, task.configuration, scene)}
-        write_text(Path(task.folder) / "task.json", json.dumps(result, indent=1) + "\n")
+        result |= {"status": "done", "scene_json": str(scene)}
+        if task.kind == "run":
+            result["row"] = make_row(task.scene, task.configuration, scene)
+        write_text(task.record, json.dumps(result, indent=1) + "\n")
     except (SattoolsError, OSError) as error:
         result |= {"status": "failed", "error": " ".join(str(error).split())}
     return result

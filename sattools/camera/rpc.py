@@ -214,6 +214,17 @@ class RPC:
         """The camera of a crop whose first pixel is pixel (col0, row0) of the full image."""
         return self.shifted(-col0, -row0)
 
+    def reduced(self, factor: int) -> RPC:
+        """The camera of the image whose pixels are the means of factor x factor pixels of this one."""
+        middle = (factor - 1) / 2
+        return replace(
+            self,
+            col_offset=(self.col_offset - middle) / factor,
+            row_offset=(self.row_offset - middle) / factor,
+            col_scale=self.col_scale / factor,
+            row_scale=self.row_scale / factor,
+        )
+
     def with_affine(
         self, matrix: ArrayLike, domain: tuple[float, float, float, float, float, float] | None = None, n: int = 12
     ) -> tuple[RPC, float]:

@@ -35,6 +35,12 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     --resume and ends with the same surface as one that was not.
     """
     options = build(FitOptions, {**values, **_preset(values["preset"])})
+    if options.tile and 2 * options.overlap >= options.tile:
+        raise click.BadParameter(
+            f"found {options.overlap:g} m, expected less than half of --tile {options.tile:g} m", param_hint="--overlap"
+        )
+    if options.part != "all" and not options.tile:
+        raise click.BadParameter(f"found {options.part}, expected --tile beside it", param_hint="--part")
 
     def work(scene: Scene, progress: Progress) -> dict[str, Any]:
         from sattools.fit.stage import fit

@@ -61,6 +61,18 @@ class FitOptions(RayOptions):
     smooth: float | None = option(
         None, "Weight of the height smoothness (default: 0.4, or 0.05 from a flat start).", minimum=0
     )
+    tile: float | None = option(
+        None,
+        "Fit the area in tiles of at most this edge, joined without seams, where all at once needs too much memory "
+        "[m]; 0 = all at once.",
+        minimum=0,
+    )
+    overlap: float = option(32.0, "With --tile: distance by which a tile reaches into its neighbours [m].", minimum=1)
+    part: Literal["all", "split", "join"] = option(
+        "all",
+        "With --tile: split = fit the whole coarsely and leave one scene per tile in fit/tiles/*/scene.json, each for "
+        "a `fit` of its own, anywhere; join = put fitted tiles together.",
+    )
     prior_weight: float = option(0.2, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
     pose: bool = option(True, "Refine one shift per view during the fit.")

@@ -18,6 +18,7 @@ from torch import Tensor
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
 from sattools.fit.auto import Choice, choose_model, draw
+from sattools.fit.coarse import PRODUCT, Coarse, read_coarse
 from sattools.fit.illumination import (
     Radiance,
     calibrated,
@@ -38,6 +39,7 @@ from sattools.fit.surface import SurfaceScene, start_scene
 from sattools.fit.trace import Trace
 from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
 from sattools.progress import Progress, part, silent
+from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster, write_text
 from sattools.views import Source, View, load_sources, match_colours, shown_on, views_on
@@ -71,6 +73,10 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     remarks = check_light(scene, items, radiance, options.brdf)
     options = calibrated(options, radiance)
     device = choose_device(options.device)
+    if options.tile and PRODUCT not in scene.products:
+        from sattools.fit.tiles import fit_tiled
+
+        return fit_tiled(scene, options, progress)
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
     prior = load_prior(scene, options, part(progress, 0.0, 0.2))
@@ -80,10 +86,11 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         trace = Trace()
         progress = part(progress, 0.2 if prior else 0.0, 1.0)
         tensors, meta, more = fit_rays(scene, sources, options, prior, device, trace, progress)
-        return _save(scene, model_path, tensors, meta, trace, remarks + more)
+        return save_fit(scene, model_path, tensors, meta, trace, remarks + more)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device, radiance)
+    job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
         remarks += choice.remarks
@@ -108,10 +115,10 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         "radiance": radiance,
         "brdf": options.brdf,
     }
-    return _save(scene, model_path, tensors, meta, job.trace, remarks + more)
+    return save_fit(scene, model_path, tensors, meta, job.trace, remarks + more)
 
 
-def _save(
+def save_fit(
     scene: Scene, path: Path, tensors: dict[str, Tensor], meta: dict[str, Any], trace: Trace, remarks: list[str]
 ) -> dict[str, Any]:
     """Write model and trace; figures for the history."""
@@ -140,8 +147,9 @@ def load_prior(scene: Scene, options: FitOptions, progress: Progress) -> tuple[n
         from sattools.prior.stage import prior
 
         prior(scene, PriorOptions(), progress)
-    height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
-    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]))
+    within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]), within)
+    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]), within)
     return height[0], confidence[0], grid
 
 
@@ -164,6 +172,7 @@ class _Job:
     parameter_std: dict[str, Tensor] = field(default_factory=dict)
     light: Light = field(default_factory=lambda: Light({}))
     settled: dict[str, Any] = field(default_factory=dict)
+    coarse: Coarse | None = None
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
         remarks: list[str] = []
@@ -189,7 +198,8 @@ class _Job:
                 self.light = self.light.resized(grid.shape, ratio)
             if stage.reflective:
                 surface = self._reflective(surface, grid, saved[0] if saved else None)
-            trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light)
+            cast = self.coarse.cast if self.coarse else sun_visibility
+            trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light, cast)
             start = 0
             if saved:
                 start = saved[1]["epoch"]
@@ -213,8 +223,8 @@ class _Job:
 
     def _choose_light(self, surface: SurfaceScene, cell: float, saved: tuple[Any, dict[str, Any]] | None) -> list[str]:
         """Settle the model of the light, as an interrupted fit did; says why."""
-        if saved:
-            self.settled = saved[1]["settled"]
+        if saved or self.coarse:
+            self.settled = self.coarse.settled if self.coarse else saved[1]["settled"]  # type: ignore[index]
             return []
         chosen, why = choose_light(surface, self.views, cell, self.options)
         self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
@@ -227,7 +237,9 @@ class _Job:
         else:
             height = resample_map(self.prior[0], self.prior[2], grid).nan_to_num(self.z_ref)
         gain, offset = match_colours(self.views)
-        if self.radiance != "relative":
+        if self.coarse:
+            gain, offset = (self.coarse.colours[name].numpy() for name in ("gain", "offset"))
+        elif self.radiance != "relative":
             gain, offset = np.ones_like(gain), np.zeros_like(offset)
         total = np.zeros_like(self.views[0].target)
         weight = np.zeros((*grid.shape, 1), np.float32)
@@ -238,7 +250,7 @@ class _Job:
         albedo = torch.from_numpy(total / np.maximum(weight, 1)).float()
         scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT)
         scene.absolute = self.radiance != "relative"
-        return scene.to(self.device)
+        return (self.coarse.hold(scene) if self.coarse else scene).to(self.device)
 
     def _reflective(self, surface: SurfaceScene, grid: Grid, saved: dict[str, Tensor] | None) -> ReflectiveScene:
         options = self.options
@@ -362,4 +374,4 @@ class _Job:
         return tensors, meta
 
 
-__all__ = ["Trace", "choose_device", "fit", "resample_map"]
+__all__ = ["Trace", "choose_device", "fit", "resample_map", "save_fit"]

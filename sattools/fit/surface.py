@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -28,6 +28,7 @@ class SurfaceScene:
         ambient: ``[V, C]`` share of the light that reaches a shaded cell.
         pose: ``[V, 2]`` (east, north) shift of each view's rays [m]; not trained by gradient.
         absolute: the images are reflectances, so that gain and offset stay as they are.
+        held: colours and poses stay as they are: other tiles have the same.
     """
 
     height: Tensor
@@ -37,6 +38,7 @@ class SurfaceScene:
     ambient: Tensor
     pose: Tensor
     absolute: bool = False
+    held: bool = field(default=False, init=False)
 
     def colour(self, index: int, visibility: Tensor | None) -> Tensor:
         """Radiance ``[H, W, C]`` of every cell towards image ``index``; visibility ``[H, W]`` or None = all lit."""
@@ -48,7 +50,10 @@ class SurfaceScene:
 
     def trainable(self) -> dict[str, Tensor]:
         """Tensors that gradient descent changes."""
-        found = {"height": self.height, "albedo": self.albedo, "ambient": self.ambient}
+        found = {"height": self.height, "albedo": self.albedo}
+        if self.held:
+            return found
+        found["ambient"] = self.ambient
         return found if self.absolute else {**found, "gain": self.gain, "offset": self.offset}
 
     def tensors(self) -> dict[str, Tensor]:
@@ -66,7 +71,9 @@ class SurfaceScene:
     def to(self, device: torch.device) -> SurfaceScene:
         """The scene on a device."""
         moved: dict[str, Any] = {name: tensor.to(device) for name, tensor in self.tensors().items()}
-        return replace(self, **moved)
+        found = replace(self, **moved)
+        found.held = self.held
+        return found
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
         """The scene on another grid with the same upper left corner.
@@ -82,7 +89,7 @@ class SurfaceScene:
         x = ((torch.arange(cols) + 0.5) * extent[1]) / old_cols * 2 - 1
         where = torch.stack([x.expand(rows, cols), y[:, None].expand(rows, cols)], dim=-1)[None].to(maps)
         finer = torch.nn.functional.grid_sample(maps, where, padding_mode="border", align_corners=False)[0]
-        return SurfaceScene(
+        found = SurfaceScene(
             finer[0].contiguous(),
             finer[1:].permute(1, 2, 0).contiguous(),
             self.gain.detach().clone(),
@@ -91,6 +98,8 @@ class SurfaceScene:
             self.pose.clone(),
             self.absolute,
         )
+        found.held = self.held
+        return found
 
 
 def start_scene(

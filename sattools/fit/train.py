@@ -73,6 +73,7 @@ class StageTrainer:
         prior: depth supervision or None.
         index: number of the stage, for the random order of the views.
         light: learned shadows and transients; None = neither.
+        cast: sun visibility of heights ``[H, W]`` on cells [m] under a sun.
     """
 
     def __init__(
@@ -84,7 +85,9 @@ class StageTrainer:
         prior: Prior | None,
         index: int,
         light: Light | None = None,
+        cast: Callable[[Tensor, float, tuple[float, float, float]], Tensor] = sun_visibility,
     ) -> None:
+        self.cast = cast
         self.scene, self.views, self.settings, self.options, self.prior, self.index = (
             scene, views, settings, options, prior, index,
         )  # fmt: skip
@@ -150,10 +153,10 @@ class StageTrainer:
             if self.options.shadow != "none":
                 height = self.scene.height.detach()
                 suns = {v.sun for v in self.views if v.sun}
-                cast = {sun: sun_visibility(height, self.settings.cell_size, sun) for sun in suns}
+                cast = {sun: self.cast(height, self.settings.cell_size, sun) for sun in suns}
                 self.visibility = [cast[v.sun] if v.sun else None for v in self.views]
             self._weigh_walls()
-            if self.options.pose and epoch:
+            if self.options.pose and epoch and not self.scene.held:
                 self._refine_poses()
             if epoch:
                 self.scene.refresh(self.views, self.visibility, self.settings.cell_size)

@@ -113,7 +113,7 @@ def match(
             surface, score, _ = _in_blocks(rough, seen, pairs, z_range, 2 * step, options, silent, before)
             surface = median_filter(surface, 3, mode="nearest")
             if k == 0:
-                z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step)
+                z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step, 2 * step)
             _hide(rough, surface, z_range, options, seen)
             if before is not None and np.mean(np.abs(surface - before) > step) < SETTLED:
                 break
@@ -134,18 +134,21 @@ def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
     return max(2 * frame.cell, 1.0 / float(np.linalg.norm(apart, axis=1).max()))
 
 
-def narrow(heights: np.ndarray, z_range: tuple[float, float], margin: float) -> tuple[float, float]:
+def narrow(heights: np.ndarray, z_range: tuple[float, float], margin: float, step: float) -> tuple[float, float]:
     """The part of a height range in which a surface was found.
 
     Args:
         heights: ``[N]`` heights of well-matched cells [m].
         z_range: lowest and highest height so far [m].
         margin: kept below and above [m].
+        step: distance of the height planes [m]; the lowest stays one of them, so that neighbouring parts of an area
+            look at the same heights.
     """
     if len(heights) < 10 * STRAY:
         return z_range
     ordered = np.partition(heights, (STRAY, -STRAY - 1))
-    return max(z_range[0], float(ordered[STRAY]) - margin), min(z_range[1], float(ordered[-STRAY - 1]) + margin)
+    low, high = float(ordered[STRAY]) - margin, float(ordered[-STRAY - 1]) + margin
+    return z_range[0] + max(0, math.floor((low - z_range[0]) / step)) * step, min(z_range[1], high)
 
 
 def _hide(
@@ -216,7 +219,7 @@ def _in_blocks(
         bottom, right = min(frame.shape[0], rows.stop + OVERLAP), min(frame.shape[1], cols.stop + OVERLAP)
         near = z_range
         if guide is not None and len(blocks) > 1:
-            near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step)
+            near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step, step)
         window = (slice(None), slice(top, bottom + 2 * frame.margin), slice(left, right + 2 * frame.margin))
         piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
         inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right])

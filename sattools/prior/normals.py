@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+STRIP = 512  # rows at a time: intermediate results take thirty times the memory of the heights
+
 
 def normals(height: np.ndarray, cell: float) -> np.ndarray:
     """Mean of the normals of the four triangles that a cell forms with its four neighbours, weighted by their area.
@@ -18,6 +20,14 @@ def normals(height: np.ndarray, cell: float) -> np.ndarray:
     Returns:
         ``[3, H, W]`` float32 unit vectors (east, north, up); NaN where no triangle is known.
     """
+    found = np.empty((3, *height.shape), np.float32)
+    for row in range(0, len(height), STRIP):
+        first, last = max(0, row - 1), min(len(height), row + STRIP + 1)
+        found[:, row : row + STRIP] = _normals(height[first:last], cell)[:, row - first : row - first + STRIP]
+    return found
+
+
+def _normals(height: np.ndarray, cell: float) -> np.ndarray:
     wide = np.pad(height.astype(np.float64), 1, constant_values=np.nan)
     centre = wide[1:-1, 1:-1]
     around = {  # (east, north) -> rise towards that neighbour

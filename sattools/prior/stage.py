@@ -20,7 +20,7 @@ from sattools.progress import Progress, part, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog
-from sattools.views import Source, View, check_seen, line_of_sight, load_sources, match_colours, views_on
+from sattools.views import Source, Tone, View, check_seen, line_of_sight, load_sources, match_colours, views_on
 
 log = logging.getLogger(__name__)
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
@@ -39,7 +39,8 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
         SceneError: fewer than two usable images, or none from different directions.
         OutputExistsError: a product exists and ``overwrite`` is False.
     """
-    targets = {name: scene.output(name, overwrite) for name in (DSM, CONFIDENCE, NORMALS)}
+    for name in (DSM, CONFIDENCE, NORMALS):
+        scene.output(name, overwrite)
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
@@ -60,13 +61,7 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
     height = found.height
 
     progress(0.9, "writing")
-    tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
-    write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
-    write_cog(targets[CONFIDENCE], trust, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=["confidence"])
-    names = ["normal east", "normal north", "normal up"]
-    slant = normals(height, grid.cell_size)
-    write_cog(targets[NORMALS], slant, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=names)
-    scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
+    write_maps(scene, height, trust, grid, overwrite)
     if options.per_image:
         _per_image(scene, sources, grid, height, trust, z_range, part(progress, 0.92, 1.0), overwrite)
     progress(1.0, "matched")
@@ -81,20 +76,51 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
     }
 
 
+def write_maps(scene: Scene, height: np.ndarray, trust: np.ndarray, grid: Grid, overwrite: bool = True) -> None:
+    """Write height [m], confidence and the height's normals as the scene's prior; ``height``, ``trust``: ``[H, W]``."""
+    targets = {name: scene.output(name, overwrite) for name in (DSM, CONFIDENCE, NORMALS)}
+    tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
+    write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
+    write_cog(targets[CONFIDENCE], trust, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=["confidence"])
+    names = ["normal east", "normal north", "normal up"]
+    slant = normals(height, grid.cell_size)
+    write_cog(targets[NORMALS], slant, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=names)
+    scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
+
+
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """The upper left part of that shape (a frame may have a row or column more than the grid)."""
     return array[: shape[0], : shape[1]]
 
 
-def to_eye(images: np.ndarray, masks: np.ndarray, linear: bool) -> np.ndarray:
+def to_eye(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: float | None = None) -> np.ndarray:
     """Grey images with a tone curve, scaled to a usual contrast, so that thresholds mean the same for every sensor.
 
     Linear radiance hides the texture of shadows in a sliver of its range; 8-bit images bring their tone curve along.
+    ``contrast``: of all images before, where it is known; else that of these.
     """
-    if linear:
-        images = np.maximum(images, 0.0) ** (1 / 2.2)
+    curve = with_tone(images, linear)
+    return (curve * (USUAL_CONTRAST / (contrast or contrast_of(curve, masks)))).astype(np.float32)
+
+
+def with_tone(images: np.ndarray, linear: bool) -> np.ndarray:
+    """The images with a tone curve, if they have none yet."""
+    return np.maximum(images, 0.0) ** (1 / 2.2) if linear else images
+
+
+def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
+    """From dark to bright (2 ... 98 %)."""
     low, high = np.percentile(images[masks > 0][::7], [2, 98])
-    return (images * (USUAL_CONTRAST / max(high - low, 1e-6))).astype(np.float32)
+    return max(high - low, 1e-6)
+
+
+def common_tones(sources: list[Source], views: list[View]) -> list[Tone]:
+    """How each view becomes grey as the others are, from all that they show; for parts of an area to agree on."""
+    gain, offset = match_colours(views)
+    grey = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
+    masks = np.stack([view.mask for view in views])
+    contrast = float(contrast_of(with_tone(grey, all(s.linear for s in sources)), masks))
+    return [Tone(a.tolist(), b.tolist(), contrast) for a, b in zip(gain, offset, strict=True)]
 
 
 def make_frame(
@@ -122,13 +148,17 @@ def make_frame(
     )
     views = views_on(sources, wide, z_ref, z_range)
     slopes = np.array([(north, -east) for east, north in (view.slope for view in views)]) / cell
-    gain, offset = match_colours(views)
+    tones = [s.tone for s in sources if s.tone]
+    if len(tones) == len(sources):
+        gain, offset = np.array([t.gain for t in tones], np.float32), np.array([t.offset for t in tones], np.float32)
+    else:
+        gain, offset = match_colours(views)
     images = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
     inside = slice(margin, -margin or None)
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
-    images = to_eye(images, masks, all(s.linear for s in sources))
+    images = to_eye(images, masks, all(s.linear for s in sources), tones[0].contrast if tones else None)
     return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin, tuple(v.sun for v in views)), views
 
 
@@ -169,4 +199,4 @@ def _remarks(views: list[View], grid: Grid, completeness: float) -> list[str]:
     return remarks
 
 
-__all__ = ["make_frame", "prior"]
+__all__ = ["CONFIDENCE", "DSM", "common_tones", "make_frame", "prior", "write_maps"]

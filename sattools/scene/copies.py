@@ -8,17 +8,23 @@ from sattools.scene.document import Scene
 from sattools.scene.raster import write_text
 
 
-def in_another_root(path: Path, root: Path) -> Path:
-    """A copy of a scene's document that reads its files where they are and writes below `root`; the copy's path."""
-    scene = Scene.from_file(path)
-    for item in scene.items:
+def absolute_copy(scene: Scene, root: Path) -> Scene:
+    """A copy of a scene that reads its files where they are and writes below `root`."""
+    copy = Scene.from_json(scene.to_json())
+    for item in copy.items:
         for asset in item.assets.values():
             asset.href = str(scene.path(asset.href))
-    scene.products = {name: str(scene.path(href)) for name, href in scene.products.items()}
-    scene.root = Path(root).absolute()
-    copy = scene.output("scene.json")
-    write_text(copy, scene.to_json() + "\n")
+    copy.products = {name: str(scene.path(href)) for name, href in scene.products.items()}
+    copy.root = Path(root).absolute()
     return copy
 
 
-__all__ = ["in_another_root"]
+def in_another_root(path: Path, root: Path) -> Path:
+    """`absolute_copy` of a scene's document; the path of the copy's."""
+    copy = absolute_copy(Scene.from_file(path), root)
+    document = copy.output("scene.json")
+    write_text(document, copy.to_json() + "\n")
+    return document
+
+
+__all__ = ["absolute_copy", "in_another_root"]

@@ -86,6 +86,30 @@ class Grid:
         height = math.ceil(self.height * self.cell_size / cell_size - 1e-6)
         return replace(self, cell_size=cell_size, width=max(1, width), height=max(1, height))
 
+    def part(self, rows: slice, cols: slice) -> Grid:
+        """The cells of these rows and columns."""
+        return replace(
+            self,
+            left=self.left + cols.start * self.cell_size,
+            top=self.top - rows.start * self.cell_size,
+            width=cols.stop - cols.start,
+            height=rows.stop - rows.start,
+        )
+
+    def widened(self, cells: int) -> Grid:
+        """The same with that many more cells on every side."""
+        return self.part(slice(-cells, self.height + cells), slice(-cells, self.width + cells))
+
+    def window(self, other: Grid) -> tuple[slice, slice]:
+        """Rows and columns of this grid that another one covers. Raises SceneError where it covers none."""
+        west, south, east, north = other.bounds
+        c0, c1 = (round((x - self.left) / self.cell_size) for x in (west, east))
+        r0, r1 = (round((self.top - y) / self.cell_size) for y in (north, south))
+        r0, r1, c0, c1 = max(0, r0), min(self.height, r1), max(0, c0), min(self.width, c1)
+        if c0 >= c1 or r0 >= r1:
+            raise SceneError(f"grid: found bounds {other.bounds} outside {self.bounds}, expected some within")
+        return slice(r0, r1), slice(c0, c1)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
         return asdict(self)

@@ -17,9 +17,12 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
 
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.grid import Grid
+
+_STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
 
 @contextmanager
@@ -121,8 +124,8 @@ def write_cog(
                 )
 
 
-def read_raster(path: Path) -> tuple[np.ndarray, Grid]:
-    """Read a georeferenced north-up raster.
+def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Grid]:
+    """Read a georeferenced north-up raster, or the part of it that lies within a grid whose edges lie on its cells.
 
     Returns:
         ``[B, H, W]`` array in the file's type (float no-data becomes NaN), and its grid.
@@ -131,33 +134,81 @@ def read_raster(path: Path) -> tuple[np.ndarray, Grid]:
         InputError: unreadable, without CRS, or not north-up with square cells.
     """
     with _opened(path) as data:
-        array = _read(data, path)
-        transform = data.transform
-        if data.crs is None:
-            raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
-        if (
-            abs(transform.b) > 1e-9
-            or abs(transform.d) > 1e-9
-            or abs(transform.a + transform.e) > 1e-6 * abs(transform.a)
-        ):
-            raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
-        grid = Grid(data.crs.to_string(), transform.c, transform.f, transform.a, data.width, data.height)
+        grid = _grid_of(data, path)
+        window = None
+        if within is not None:
+            rows, cols = grid.window(within)
+            window = Window.from_slices(rows, cols)
+            grid = grid.part(rows, cols)
+        array = _read(data, path, window)
         if np.issubdtype(array.dtype, np.floating) and data.nodata is not None and np.isfinite(data.nodata):
             array = np.where(array == data.nodata, np.nan, array)
     return array, grid
 
 
-def read_image(path: Path) -> np.ndarray:
+def raster_grid(path: Path) -> Grid:
+    """The grid of a georeferenced north-up raster; raises as `read_raster` does."""
+    with _opened(path) as data:
+        return _grid_of(data, path)
+
+
+def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
+    transform = data.transform
+    if data.crs is None:
+        raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
+    if abs(transform.b) > 1e-9 or abs(transform.d) > 1e-9 or abs(transform.a + transform.e) > 1e-6 * abs(transform.a):
+        raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
+    return Grid(data.crs.to_string(), transform.c, transform.f, transform.a, data.width, data.height)
+
+
+def image_shape(path: Path) -> tuple[int, int]:
+    """(rows, columns) of an image. Raises InputError where it cannot be read."""
+    with _opened(path) as data:
+        return data.height, data.width
+
+
+def read_image(path: Path, window: tuple[slice, slice] | None = None, reduce: int = 1) -> np.ndarray:
     """Read an image of any sensor geometry as ``[B, H, W]`` float32; no-data becomes NaN.
+
+    Args:
+        path: the file.
+        window: rows and columns to read, within the image; None = all.
+        reduce: pixels, along either axis, of which the mean is taken while reading; rows and columns that are left
+            over at the end are dropped, and a mean without half of its pixels is NaN.
 
     Raises:
         InputError: missing, truncated or not an image.
     """
     with _opened(path) as data:
-        array = _read(data, path).astype(np.float32)
-        if data.nodata is not None and np.isfinite(data.nodata):
-            array[array == np.float32(data.nodata)] = np.nan
+        rows, cols = window or (slice(0, data.height), slice(0, data.width))
+        if reduce == 1:
+            return _numbers(data, path, rows, cols)
+        height, width = (rows.stop - rows.start) // reduce, (cols.stop - cols.start) // reduce
+        array = np.empty((data.count, height, width), np.float32)
+        strip = max(1, _STRIP_PIXELS // (reduce * (cols.stop - cols.start)))
+        for row in range(0, height, strip):
+            some = min(strip, height - row)
+            first = rows.start + row * reduce
+            piece = _numbers(data, path, slice(first, first + some * reduce), cols)[..., : width * reduce]
+            array[:, row : row + some] = _means(piece.reshape(data.count, some, reduce, width, reduce))
     return array
+
+
+def _numbers(data: rasterio.DatasetReader, path: Path, rows: slice, cols: slice) -> np.ndarray:
+    whole = (rows, cols) == (slice(0, data.height), slice(0, data.width))
+    window = None if whole else Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
+    array = _read(data, path, window).astype(np.float32)
+    if data.nodata is not None and np.isfinite(data.nodata):
+        array[array == np.float32(data.nodata)] = np.nan
+    return array
+
+
+def _means(blocks: np.ndarray) -> np.ndarray:
+    """Means ``[B, H, W]`` of ``[B, H, n, W, n]``; NaN where fewer than half of the pixels are known."""
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(2, 4))
+    total = np.where(known, blocks, 0.0).sum(axis=(2, 4))
+    return np.where(2 * count >= blocks.shape[2] * blocks.shape[4], total / np.maximum(count, 1), np.nan)
 
 
 def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Sequence[str] | None = None) -> None:
@@ -197,13 +248,22 @@ def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
             yield data
 
 
-def _read(data: rasterio.DatasetReader, path: Path) -> np.ndarray:
+def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None) -> np.ndarray:
     try:
-        return data.read()
+        return data.read(window=window)
     except RasterioError as error:
         raise InputError(
             f"{path}: found a damaged or truncated image ({data.count} bands, {data.width} x {data.height} expected)"
         ) from error
 
 
-__all__ = ["atomic", "read_image", "read_raster", "write_cog", "write_image_like", "write_text"]
+__all__ = [
+    "atomic",
+    "image_shape",
+    "raster_grid",
+    "read_image",
+    "read_raster",
+    "write_cog",
+    "write_image_like",
+    "write_text",
+]

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sattools.camera.ground import ground_sample_distance, project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.radiometry import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
-from sattools.scene.raster import read_image
-from sattools.views.resample import View, make_view
+from sattools.scene.raster import image_shape, read_image
+from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
+TONE_PROPERTY = "sattools:tone_match"
+_SPARE_CELLS = 40  # around what is looked at: windows of the matching reach over the border
+_PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about what `prep` chooses a cell by
+
+
+@dataclass(frozen=True)
+class Tone:
+    """How an image becomes comparable with the others of a large area: gain and offset per band, and the contrast of
+    all of them; the property ``sattools:tone_match`` of the images of a tile, which shows too little of it."""
+
+    gain: list[float]
+    offset: list[float]
+    contrast: float
 
 
 @dataclass(frozen=True)
@@ -27,37 +42,78 @@ class Source:
     rpc: RPC
     sun: tuple[float, float] | None
     linear: bool = True
+    tone: Tone | None = None
 
 
 def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
     """Read the radiance (asset `radiance`, else the normalised `image`) and the camera of every item.
 
+    Only the window that shows the scene's grid is read, and where a cell has many pixels, their means; the camera is
+    that of what was read.
+
     Raises:
         SceneError: an item without image or camera, or images with different numbers of bands.
         InputError: a file that cannot be read.
     """
-    sources = []
     for item in items:
         if "rpc" not in item.assets:
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'rpc', expected a corrected camera")
-        rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
-        if "radiance" in item.assets:
-            radiance = read_image(scene.path(item.assets["radiance"].href))
-        elif "image" in item.assets:
-            numbers = read_image(scene.path(item.assets["image"].href))
-            radiance = linear_radiance(numbers, item_bits(item.properties))
-        else:
+        if not {"radiance", "image"} & item.assets.keys():
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'image' or 'radiance'")
+    cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
+    around = _surroundings(scene, cameras)
+    sources = []
+    for item, camera in zip(items, cameras, strict=True):
+        name = "radiance" if "radiance" in item.assets else "image"
+        path = scene.path(item.assets[name].href)
+        rows, cols, reduce = _needed(camera, image_shape(path), around, scene.height_range_m)
+        radiance = read_image(path, (rows, cols), reduce)
+        if name == "image":
+            radiance = linear_radiance(radiance, item_bits(item.properties))
+        rpc = camera.cropped(cols.start, rows.start).reduced(reduce)
         if item.sun is None:
             log.warning("%s: sun unknown: no cast shadows for this image", item.id)
         # `normalise` says so where it left a tone-mapped image as it was
         toned = item.properties.get("sattools:tone") == "tone-mapped"
         linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
-        sources.append(Source(item.id, radiance, rpc, item.sun, linear))
+        given = item.properties.get(TONE_PROPERTY)
+        sources.append(Source(item.id, radiance, rpc, item.sun, linear, Tone(**given) if given else None))
     bands = {s.radiance.shape[0] for s in sources}
     if len(bands) > 1:
         raise SceneError(f"scene {scene.id}: found images of {sorted(bands)} bands, expected the same number in all")
     return sources
+
+
+def _surroundings(scene: Scene, cameras: Sequence[RPC]) -> Grid | None:
+    """The scene's grid, wider by what points of the height range are displaced in any image; None = no grid yet, or a
+    camera of another place, which is told where its pixels are looked for."""
+    if scene.grid is None or scene.height_range_m is None:
+        return None
+    grid, z_range = scene.grid, scene.height_range_m
+    slopes = [line_of_sight(rpc, grid, z_range[0], z_range)[0] for rpc in cameras]
+    reach = max((abs(value) for slope in slopes for value in slope), default=0.0) * (z_range[1] - z_range[0])
+    if not math.isfinite(reach):
+        return None
+    return grid.widened(_SPARE_CELLS + math.ceil(reach / grid.cell_size))
+
+
+def _needed(
+    rpc: RPC, shape: tuple[int, int], around: Grid | None, z_range: tuple[float, float] | None
+) -> tuple[slice, slice, int]:
+    """Rows and columns of an image that show a grid, and how many pixels along an axis may be read as one."""
+    whole = slice(0, shape[0]), slice(0, shape[1]), 1
+    if around is None or z_range is None:
+        return whole
+    west, south, east, north = around.bounds
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5)))
+    found = np.concatenate([np.stack(project(rpc, around.crs, x, y, z)) for z in z_range], axis=1)
+    (c0, r0), (c1, r1) = np.floor(found.min(axis=1)), np.ceil(found.max(axis=1)) + 1
+    rows, cols = slice(max(0, int(r0)), min(shape[0], int(r1))), slice(max(0, int(c0)), min(shape[1], int(c1)))
+    if rows.start >= rows.stop or cols.start >= cols.stop:
+        return whole
+    lon, lat = to_geographic(around.crs, (west + east) / 2, (south + north) / 2)
+    pixels = around.cell_size / ground_sample_distance(rpc, float(lon), float(lat), z_range[0])
+    return rows, cols, max(1, int(pixels / _PIXELS_PER_CELL))
 
 
 def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple[float, float]) -> list[View]:
@@ -81,4 +137,4 @@ def check_seen(item_id: str, mask: np.ndarray) -> None:
         )
 
 
-__all__ = ["Source", "check_seen", "load_sources", "views_on"]
+__all__ = ["TONE_PROPERTY", "Source", "Tone", "check_seen", "load_sources", "views_on"]

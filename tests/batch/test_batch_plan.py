@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sattools.batch.figure import means, pareto_front
+from sattools.batch.figure import means, pareto_front, speed_error_figure
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration
 from sattools.batch.stage import make_plan
-from sattools.batch.table import failed_row, to_csv, to_markdown
+from sattools.batch.table import failed_row, to_csv, to_markdown, write_tables
 from sattools.cli import main
 from sattools.prep.dfc2019 import find_images, find_truth
 from sattools.scene.raster import write_cog
@@ -82,13 +82,25 @@ def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path):
     assert fit.commands[-1] == ["compare", "{scene}", "--overwrite", "--truth", str(root / "Track3-Truth")]
 
 
-def test_configurations_that_prepare_alike_share_the_prepared_scene(tmp_path):
+def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prior(tmp_path):
     options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070"])
     fast = Configuration("fast", {"fit": {"epochs": [2]}}, {"prep": {"correction": "auto"}, "fit": {"epochs": [2]}})
     slow = Configuration("slow", {}, {"prep": {"correction": "auto"}, "fit": {"epochs": [9]}})
     shift = Configuration("shift", {}, {"prep": {"correction": "shift"}, "fit": {"epochs": [9]}})
-    names = [job.task.name for job in make_plan(options, [], [fast, slow, shift]).jobs]
-    assert names == ["JAX_070/prep", "JAX_070/fast", "JAX_070/slow", "JAX_070/prep", "JAX_070/shift"]
+    jobs = make_plan(options, [], [fast, slow, shift]).jobs
+    names = [job.task.name for job in jobs]
+    assert names == [
+        *("JAX_070/prep", "JAX_070: prior", "JAX_070/fast", "JAX_070/slow", "JAX_070/prep", "JAX_070/shift")
+    ]
+    assert [job.after for job in jobs] == [(), (jobs[0],), (jobs[1],), (jobs[1],), (), (jobs[4],)]
+    assert [c[0] for c in jobs[1].task.commands] == ["prior"]
+    assert jobs[2].task.source == f"{jobs[1].task.folder}/scene.json"
+    # the prior must not see an image that is held out, so that this fit makes its own
+    held = Configuration("held", {}, {"prep": {"correction": "auto"}, "fit": {"holdout": ["JAX_070_001_RGB"]}})
+    names = [job.task.name for job in make_plan(options, [], [fast, held]).jobs]
+    assert names == ["JAX_070/prep", "JAX_070/fast", "JAX_070/held"]
+    # nor is anything shared by one alone
+    assert [job.task.name for job in make_plan(options, [], [fast]).jobs] == ["JAX_070/prep", "JAX_070/fast"]
 
 
 def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path, make_town):
@@ -144,3 +156,35 @@ def test_a_table_names_what_failed_and_why():
     row = failed_row("JAX_999", "fast", "missing", "found no | images")
     assert to_markdown([row]).splitlines()[2] == "| JAX_999 | fast | missing | found no \\| images |"
     assert to_csv([row]).splitlines()[1].startswith("JAX_999,fast,missing,,")
+
+
+def test_the_parquet_table_is_the_csv_table_with_types(tmp_path):
+    """In one with failed rows only, too, numbers are numbers."""
+    pytest.importorskip("pyarrow", reason="needs pyarrow")
+    import pandas
+
+    done = {"scene": "A", "configuration": "fast", "status": "done", "mae_m": 1.25, "seconds": 10.5, "cells": 262144}
+    lost = failed_row("B", "fast", "missing", "found no <images>")
+    for name, rows in (("both", [done, lost]), ("lost", [lost])):
+        (tmp_path / name).mkdir()
+        written = write_tables(rows, tmp_path / name)
+        assert [path.name for path in written] == ["table.csv", "table.md", "table.parquet"]
+        found = pandas.read_parquet(written[2])
+        plain = pandas.read_csv(written[0])
+        assert list(found.columns) == list(plain.columns)
+        assert found["scene"].tolist() == plain["scene"].tolist()
+        assert found["error"].tolist()[-1] == "found no <images>"
+        assert all(found[column].dtype == "float64" for column in ("mae_m", "cells", "seconds", "prep_s"))
+        assert found["mae_m"].dropna().tolist() == ([1.25] if name == "both" else [])
+    assert not list(tmp_path.rglob("*.tmp*"))
+
+
+def test_all_points_lie_within_the_figure_and_its_title_counts_what_was_scored():
+    rows = [
+        {"scene": "A", "configuration": "fast", "seconds": 100.0, "mae_m": 1.2},
+        {"scene": "A", "configuration": "slow", "seconds": 200.0, "mae_m": 1.0},
+        failed_row("B", "fast", "missing", "found no images"),
+    ]
+    [axes] = speed_error_figure(rows).axes
+    assert axes.get_title() == "1 of 2 scenes scored"
+    assert (axes.get_xlim(), axes.get_ylim()) == (pytest.approx((0, 230)), pytest.approx((0, 1.38)))

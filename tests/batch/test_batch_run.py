@@ -127,3 +127,55 @@ def test_an_interrupted_batch_leaves_no_process(folder):
     _, left = psutil.wait_procs(family, timeout=10)
     assert left == []
     assert not (folder / "stopped/runs/quick/A/task.json").exists()
+
+
+def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(folder):
+    """One of the two workers dies with its tile; the run equals `fit --tile` by hand."""
+    (folder / "tiled.toml").write_text(
+        "[fit]\nepochs = [2]\ntile = 32.0\noverlap = 8.0\n[export]\nvertical = 'ellipsoid'\n"
+    )
+    call = ("A/scene.json", "--config", "tiled.toml", "--out", "cut", "--workers", "2")
+    running = start(folder, *call)
+    run, deadline = folder / "cut/runs/tiled/A", time.monotonic() + 200
+
+    def begun() -> list[dict]:
+        found = [path.read_text().splitlines()[-1] for path in run.glob("fit/tiles/*/attempts.jsonl")]
+        return [json.loads(line) for line in found]
+
+    while not begun():
+        assert running.poll() is None, running.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(0.3)
+    os.kill(begun()[0]["pid"], signal.SIGKILL)
+    out, said = running.communicate(timeout=300)
+    assert running.returncode == 0, said
+    assert [json.loads(line)["id"] for line in out.splitlines()] == ["A"]
+    names = ("r0c0", "r0c1", "r1c0", "r1c1")
+    tries = {name: len((run / f"fit/tiles/{name}/attempts.jsonl").read_text().splitlines()) for name in names}
+    # the tile of the lost worker, and no other, was begun twice
+    assert sorted(tries.values()) == [1, 1, 1, 2]
+
+    shutil.copytree(folder / "A", folder / "hand", dirs_exist_ok=True)
+    scene = json.loads((folder / "A/scene.json").read_text())
+    scene["sattools"]["root"] = str(folder / "hand")
+    (folder / "hand/scene.json").write_text(json.dumps(scene))
+    options = ("--tile", "32", "--overlap", "8", "--epochs", "2")
+    command = [sys.executable, "-m", "sattools", "--threads", "1", "fit", *options, str(folder / "hand/scene.json")]
+    subprocess.run(command, check=True, capture_output=True)
+    assert (run / "fit/model.safetensors").read_bytes() == (folder / "hand/fit/model.safetensors").read_bytes()
+
+    # another way of scoring needs the run, but neither the split nor a tile
+    with open(folder / "tiled.toml", "a") as file:
+        file.write("[compare]\nregister = 'z'\n")
+    _, said = start(folder, *call).communicate(timeout=300)
+    assert tries == {n: len((run / f"fit/tiles/{n}/attempts.jsonl").read_text().splitlines()) for n in names}
+    assert len((run / "attempts.jsonl").read_text().splitlines()) == 3  # split, run, run
+    with open(folder / "cut/table.csv", newline="") as file:
+        [row] = csv.DictReader(file)
+    assert row["status"] == "done", said
+    # the seconds of the split and of the tiles count
+    assert float(row["fit_s"]) > sum(
+        json.loads((run / f"fit/tiles/{name}/scene.json").read_text())["sattools"]["history"][-1]["seconds"]
+        for name in names
+    )

@@ -80,11 +80,11 @@ def test_the_margin_holds_the_farthest_displacement():
 
 def test_the_height_range_closes_on_what_was_found_but_for_strays():
     heights = np.concatenate([np.linspace(100, 120, 5000), np.full(20, 900.0), np.full(20, -50.0)])
-    low, high = narrow(heights, (-100.0, 1000.0), 5.0)
+    low, high = narrow(heights, (-100.0, 1000.0), 5.0, 1.0)
     assert 94.9 < low <= 95.1
     assert 124.9 <= high < 125.1
-    assert narrow(heights[:50], (-100.0, 1000.0), 5.0) == (-100.0, 1000.0)  # too few to say
-    assert narrow(heights, (98.0, 119.0), 5.0) == (98.0, 119.0)  # never wider than before
+    assert narrow(heights[:50], (-100.0, 1000.0), 5.0, 1.0) == (-100.0, 1000.0)  # too few to say
+    assert narrow(heights, (98.0, 119.0), 5.0, 1.0) == (98.0, 119.0)  # never wider than before
 
 
 def test_a_disk_of_one_cell_is_a_cross():
@@ -160,3 +160,13 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
 def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier():
     # the noise of a mean falls with the square root of its terms; a single pair is not trusted sixteen times less
     assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
+
+
+def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch):
+    import sattools.prior.normals as module
+
+    height = np.random.default_rng(0).normal(size=(11, 7)).astype(np.float32)
+    height[4, 2:5] = np.nan
+    at_once = normals(height, 0.5)
+    monkeypatch.setattr(module, "STRIP", 3)
+    assert np.array_equal(normals(height, 0.5), at_once, equal_nan=True)

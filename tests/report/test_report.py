@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,31 @@ from sattools.report.page import Section, render
 from sattools.scene.raster import write_cog
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+# of a browser in a test: no network of its own, nothing that asks or waits
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--enable-logging=stderr", "--v=0", "--virtual-time-budget=5000", "--dump-dom"),
+)
+
+
+@pytest.fixture
+def opened(tmp_path_factory):
+    """Opens a page in a real browser with a fresh profile: its document afterwards, and what was said."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip("no Chromium or Chrome on this machine")
+
+    def call(page: Path) -> tuple[str, list[str]]:
+        profile = tmp_path_factory.mktemp("profile")
+        command = [browser, *FLAGS, f"--user-data-dir={profile}", page.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        # what pages say goes to the log as INFO:CONSOLE; the browser's own troubles on a bare machine do not
+        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+    return call
 
 
 class Page(HTMLParser):
@@ -166,10 +192,7 @@ def test_command_lines_name_what_is_not_the_default_and_can_be_pasted():
     assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
 
 
-def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished, batch, tmp_path):
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip("no Chromium or Chrome on this machine")
+def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished, batch, opened):
     assert run(finished.root).exit_code == 0
     assert run(batch).exit_code == 0
     # a page that loads both in frames would need a policy of its own: each is opened by itself, a probe added at its
@@ -187,38 +210,17 @@ def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished, ba
         probed = path.with_name("probed.html")
         probed.write_text(open_policy.replace("</body>", probe + "</body>"))
         for page, words in ((path, "<title>"), (probed, f"<title>{text.count('<img ')} images, 0 broken</title>")):
-            done = subprocess.run(
-                [
-                    *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
-                    *("--no-first-run", f"--user-data-dir={tmp_path}/profile", "--enable-logging=stderr", "--v=0"),
-                    *("--virtual-time-budget=5000", "--dump-dom", page.as_uri()),
-                ],
-                capture_output=True,
-                text=True,
-                timeout=60,
-            )
-            assert words in done.stdout
-            # what pages say goes to the log as INFO:CONSOLE; the browser's own troubles on a bare machine do not
-            assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
+            document, said = opened(page)
+            assert words in document
+            assert said == []
 
 
-def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path):
+def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path, opened):
     """The probe above must be able to fail."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip("no Chromium or Chrome on this machine")
     page = render("bad", [Section("x", ["y"])]).replace(
         "</body>", '<script src="http://localhost/x.js"></script></body>'
     )
     path = tmp_path / "bad.html"
     path.write_text(page)
-    done = subprocess.run(
-        [
-            *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
-            *(f"--user-data-dir={tmp_path}/profile", "--enable-logging=stderr", "--v=0", "--dump-dom", path.as_uri()),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert any("CONSOLE" in line and "Content Security Policy" in line for line in done.stderr.splitlines())
+    _, said = opened(path)
+    assert any("Content Security Policy" in line for line in said)

@@ -1,0 +1,106 @@
+"""What the tiles of an area share: colours, light and poses of the images, and the surface around a tile.
+
+All of it comes from a coarse fit of the whole area (see `sattools.fit.tiles`), whose model file a tile's scene names as
+its product ``coarse``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from sattools.errors import SceneError
+from sattools.fit.checkpoint import load
+from sattools.fit.surface import SurfaceScene
+from sattools.render import sun_visibility
+from sattools.scene import Grid, Scene
+
+PRODUCT = "coarse"
+COLOURS = ("gain", "offset", "ambient", "pose")
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """A coarse fit, as a tile sees it.
+
+    Attributes:
+        colours: gain, offset and ambient ``[V, C]`` and pose ``[V, 2]`` of the tile's images.
+        settled: how the light is modelled.
+        height: ``[H, W]`` heights of the whole area [m]; grid: theirs.
+        tile: the tile's grid; no shadow is looked for further away than its edge.
+    """
+
+    colours: dict[str, Tensor]
+    settled: dict[str, Any]
+    height: Tensor
+    grid: Grid
+    tile: Grid
+
+    def hold(self, surface: SurfaceScene) -> SurfaceScene:
+        """The surface with the colours and poses that all tiles share, fixed."""
+        for name, value in self.colours.items():
+            getattr(surface, name).copy_(value)
+        surface.held = True
+        return surface
+
+    def cast(self, height: Tensor, cell_size: float, sun: tuple[float, float, float]) -> Tensor:
+        """`sun_visibility` of the tile's heights, with the coarse surface around them to cast shadows, too."""
+        top, bottom = float(self.height.max()), min(float(self.height.min()), float(height.min()))
+        across = math.hypot(sun[0], sun[1])
+        if sun[2] <= 0 or across < 1e-6:
+            return sun_visibility(height, cell_size, sun)
+        longest = self.tile.cell_size * max(self.tile.shape)
+        reach = min((top - bottom) * across / sun[2], longest) / across / cell_size
+        east, north = math.ceil(abs(sun[0]) * reach), math.ceil(abs(sun[1]) * reach)
+        rows, cols = height.shape
+        # only what lies towards the sun can stand in its way
+        up, left = (north if sun[1] > 0 else 0), (east if sun[0] < 0 else 0)
+        wide = Grid(
+            self.tile.crs, self.tile.left - left * cell_size, self.tile.top + up * cell_size, cell_size,
+            cols + east, rows + north,
+        )  # fmt: skip
+        around = sampled(self.height, self.grid, wide, outside=bottom)
+        around[up : up + rows, left : left + cols] = height.detach().cpu()
+        lit = sun_visibility(around, cell_size, sun)[up : up + rows, left : left + cols]
+        return lit.contiguous().to(height.device)
+
+
+def sampled(array: Tensor, source: Grid, target: Grid, outside: float | None = None) -> Tensor:
+    """A map ``[H, W]`` or ``[H, W, C]`` on another grid, bilinear; beyond the source its border, or a number."""
+    maps = array[None] if array.ndim == 2 else array.permute(2, 0, 1)
+    x = (torch.from_numpy(target.x()) - source.left) / (source.width * source.cell_size) * 2 - 1
+    y = (source.top - torch.from_numpy(target.y())) / (source.height * source.cell_size) * 2 - 1
+    where = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)[None].float()
+    found = grid_sample(maps[None].float(), where, padding_mode="border", align_corners=False)[0]
+    if outside is not None:
+        found[:, (where[0].abs() > 1).any(dim=-1)] = outside
+    return found[0] if array.ndim == 2 else found.permute(1, 2, 0).contiguous()
+
+
+def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
+    """The coarse fit of the area that a scene is a tile of; None where it is no tile.
+
+    Raises:
+        SceneError: it does not know one of the images.
+        InputError: the model file is missing or damaged.
+    """
+    if PRODUCT not in scene.products:
+        return None
+    path = scene.path(scene.products[PRODUCT])
+    tensors, meta = load(path)
+    unknown = [name for name in ids if name not in meta["items"]]
+    if unknown:
+        raise SceneError(f"{path}: found no image {unknown[0]!r}, expected those of scene {scene.id}")
+    which = [meta["items"].index(name) for name in ids]
+    settled = {"shadow": meta["shadow"], "transient": meta["transient"]}
+    colours = {name: tensors[name][which] for name in COLOURS}
+    return Coarse(colours, settled, tensors["height"], Grid.from_dict(meta["grid"]), scene.need_grid())
+
+
+__all__ = ["COLOURS", "PRODUCT", "Coarse", "read_coarse", "sampled"]

@@ -1,0 +1,142 @@
+"""Fitted tiles put together into the model of the whole area."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from sattools.errors import SceneError
+from sattools.fit import checkpoint
+from sattools.fit.coarse import COLOURS, sampled
+from sattools.fit.stage import MODEL, TRACE, save_fit
+from sattools.fit.tiles import COARSE, COMMON, FOLDER, Plan
+from sattools.fit.trace import Trace
+from sattools.progress import Progress
+from sattools.scene import Grid
+from sattools.scene.raster import read_raster
+from sattools.scene.tiles import Tile
+
+MAPS, PER_IMAGE = ("height", "height_std", "albedo"), ("s_net", "tau")
+
+
+class Sheet:
+    """A map of the whole, summed up from weighted pieces.
+
+    Args:
+        grid: of the whole.
+        bands: values per cell.
+    """
+
+    def __init__(self, grid: Grid, bands: int) -> None:
+        self.grid = grid
+        self.total = np.zeros((*grid.shape, bands), np.float32)
+        self.weight = np.zeros(grid.shape, np.float32)
+
+    def add(self, tile: Tile, values: np.ndarray, cell: float) -> None:
+        """Add a tile's map ``[h, w]`` or ``[h, w, B]``; unknown (NaN) cells count nothing."""
+        rows, cols = tile.place(self.grid, values.shape[:2])
+        share = tile.weights(values.shape[:2], cell)[: rows.stop - rows.start, : cols.stop - cols.start]
+        piece = values.reshape(*values.shape[:2], -1)[: share.shape[0], : share.shape[1]]
+        share = np.where(np.isfinite(piece).all(axis=-1), share, 0).astype(np.float32)
+        self.total[rows, cols] += share[..., None] * np.nan_to_num(piece)
+        self.weight[rows, cols] += share
+
+    def done(self) -> np.ndarray:
+        """The map ``[H, W, B]``; NaN where nothing was added."""
+        with np.errstate(invalid="ignore"):
+            self.total /= self.weight[..., None]  # 0 / 0 is NaN
+        return self.total
+
+
+def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
+    """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles`.
+
+    Raises:
+        SceneError: a tile that is not fitted.
+    """
+    scene, names = plan.scene, plan.names()
+    for name in names:
+        if not (plan.root(name) / MODEL).exists():
+            raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
+    progress(1.0, f"joining {len(names)} tiles")
+    whole = scene.need_grid().resized(plan.finest)
+    common, meta = checkpoint.load(scene.root / COMMON)
+    if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
+        _join_priors(plan, names)
+    sheets: dict[str, Sheet] = {}
+    image_sheets: dict[str, list[Sheet]] = {}
+    softness = meta["softness"]
+    for tile in plan.tiles:
+        if tile.name in names:
+            tensors, own = checkpoint.load(plan.root(tile.name) / MODEL)
+            grid, softness = Grid.from_dict(own["grid"]), own["softness"]
+        else:
+            grid = tile.grid.resized(plan.finest)
+            tensors = {name: sampled(common[name], Grid.from_dict(meta["grid"]), grid) for name in MAPS}
+        for name in MAPS:
+            values = tensors[name].numpy()
+            if name not in sheets:
+                sheets[name] = Sheet(whole, values[..., None].shape[2])
+            sheets[name].add(tile, values, grid.cell_size)
+        for name in set(PER_IMAGE) & tensors.keys():
+            layers = image_sheets.setdefault(name, [Sheet(whole, 1) for _ in meta["items"]])
+            for item, values in zip(own["items"], tensors[name].numpy(), strict=True):
+                layers[meta["items"].index(item)].add(tile, values, grid.cell_size)
+    found = {name: torch.from_numpy(sheet.done()) for name, sheet in sheets.items()}
+    found |= {name: found[name][..., 0] for name in ("height", "height_std")}
+    found |= {n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_sheets.items()}
+    found |= {name: common[name] for name in COLOURS}
+    remarks = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *remarks]
+    result = save_fit(
+        scene, scene.output(MODEL), found, {**meta, "grid": whole.to_dict(), "softness": softness},
+        _trace(plan, [COARSE, *names]), remarks,
+    )  # fmt: skip
+    if spent := plan.spent():
+        result["parts"] = spent
+    if plan.options.part == "all":
+        shutil.rmtree(scene.root / FOLDER)
+    return result
+
+
+def _join_priors(plan: Plan, names: list[str]) -> None:
+    """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
+    from sattools.prior.stage import CONFIDENCE, DSM, write_maps
+
+    whole = plan.scene.need_grid()
+    height, trust = Sheet(whole, 1), Sheet(whole, 1)
+    for tile in plan.tiles:
+        if tile.name in names:
+            for sheet, href in ((height, DSM), (trust, CONFIDENCE)):
+                values, grid = read_raster(plan.root(tile.name) / href)
+                sheet.add(tile, values[0], grid.cell_size)
+        else:
+            values, grid = read_raster(plan.root(COARSE) / DSM)
+            rough = sampled(torch.from_numpy(values[0]), grid, tile.grid).numpy()
+            height.add(tile, rough, tile.grid.cell_size)
+            trust.add(tile, np.zeros_like(rough), tile.grid.cell_size)
+    write_maps(plan.scene, height.done()[..., 0], trust.done()[..., 0], whole)
+
+
+def _trace(plan: Plan, names: list[str]) -> Trace:
+    """What happened in all parts, one after the other."""
+    trace, before = Trace(), 0.0
+    for name in names:
+        rows = _rows(plan.root(name) / TRACE)
+        for row in rows:
+            number = {key: float(value) for key, value in row.items() if key in ("seconds", "loss")}
+            trace.rows.append({"part": name, **row, **number, "seconds": round(before + number["seconds"], 3)})
+        before = trace.rows[-1]["seconds"]
+    return trace
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+__all__ = ["join"]

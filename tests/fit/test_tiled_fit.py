@@ -1,0 +1,225 @@
+"""An area fitted in tiles is the area fitted at once, with the memory of a tile."""
+
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.compare import compare_dsm, read_reference
+from sattools.errors import SceneError
+from sattools.fit import tiles
+from sattools.fit.checkpoint import load
+from sattools.fit.coarse import Coarse, sampled
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+from sattools.render import sun_visibility
+from sattools.scene import Grid, Scene
+
+WHOLE = FitOptions(resolution=1.0, epochs=[8])
+TILED = replace(WHOLE, tile=32.0, overlap=8.0)
+
+
+def model(scene):
+    return load(scene.root / "fit/model.safetensors")
+
+
+class Interrupted(Exception):
+    """Stands for whatever ends a process."""
+
+
+@pytest.fixture(scope="module")
+def both(town_source, tmp_path_factory):
+    """The simulated town fitted at once and in four tiles."""
+    scenes = []
+    for name, options in (("WHOLE", WHOLE), ("TILED", TILED)):
+        root = tmp_path_factory.mktemp("tiles") / name
+        shutil.copytree(town_source.root, root)
+        scene = Scene.from_json(town_source.to_json())
+        scene.root = root
+        scenes.append((scene, fit(scene, options)))
+    return scenes
+
+
+def test_tiles_leave_what_a_fit_of_the_whole_leaves(both):
+    (whole, _), (tiled, said) = both
+    (one, about), (other, about_other) = model(whole), model(tiled)
+    assert {name: t.shape for name, t in one.items()} == {name: t.shape for name, t in other.items()}
+    assert about.keys() == about_other.keys()
+    assert about["grid"] == about_other["grid"]
+    assert tiled.products.keys() == whole.products.keys()
+    assert "4 tiles of up to 32 m" in said["remarks"]
+    assert not (tiled.root / "fit/tiles").exists()
+    for name in ("dsm", "confidence", "normals"):
+        assert (tiled.root / f"prior/{name}.tif").exists()
+
+
+def test_tiles_are_as_good_as_the_whole_and_show_no_seam(both):
+    (whole, _), (tiled, _) = both
+    truth = read_reference(whole.path(whole.products["truth_dsm"]))
+    grid = whole.need_grid().resized(1.0)
+    heights = [model(scene)[0]["height"].numpy() for scene in (whole, tiled)]
+    errors = [compare_dsm(height, truth, grid).figures["mae"] for height in heights]
+    # tiles of 48 cells are mostly border: half of a per cent of the height range; benchmarks/tiles.py has real sizes
+    assert errors[1] == pytest.approx(errors[0], abs=0.1)
+    difference = heights[1] - heights[0]
+    for axis in (0, 1):
+        steps = np.abs(np.diff(difference, axis=axis)).mean(axis=1 - axis)
+        seam = 31  # the cells on either side of the middle, where four tiles meet
+        assert steps[seam] <= np.percentile(np.delete(steps, seam), 95)
+
+
+def test_an_interrupted_tiled_fit_does_only_what_is_left(both, make_town):
+    scene = make_town("CUT")
+    said = []
+
+    def stop(fraction, message):
+        said.append((fraction, message))
+        if "tile 3 of 4" in message and "epoch 6" in message:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        fit(scene, TILED, stop)
+    shares = [share for share, _ in said]
+    assert shares == sorted(shares)
+    assert said[0][1].startswith("whole area, coarsely: ")
+    assert [(scene.root / f"fit/tiles/{n}/fit/model.safetensors").exists() for n in ("r0c1", "r1c0")] == [True, False]
+    said.clear()
+    with pytest.raises(SceneError, match="found tiles of other options or images, expected the same; drop --resume"):
+        fit(scene, replace(TILED, seed=1, resume=True))
+    fit(scene, replace(TILED, resume=True), lambda share, message: said.append((share, message)))
+    assert {message.split(":")[0] for _, message in said if ":" in message} == {"tile 3 of 4", "tile 4 of 4"}
+    # the same as without interruption, bit for bit
+    found, expected = model(scene)[0], model(both[1][0])[0]
+    assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(both, make_town):
+    scene = make_town("PARTS")
+    documents = fit(scene, replace(TILED, part="split"))["tiles"]
+    assert documents == ["r0c0", "r0c1", "r1c0", "r1c1"]
+    with pytest.raises(SceneError, match=r"r0c0/fit/model\.safetensors: no such file, expected the model of a fitted"):
+        fit(scene, replace(TILED, part="join"))
+    for name in reversed(documents):
+        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), TILED)
+    fit(scene, replace(TILED, part="join"))
+    found, expected = model(scene)[0], model(both[1][0])[0]
+    assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town):
+    scene = make_town("SHARED")
+    names = fit(scene, replace(TILED, part="split", epochs=[2]))["tiles"]
+    for name in names[:2]:
+        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), replace(TILED, epochs=[2]))
+    one, two = (load(scene.root / f"fit/tiles/{name}/fit/model.safetensors")[0] for name in names[:2])
+    common = load(scene.root / "fit/tiles/common.safetensors")[0]
+    for name in ("gain", "offset", "ambient", "pose"):
+        assert torch.equal(one[name], two[name])
+        assert torch.equal(one[name], common[name])
+    assert float(common["gain"].std()) > 0.01
+
+
+def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town, monkeypatch):
+    monkeypatch.setattr(tiles, "FINE_ENOUGH", 1)
+    scene = make_town("PILOTS")
+    fit(scene, replace(TILED, part="split", epochs=[2]))
+    pilots = sorted(path.name for path in (scene.root / "fit/tiles").glob("pilot.*"))
+    assert pilots == ["pilot.r0c0", "pilot.r0c1", "pilot.r1c0", "pilot.r1c1"]
+    own = [load(scene.root / f"fit/tiles/{name}/fit/model.safetensors")[0] for name in pilots]
+    common = load(scene.root / "fit/tiles/common.safetensors")[0]
+    for name in ("gain", "offset", "ambient", "pose"):
+        assert torch.equal(common[name], torch.stack([t[name] for t in own]).median(dim=0).values)
+
+
+def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_town):
+    """Five of six images are cut off east of the middle: the eastern tiles have one image left."""
+    import rasterio
+
+    scene = make_town("HALF")
+    for item in scene.items[1:]:
+        path = scene.path(item.assets["image"].href)
+        with rasterio.open(path, "r+") as image:
+            image.nodata = 0
+            numbers = image.read()
+            # UTM's north lies up in these images: what is right of the middle is east of it
+            numbers[:, :, numbers.shape[2] // 2 - 16 :] = 0
+            image.write(numbers)
+    said = fit(scene, replace(TILED, epochs=[2]))["remarks"]
+    assert [text for text in said if text.startswith("tile")][:2] == [
+        "tile r0c1: 1 images show it, its surface is the coarse one",
+        "tile r1c1: 1 images show it, its surface is the coarse one",
+    ]
+    assert torch.isfinite(model(scene)[0]["height"]).all()
+
+
+def test_what_stands_outside_a_tile_throws_its_shadow_into_it():
+    """A wall of 30 m, 10 m east of the tile; the sun in the east, 30 degrees high: 52 m of shadow, 42 m in the tile."""
+    whole, tile = Grid("EPSG:32617", 0.0, 100.0, 2.0, 100, 50), Grid("EPSG:32617", 0.0, 100.0, 1.0, 100, 100)
+    height = torch.zeros(whole.shape)
+    height[:, 55:57] = 30.0  # 110 to 114 m east
+    coarse = Coarse({}, {}, height, whole, tile)
+    sun = (math.cos(math.radians(30)), 0.0, 0.5)
+    flat = torch.zeros(tile.shape)
+    assert (sun_visibility(flat, 1.0, sun) == 1).all()
+    lit = coarse.cast(flat, 1.0, sun)
+    assert lit.shape == flat.shape
+    # the edge of the wall is a ramp of a coarse cell
+    assert int((lit[50] < 0.5).sum()) == pytest.approx(42, abs=2)
+    assert (lit[:, :50] == 1).all()
+    # from the other side it stands in nobody's way
+    assert (coarse.cast(flat, 1.0, (-sun[0], 0.0, 0.5)) == 1).all()
+
+
+def test_a_map_on_another_grid_keeps_its_place():
+    source = Grid("EPSG:32617", 10.0, 50.0, 2.0, 20, 20)
+    x, y = np.meshgrid(source.x(), source.y())
+    found = sampled(torch.from_numpy(x + 3 * y), source, Grid("EPSG:32617", 15.0, 45.0, 1.0, 7, 5))
+    x, y = np.meshgrid(np.arange(15.5, 22), np.arange(44.5, 40, -1))
+    # 32-bit coordinates of a map of 20 cells
+    assert np.abs(found.numpy() - (x + 3 * y)).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--tile", "32", "--overlap", "16"], "found 16 m, expected less than half of --tile 32 m"),
+        (["--part", "join"], "found join, expected --tile beside it"),
+        (["--tile", "-1"], "-1.0 is not in the range"),
+    ],
+)
+def test_wrong_use_is_told_at_once(options, words):
+    result = CliRunner().invoke(main, ["fit", *options, "none.json"])
+    assert result.exit_code == 2
+    assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--preset", "eonerf"], "--tile: found --field mlp, expected --field surface: a field of rays has no maps"),
+        (["--brdf", "hapke"], "--tile: found --brdf hapke, expected --brdf lambert: materials are found for an area"),
+        (["--budget", "9"], "--tile: found --budget 9.0, expected none: a tile needs the time it needs"),
+        (["--overlap", "2", "--tile", "8"], "--tile: found 8 m, expected at least"),
+    ],
+)
+def test_what_does_not_go_with_tiles_is_one_line(make_town, options, words):
+    scene = make_town()
+    result = CliRunner().invoke(
+        main, ["fit", "--tile", "32", "--overlap", "8", *options, str(scene.root / "scene.json")]
+    )
+    assert result.exit_code == 1
+    assert words in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_a_tile_size_of_0_is_a_fit_at_once(make_town):
+    scene = make_town("ZERO")
+    fit(scene, replace(WHOLE, tile=0.0, epochs=[1]))
+    assert not any(json.loads(text).get("tiles") for text in [json.dumps(model(scene)[1])])
+    assert not (scene.root / "fit/tiles").exists()

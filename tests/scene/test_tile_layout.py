@@ -1,0 +1,61 @@
+"""Cutting a grid into tiles: they cover it, keep to its cells, and their weights add up to one."""
+
+import numpy as np
+import pytest
+
+from sattools.errors import SceneError
+from sattools.scene import Grid
+from sattools.scene.tiles import common_cell, cut
+
+WHOLE = Grid("EPSG:32617", 1000.0, 5000.0, 0.5, 500, 300)  # 250 m x 150 m
+
+
+def test_tiles_are_of_one_size_and_reach_into_their_neighbours():
+    tiles = cut(WHOLE, 100.0, 16.0, 2.0)
+    assert [tile.name for tile in tiles] == ["r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"]
+    # 250 m in three parts, the edges on multiples of 2 m = 4 cells, and 32 cells more where there is a neighbour
+    assert [(t.cols.start, t.cols.stop) for t in tiles[:3]] == [(0, 200), (136, 364), (300, 500)]
+    assert [(t.rows.start, t.rows.stop) for t in tiles[::3]] == [(0, 184), (120, 300)]
+    middle = tiles[4]
+    assert middle.grid == Grid("EPSG:32617", 1068.0, 4940.0, 0.5, 228, 180)
+    assert middle.shared == (64, 0, 64, 64)
+
+
+@pytest.mark.parametrize("cell", [0.5, 1.0, 2.0])
+def test_weights_add_up_to_one_everywhere_and_fade_towards_a_tiles_border(cell):
+    tiles = cut(WHOLE, 100.0, 16.0, 2.0)
+    whole = WHOLE.resized(cell)
+    total = np.zeros(whole.shape)
+    for tile in tiles:
+        grid = tile.grid.resized(cell)
+        rows, cols = tile.place(whole, grid.shape)
+        assert (rows.stop - rows.start, cols.stop - cols.start) == grid.shape
+        total[rows, cols] += tile.weights(grid.shape, cell)
+    # rounding of 32-bit weights
+    assert np.abs(total - 1).max() < 1e-6
+    weights = tiles[1].weights(tiles[1].grid.resized(cell).shape, cell)
+    quarter = round(8.0 / cell)  # of the 32 m that two tiles share
+    assert (weights[:, :quarter] == 0).all()
+    assert (weights[: -2 * quarter - quarter, 4 * quarter : -4 * quarter] == 1).all()
+
+
+def test_an_area_no_larger_than_a_tile_is_one_tile():
+    [tile] = cut(WHOLE, 250.0, 16.0, 2.0)
+    assert tile.grid == WHOLE
+    assert (tile.weights(WHOLE.shape, 0.5) == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("tile", "overlap", "words"),
+    [(64.0, 32.0, "--overlap: found 32 m, expected less than half of --tile 64 m"),
+     (20.0, 4.0, r"--tile: found 20 m, expected at least 32 m \(16 x 2 m\)")],
+)  # fmt: skip
+def test_tiles_that_make_no_sense_are_refused(tile, overlap, words):
+    with pytest.raises(SceneError, match=words):
+        cut(WHOLE, tile, overlap, 2.0)
+
+
+def test_edges_of_tiles_lie_on_the_cells_of_all_grids():
+    assert common_cell([0.5, 1.0]) == 1.0
+    assert common_cell([0.5, 0.8]) == 4.0
+    assert common_cell([0.3, 0.6, 1.2]) == pytest.approx(1.2)
