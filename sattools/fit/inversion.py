@@ -99,7 +99,7 @@ def solve_amounts(
 
 
 def material_mean(shares: Tensor, amount: Tensor, counted: Tensor | None = None) -> Tensor:
-    """Mean amount of the materials of every cell ``[N, C]``, unbounded; over the cells ``counted`` ``[N, 1]``, if given."""
+    """Mean amount of the materials of every cell ``[N, C]``, unbounded; only the cells ``counted`` ``[N, 1]`` count."""
     mass = shares if counted is None else shares * counted
     return shares @ (mass.T @ amount / (mass.sum(0)[:, None] + 1e-6))
 

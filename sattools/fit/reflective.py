@@ -23,7 +23,7 @@ SAMPLES = 4000
 LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
 SATURATED = 0.999  # a number at full scale is a lower limit, not a value
 TEXTURE = 0.05  # deviation of the log amount, beyond small texture, that one material has anyway
-NORMAL_CELLS = 1.25  # standard deviation of the smoothing of the heights that normals are taken from; more flattens slopes
+NORMAL_CELLS = 1.25  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 
 
 @dataclass
