@@ -31,8 +31,10 @@ def soft_members(colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     rows, cols, bands = colour.shape
-    # logs of noise scatter: average them over some cells
-    smooth = np.stack([gaussian_filter(colour[..., b].astype(np.float64), 1.0) for b in range(bands)], axis=-1)
+    # logs of noise scatter: average them over some cells, but not over those of unknown colour
+    mass = known.astype(np.float64)
+    share = np.maximum(gaussian_filter(mass, 1.0), 1e-6)
+    smooth = np.stack([gaussian_filter(mass * colour[..., b], 1.0) / share for b in range(bands)], axis=-1)
     x = features(smooth.reshape(-1, bands))
     rng = np.random.default_rng(seed)
     chosen = np.flatnonzero(known.ravel() & np.isfinite(x).all(axis=1))
