@@ -27,8 +27,8 @@ SECONDS_BETWEEN = 9.0
 READ_NOISE_DN = 2.0
 SHOT_NOISE_DN = 0.02  # variance per digital number: signal to noise about 120 at a reflectance of 0.1
 SAMPLES = 4  # rays along each edge of a pixel: ground has texture down to half a pixel, which fewer would alias
-# optics and detector spread beyond the pixel: with the pixel itself a modulation transfer of 0.21 at the Nyquist
-# frequency, about that of very high resolution satellites; without it views of one texture disagree by aliasing alone
+# optics and detector spread light beyond the pixel: with the pixel itself a modulation transfer of 0.21 at the Nyquist
+# frequency, where a bare pixel has 0.64; so sharp, views of one texture disagree by aliasing alone
 SPREAD_PX = 0.6
 
 
