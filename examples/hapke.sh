@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Reflectance of natural ground from one pass: four methods on a simulated scene with known truth, about two minutes.
+# Reflectance of natural ground from one pass: four methods on a simulated scene with known truth, two to four minutes.
 #
 #     examples/hapke.sh [FOLDER]        (default: ./hapke)
 #
@@ -12,7 +12,7 @@ out=${1:-hapke}
 mkdir -p "$out"
 
 echo "1/2  Simulating 21 views of five geological units, and matching them ..." >&2
-sattools simulate --terrain natural --id NATURAL --size 192 --out "$out" --overwrite |
+sattools simulate --terrain natural --id NATURAL --size 384 --out "$out" --overwrite |
     sattools prior --overwrite >"$out/prior.json"
 truth=$out/NATURAL/truth/NATURAL
 

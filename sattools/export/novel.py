@@ -39,7 +39,7 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
 
     Shade has the mean ambient light of the images.
     """
-    visibility = sun_visibility(surface.height, cell, sun) if shadow and sun is not None else None
+    visibility = sun_visibility(surface.casting(), cell, sun) if shadow and sun is not None else None
     ambient = surface.ambient.mean(0)
     if isinstance(surface, ReflectiveScene):
         if sun is None:

@@ -54,14 +54,13 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
     remarks = []
     for kind in LADDER:
         errors[kind] = [_error(_modelled(kind, s, j), s, j, block, relative) for j in held]
-        # means over blocks of how much less the richer model errs, over the held-out views
+        # how much less the richer model errs in every cell, over the held-out views
         gain = torch.stack(errors[best]).mean(0) - torch.stack(errors[kind]).mean(0)
-        before = float(torch.stack(errors[best]).mean(0)[scored].mean())
-        blocks = _block_means(gain[scored], block[scored])
-        mean, error = float(blocks.mean()), float(blocks.std() / max(len(blocks), 1) ** 0.5)
-        better = mean > STANDARD_ERRORS * error and mean > LEAST_GAIN * before
+        before, _ = _typical(torch.stack(errors[best]).mean(0)[scored], block[scored])
+        typical, error = _typical(gain[scored], block[scored])
+        better = typical > STANDARD_ERRORS * error and typical > LEAST_GAIN * before
         remarks.append(
-            f"brdf auto: {kind} changes the error of held-out views by {-100 * mean / max(before, 1e-12):+.1f} % "
+            f"brdf auto: {kind} changes the error of held-out views by {-100 * typical / max(before, 1e-12):+.1f} % "
             f"(standard error {100 * error / max(before, 1e-12):.1f} %) of {best}'s: "
             + (f"took {kind}" if better else f"kept {best}")
         )
@@ -119,11 +118,17 @@ def _error(predicted: Tensor, s: Samples, j: int, block: Tensor, relative: bool)
     return weight * residual.square().clamp_max(OUTLIER**2).mean(-1)
 
 
-def _block_means(values: Tensor, block: Tensor) -> Tensor:
-    """Mean over the cells of every block that holds any."""
-    _, index = torch.unique(block, return_inverse=True)
-    total = torch.zeros(int(index.max()) + 1, dtype=values.dtype).index_add_(0, index, values)
-    return total / torch.bincount(index).to(values)
+def _typical(values: Tensor, block: Tensor) -> tuple[float, float]:
+    """Median over blocks of each block's median, and its standard error from the blocks' spread.
+
+    A phase function shows in every cell of a material. Wrong heights show in some places, but strongly, and their
+    parallax drifts with the view as a phase function does: flattened relief moves bright slopes and dark ones towards
+    each other, so that even its mean is not 0. A mean over cells would take that for reflectance.
+    """
+    medians = torch.stack([values[block == b].median() for b in torch.unique(block)])
+    middle = medians.median()
+    spread = 1.4826 * float((medians - middle).abs().median())  # of a normal distribution's standard deviation
+    return float(middle), 1.2533 * spread / len(medians) ** 0.5  # sqrt(pi / 2): of a median
 
 
 def blocks_of(shape: tuple[int, int]) -> Tensor:

@@ -98,9 +98,10 @@ def solve_amounts(
     return amount, curvature
 
 
-def material_mean(shares: Tensor, amount: Tensor) -> Tensor:
-    """Mean amount of the materials of every cell ``[N, C]``, unbounded."""
-    return shares @ (shares.T @ amount / (shares.sum(0)[:, None] + 1e-6))
+def material_mean(shares: Tensor, amount: Tensor, counted: Tensor | None = None) -> Tensor:
+    """Mean amount of the materials of every cell ``[N, C]``, unbounded; only the cells ``counted`` ``[N, 1]`` count."""
+    mass = shares if counted is None else shares * counted
+    return shares @ (mass.T @ amount / (mass.sum(0)[:, None] + 1e-6))
 
 
 def tie_of(centre: Tensor) -> Tensor:
@@ -183,4 +184,4 @@ def invert(
     return Solution(amount, members, covariance)
 
 
-__all__ = ["Samples", "Solution", "invert", "predict", "shape_of", "solve_amounts", "start_members"]
+__all__ = ["Samples", "Solution", "invert", "material_mean", "predict", "shape_of", "solve_amounts", "start_members"]

@@ -23,16 +23,18 @@ def soft_members(colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int
 
     Args:
         colour: ``[H, W, C]`` albedo without shading, as far as that is known.
-        known: ``[H, W]`` bool, cells that may found a material.
+        known: ``[H, W]`` bool, cells whose colour is known; the others, in shade, belong to what lies nearest.
         most: largest K.
         seed: of the random start.
         blur: standard deviation of the smoothing of the shares [cells]: materials form patches.
     """
-    from scipy.ndimage import gaussian_filter
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     rows, cols, bands = colour.shape
-    # logs of noise scatter: average them over some cells
-    smooth = np.stack([gaussian_filter(colour[..., b].astype(np.float64), 1.0) for b in range(bands)], axis=-1)
+    # logs of noise scatter: average them over some cells, but not over those of unknown colour
+    mass = known.astype(np.float64)
+    share = np.maximum(gaussian_filter(mass, 1.0), 1e-6)
+    smooth = np.stack([gaussian_filter(mass * colour[..., b], 1.0) / share for b in range(bands)], axis=-1)
     x = features(smooth.reshape(-1, bands))
     rng = np.random.default_rng(seed)
     chosen = np.flatnonzero(known.ravel() & np.isfinite(x).all(axis=1))
@@ -42,6 +44,9 @@ def soft_members(colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int
     fits = [_mixture(sample, k, rng) for k in range(1, most + 1)]
     centre, spread, weight, _ = min(fits, key=lambda fit: fit[3])
     shares = np.exp(_log_posterior(x, centre, spread, weight)).reshape(rows, cols, -1)
+    if not known.all():
+        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        shares = shares[tuple(nearest)]
     shares = np.stack([gaussian_filter(shares[..., k], blur) for k in range(shares.shape[-1])], axis=-1)
     return np.asarray((shares / shares.sum(axis=-1, keepdims=True)).astype(np.float32))
 

@@ -41,8 +41,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "shadow_weight": 0.01, "prior_weight": 0.0,
     },
     "spsnerf": {**_GUIDED, "network": "spsnerf"},
-    "rpv-nerf": {**_GUIDED, "network": "rpv", "brdf": "rpv", "pretrain": 0.2},
-    "hapke-nerf": {**_GUIDED, "network": "hapke", "brdf": "hapke", "pretrain": 0.2},
+    "rpv-nerf": {**_GUIDED, "network": "rpv", "brdf": "rpv", "normals": "prior", "pretrain": 0.2},
+    "hapke-nerf": {**_GUIDED, "network": "hapke", "brdf": "hapke", "normals": "prior", "pretrain": 0.2},
 }  # fmt: skip
 
 

@@ -20,7 +20,6 @@ from sattools.render.volume import RayBatch, composite, guided, median_share, st
 BETA_MIN, BETA_EPOCH = 0.05, 3  # Sat-NeRF: beta = softplus + 0.05, from the third epoch
 DECAY = 0.9  # of the rate, per epoch
 COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
-PRETRAIN = 0.2  # share of the steps before a reflectance model comes in
 SUN_SAMPLES = 24
 LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
 HAPKE_B_MAX = 0.95
@@ -215,11 +214,12 @@ class RayTrainer:
 
     def _reflected(self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, sight: Tensor, share: float) -> Tensor:
         """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence) / cos(zenith)."""
-        if self.options.network not in ("rpv", "hapke") or "theta" not in mean or share < PRETRAIN:
+        brdf = self.options.brdf
+        if brdf == "lambert" or share < self.options.pretrain:
             return mean["albedo"]
         n, s, v = (x[:, None] for x in (normal, sun, sight))
         cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / sun[:, 2:].clamp_min(0.05)
-        if self.options.network == "rpv":
+        if brdf == "rpv":
             return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
         b = mean["b"].clamp_max(HAPKE_B_MAX)
         return hapke(n, s, v, mean["albedo"], b, mean["c"], mean["theta"].clamp_min(0.1)) * cosine

@@ -98,6 +98,21 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
         raise SceneError("--solar-weight: expected a network with learned shadows, --network satnerf")
     if options.field == "voxel" and options.shadow == "learned":
         raise SceneError("--shadow learned: a voxel field has no head for it, expected --shadow geometric")
+    if options.brdf == "lambert":
+        return
+    if options.brdf == "auto":
+        raise SceneError("--brdf auto: expected --field surface; name the model for other fields")
+    if options.field == "voxel":
+        raise SceneError(f"--brdf {options.brdf}: a voxel field has no head for it, expected --brdf lambert")
+    if options.network != options.brdf:
+        raise SceneError(
+            f"--brdf {options.brdf}: network {options.network} has no head for it, expected --network {options.brdf}"
+        )
+    if options.normals != "prior" or not has_prior:
+        raise SceneError(
+            f"--brdf {options.brdf} with --field mlp: found no prior for its normals, expected --normals prior and a "
+            "--prior-weight above 0"
+        )
 
 
 def prior_maps(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid) -> tuple[Tensor, Tensor] | None:

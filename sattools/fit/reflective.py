@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sattools.fit.inversion import Samples, Solution, invert, shape_of, solve_amounts, start_members
+from sattools.fit.inversion import Samples, Solution, invert, material_mean, shape_of, solve_amounts, start_members
 from sattools.fit.material import AMOUNT, Kind, blurred, diffuse, line_to, radiance_factor, surface_normals
 from sattools.fit.material_std import parameter_std
 from sattools.fit.members import soft_members
@@ -23,7 +23,7 @@ SAMPLES = 4000
 LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
 SATURATED = 0.999  # a number at full scale is a lower limit, not a value
 TEXTURE = 0.05  # deviation of the log amount, beyond small texture, that one material has anyway
-NORMAL_CELLS = 2.0  # standard deviation of the smoothing of the heights that normals are taken from
+NORMAL_CELLS = 1.25  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 
 
 @dataclass
@@ -55,6 +55,14 @@ class ReflectiveScene(SurfaceScene):
     cell_size: float = 1.0
     frozen: Tensor | None = None
     smooth: float = 0.0
+
+    def casting(self) -> Tensor:
+        """Heights ``[H, W]`` that cast the shadows: those that the normals are taken from.
+
+        One surface must tell both: noisy bumps shade ground that the normals call lit, and the loss takes a patch in
+        false shade for an outlier.
+        """
+        return blurred(self.height, NORMAL_CELLS)
 
     def normals(self) -> Tensor:
         """Normals ``[H, W, 3]`` that the light is computed with."""
@@ -149,6 +157,10 @@ class ReflectiveScene(SurfaceScene):
         self.members.copy_(found.members)
         if amounts:
             amount, _ = solve_amounts(self.kind, whole, self.members, rounds=4)
+            # what no view shows in the sun is taken for its material: were the shade a false one, of a blunder in the
+            # prior, any other start would make the patch an outlier that the loss never looks at again
+            told = ((whole.weight > 0).sum(0) > 0)[:, None]
+            amount = torch.where(told, amount, material_mean(whole.shares, amount, told.to(amount)))
             self.amount.copy_(amount.reshape(self.amount.shape))
         return whole, found
 
@@ -221,7 +233,8 @@ def reflective(
     height = scene.height.detach()
     suns = height.new_tensor([view.sun for view in views])
     lines = height.new_tensor([line_to(view.slope) for view in views])
-    cast = {view.sun: sun_visibility(height, cell_size, view.sun) for view in views if view.sun is not None}
+    casting = blurred(height, NORMAL_CELLS)
+    cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
     visibility = [cast[view.sun] for view in views if view.sun is not None]
     normal = surface_normals(height, cell_size) if frozen is None else frozen
     mean = torch.zeros_like(scene.albedo)

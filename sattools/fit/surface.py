@@ -61,6 +61,10 @@ class SurfaceScene:
         names = ("height", "albedo", "gain", "offset", "ambient", "pose")
         return {name: getattr(self, name) for name in names}
 
+    def casting(self) -> Tensor:
+        """Heights ``[H, W]`` that cast the shadows."""
+        return self.height
+
     def penalty(self) -> Tensor | float:
         """What the loss holds against the scene's materials, beside the images."""
         return 0.0

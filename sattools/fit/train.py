@@ -151,7 +151,7 @@ class StageTrainer:
             group["lr"] = decay * rate
         if epoch % REFRESH == 0:
             if self.options.shadow != "none":
-                height = self.scene.height.detach()
+                height = self.scene.casting().detach()
                 suns = {v.sun for v in self.views if v.sun}
                 cast = {sun: self.cast(height, self.settings.cell_size, sun) for sun in suns}
                 self.visibility = [cast[v.sun] if v.sun else None for v in self.views]

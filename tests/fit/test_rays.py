@@ -137,11 +137,34 @@ def test_a_budget_stops_the_training(make_town):
         ({"preset": "eonerf", "shadow": "learned"}, "network eonerf has no head for it"),
         ({"preset": "spsnerf", "solar_weight": 0.1}, "--solar-weight: expected a network with learned shadows"),
         ({"preset": "eonerf", "transient": "auto"}, "expected --field surface"),
+        ({"preset": "hapke-nerf", "brdf": "auto"}, "--brdf auto: expected --field surface"),
+        ({"preset": "eonerf", "brdf": "hapke"}, "network eonerf has no head for it, expected --network hapke"),
+        ({"preset": "rpv-nerf", "brdf": "hapke"}, "network rpv has no head for it, expected --network hapke"),
+        ({"preset": "hapke-nerf", "prior_weight": 0.0, "guided": 0}, "no prior for its normals"),
+        ({"preset": "hapke-nerf", "normals": "analytic"}, "expected --normals prior"),
+        ({"preset": "hapke-nerf", "field": "voxel"}, "--brdf hapke: a voxel field has no head for it"),
     ],
 )
 def test_what_cannot_work_is_refused(make_town, options, message):
     with pytest.raises(SceneError, match=message):
         fit(make_town(), tiny(**options))
+
+
+@pytest.mark.parametrize(
+    ("options", "moved"),
+    [
+        ({}, True),  # the first of two steps is the pre-training's fifth
+        ({"brdf": "lambert"}, False),
+        ({"pretrain": 0.9}, False),
+        ({"pretrain": 0.0}, True),
+    ],
+)
+def test_a_head_of_the_reflectance_model_learns_only_while_the_model_is_asked_for(make_town, options, moved):
+    scene, heads = make_town(), []
+    for run in ({"steps": 1, "rate": 0.0}, {"steps": 2, **options}):
+        fit(scene, tiny("hapke-nerf", **run))
+        heads.append(load(scene.path("fit/model.safetensors"))[0]["field.theta.0.weight"])
+    assert torch.equal(*heads) != moved
 
 
 @pytest.mark.slow

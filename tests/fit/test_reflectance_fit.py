@@ -11,13 +11,15 @@ from sattools.errors import SceneError
 from sattools.fit.auto import blocks_of, choose_model, extreme_views
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import choose_views, light_scale, phase_angles, radiance_kind
-from sattools.fit.inversion import Samples, invert, predict, shape_of, solve_amounts, start_members
+from sattools.fit.inversion import Samples, invert, material_mean, predict, shape_of, solve_amounts, start_members
 from sattools.fit.material import AMOUNT, SHAPE, blurred, line_to, radiance_factor, surface_normals
 from sattools.fit.members import soft_members
 from sattools.fit.options import FitOptions
+from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.schedule import schedule
 from sattools.fit.stage import fit
 from sattools.reflectance import hapke
+from sattools.render import sun_visibility
 from sattools.scene import Scene
 from sattools.scene.raster import read_raster
 from sattools.simulate import SimulateOptions, simulate
@@ -244,6 +246,49 @@ def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function():
     seen = torch.where(wrong[..., None], 1.6 * seen, seen)
     samples = seen_by_noise(replace(samples, seen=seen))
     assert choose_model(samples, torch.arange(900) // 9, relative=False).model == "lambert"
+
+
+def test_auto_does_not_take_the_parallax_of_wrong_heights_for_a_phase_function():
+    """A fifth of the blocks drifts by up to 9 % from the first view to the last, as flattened relief does."""
+    samples, amount = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
+    cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
+    seen = 0.4 * AMOUNT["hapke"].bounded(amount) * cosine[..., None]
+    block = torch.arange(900) // 9
+    drift = torch.where(block % 5 == 0, torch.linspace(-0.09, 0.09, 7, dtype=torch.float64)[:, None], 0.0)
+    samples = seen_by_noise(replace(samples, seen=seen * (1 + drift[..., None])))
+    assert choose_model(samples, block, relative=False).model == "lambert"
+
+
+def test_what_lies_in_shade_is_of_the_material_that_lies_nearest():
+    colour = np.full((20, 20, 3), 0.4)
+    colour[:, 10:] = 0.1, 0.2, 0.3
+    colour += 0.002 * np.random.default_rng(0).standard_normal(colour.shape)
+    known = np.ones((20, 20), bool)
+    known[5:10, 2:7] = False
+    colour[~known] = 0.0
+    shares = soft_members(colour, known, most=3, blur=0.1)
+    left, right = (shares[:, columns].mean(axis=(0, 1)) for columns in (slice(0, 8), slice(12, 20)))
+    assert left @ right < 0.02
+    assert shares[5:10, 2:7].reshape(-1, shares.shape[-1]) @ right == pytest.approx(0, abs=0.02)
+
+
+def test_cells_that_no_view_shows_in_the_sun_have_no_say_in_their_materials_mean():
+    shares = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    amount = torch.tensor([[0.5], [-7.0], [2.0]])
+    counted = torch.tensor([[1.0], [0.0], [1.0]])
+    assert material_mean(shares, amount, counted)[:, 0].tolist() == pytest.approx([0.5, 0.5, 2.0], rel=1e-5)
+
+
+def test_bumps_that_the_normals_do_not_show_cast_no_shadow():
+    height = torch.zeros(30, 30)
+    height[15, 15] = 3.0
+    low_sun = (0.94, 0.0, 0.34)
+    maps = {"amount": torch.zeros(30, 30, 3), "shares": torch.ones(30, 30, 1), "members": torch.zeros(1, 3)}
+    none = torch.zeros(1, 3)
+    rest = {"albedo": maps["amount"], "gain": none, "offset": none, "ambient": none, "pose": torch.zeros(1, 2)}
+    scene = ReflectiveScene(height=height, kind="hapke", cell_size=2.0, **maps, **rest)
+    assert float(sun_visibility(scene.height, 2.0, low_sun).min()) == 0
+    assert float(sun_visibility(scene.casting(), 2.0, low_sun).min()) > 0.9
 
 
 def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles():

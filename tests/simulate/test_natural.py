@@ -15,6 +15,7 @@ from sattools.scene import Scene
 from sattools.scene.raster import read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV, radiance_factor
+from sattools.simulate.fan import spread
 
 SMALL = {"terrain": "natural", "size": 64.0, "views": 5, "train": 3, "units": 3, "seed": 1}
 
@@ -86,6 +87,17 @@ def test_images_show_the_truth(scene):
     # 1024 cells of 10 % texture on another lattice than the pixels
     assert shown.mean() == pytest.approx(float(factor.mean()), rel=0.02)
     assert np.corrcoef(shown.ravel(), factor.numpy().ravel())[0, 1] > 0.98
+
+
+def test_the_sensor_spreads_light_but_keeps_it():
+    """A point keeps its energy; stripes one pixel wide keep a third of their contrast, 0.64 of it after the pixel."""
+    point = np.zeros((1, 15, 15), np.float32)
+    point[0, 7, 7] = 1.0
+    shown = spread(point)
+    assert shown.sum() == pytest.approx(1.0, abs=1e-5)
+    assert shown[0, 7, 7] == pytest.approx(0.44, abs=0.01)
+    stripes = np.tile([1.0, -1.0], (1, 16, 8)).astype(np.float32)
+    assert np.abs(spread(stripes)[0, 8, 4:-4]).mean() == pytest.approx(0.34, abs=0.01)
 
 
 def test_the_models_differ_and_the_same_seed_gives_the_same_scene(scene, tmp_path):
