@@ -22,8 +22,8 @@ def agreement(a, b, noise, brightness):
 
 
 def correlate(
-    images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, radius, noise, shadow_noise, brightness,
-    margin, unseen,
+    images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs,
+    radius, noise, shadow_noise, brightness, margin, unseen,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
     views, rows, cols = images.shape
