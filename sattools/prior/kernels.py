@@ -77,15 +77,19 @@ def _moments(moved, radius, mean, variance, sums, squares, line):
 
 @njit(cache=True, fastmath=FASTMATH)
 def _add_pair(
-    a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, radius, noise, brightness, sums, line, total, weight
-):
+    a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, dark_a, dark_b,
+    radius, noise, shadow_noise, brightness, sums, line, total, weight,
+):  # fmt: skip
     """Add a pair's squared agreement to ``total`` and 1 to ``weight`` where both see the point in the same light.
 
-    seen_a, seen_b: 1 = seen in the sun, -1 = seen in shadow, 0 = not seen.
+    seen_a, seen_b: 1 = seen in the sun, -1 = seen in shadow, 0 = not seen. Where both are in shadow and as dark as
+    shadows (dark_a, dark_b) are, brightness counts from there, and structure only above the noise of the dark.
     """
     rows, cols = total.shape
     norm = np.float32(1.0 / (2 * radius + 1) ** 2)
-    floor = np.float32(noise * noise)
+    lit_floor, dark_floor = np.float32(noise * noise), np.float32(shadow_noise * shadow_noise)
+    darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
+    veil = dark_a - dark_b
     steep = np.float32(1.0 / (brightness * brightness))
     one = np.float32(1.0)
     sums[:] = 0
@@ -102,8 +106,10 @@ def _add_pair(
         sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
         for j in range(cols):
             both = max(sa[j] * sb[j], np.float32(0))
+            dark = sa[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
+            floor = dark_floor if dark else lit_floor
             structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
-            apart = ma[j] - mb[j]
+            apart = ma[j] - mb[j] - (veil if dark else np.float32(0))
             score = max(structure, np.float32(0)) / (one + apart * apart * steep)
             ti[j] += both * score * score
             wi[j] += both
@@ -132,10 +138,12 @@ def correlate(
     z_ref,
     hits,
     shades,
+    dark,
     tolerance,
     pairs,
     radius,
     noise,
+    shadow_noise,
     brightness,
     margin,
     unseen,
@@ -158,10 +166,12 @@ def correlate(
         z_ref: reference height of the frame [m].
         hits: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
         shades: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
+        dark: ``[V]`` float32 radiance of shadows; very low = unknown.
         tolerance: depth below it that still counts as seen [m].
         pairs: ``[P, 2]`` int64.
         radius: half width of the window in cells.
         noise: contrast below which structure is not asked for (colour-matched radiance).
+        shadow_noise: the same for windows in shadow.
         brightness: difference of two windows' means at which their agreement is halved.
         margin: cells between the border of the frame and that of the grid.
         unseen: score where no pair sees the point, but never above the best one that is seen in the cell.
@@ -201,8 +211,8 @@ def correlate(
             for p in range(pairs.shape[0]):
                 a, b = pairs[p, 0], pairs[p, 1]
                 _add_pair(
-                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b],
-                    radius, noise, brightness, sums, line, total, weight,
+                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
+                    radius, noise, shadow_noise, brightness, sums, line, total, weight,
                 )  # fmt: skip
             for i in range(rows):
                 for j in range(width):

@@ -15,8 +15,13 @@ class PriorOptions:
     step: float | None = option(
         None, "Distance of the height planes [m] (default: two cells, more for nearly parallel views).", minimum=0.01
     )
-    pairs: int = option(60, "Largest number of image pairs that are correlated.", minimum=1)
-    min_angle: float = option(12.0, "Smallest intersection angle of a pair [degrees].", minimum=0, maximum=90)
+    pairs: int = option(60, "Largest number of image pairs that are correlated, besides a few narrow ones.", minimum=1)
+    min_angle: float = option(
+        12.0,
+        "Smallest intersection angle of a pair [degrees]; a few narrower ones look into courts.",
+        minimum=0,
+        maximum=90,
+    )
     max_angle: float = option(40.0, "Largest intersection angle of a pair [degrees].", minimum=0, maximum=90)
     ideal_angle: float = option(25.0, "Intersection angle that is preferred [degrees].", minimum=0, maximum=90)
     window: int = option(

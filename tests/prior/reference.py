@@ -22,8 +22,9 @@ def agreement(a, b, noise, brightness):
 
 
 def correlate(
-    images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, radius, noise, brightness, margin, unseen
-):
+    images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs,
+    radius, noise, shadow_noise, brightness, margin, unseen,
+):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
     views, rows, cols = images.shape
     volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))
@@ -39,7 +40,11 @@ def correlate(
         seen = [masks[n] > 0 and hits[n] <= heights[k] + tolerance for n in nearest]
         lit = [shades[v, row, col] <= heights[k] for v in range(views)]
         usable = [(a, b) for a, b in pairs if seen[a] and seen[b] and lit[a] == lit[b]]
-        squares = [agreement(windows[a], windows[b], noise, brightness) ** 2 for a, b in usable]
+        squares = []
+        for a, b in usable:
+            both_dark = not lit[a] and all(windows[v].mean() < dark[v] + brightness for v in (a, b))
+            floor, veil = (shadow_noise, dark[a] - dark[b]) if both_dark else (noise, 0.0)
+            squares.append(agreement(windows[a] - veil, windows[b], floor, brightness) ** 2)
         volume[row, col, k] = np.sqrt(np.mean(squares)) if squares else -1
     best = np.maximum(volume.max(axis=2, keepdims=True), 0)
     return np.where(volume < 0, np.minimum(unseen, 0.9 * best), volume)

@@ -7,7 +7,7 @@ import reference
 from sattools.prior.kernels import correlate, descend, first_hits, shade_heights
 from sattools.prior.sgm import aggregate, lowest, rival
 
-SETTINGS = {"radius": 1, "noise": 0.01, "brightness": 0.2, "margin": 5, "unseen": 0.3}
+SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 LOW = -1e9
 
 
@@ -20,14 +20,18 @@ def a_frame(seed=0, views=4):
     return images, masks, slopes, hits
 
 
-def run_correlate(images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolerance=0.5, shades=None, **changed):
+def run_correlate(
+    images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolerance=0.5, shades=None, dark=None, **changed
+):
     s = SETTINGS | changed
     m = s["margin"]
     volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
-    order = (s["radius"], s["noise"], s["brightness"], m, np.float32(s["unseen"]))
+    order = (s["radius"], s["noise"], s["shadow_noise"], s["brightness"], m, np.float32(s["unseen"]))
     if shades is None:
         shades = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
-    correlate(images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, *order, volume)
+    if dark is None:
+        dark = np.full(len(images), LOW, np.float32)
+    correlate(images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, *order, volume)
     return volume
 
 
@@ -36,9 +40,12 @@ def test_correlation_is_that_of_the_plain_twin(radius):
     images, masks, slopes, hits = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
     shades = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
-    fast = run_correlate(images, masks, slopes, hits, pairs, heights, radius=radius, shades=shades)
+    dark = np.array([-0.2, -0.15, LOW, -0.25], np.float32)
+    fast = run_correlate(images, masks, slopes, hits, pairs, heights, radius=radius, shades=shades, dark=dark)
     settings = SETTINGS | {"radius": radius}
-    slow = reference.correlate(images.astype(float), masks, slopes, heights, 1.0, hits, shades, 0.5, pairs, **settings)
+    slow = reference.correlate(
+        images.astype(float), masks, slopes, heights, 1.0, hits, shades, dark, 0.5, pairs, **settings
+    )
     assert (slow == 0.3).any(), "the case must contain points that no pair sees"
     # single precision, running sums
     np.testing.assert_allclose(fast, slow, atol=2e-4)
@@ -149,6 +156,23 @@ def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow():
     assert volume[:, 4:].min() == pytest.approx(1.0, abs=1e-4)
     assert volume[:, :4, 1].min() == pytest.approx(1.0, abs=1e-4)
     assert volume[:, :4, 0] == pytest.approx(0.3)  # as a point that no pair sees
+
+
+def test_two_images_of_one_shadow_agree_though_haze_makes_it_brighter_on_one_date():
+    noise = np.random.default_rng(4).normal(0, 0.002, (2, 17, 19))
+    images = (noise + np.array([-0.4, -0.25])[:, None, None]).astype(np.float32)
+    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    shades = np.full((2, 7, 9), 10.0, np.float32)
+    heights = np.array([8.0, 12.0])  # in the shadow and in the sun above it
+
+    def agreement(dark):
+        case = (images, masks, np.zeros((2, 2)), hits, np.array([(0, 1)]), heights)
+        return run_correlate(*case, shades=shades, dark=np.array(dark, np.float32), noise=0.001).mean(axis=(0, 1))
+
+    # nothing but noise: no structure is asked for below 0.03, and the 0.15 between the shadows are known
+    assert agreement([-0.4, -0.25])[0] > 0.95
+    assert agreement([-0.4, -0.25])[1] < 0.3
+    assert agreement([LOW, LOW])[0] < 0.3
 
 
 def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line():

@@ -6,8 +6,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sattools.prior.frame import Frame
 from sattools.prior.kernels import correlate
-from sattools.prior.match import BLOCK, _blocks, margin_for, match
+from sattools.prior.match import margin_for, match
 from sattools.prior.options import PriorOptions
+from sattools.prior.sweep import BLOCK, _blocks
 
 RANGE = (-4.0, 16.0)
 CELL = 0.5
@@ -123,10 +124,10 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypat
     _, frame = house
     seen = []
 
-    def spy(images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, radius, *rest):
-        margin = rest[2]
+    def spy(images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest):
+        margin = rest[3]
         seen.append(margin - radius - 1 - np.abs(slopes).max() * np.abs(heights - z_ref).max())
-        return correlate(images, masks, slopes, heights, z_ref, hits, shades, tolerance, pairs, radius, *rest)
+        return correlate(images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest)
 
     monkeypatch.setattr("sattools.prior.kernels.correlate", spy)
     match(frame, ALL, RANGE, PriorOptions(step=4.0, rough_passes=1))

@@ -8,10 +8,12 @@ import pytest
 
 from sattools.prior.confidence import confidence
 from sattools.prior.frame import Frame
-from sattools.prior.match import Match, disk, margin_for, narrow, plane_distance, planes, scarcity
+from sattools.prior.hidden import disk
+from sattools.prior.match import Match, margin_for, plane_distance
 from sattools.prior.normals import normals
 from sattools.prior.pairs import angle_deg, choose_pairs
 from sattools.prior.stage import to_eye
+from sattools.prior.sweep import narrow, planes, scarcity
 
 
 def lean(angle):
@@ -42,6 +44,14 @@ def test_pairs_outside_the_limits_are_taken_only_for_want_of_others():
     one_pass = [lean(-6), lean(0), lean(6.5)]  # as of a Pleiades triplet
     assert choose_pairs(one_pass, [None] * 3, 25, limits=(12, 40)).tolist() == [[0, 2], [1, 2], [0, 1]]
     assert choose_pairs([lean(0), lean(7)], [None, None], 25, limits=(12, 40)).tolist() == [[0, 1]]
+
+
+def test_a_few_narrow_pairs_come_to_the_others_to_look_into_courts():
+    slopes = [lean(a) for a in (-30, -24, -16.5, -8, 0, 8, 20.5)]
+    pairs = choose_pairs(slopes, [None] * 7, 12, limits=(12, 40))
+    angles = [angle_deg((*slopes[a], 1.0), (*slopes[b], 1.0)) for a, b in pairs]
+    assert all(12 <= a <= 40 for a in angles[:12])
+    assert angles[12:] == pytest.approx([8.5, 8.0])  # one for six, the nearest to 25 degrees; (0, 1) has 6
 
 
 def test_views_from_one_direction_make_no_pair():

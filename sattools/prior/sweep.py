@@ -1,0 +1,149 @@
+"""One pass of the matching: agreement at all heights, aggregated, in blocks that fit into memory."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sattools.prior.frame import Frame
+from sattools.prior.hidden import Hidden, dark_noise
+from sattools.prior.options import PriorOptions
+from sattools.progress import Progress, silent
+
+MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
+BEYOND_PLANES = 2  # planes above the height range, at most (one below)
+KEEP_PLANES = 3  # planes kept above and below what was found
+STRAY = 30  # cells that may be wrong about it at either end
+MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
+BLOCK = 384  # cells of such a block
+OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
+
+
+def planes(z_range: tuple[float, float], step: float) -> np.ndarray:
+    """Heights ``[D]`` float64 to try: one plane beyond either end, at least three."""
+    count = max(3, math.ceil((z_range[1] - z_range[0]) / step - 1e-9) + 1 + BEYOND_PLANES)
+    return z_range[0] - step + step * np.arange(count)
+
+
+def narrow(heights: np.ndarray, z_range: tuple[float, float], margin: float, step: float) -> tuple[float, float]:
+    """The part of a height range in which a surface was found.
+
+    Args:
+        heights: ``[N]`` heights of well-matched cells [m].
+        z_range: lowest and highest height so far [m].
+        margin: kept below and above [m].
+        step: distance of the height planes [m]; the lowest stays one of them, so that neighbouring parts of an area
+            look at the same heights.
+    """
+    if len(heights) < 10 * STRAY:
+        return z_range
+    ordered = np.partition(heights, (STRAY, -STRAY - 1))
+    low, high = float(ordered[STRAY]) - margin, float(ordered[-STRAY - 1]) + margin
+    return z_range[0] + max(0, math.floor((low - z_range[0]) / step)) * step, min(z_range[1], high)
+
+
+def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: bool) -> list[tuple[slice, slice]]:
+    """Parts to match one after the other: all at once if memory allows and heights are few.
+
+    Args:
+        shape: (rows, columns) of the grid.
+        volume: largest number of (cell, height) that fits in memory.
+        planes_wanted: number of heights over the whole grid.
+        guided: each block may look for its own heights, which pays where the ground itself rises and falls.
+    """
+    rows, cols = shape
+    affordable = math.isqrt(max(volume // planes_wanted, 1))
+    if affordable**2 >= rows * cols and not (guided and planes_wanted > MANY_PLANES):
+        return [(slice(0, rows), slice(0, cols))]
+    size = max(min(affordable - 2 * OVERLAP, BLOCK) if guided else affordable - 2 * OVERLAP, 2 * OVERLAP)
+    high, wide = (math.ceil(n / math.ceil(n / size)) for n in shape)
+    return [
+        (slice(r, min(r + high, rows)), slice(c, min(c + wide, cols)))
+        for r in range(0, rows, high)
+        for c in range(0, cols, wide)
+    ]
+
+
+def in_blocks(
+    frame: Frame,
+    hidden: Hidden,
+    pairs: np.ndarray,
+    z_range: tuple[float, float],
+    step: float,
+    options: PriorOptions,
+    progress: Progress = silent,
+    guide: np.ndarray | None = None,
+    ceiling: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One pass over the whole grid: height, score and rival ``[H, W]``.
+
+    Args:
+        guide: ``[H, W]`` heights of an earlier pass [m]; blocks of a hilly area look only near them.
+        ceiling: ``[H, W]`` heights above which nothing is looked for [m].
+    """
+    wanted = len(planes(z_range, step))
+    # two volumes of single precision live at a time
+    blocks = _blocks(frame.shape, int(options.memory * 1e6 / 8), wanted, guide is not None)
+    found: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
+    for k, (rows, cols) in enumerate(blocks):
+        progress(k / len(blocks), f"matching {len(pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
+        top, left = max(0, rows.start - OVERLAP), max(0, cols.start - OVERLAP)
+        bottom, right = min(frame.shape[0], rows.stop + OVERLAP), min(frame.shape[1], cols.stop + OVERLAP)
+        near = z_range
+        if guide is not None and len(blocks) > 1:
+            near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step, step)
+        window = (slice(None), slice(top, bottom + 2 * frame.margin), slice(left, right + 2 * frame.margin))
+        piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
+        inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right], hidden.dark)
+        lid = None if ceiling is None else ceiling[top:bottom, left:right]
+        new = sweep(piece, inside, pairs, planes(near, step), options, lid)
+        for whole, part_found in zip(found, new, strict=True):
+            inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
+            whole[rows, cols] = part_found[inner]
+    return found[0], found[1], found[2]
+
+
+def sweep(
+    frame: Frame,
+    hidden: Hidden,
+    pairs: np.ndarray,
+    heights: np.ndarray,
+    options: PriorOptions,
+    ceiling: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Correlate at all heights, aggregate, choose.
+
+    Returns:
+        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`).
+    """
+    from sattools.prior.kernels import correlate
+    from sattools.prior.sgm import aggregate, lowest, rival
+
+    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
+    volume = np.empty((*frame.shape, len(heights)), np.float32)
+    correlate(
+        frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
+        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
+        np.float32(options.unseen), volume,
+    )  # fmt: skip
+    if ceiling is not None:
+        volume[heights > ceiling[..., None]] = 0
+    total = np.empty_like(volume)
+    aggregate(volume, np.float32(options.small_jump), np.float32(options.large_jump * scarcity(len(pairs))), total)
+    height = np.empty(frame.shape, np.float32)
+    index = np.empty(frame.shape, np.int64)
+    lowest(total, heights, height, index)
+    score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
+    gap = np.empty(frame.shape, np.float32)
+    rival(total, index, gap)
+    return height, np.clip(score, 0, 1), gap / 8
+
+
+def scarcity(pairs: int) -> float:
+    """Factor of the penalty for height jumps: agreement is an average, and so the noisier the fewer pairs there are."""
+    return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
+
+
+__all__ = ["in_blocks", "narrow", "planes", "scarcity", "sweep"]
