@@ -2,7 +2,8 @@
 
     python benchmarks/facades.py SCENE/scene.json DSM [--product dsm]
 
-Scenes are scored after registration as `sattools compare` does it; what a wall and its place are: `sattools.compare.facades`.
+Scenes are scored after registration as `sattools compare` does it; what a wall and its place are says
+`sattools.compare.facades`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def main() -> None:
         f = wall_figures(wall_offsets(registered, truth.heights, truth.grid.cell_size, truth.classes))
         cell = raster_grid(path).cell_size
         print(
-            f"{options.scene}: {name} (cells of {cell:g} m), {f['pieces']} pieces of wall of {truth.grid.cell_size:g} m: "
+            f"{options.scene}: {name} (cells of {cell:g} m), {f['pieces']} pieces of wall: "
             f"median {f['median']:.2f} m, 90 % within {f['p90']:.2f} m, {f['mean']:+.2f} m outward, "
             f"none found at {100 * f['missing']:.1f} %"
         )

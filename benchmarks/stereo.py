@@ -5,10 +5,10 @@
 
 pandora is no part of sattools: `pip install --target FOLDER pandora[sgm]` and --packages FOLDER; without it its rows
 are left out. Every method gets the same two images (the pairs that `sattools prior` likes best, or --pair), cameras,
-height range, 3 x 3 median at the end, and filling of holes (nearest height), and is scored like `sattools compare`. Over
-a tile, lines of sight are parallel, so a turned ground frame at one height is a rectification: what is left of a pair's
-displacement runs along the rows. A last part fuses each method's pairs by their median, the usual way of two-view
-pipelines to many views.
+height range, 3 x 3 median at the end, and filling of holes (nearest height), and is scored like `sattools compare`.
+Over a tile, lines of sight are parallel, so a turned ground frame at one height is a rectification: what is left of a
+pair's displacement runs along the rows. A last part fuses each method's pairs by their median, the usual way of
+two-view pipelines to many views.
 Rivals match at the scene's cell and at the images' own pixel; seconds are CPU seconds of matching, without resampling.
 """
 

@@ -40,8 +40,8 @@ def wall_offsets(
     filled = np.where(known, reference, np.nanmin(reference) if known.any() else 0.0).astype(np.float64)
     rise = [gaussian_filter(filled, 1.0, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
     step_row, step_col = (np.abs(np.diff(reference, axis=axis)) > STEP_M for axis in (0, 1))
-    rows = [np.nonzero(step_row), np.nonzero(step_col)]
-    at = np.concatenate([np.stack(rows[0], 1) + [0.5, 0.0], np.stack(rows[1], 1) + [0.0, 0.5]])  # [N, 2]
+    edges = np.array([0.5, 0.0]), np.array([0.0, 0.5])
+    at = np.concatenate([np.argwhere(s) + e for s, e in zip((step_row, step_col), edges, strict=True)])  # [N, 2]
     slope = np.stack([map_coordinates(part, at.T, order=1, mode="nearest") for part in rise], axis=1)
     length = np.linalg.norm(slope, axis=1)
     at, normal = at[length > 0], (slope / np.maximum(length, 1e-12)[:, None])[length > 0]
