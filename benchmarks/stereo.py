@@ -280,7 +280,7 @@ def main() -> None:
     by_id = {s.id: s for s in sources}
     views = make_frame(sources, grid, z_range, 1)[1]
     slopes = [v.slope for v in views]
-    chosen = choose_pairs(slopes, [v.sun for v in views], arguments.best)
+    chosen = choose_pairs(slopes, [v.sun for v in views], arguments.best)[: arguments.best]
     pairs = arguments.pair or [[sources[a].id, sources[b].id] for a, b in chosen]
     west, south, east, north = grid.bounds
     lon, lat = to_geographic(grid.crs, 0.5 * (west + east), 0.5 * (south + north))
