@@ -91,7 +91,7 @@ def test_imports_point_one_way(path):
         ("prep", {"torch", "click"}),
         ("compare", {"click"}),
         ("simulate", {"torch", "click"}),
-        ("reflectance", {"numpy", "rasterio", "click"}),
+        ("reflectance", {"rasterio", "click"}),
         ("render", {"rasterio", "click"}),
         ("field", {"rasterio", "click"}),
         ("fit", {"rasterio", "click"}),

@@ -11,6 +11,7 @@ from sattools.errors import SceneError
 from sattools.prior.confidence import confidence
 from sattools.prior.files import write_sensor_map
 from sattools.prior.frame import Frame
+from sattools.prior.leftout import left_out_agreement
 from sattools.prior.match import Match, margin_for, match
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
@@ -55,6 +56,7 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
     if not len(pairs):
         raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")
     found = match(frame, pairs, z_range, options, part(progress, 0.2, 0.9))
+    agreement = left_out_agreement(frame, found.height)
     found = Match(*(crop(a, grid.shape) for a in (found.height, found.score, found.rival, found.views)))
     trust = confidence(found)
     # a height that fewer than two images see is a guess: it stays, without confidence, for the fit to judge
@@ -72,6 +74,10 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
             "pairs": [[views[a].id, views[b].id] for a, b in pairs],
             "seen_by_two": round(completeness, 4),
             "mean_confidence": round(float(trust.mean()), 4),
+            "left_out_agreement": {
+                view.id: None if value is None else round(value, 4)
+                for view, value in zip(views, agreement, strict=True)
+            },
         },
     }
 

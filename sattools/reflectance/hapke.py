@@ -30,6 +30,7 @@ First derivatives only, through `torch.autograd`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -138,9 +139,8 @@ class _Hapke(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, needed: tuple[bool, ...], *operands: Any) -> Tensor:
-        normal, sun, view, *parameters = operands
-        facets = torch.broadcast_shapes(normal.shape[:-1], sun.shape[:-1], view.shape[:-1], operands[6].shape)
-        shape = torch.broadcast_shapes(facets, *[p.shape for p in parameters if p is not None])
+        normal = operands[0]
+        facets, shape = _shapes(operands)
         blocks = Blocks(tuple(shape), normal.is_cuda)
         known = _known(blocks, operands)
         out = normal.new_empty(shape)
@@ -320,11 +320,43 @@ def hapke(
     Raises:
         TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
     """
+    operands, needed = _operands(normal, sun, view, w, b, c, theta_deg, b0, h)
+    facets, shape = _shapes(operands)
+    if facets == shape and all(o is None or o.device.type == "cpu" for o in operands):
+        from sattools.reflectance.hapke_kernel import CompiledHapke
+
+        return CompiledHapke.apply(needed, shape, *operands)
+    return _Hapke.apply(needed, *operands)
+
+
+def plain_hapke(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> Tensor:
+    """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors."""
+    operands, needed = _operands(normal, sun, view, *parameters)
+    return _Hapke.apply(needed, *operands)
+
+
+def _operands(
+    normal: Tensor,
+    sun: Tensor,
+    view: Tensor,
+    w: Tensor | float,
+    b: Tensor | float,
+    c: Tensor | float,
+    theta_deg: Tensor | float,
+    b0: Tensor | float = 0.0,
+    h: Tensor | float = 1.0,
+) -> tuple[list[Tensor | None], tuple[bool, ...]]:
+    """The arguments of `hapke` as tensors, b0 None for no opposition effect, and which need gradients."""
     operands: list[Tensor | None] = [*as_tensors(normal, sun, view, w, b, c, theta_deg, b0, h)]
     if not isinstance(b0, Tensor) and b0 == 0:
         operands[7] = None
-    needed = tuple(torch.is_grad_enabled() and o is not None and o.requires_grad for o in operands)
-    return _Hapke.apply(needed, *operands)
+    return operands, tuple(torch.is_grad_enabled() and o is not None and o.requires_grad for o in operands)
+
+
+def _shapes(operands: Sequence[Any]) -> tuple[torch.Size, torch.Size]:
+    """Broadcast shapes of the geometry (directions and theta-bar) and of the result."""
+    facets = torch.broadcast_shapes(*[o.shape[:-1] for o in operands[:3]], operands[6].shape)
+    return facets, torch.broadcast_shapes(facets, *[p.shape for p in operands[3:] if p is not None])
 
 
 def effective_cosines(

@@ -27,16 +27,16 @@ from torch import Tensor
 from sattools.reflectance.angles import Angles
 
 # exponents end here: exp(-60) = 9e-27 is 0 beside anything it is added to, and denormal numbers would be slow
-_EXPONENT_MAX = 60.0
-_U_MAX = _EXPONENT_MAX * math.pi / 2
+EXPONENT_MAX = 60.0
+U_MAX = EXPONENT_MAX * math.pi / 2
 # sin^2 and |projections|^2 below these leave no weight to the azimuth (E1 and E2 at their least);
 # they only keep quotients finite
-_SIN2_MIN = 1e-12
-_R2_MIN = 1e-24
+SIN2_MIN = 1e-12
+R2_MIN = 1e-24
 # both vanish only at i = e = 90 degrees, psi = 180 degrees, where the effective cosines go to 0 with them
-_D_MIN = 1e-7
-_A_MIN = 1e-12
-_T_MAX = _EXPONENT_MAX / 2
+D_MIN = 1e-7
+A_MIN = 1e-12
+T_MAX = EXPONENT_MAX / 2
 # lit and seen along its own plane from one side (i = e = 90 degrees, psi = 0) a facet has an infinite BRF: pi L / (E
 # cos i)
 Z_MIN = 1e-6
@@ -83,32 +83,32 @@ def forward(angles: Angles, t: Tensor) -> Facet:
     lit = (torch.sgn(low) + 1).clamp_max(1)  # 0 below the horizon, else 1; NaN stays NaN
     order = torch.sgn(angles.mu0 - angles.mu)
     c_lo, c_hi = torch.maximum(angles.mu0, angles.mu).clamp_min(0), low.clamp_min(0)
-    slo = ((1 - c_lo) * (1 + c_lo)).clamp_min(_SIN2_MIN).sqrt()
-    shi = ((1 - c_hi) * (1 + c_hi)).clamp_min(_SIN2_MIN).sqrt()
-    ulo = (c_lo / (slo * t)).clamp_max(_U_MAX)
-    uhi = (c_hi / (shi * t)).clamp_max(_U_MAX)
+    slo = ((1 - c_lo) * (1 + c_lo)).clamp_min(SIN2_MIN).sqrt()
+    shi = ((1 - c_hi) * (1 + c_hi)).clamp_min(SIN2_MIN).sqrt()
+    ulo = (c_lo / (slo * t)).clamp_max(U_MAX)
+    uhi = (c_hi / (shi * t)).clamp_max(U_MAX)
     # 1 - E1, so that D keeps its digits near the horizon
     x1lo, x1hi = -torch.expm1(ulo * (-2 / math.pi)), -torch.expm1(uhi * (-2 / math.pi))
-    e2lo = torch.exp((ulo * ulo * (-1 / math.pi)).clamp_min(-_EXPONENT_MAX))
-    e2hi = torch.exp((uhi * uhi * (-1 / math.pi)).clamp_min(-_EXPONENT_MAX))
+    e2lo = torch.exp((ulo * ulo * (-1 / math.pi)).clamp_min(-EXPONENT_MAX))
+    e2hi = torch.exp((uhi * uhi * (-1 / math.pi)).clamp_min(-EXPONENT_MAX))
 
     # projections onto the facet: x = sin i sin e cos psi, y = sin i sin e |sin psi|
     side = torch.sgn(angles.triple)
     x = (angles.plus2 - angles.minus2) * 0.25 - c_lo * c_hi
     y = angles.triple.abs()
-    r = (x * x + y * y).clamp_min(_R2_MIN).sqrt()
+    r = (x * x + y * y).clamp_min(R2_MIN).sqrt()
     gap = torch.atan2(y, -x) * (1 / math.pi)  # 1 - psi / pi
     h = 0.5 - 0.5 * x / r
     # tan(psi/2) in a form that loses no digits at either end
     top = r - x + y
-    tangent = top / torch.maximum(r + x + y, top * (1 / _T_MAX))
+    tangent = top / torch.maximum(r + x + y, top * (1 / T_MAX))
     f = torch.exp(-2 * tangent)
 
-    d = (x1lo + x1hi + gap * (1 - x1lo)).clamp_min(_D_MIN)
+    d = (x1lo + x1hi + gap * (1 - x1lo)).clamp_min(D_MIN)
     q = t / d
     n1 = x / shi * e2hi + slo * h * e2lo
     n2 = shi * (e2hi - h * e2lo)
-    a_lo, a_hi = (c_lo + q * n1).clamp_min(_A_MIN), (c_hi + q * n2).clamp_min(_A_MIN)
+    a_lo, a_hi = (c_lo + q * n1).clamp_min(A_MIN), (c_hi + q * n2).clamp_min(A_MIN)
     rlo, rhi = slo * t * e2lo / (1 + x1lo), shi * t * e2hi / (1 + x1hi)
     yhi = c_hi + rhi
     zlo = (c_lo + (1 - f) * rlo).clamp_min(Z_MIN)

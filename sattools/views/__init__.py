@@ -1,7 +1,7 @@
 """Images of a scene resampled to its ground grid."""
 
 from sattools.views.load import TONE_PROPERTY, Source, Tone, check_seen, load_sources, views_on
-from sattools.views.resample import View, line_of_sight, make_view, match_colours, shown_on
+from sattools.views.resample import View, line_of_sight, make_view, match_colours, read_at, shown_on
 
 __all__ = [
     "TONE_PROPERTY",
@@ -13,6 +13,7 @@ __all__ = [
     "load_sources",
     "make_view",
     "match_colours",
+    "read_at",
     "shown_on",
     "views_on",
 ]

@@ -56,32 +56,18 @@ def line_of_sight(
     return (float(slope[0]), float(slope[1])), spread
 
 
-def make_view(
-    item_id: str,
-    image: np.ndarray,
-    rpc: RPC,
-    grid: Grid,
-    z_ref: float,
-    z_range: tuple[float, float],
-    sun: tuple[float, float] | None,
-) -> View:
-    """Resample an image to the grid at height ``z_ref``, averaged over a cell.
+def read_at(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An image at the pixel positions of a raster's cells, averaged over a cell.
 
     Args:
-        item_id: name.
-        image: ``[C, h, w]`` float32 linear radiance, NaN where invalid.
-        rpc: its camera.
-        grid: ground grid of the wanted cell size.
-        z_ref: reference height [m].
-        z_range: lowest and highest height [m].
-        sun: (azimuth, elevation) from true north and horizon [degrees], or None.
+        image: ``[C, h, w]`` float32, NaN where invalid.
+        col, row: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
+
+    Returns:
+        ``[H, W, C]`` float32, 0 where there is no valid pixel, and ``[H, W]`` uint8, 1 where there is.
     """
     import cv2
 
-    x, y = np.meshgrid(grid.x(), grid.y())
-    col, row = project(rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
-    col = col.reshape(grid.shape)
-    row = row.reshape(grid.shape)
     valid = np.isfinite(image).all(axis=0)
     filled = np.where(valid, image, 0.0).astype(np.float32)
     blur = _cell_blur(col, row)
@@ -103,6 +89,33 @@ def make_view(
     seen = cv2.remap(weight, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     height, width = image.shape[1:]
     mask = (seen > 0.9) & (col >= 0) & (row >= 0) & (col <= width - 1) & (row <= height - 1)
+    target[~mask] = 0.0
+    return target.astype(np.float32), mask.astype(np.uint8)
+
+
+def make_view(
+    item_id: str,
+    image: np.ndarray,
+    rpc: RPC,
+    grid: Grid,
+    z_ref: float,
+    z_range: tuple[float, float],
+    sun: tuple[float, float] | None,
+) -> View:
+    """Resample an image to the grid at height ``z_ref``, averaged over a cell.
+
+    Args:
+        item_id: name.
+        image: ``[C, h, w]`` float32 linear radiance, NaN where invalid.
+        rpc: its camera.
+        grid: ground grid of the wanted cell size.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+        sun: (azimuth, elevation) from true north and horizon [degrees], or None.
+    """
+    x, y = np.meshgrid(grid.x(), grid.y())
+    col, row = project(rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
+    target, mask = read_at(image, col.reshape(grid.shape), row.reshape(grid.shape))
     slope, spread = line_of_sight(rpc, grid, z_ref, z_range)
     direction = None
     if sun is not None:
@@ -110,8 +123,7 @@ def make_view(
         lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
         vector = grid_direction(sun[0], sun[1], grid.crs, float(lon), float(lat))
         direction = (float(vector[0]), float(vector[1]), float(vector[2]))
-    target[~mask] = 0.0
-    return View(item_id, target.astype(np.float32), mask.astype(np.uint8), slope, z_ref, direction, spread)
+    return View(item_id, target, mask, slope, z_ref, direction, spread)
 
 
 def _cell_blur(col: np.ndarray, row: np.ndarray) -> tuple[float, float]:
@@ -169,4 +181,4 @@ def match_colours(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     return gain.astype(np.float32), offset.astype(np.float32)
 
 
-__all__ = ["View", "line_of_sight", "make_view", "match_colours", "shown_on"]
+__all__ = ["View", "line_of_sight", "make_view", "match_colours", "read_at", "shown_on"]
