@@ -192,6 +192,8 @@ class _Job:
                 surface = self._start(grid)
                 remarks += self._choose_light(surface, stage.cell_size, saved)
                 self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
+                if self.light.learned and self.prior is not None and self.options.shadow_start == "geometric":
+                    self._follow(surface, stage.cell_size)
             elif surface.height.shape != grid.shape:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
@@ -229,6 +231,15 @@ class _Job:
         chosen, why = choose_light(surface, self.views, cell, self.options)
         self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
         return why
+
+    def _follow(self, surface: SurfaceScene, cell: float) -> None:
+        """Learned shadows begin at those of the start surface."""
+        cast = self.coarse.cast if self.coarse else sun_visibility
+        suns = [view.sun for view in self.views if view.sun]
+        if suns:
+            with torch.no_grad():
+                found = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
+            self.light.follow(suns, [found[sun] for sun in suns], self.options.seed)
 
     def _start(self, grid: Grid) -> SurfaceScene:
         """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""

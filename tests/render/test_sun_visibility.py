@@ -8,7 +8,7 @@ import torch
 
 from sattools.camera.ground import grid_direction, project, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.render import sun_visibility
+from sattools.render import plate_slopes, sun_visibility
 from sattools.scene.raster import read_image, read_raster
 
 
@@ -74,6 +74,14 @@ def test_a_slope_away_from_a_low_sun_is_in_shadow_and_one_towards_it_is_lit():
     assert float(sun_visibility(ramp, 1.0, sun_at(270, 30)).min()) == 1
     # the first and last rows and the eastern end have sun rays that leave the map
     assert float(sun_visibility(ramp, 1.0, sun_at(90, 30))[1:-1, :30].max()) == 0
+
+
+def test_plates_slope_where_both_neighbours_agree_and_are_level_beside_a_wall():
+    profile = torch.tensor([0.0, 0.5, 1.0, 1.5, 9.0, 9.0, 9.0, 8.8, 8.4])
+    east, south = plate_slopes(profile.expand(4, 9))
+    assert east[1].tolist() == pytest.approx([0, 0.5, 0.5, 0.5, 0, 0, 0, -0.2, 0])
+    assert float(south.abs().max()) == 0
+    assert torch.equal(plate_slopes(profile[:, None].expand(9, 4))[1][:, 1], east[1])
 
 
 def test_light_grows_with_the_receiver_and_falls_with_the_caster():
