@@ -24,6 +24,7 @@ from sattools.fit.illumination import (
     calibrated,
     check_light,
     choose_views,
+    exposed,
     light_scale,
     material_remarks,
     prior_normals,
@@ -87,6 +88,9 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         progress = part(progress, 0.2 if prior else 0.0, 1.0)
         tensors, meta, more = fit_rays(scene, sources, options, prior, device, trace, progress)
         return save_fit(scene, model_path, tensors, meta, trace, remarks + more)
+    # amounts of a reflectance model and what tiles share have the unit of the images
+    plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
+    sources, exposure = exposed(sources) if plain else (sources, 1.0)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device, radiance)
@@ -99,6 +103,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     surface, finest, more = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
+    for name in ("albedo", "offset") if plain else ():
+        tensors[name] = tensors[name] / exposure
     tensors["height_std"] = job.height_std.cpu()
     tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
     tensors |= job.light.maps([v.sun for v in job.views])
