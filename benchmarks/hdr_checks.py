@@ -5,9 +5,10 @@
 claim: DSM errors of the four losses on linear 11-bit images and on the same scene as 8-bit tone-mapped RGB, once with
 the depth prior (the default) and once from a flat start without it, where the photometric loss has to do everything.
 cast: intersection over union of the shadows that the true heights cast with the ray-traced ones; (clear) leaves out the
-cells that houses beyond the map may shade. The ray-traced ones hold slopes that face away from the sun, too.
+cells that houses beyond the map may shade. Where they differ, by cause, in per cent of all that differs; a map of it
+goes to FOLDER/cast_<seed>.png.
 shadows: the same from fitted heights;
-correlation of learned shadows with the ray-traced ones, with and without regularisation.
+correlation of learned shadows with the ray-traced ones, with and without regularisation, from both starts.
 transients: the error with and without moving cars, with and without the transient model, and what `auto` chooses.
 
 Tables go to stdout as Markdown and to FOLDER/<check>.json. One run each; seeds are of the scene and of the fit.
@@ -24,7 +25,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+WEIGHTS = {"0.01": None, "off": 0.0, "1": 1.0, "0.01, start lit": None, "off, start lit": 0.0}
 CLEAR_M = 20.0  # the neighbouring blocks are no higher
+WALL_M = 1.5  # step between neighbouring cells
 LOSSES = ("mse", "mse-gamma", "raw-gamma", "raw-log")
 
 
@@ -85,13 +88,43 @@ def cast(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
             for extra, clear in (("", 0.0), (" (clear)", CLEAR_M)):
                 iou = shadow_iou(scene, truth[0], grid, truth[0], grid, clear, where)
                 row[f"IoU, {label}{extra}"] = round(iou, 3)
-        rows.append(row)
+        rows.append(row | causes(scene, truth[0], classes[0], grid, options.out / f"cast_{seed}.png"))
     return rows
+
+
+def causes(scene: Any, height: Any, classes: Any, grid: Any, picture: Path) -> dict[str, Any]:
+    """Where cast shadows of the truth differ from the ray-traced ones, in per cent of the cells that differ: the first
+    cause that applies. Draws a map of the view that differs most."""
+    import cv2
+    import numpy as np
+    from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+
+    wall = maximum_filter(height, 3) - minimum_filter(height, 3) > WALL_M
+    names = ("beyond the map", "crowns", "beside a wall", "edge of a shadow", "other")
+    colours = np.array([(255, 160, 0), (0, 150, 0), (200, 0, 200), (0, 200, 255), (0, 0, 255)], np.uint8)  # BGR
+    count, worst = np.zeros(len(names)), 0
+    missed = 0
+    for cast, lit, seen, clear in compared(scene, height, grid, height, grid):
+        real = lit < 0.5
+        wrong = (cast != real) & seen
+        missed += int((wrong & real).sum())
+        edge = binary_dilation(real, iterations=1) & binary_dilation(~real, iterations=1)
+        kind = np.select([clear < CLEAR_M, classes == 5, wall, edge], [0, 1, 2, 3], 4)
+        count += np.bincount(kind[wrong], minlength=len(names))
+        if wrong.sum() > worst:
+            worst = wrong.sum()
+            drawn = np.repeat(np.where(real, 70, 200).astype(np.uint8)[..., None], 3, axis=2)
+            drawn[~seen] = 130
+            drawn[wrong] = colours[kind[wrong]]
+    cv2.imwrite(str(picture), cv2.resize(drawn, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST))
+    found = {f"{name} [%]": round(100 * n / count.sum(), 1) for name, n in zip(names, count, strict=True)}
+    return found | {"missed, of all that differs [%]": round(100 * missed / count.sum(), 1)}
 
 
 def shadows(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
     """Shadow maps against the ray-traced truth."""
     import numpy as np
+    import torch
 
     from sattools.fit.checkpoint import load
     from sattools.scene import Grid
@@ -111,13 +144,22 @@ def shadows(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
             for label, clear in (("", 0.0), (" (clear)", CLEAR_M)):
                 iou = shadow_iou(scene, tensors["height"].numpy(), own, truth[0], grid, clear)
                 row[f"IoU, fit at {cell:g} m{label}"] = round(iou, 3)
-        for name, weight in (("0.01", None), ("off", 0.0), ("1", 1.0)):
-            found = fitted(scene, options, shadow="learned", loss="raw-log", shadow_weight=weight, seed=seed)
+        for name, weight in WEIGHTS.items():
+            start = "lit" if "lit" in name else "geometric"
+            found = fitted(
+                scene, options, shadow="learned", loss="raw-log", shadow_weight=weight, shadow_start=start, seed=seed
+            )
             tensors, meta = load(scene.path("fit/model.safetensors"))
-            known = truth_on(scene, own, truth[0], grid)
-            pairs = [(net[seen].numpy(), lit[seen]) for net, (lit, seen) in zip(tensors["s_net"], known, strict=True)]
-            net, lit = (np.concatenate(part) for part in zip(*pairs, strict=True))
-            row[f"s_net correlation, weight {name}"] = round(float(np.corrcoef(net, lit)[0, 1]), 3)
+            heights = tensors["height"].numpy()
+            known = list(compared(scene, heights, own, truth[0], grid))
+            for label, clear in (("", 0.0), (" (clear)", CLEAR_M)):
+                pairs = [
+                    (net[torch.from_numpy(use)].numpy(), lit[use])
+                    for net, (_, lit, seen, rise) in zip(tensors["s_net"], known, strict=True)
+                    for use in [seen & (rise >= clear)]
+                ]
+                net, lit = (np.concatenate(part) for part in zip(*pairs, strict=True))
+                row[f"s_net correlation, weight {name}{label}"] = round(float(np.corrcoef(net, lit)[0, 1]), 3)
             row[f"MAE [m], weight {name}"] = round(found["mae"], 3)
         rows.append(row)
         print(row, file=sys.stderr, flush=True)
@@ -216,6 +258,18 @@ def shadow_iou(
     Only cells whose ray to the sun has risen `clear` metres where it leaves the map: houses beyond cast shadows, too;
     and only `where` that is true.
     """
+    both = either = 0
+    for cast, lit, seen, rise in compared(scene, height, own, truth, truth_grid):
+        real = lit < 0.5
+        use = seen & where & (rise >= clear)
+        both += int((cast & real & use).sum())
+        either += int(((cast | real) & use).sum())
+    return both / either
+
+
+def compared(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any) -> Any:
+    """Per training view ``[H, W]``: where `height` casts shadow, the share of light that the ray tracer saw, which
+    cells the view sees, and how far their rays to the sun have risen where they leave the map [m]."""
     import numpy as np
     import torch
 
@@ -224,15 +278,10 @@ def shadow_iou(
 
     west, south, east, north = own.bounds
     lon, lat = (float(v) for v in to_geographic(own.crs, (west + east) / 2, (south + north) / 2))
-    both = either = 0
     for item, (lit, seen) in zip(scene.train_items(), truth_on(scene, own, truth, truth_grid), strict=True):
         sun = grid_direction(*item.sun, own.crs, lon, lat)
-        seen = seen & where & (rise_to_the_edge(own.shape, own.cell_size, np.asarray(sun)) >= clear)
-        cast = (sun_visibility(torch.from_numpy(height), own.cell_size, tuple(sun)).numpy() < 0.5)[seen]
-        real = (lit < 0.5)[seen]
-        both += int((cast & real).sum())
-        either += int((cast | real).sum())
-    return both / either
+        cast = sun_visibility(torch.from_numpy(height), own.cell_size, tuple(sun)).numpy() < 0.5
+        yield cast, lit, seen, rise_to_the_edge(own.shape, own.cell_size, np.asarray(sun))
 
 
 def rise_to_the_edge(shape: tuple[int, int], cell: float, sun: Any) -> Any:

@@ -19,6 +19,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.resample import resample_map
 from sattools.scene import Grid, Item, Scene
+from sattools.views import Source
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +29,7 @@ NARROW_PHASE_DEG = 10.0  # below this span a phase function is a constant
 CALIBRATED_SHARE = 0.1
 CALIBRATED_SMOOTH = 0.2
 NORMAL_SMOOTHING_M = 6.0
+EXPOSURE = 1 / 3  # median radiance of images that fill their range
 UNKNOWN_SHARE = 0.2  # standard deviation, as share of the range, from which a parameter counts as unknown
 
 
@@ -72,6 +74,21 @@ def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
         prior_weight=options.prior_weight * CALIBRATED_SHARE,
         smooth=smooth,
     )
+
+
+def exposed(sources: list[Source]) -> tuple[list[Source], float]:
+    """Linear images brightened by a common factor, so that the median pixel is no darker than `EXPOSURE`; the factor.
+
+    Full scale of a sensor is far above what a city usually fills. Steps of the fit and what counts as an edge of the
+    albedo are meant for images that fill it, as tone-mapped ones do: the surface must not depend on the unit of
+    radiance.
+    """
+    if not all(source.linear for source in sources):
+        return sources, 1.0
+    seen = np.concatenate([source.radiance[..., ::3, ::3].ravel() for source in sources])
+    seen = seen[np.isfinite(seen)]
+    factor = max(1.0, EXPOSURE / max(float(np.median(seen)), 1e-6)) if len(seen) else 1.0
+    return [replace(source, radiance=source.radiance * np.float32(factor)) for source in sources], factor
 
 
 def choose_views(scene: Scene, which: str) -> None:
@@ -178,6 +195,6 @@ def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid)
 
 
 __all__ = [
-    "KINDS", "Radiance", "calibrated", "check_light", "choose_views", "light_scale", "material_remarks",
+    "KINDS", "Radiance", "calibrated", "check_light", "choose_views", "exposed", "light_scale", "material_remarks",
     "phase_angles", "prior_normals", "radiance_kind",
 ]  # fmt: skip

@@ -19,6 +19,7 @@ FEATURES, HIDDEN = 8, 32
 START_LOGIT = 2.0  # s_net begins at 0.88: mostly lit
 RATES = {"features": 0.05, "net": 0.02, "transient": 0.02}
 WEIGHT_RAW, WEIGHT_PLAIN = 0.01, 0.0005  # of the regularisation, with raw-* losses and with the others
+FOLLOW_STEPS = 600
 FIRST_EPOCH = 2  # counted from 1; before, the heights say little about shadows
 WARM_UP_EPOCHS = 4  # after these only cells that may be shadowed are regularised
 MAY_BE_SHADOWED = 0.5
@@ -73,6 +74,29 @@ class Light:
         if options.transient == "on":
             tensors["transient"] = torch.zeros(views, *shape)
         return cls({name: tensor.to(device) for name, tensor in tensors.items()})
+
+    def follow(self, suns: Sequence[Sequence[float]], geometric: Sequence[Tensor], seed: int) -> None:
+        """Let s_net begin at the shadows that a surface casts: `FOLLOW_STEPS` steps of `shadow_regularisation` alone.
+
+        Args:
+            suns: directions (east, north, up).
+            geometric: ``[H, W]`` visibility under each of them.
+            seed: of the order of the suns.
+        """
+        own = {name: tensor for name, tensor in self.tensors.items() if name != "transient"}
+        for tensor in own.values():
+            tensor.requires_grad_(True)
+        adam = torch.optim.Adam([{"params": [tensor], "lr": self.rate(name)} for name, tensor in own.items()])
+        random = torch.Generator().manual_seed(seed)
+        for step in range(FOLLOW_STEPS):
+            j = int(torch.randint(len(suns), (1,), generator=random))
+            for group, name in zip(adam.param_groups, own, strict=True):
+                group["lr"] = self.rate(name) * (1 - step / FOLLOW_STEPS)
+            adam.zero_grad(set_to_none=True)
+            shadow_regularisation(self.net(suns[j]), geometric[j], only_shadowed=False).backward()
+            adam.step()
+        for tensor in own.values():
+            tensor.requires_grad_(False)
 
     @property
     def learned(self) -> bool:

@@ -31,6 +31,9 @@ class FitOptions(RayOptions):
         "Weight of the learned shadow's tie to the geometric one (default: 0.01 with raw losses, else 0.0005).",
         minimum=0,
     )
+    shadow_start: Literal["geometric", "lit"] = option(
+        "geometric", "Learned shadows of the surface field begin as the prior's surface casts them, or with all lit."
+    )
     transient: Literal["on", "off", "auto"] = option(
         "off", "A darkening of each image's own, for moving objects; auto = where images hold such."
     )

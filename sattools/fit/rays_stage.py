@@ -21,7 +21,7 @@ from sattools.fit import checkpoint
 from sattools.fit.options import FitOptions
 from sattools.fit.rays import RaySet, RayTrainer, join
 from sattools.progress import Progress, part
-from sattools.render import Quadrature, Rays, render
+from sattools.render import Quadrature, Rays, plate_slopes, render
 from sattools.scene import Grid, Scene
 from sattools.views import Source, View, match_colours, views_on
 
@@ -166,7 +166,8 @@ def _prior_along(
         upright = torch.tensor([0.0, 0.0, 1.0]).expand(*grid.shape, 3)
         return torch.full(grid.shape, 0.5), torch.zeros(grid.shape), upright
     height, confidence = heights
-    down, along = torch.gradient(height, spacing=grid.cell_size)
+    # a wall is a step, not a slope: light that falls on a roof's rim is the roof's
+    along, down = (slope / grid.cell_size for slope in plate_slopes(height))
     normal = torch.stack([-along, down, torch.ones_like(height)], dim=-1)  # rows run south
     normal = normal / normal.norm(dim=-1, keepdim=True)
     shown = torch.cat([height[..., None], confidence[..., None], normal], dim=-1).contiguous()

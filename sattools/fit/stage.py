@@ -24,6 +24,7 @@ from sattools.fit.illumination import (
     calibrated,
     check_light,
     choose_views,
+    exposed,
     light_scale,
     material_remarks,
     prior_normals,
@@ -87,6 +88,9 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         progress = part(progress, 0.2 if prior else 0.0, 1.0)
         tensors, meta, more = fit_rays(scene, sources, options, prior, device, trace, progress)
         return save_fit(scene, model_path, tensors, meta, trace, remarks + more)
+    # amounts of a reflectance model and what tiles share have the unit of the images
+    plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
+    sources, exposure = exposed(sources) if plain else (sources, 1.0)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = _Job(scene, sources, options, stages, prior, z_ref, device, radiance)
@@ -99,6 +103,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     surface, finest, more = job.run(part(progress, 0.2 if prior else 0.0, 1.0))
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
+    for name in ("albedo", "offset") if plain else ():
+        tensors[name] = tensors[name] / exposure
     tensors["height_std"] = job.height_std.cpu()
     tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
     tensors |= job.light.maps([v.sun for v in job.views])
@@ -192,6 +198,8 @@ class _Job:
                 surface = self._start(grid)
                 remarks += self._choose_light(surface, stage.cell_size, saved)
                 self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
+                if self.light.learned and self.prior is not None and self.options.shadow_start == "geometric":
+                    self._follow(surface, stage.cell_size)
             elif surface.height.shape != grid.shape:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
@@ -229,6 +237,15 @@ class _Job:
         chosen, why = choose_light(surface, self.views, cell, self.options)
         self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
         return why
+
+    def _follow(self, surface: SurfaceScene, cell: float) -> None:
+        """Learned shadows begin at those of the start surface."""
+        cast = self.coarse.cast if self.coarse else sun_visibility
+        suns = [view.sun for view in self.views if view.sun]
+        if suns:
+            with torch.no_grad():
+                found = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
+            self.light.follow(suns, [found[sun] for sun in suns], self.options.seed)
 
     def _start(self, grid: Grid) -> SurfaceScene:
         """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""

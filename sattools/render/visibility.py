@@ -17,11 +17,11 @@ SUN_RADIUS_DEG = 0.27
 def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, float, float]) -> Tensor:
     """Share of the sun's light that reaches every cell past the other cells.
 
-    A cell's sun ray is followed cell by cell until it is above the highest surface or leaves the map (outside is
-    open). The
-    visibility is a ramp of the smallest clearance between ray and surface, over the width of the penumbra: half a
-    cell's rise,
-    below which the grid cannot tell, and the sun's radius at the caster's distance.
+    Cells are plates with steps between them, as a grid of houses wants it: a plate slopes as far as its neighbours on
+    both sides agree (so slopes are smooth), else it is level (so a roof reaches to its edge and a wall is upright). A
+    cell's sun ray is followed from plate to plate until it is above the highest surface or leaves the map (outside is
+    open). The visibility is a ramp of the smallest clearance between ray and surface. Its width is that of the cell,
+    of which a part may be lit, and of the sun's radius at the caster's distance.
 
     Args:
         height: ``[H, W]`` heights [m], row 0 = north.
@@ -44,39 +44,47 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
     return visibility
 
 
+def plate_slopes(height: Tensor) -> tuple[Tensor, Tensor]:
+    """Rise of every cell per cell eastwards and southwards ``[H, W]`` [m] as far as its neighbours on both sides agree,
+    else 0 (minmod): a plane keeps its slope, and beside a wall the ground and the roof stay level."""
+    from sattools.render import kernels
+
+    h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)
+    east, south = np.empty_like(h), np.empty_like(h)
+    kernels.limited_slopes(h, east, south)
+    return torch.from_numpy(east).to(height), torch.from_numpy(south).to(height)
+
+
 class _Visibility(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, height: Tensor, cell: float, heading: tuple[float, float], tangent: float) -> Tensor:
         from sattools.render import kernels
 
         h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)
-        visibility = np.empty_like(h)
+        visibility, width, slope_x, slope_y = (np.empty_like(h) for _ in range(4))
         caster = np.empty(h.shape, np.int64)
-        distance = np.empty_like(h)
-        rise = tangent * cell
-        half_width = 0.5 * rise
+        kernels.limited_slopes(h, slope_x, slope_y)
         # width of the half shadow per metre along the ray's ground track: d(tan el) = d(el) / cos(el)^2
         growth = math.radians(SUN_RADIUS_DEG) * (1 + tangent**2) * cell
+        top = h.max() + 0.5 * max(np.abs(slope_x).max(), np.abs(slope_y).max())
         kernels.shadow_march(
-            h, np.array(heading, np.float32), np.float32(rise), np.float32(half_width), np.float32(growth),
-            np.float32(h.max()), visibility, caster, distance, 4 * chunk_count(h.size),
+            h, slope_x, slope_y, np.array(heading, np.float32), np.float32(tangent * cell), np.float32(growth),
+            np.float32(top), visibility, caster, width, 4 * chunk_count(h.size),
         )  # fmt: skip
-        ctx.widths = (half_width, growth)
         result = torch.from_numpy(visibility).to(height.device)
         ctx.save_for_backward(
-            result, torch.from_numpy(caster).to(height.device), torch.from_numpy(distance).to(height.device)
+            result, torch.from_numpy(caster).to(height.device), torch.from_numpy(width).to(height.device)
         )
         return result.to(height.dtype)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor):
-        visibility, caster, distance = ctx.saved_tensors
-        half_width, growth = ctx.widths
+        visibility, caster, width = ctx.saved_tensors
         on_ramp = (visibility > 0) & (visibility < 1) & (caster >= 0)
-        slope = torch.where(on_ramp, grad / (2 * (half_width + growth * distance)), 0.0)
+        slope = torch.where(on_ramp, grad / (2 * width), 0.0)
         total = slope.clone().view(-1)
         total.index_add_(0, caster[on_ramp], -slope[on_ramp])
         return total.view_as(grad), None, None, None
 
 
-__all__ = ["sun_visibility"]
+__all__ = ["plate_slopes", "sun_visibility"]

@@ -10,10 +10,12 @@ import torch
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.checkpoint import load
+from sattools.fit.illumination import exposed
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import remove_gauge
 from sattools.fit.stage import choose_device, fit, resample_map
 from sattools.scene import Grid
+from sattools.views import load_sources
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[5])
 
@@ -96,6 +98,33 @@ def test_images_without_sun_are_fitted_without_shadows(make_town):
         del item.properties["view:sun_elevation"]
     fit(scene, QUICK)
     assert load(scene.root / "fit/model.safetensors")[1]["suns"] == [None] * 6
+
+
+def test_the_unit_of_linear_radiance_does_not_matter(make_town, monkeypatch):
+    """Images of half the radiance: the same surface and half the albedo, to the bit, as the factor is two."""
+    whole, dim = make_town("WHOLE"), make_town("DIM")
+    fit(whole, QUICK)
+
+    def darker(scene, items):
+        return [replace(source, radiance=source.radiance / 2) for source in load_sources(scene, items)]
+
+    monkeypatch.setattr("sattools.fit.stage.load_sources", darker)
+    fit(dim, QUICK)
+    bright, dark = (load(scene.path("fit/model.safetensors"))[0] for scene in (whole, dim))
+    assert torch.equal(bright["height"], dark["height"])
+    assert torch.allclose(bright["albedo"], 2 * dark["albedo"], rtol=1e-5)
+    assert torch.allclose(bright["offset"], 2 * dark["offset"], rtol=1e-4, atol=1e-6)
+
+
+def test_exposure_leaves_tone_mapped_and_bright_images_alone(make_town):
+    scene = make_town()
+    sources = load_sources(scene, scene.train_items())
+    dim = [replace(source, radiance=np.full((1, 9, 9), 0.1, np.float32)) for source in sources]
+    found, factor = exposed(dim)
+    assert factor == pytest.approx(10 / 3, rel=1e-6)
+    assert float(found[0].radiance.max()) == pytest.approx(1 / 3, rel=1e-6)
+    assert exposed([replace(source, linear=False) for source in dim])[1] == 1
+    assert exposed([replace(source, radiance=source.radiance * 6) for source in dim])[1] == 1
 
 
 def test_missing_files_and_members_are_named(make_town):

@@ -15,6 +15,7 @@ from sattools.fit.irradiance_choice import Shown, transient_share
 from sattools.fit.losses import GAMMA, photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.render import sun_visibility
 from sattools.scene.raster import read_raster
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[4])
@@ -65,6 +66,19 @@ def test_a_learned_shadow_is_within_0_and_1_and_depends_on_the_sun():
         assert float(net.min()) >= 0
         assert float(net.max()) <= 1
     assert not torch.allclose(morning, evening)
+
+
+def test_a_learned_shadow_begins_as_the_surface_casts_it_under_every_sun():
+    """Two suns and opposite shadows of a wall; before, everything is lit (0.88)."""
+    light = Light.start(FitOptions(shadow="learned"), (6, 8), 2, torch.device("cpu"))
+    west = torch.ones(6, 8)
+    west[:, 3:5] = 0
+    suns = (SUN, (0.0, -0.6, 0.8))
+    assert float(light.net(suns[0]).min()) > 0.8
+    light.follow(suns, (west, west.flip(1).roll(2, dims=1)), seed=0)
+    for sun, cast in zip(suns, (west, west.flip(1).roll(2, dims=1)), strict=True):
+        assert float((light.net(sun) - cast).abs().max()) < 0.1
+    assert not any(tensor.requires_grad for tensor in light.tensors.values())
 
 
 def test_transients_only_darken_and_are_the_images_own():
@@ -120,6 +134,18 @@ def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(make_town
     array, _ = read_raster(scene.path(scene.items[2].assets["s_net"].href))
     assert np.array_equal(array[0], tensors["s_net"][2].numpy())
     assert "shadow" in scene.items[0].assets
+
+
+def test_the_start_of_learned_shadows_is_an_option(make_town):
+    """After one epoch s_net lies nearer to the cast shadows where it began at them."""
+    apart = []
+    for start in ("geometric", "lit"):
+        scene = make_town(start.upper())
+        fit(scene, replace(QUICK, epochs=[1], shadow="learned", shadow_start=start))
+        tensors, meta = load(scene.path("fit/model.safetensors"))
+        cast = torch.stack([sun_visibility(tensors["height"], 2.0, tuple(sun)) for sun in meta["suns"]])
+        apart.append(float((tensors["s_net"] - cast).abs().mean()))
+    assert apart[0] < 0.5 * apart[1]
 
 
 def test_a_fit_with_learned_shadows_can_be_resumed(make_town):
