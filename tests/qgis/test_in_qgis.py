@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 
 QGIS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
@@ -93,6 +94,50 @@ def test_bad_input_fails_with_the_commands_message(environment, tmp_path):
     assert code == 1
     assert "sattools fit: error:" in said
     assert "scene.json" in said
+
+
+def test_cancelling_a_fit_leaves_no_process_and_no_half_file(environment, city, tmp_path):
+    sattools(
+        "prep",
+        *sorted((city / "images").glob("*.tif")),
+        "--metadata",
+        city / "metadata",
+        "--id",
+        "TOWN",
+        "--out",
+        tmp_path,
+    )
+    scene = tmp_path / "TOWN" / "scene.json"
+    before = scene.read_bytes()
+    program = (
+        "import sys, threading\n"
+        "from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingFeedback\n"
+        f"sys.path[:0] = ['/usr/share/qgis/python/plugins', {str(ROOT / 'qgis_plugin')!r}]\n"
+        "app = QgsApplication([], False); app.initQgis()\n"
+        "import processing.core.ProcessingConfig\n"
+        "from sattools_qgis.processing.provider import SattoolsProvider\n"
+        "provider = SattoolsProvider(); QgsApplication.processingRegistry().addProvider(provider)\n"
+        "class Impatient(QgsProcessingFeedback):\n"
+        "    def pushInfo(self, text):\n"
+        "        if 'epoch' in text:\n"
+        "            self.cancel()\n"
+        "feedback = Impatient()\n"
+        "late = threading.Timer(100, feedback.cancel); late.daemon = True; late.start()\n"
+        f"given = {{'SCENE': {str(scene)!r}, 'EPOCHS': '100000'}}\n"
+        "algorithm = provider.algorithm('fit').create()\n"
+        "_, well = algorithm.run(given, QgsProcessingContext(), feedback)\n"
+        "print('finished', well)\n"
+        "provider = algorithm = None; late.cancel(); app.exitQgis()\n"
+    )
+    done = subprocess.run(
+        ["/usr/bin/python3", "-c", program], env=environment, capture_output=True, text=True, timeout=150
+    )
+    assert "finished False" in done.stdout, done.stdout + done.stderr
+    left = [p.info["cmdline"] for p in psutil.process_iter(["cmdline"]) if str(scene) in (p.info["cmdline"] or [])]
+    assert left == []
+    assert scene.read_bytes() == before
+    assert not [p for p in (tmp_path / "TOWN").rglob("*") if p.name.startswith(".") or p.suffix in (".part", ".tmp")]
+    assert not (tmp_path / "TOWN" / "fit" / "model.safetensors").exists()
 
 
 def test_the_provider_loads_fast_and_without_torch(environment):
