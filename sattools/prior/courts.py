@@ -12,14 +12,14 @@ from scipy.ndimage import binary_dilation, binary_opening, grey_closing, label, 
 from scipy.ndimage import mean as mean_over
 
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import UNKNOWN, Hidden, at_surface, hide, thinned
+from sattools.prior.hidden import UNKNOWN, Hidden, at_surface, hide
 from sattools.prior.options import PriorOptions
 from sattools.prior.sweep import in_blocks
 
 POOR = 0.5  # agreement above which a cell is not doubted
 DARK_VIEWS = 0.5  # share of the views in whose sun a doubted cell lies that show it as dark as shadow
 FEWEST_VIEWS = 2
-FEWEST_CELLS = 4  # of a region that is opened, and the side of its smallest part squared
+FEWEST_CELLS = 4  # of a region that is opened
 REACH_M = 30.0  # distance within which the lowest surface is a guess of a court's floor
 PIT_CELLS = 7  # narrower pits of the surface are errors, not floors
 DEPTH_M = 4.0  # courts less deep are not looked for
@@ -40,6 +40,7 @@ def doubtful(frame: Frame, hidden: Hidden, surface: np.ndarray, score: np.ndarra
 def open_courts(
     frame: Frame,
     surface: np.ndarray,
+    thin: np.ndarray,
     score: np.ndarray,
     pairs: np.ndarray,
     z_range: tuple[float, float],
@@ -55,6 +56,7 @@ def open_courts(
     Args:
         frame: the views.
         surface: ``[H, W]`` heights [m].
+        thin: the same without its rims, as it hides.
         score: ``[H, W]`` their agreement.
         pairs: ``[P, 2]`` indices of views.
         z_range: lowest and highest height [m].
@@ -68,7 +70,6 @@ def open_courts(
     """
     if hidden.dark.max() <= UNKNOWN:
         return surface, None
-    thin = thinned(surface, options.erode / frame.cell)
     low = minimum_filter(grey_closing(surface, PIT_CELLS), 2 * int(REACH_M / frame.cell) + 1, mode="nearest")
     doubt = doubtful(frame, hidden, surface, score, options) & (surface - low > DEPTH_M)
     regions, count = label(doubt)

@@ -81,10 +81,11 @@ def match(
             surface = median_filter(surface, 3, mode="nearest")
             if k == 0:
                 z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step, 2 * step)
-            hide(rough, thinned(surface, options.erode / rough.cell), z_range, options.tolerance, seen)
+            thin = thinned(surface, options.erode / rough.cell)
+            hide(rough, thin, z_range, options.tolerance, seen)
             measure_dark(rough, surface, options.tolerance, seen)
             if k < OPENING_PASSES:
-                surface, ceiling = open_courts(rough, surface, score, pairs, z_range, 2 * step, options, seen)
+                surface, ceiling = open_courts(rough, surface, thin, score, pairs, z_range, 2 * step, options, seen)
             if before is not None and np.mean(np.abs(surface - before) > step) < SETTLED:
                 break
             before = surface

@@ -106,7 +106,7 @@ def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block):
     hidden = nothing_hidden(blind)
     surface = height.astype(np.float32)
     score = np.zeros_like(surface)
-    same, ceiling = courts.open_courts(blind, surface, score, PAIRS, HEIGHTS, 2.0, PriorOptions(), hidden)
+    same, ceiling = courts.open_courts(blind, surface, surface, score, PAIRS, HEIGHTS, 2.0, PriorOptions(), hidden)
     assert same is surface
     assert ceiling is None
     assert hidden.dark.max() == UNKNOWN
