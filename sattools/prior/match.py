@@ -13,6 +13,7 @@ from sattools.prior.edges import sharpen
 from sattools.prior.frame import Frame
 from sattools.prior.hidden import at_surface, hide, measure_dark, nothing_hidden, thinned
 from sattools.prior.options import PriorOptions
+from sattools.prior.settle import settle
 from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, in_blocks, narrow
 from sattools.progress import Progress, part, silent
 
@@ -96,6 +97,7 @@ def match(
     last = part(progress, 0.4, 1.0)
     height, score, rival = in_blocks(fine, hidden, pairs, z_range, step, options, last, guide, ceiling)
     height = median_filter(height, SMOOTH, mode="nearest")
+    height = median_filter(settle(fine, hidden, pairs, height, step, options), SMOOTH, mode="nearest")
     if options.edges:
         height = sharpen(fine, hidden.hits, height, options.tolerance, options.edges)
     return Match(height, score, rival, seeing(fine, hidden.hits, height, options.tolerance))

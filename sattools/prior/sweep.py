@@ -18,6 +18,7 @@ KEEP_PLANES = 3  # planes kept above and below what was found
 STRAY = 30  # cells that may be wrong about it at either end
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
 BLOCK = 384  # cells of such a block
+PLANES = np.empty((0, 0), np.float32)  # no surface to which heights are relative
 OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
 
 
@@ -118,16 +119,9 @@ def sweep(
     Returns:
         height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`).
     """
-    from sattools.prior.kernels import correlate
     from sattools.prior.sgm import aggregate, lowest, rival
 
-    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
-    volume = np.empty((*frame.shape, len(heights)), np.float32)
-    correlate(
-        frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
-        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
-        np.float32(options.unseen), volume,
-    )  # fmt: skip
+    volume = agreement(frame, hidden, pairs, heights, options)
     if ceiling is not None:
         volume[heights > ceiling[..., None]] = 0
     total = np.empty_like(volume)
@@ -141,9 +135,30 @@ def sweep(
     return height, np.clip(score, 0, 1), gap / 8
 
 
+def agreement(
+    frame: Frame,
+    hidden: Hidden,
+    pairs: np.ndarray,
+    heights: np.ndarray,
+    options: PriorOptions,
+    base: np.ndarray = PLANES,
+) -> np.ndarray:
+    """Agreement of the views at every cell and height, ``[H, W, D]`` float32 (see `kernels.correlate`)."""
+    from sattools.prior.kernels import correlate
+
+    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
+    volume = np.empty((*frame.shape, len(heights)), np.float32)
+    correlate(
+        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
+        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
+        np.float32(options.unseen), volume,
+    )  # fmt: skip
+    return volume
+
+
 def scarcity(pairs: int) -> float:
     """Factor of the penalty for height jumps: agreement is an average, and so the noisier the fewer pairs there are."""
     return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
 
 
-__all__ = ["in_blocks", "narrow", "planes", "scarcity", "sweep"]
+__all__ = ["agreement", "in_blocks", "narrow", "planes", "scarcity", "sweep"]

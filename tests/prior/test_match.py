@@ -2,36 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, map_coordinates
+from rendered import CELL, RANGE, views_of
 
 from sattools.prior.frame import Frame
 from sattools.prior.kernels import correlate
-from sattools.prior.match import margin_for, match
+from sattools.prior.match import match
 from sattools.prior.options import PriorOptions
 from sattools.prior.sweep import BLOCK, _blocks
-
-RANGE = (-4.0, 16.0)
-CELL = 0.5
-
-
-def views_of(height, slopes, seed=0):
-    """A frame of a surface with noise for texture, each view rendered from the top downward so that walls hide."""
-    rng = np.random.default_rng(seed)
-    slopes = np.array(slopes)
-    margin = margin_for(slopes, 0.0, RANGE, 2)
-    wide = np.pad(height, margin, mode="edge")
-    texture = gaussian_filter(rng.normal(0, 1, wide.shape), 0.8) * 0.3 + 0.5
-    rows, cols = np.indices(wide.shape).astype(float)
-    images = []
-    for slope in slopes:
-        image = np.full(wide.shape, 0.5)
-        for z in np.arange(RANGE[0], RANGE[1], 0.05):  # higher planes paint over lower ones
-            at = [rows - slope[0] * z, cols - slope[1] * z]
-            solid = map_coordinates(wide, at, order=0, mode="nearest") >= z - 0.025
-            image = np.where(solid, map_coordinates(texture, at, order=1, mode="nearest"), image)
-        images.append(image)
-    stack = np.stack(images).astype(np.float32)
-    return Frame(stack, np.ones(stack.shape, np.uint8), slopes, 0.0, CELL, margin, (None,) * len(stack))
 
 
 @pytest.fixture(scope="module")
@@ -124,12 +101,15 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypat
     _, frame = house
     seen = []
 
-    def spy(images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest):
+    def spy(images, masks, slopes, heights, base, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest):
         margin = rest[3]
-        seen.append(margin - radius - 1 - np.abs(slopes).max() * np.abs(heights - z_ref).max())
-        return correlate(images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest)
+        reached = np.add.outer(heights, base.ravel() if base.size else [0.0])
+        seen.append(margin - radius - 1 - np.abs(slopes).max() * np.abs(reached - z_ref).max())
+        return correlate(
+            images, masks, slopes, heights, base, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest
+        )
 
     monkeypatch.setattr("sattools.prior.kernels.correlate", spy)
     match(frame, ALL, RANGE, PriorOptions(step=4.0, rough_passes=1))
-    assert len(seen) == 2
+    assert len(seen) == 3
     assert min(seen) >= 0
