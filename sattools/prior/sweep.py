@@ -10,6 +10,7 @@ import numpy as np
 from sattools.prior.frame import Frame
 from sattools.prior.hidden import Hidden, dark_noise
 from sattools.prior.options import PriorOptions
+from sattools.prior.rays import Rays, follow
 from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
@@ -77,12 +78,14 @@ def in_blocks(
     progress: Progress = silent,
     guide: np.ndarray | None = None,
     ceiling: np.ndarray | None = None,
+    rays: Rays | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One pass over the whole grid: height, score and rival ``[H, W]``.
 
     Args:
         guide: ``[H, W]`` heights of an earlier pass [m]; blocks of a hilly area look only near them.
         ceiling: ``[H, W]`` heights above which nothing is looked for [m].
+        rays: filled in, if given, with the best place on every ray.
     """
     wanted = len(planes(z_range, step))
     # two volumes of single precision live at a time
@@ -99,10 +102,14 @@ def in_blocks(
         piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
         inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right], hidden.dark)
         lid = None if ceiling is None else ceiling[top:bottom, left:right]
-        new = sweep(piece, inside, pairs, planes(near, step), options, lid)
+        heights = planes(near, step)
+        *new, total = sweep(piece, inside, pairs, heights, options, lid)
+        inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
         for whole, part_found in zip(found, new, strict=True):
-            inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
             whole[rows, cols] = part_found[inner]
+        if rays is not None:
+            corner = (frame.margin + rows.start, frame.margin + cols.start)
+            follow(total[inner], frame.slopes, heights, frame.z_ref, *corner, rays.cost, rays.height)
     return found[0], found[1], found[2]
 
 
@@ -113,11 +120,11 @@ def sweep(
     heights: np.ndarray,
     options: PriorOptions,
     ceiling: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Correlate at all heights, aggregate, choose.
 
     Returns:
-        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`).
+        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
     """
     from sattools.prior.sgm import aggregate, lowest, rival
 
@@ -132,7 +139,7 @@ def sweep(
     score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
     gap = np.empty(frame.shape, np.float32)
     rival(total, index, gap)
-    return height, np.clip(score, 0, 1), gap / 8
+    return height, np.clip(score, 0, 1), gap / 8, total
 
 
 def agreement(
