@@ -5,119 +5,30 @@ parallel: the ray of output cell (row, col) passes `(col + offset_x + slope_x * 
 (z - z_ref))` at height z. All samples lie on common height planes, so that on one plane neighbouring rays read
 neighbouring cells with the same bilinear weights. The kernels therefore lead `LANES` neighbouring rays of a row down
 together, plane by plane: every loop over lanes reads and writes contiguous numbers without a branch, and the compiler
-turns it into vector instructions. `pack` lays out the maps for that.
+turns it into vector instructions. `sattools.render.blocks` lays out the maps for that.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from sattools.compiled import FASTMATH
+from sattools.render.blocks import CEILING, COLOUR, DEEP, EMPTY, LANES, PAD, REACH, coefficients
 
-# rays that are led down together
-LANES = 32
-# beyond this many softness lengths the logistic density is below 1e-3 of its maximum
-EMPTY = 6.0
 MIN_TRANSMITTANCE = 1e-3
-# radius in cells of the highest surfaces that let rays skip empty air without jumping over a wall
-REACH = 4
-# so far below the surface, in softness lengths, the density has long been constant
-DEEP = 14.0
-# columns to the left of the map: a block whose plane lies beyond the edge reads only cells that repeat the edge
-PAD = LANES + 1
-# channels of a packed map
-HEIGHT, CEILING, COLOUR = 0, 1, 2
 U1 = np.uint64(1)
 LINE = 16  # float32 in a cache line
+# the 32nd root of exp(-u)
+_ROOT = coefficients(lambda u: np.exp(-u / 32), 5, (-EMPTY, DEEP))
 # places of a block's numbers in its workspace: transmittance, plane of the next look, 1 = close to the surface,
 # weight, and what else a ray sums up
 _T, _NEXT, _NEAR, _W, _DEPTH, _RGB = (np.uint64(k * LANES) for k in range(6))
 # the same for the gradients; there is a 0 before the weights and before the rises (of sigma * step with the height)
 _VALUE, _LEFT, _BEHIND, _GRAD_DEPTH, _GRAD_OPACITY = (np.uint64(k * LANES) for k in range(1, 6))
 _WEIGHT, _RISE, _GRAD_RGB = (np.uint64(k * LANES) for k in (7, 9, 10))
-
-
-class Sampling(NamedTuple):
-    """Rays of a view and their planes, for the kernels; float32 but for the number of planes.
-
-    offset_x, offset_y [cells] at z_ref [m]; slope_x, slope_y [cells per m]; z_top [m]: first plane; step [m] between
-    the `planes`; softness [m].
-    """
-
-    offset_x: np.float32
-    offset_y: np.float32
-    slope_x: np.float32
-    slope_y: np.float32
-    z_ref: np.float32
-    z_top: np.float32
-    step: np.float32
-    softness: np.float32
-    planes: int
-
-
-def _coefficients(function: Callable[[np.ndarray], np.ndarray], degree: int, domain: tuple[float, float]) -> tuple:
-    """Of a polynomial close to the function on the domain, as float32, the constant one first."""
-    found = np.polynomial.Chebyshev.interpolate(function, degree, domain)
-    return tuple(np.float32(c) for c in found.convert(kind=np.polynomial.Polynomial).coef)
-
-
-# the 32nd root of exp(-u)
-ROOT = _coefficients(lambda u: np.exp(-u / 32), 5, (-EMPTY, DEEP))
-
-
-@lru_cache(maxsize=64)
-def absorption(thickness: float) -> tuple[np.float32, ...]:
-    """Seven coefficients of the polynomial in 2 p - 1 that is (1 - exp(-thickness p)) / p for p from 0 to 1.
-
-    thickness: step / softness. The relative error is below 1e-7 up to a thickness of 1, and 3e-6 up to 2.
-    """
-
-    return _coefficients(lambda q: -np.expm1(-thickness * (q + 1) / 2) * 2 / (q + 1), 6, (-1, 1))
-
-
-def packed_width(cols: int) -> int:
-    """Columns of a packed map."""
-    return PAD + cols + LANES + 1
-
-
-@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
-def pack(height, colour, maps):
-    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C]: height, ceiling (the highest
-    surface within REACH cells) and colours, one after the other, with the edge columns repeated on both sides."""
-    rows, cols = height.shape
-    width = maps.shape[2]
-    across = np.empty((rows, cols), np.float32)
-    for row in prange(rows):
-        line = height[row]
-        for col in range(cols):
-            across[row, col] = line[col]
-        for d in range(1, REACH + 1):
-            for col in range(cols - d):
-                across[row, col] = max(across[row, col], line[col + d])
-            for col in range(d, cols):
-                across[row, col] = max(across[row, col], line[col - d])
-    for row in prange(rows):
-        top = maps[row, CEILING, PAD : PAD + cols]
-        for col in range(cols):
-            top[col] = across[row, col]
-        for r in range(max(0, row - REACH), min(rows, row + REACH + 1)):
-            for col in range(cols):
-                top[col] = max(top[col], across[r, col])
-        # a sample at the last column is the right end of the cell before
-        maps[row, CEILING, PAD + cols - 1] = maps[row, CEILING, PAD + max(0, cols - 2)]
-        for col in range(cols):
-            maps[row, HEIGHT, PAD + col] = height[row, col]
-            for c in range(colour.shape[2]):
-                maps[row, COLOUR + c, PAD + col] = colour[row, col, c]
-        for channel in range(maps.shape[1]):
-            maps[row, channel, :PAD] = maps[row, channel, PAD]
-            maps[row, channel, PAD + cols :] = maps[row, channel, PAD + cols - 1]
 
 
 @njit
@@ -147,11 +58,11 @@ def _plane(v, k, row, rows, col, cols):
 def _density(u):
     """Logistic function of u = (surface - z) / softness >= -EMPTY, to a relative 5e-6."""
     u = min(max(u, np.float32(-EMPTY)), np.float32(DEEP))
-    e = ROOT[5] * u + ROOT[4]
-    e = e * u + ROOT[3]
-    e = e * u + ROOT[2]
-    e = e * u + ROOT[1]
-    e = e * u + ROOT[0]
+    e = _ROOT[5] * u + _ROOT[4]
+    e = e * u + _ROOT[3]
+    e = e * u + _ROOT[2]
+    e = e * u + _ROOT[1]
+    e = e * u + _ROOT[0]
     e *= e
     e *= e
     e *= e
@@ -233,8 +144,9 @@ def _shine(s, maps, upper, lower, fx, fy, to):
 def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
     """Composite every ray of a view; returns the number of field samples that were evaluated.
 
-    maps: of `pack`; mask [H, W] (0 = skip); outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W],
-    spans [H, blocks, 2] int32: first plane on which a ray of the block meets the surface, and the one after the last.
+    maps: of `pack`; v, absorb: `Sampling`, `absorption`; mask [H, W] (0 = skip); chunks: pieces of work, each of
+    consecutive rows; outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W], spans [H, blocks, 2]
+    int32: first plane on which a ray of the block meets the surface, and the one after the last.
     """
     rows, cols, bands = rgb.shape
     width = maps.shape[2]
@@ -313,7 +225,7 @@ def _shine_back(s, maps, upper, lower, fx, fy, grad):
 
 @njit(fastmath=FASTMATH)
 def _pass(s):
-    """Lead the rays through the samples of a plane; what they change behind them per sigma * step is left at _BEHIND."""
+    """Lead the rays through a plane; leaves what a sample changes behind it, per sigma * step, at _BEHIND."""
     for j in range(np.uint64(LANES)):
         left = s[_LEFT + j] - s[_WEIGHT + j] * s[_VALUE + j]
         transmittance = s[_T + j] - s[_WEIGHT + j]
@@ -432,4 +344,4 @@ def march_backward(
                 grad_colour[row, col, b] = sums[1 + b, PAD + col]
 
 
-__all__ = ["Sampling", "absorption", "march", "march_backward", "pack", "packed_width"]
+__all__ = ["march", "march_backward"]

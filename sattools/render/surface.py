@@ -55,17 +55,17 @@ class _Compiled(torch.autograd.Function):
     def forward(
         ctx: Any, height: Tensor, colour: Tensor, rays: Rays, q: Quadrature, cell: float, mask: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        from sattools.render import kernels
+        from sattools.render import blocks, kernels
 
         h = np.ascontiguousarray(height.detach().numpy(), dtype=np.float32)
         c = np.ascontiguousarray(colour.detach().numpy(), dtype=np.float32)
         keep = np.ones(h.shape, np.uint8) if mask is None else np.ascontiguousarray(mask.numpy())
-        maps = np.empty((h.shape[0], kernels.COLOUR + c.shape[2], kernels.packed_width(h.shape[1])), np.float32)
-        kernels.pack(h, c, maps)
+        maps = np.empty((h.shape[0], blocks.COLOUR + c.shape[2], blocks.packed_width(h.shape[1])), np.float32)
+        blocks.pack(h, c, maps)
         sampling = _sampling(rays, q, cell, float(h.max()))
-        absorb = kernels.absorption(q.step / q.softness)
+        absorb = blocks.absorption(q.step / q.softness)
         rgb, depth, opacity = np.empty_like(c), np.empty_like(h), np.empty_like(h)
-        spans = np.empty((h.shape[0], -(-h.shape[1] // kernels.LANES), 2), np.int32)
+        spans = np.empty((h.shape[0], -(-h.shape[1] // blocks.LANES), 2), np.int32)
         arguments = (maps, sampling, absorb, keep, chunk_count(h.size), rgb, depth, opacity, spans)
         COUNTER["forward"] += int(_call(kernels.march, arguments))
         ctx.arguments = arguments
@@ -91,16 +91,22 @@ def _call(kernel: Any, arguments: tuple) -> Any:
 
 
 def _sampling(rays: Rays, q: Quadrature, cell: float, highest: float) -> Any:
-    """`kernels.Sampling` of a view over a surface that is nowhere above `highest` [m]."""
-    from sattools.render import kernels
+    """`blocks.Sampling` of a view over a surface that is nowhere above `highest` [m]."""
+    from sattools.render import blocks
 
     # nothing to see above the highest surface; whole steps, so that the samples stay where they would have been
-    skipped = max(0, math.floor((q.z_top - (highest + kernels.EMPTY * q.softness)) / q.step))
-    planes = max(0, math.ceil((q.z_top - q.z_bottom) / q.step - 1e-6) - skipped)
-    metres = (rays.z_ref, q.z_top - skipped * q.step, q.step, q.softness)
-    # rows run south
-    cells = (rays.offset[0] / cell, -rays.offset[1] / cell, rays.slope[0] / cell, -rays.slope[1] / cell)
-    return kernels.Sampling(*(np.float32(v) for v in (*cells, *metres)), planes)
+    skipped = max(0, math.floor((q.z_top - (highest + blocks.EMPTY * q.softness)) / q.step))
+    return blocks.Sampling(
+        offset_x=np.float32(rays.offset[0] / cell),
+        offset_y=np.float32(-rays.offset[1] / cell),  # rows run south
+        slope_x=np.float32(rays.slope[0] / cell),
+        slope_y=np.float32(-rays.slope[1] / cell),
+        z_ref=np.float32(rays.z_ref),
+        z_top=np.float32(q.z_top - skipped * q.step),
+        step=np.float32(q.step),
+        softness=np.float32(q.softness),
+        planes=max(0, math.ceil((q.z_top - q.z_bottom) / q.step - 1e-6) - skipped),
+    )
 
 
 __all__ = ["COUNTER", "render"]
