@@ -101,11 +101,11 @@ def match(
     rays = Rays.unknown(fine)
     height, score, rival = in_blocks(fine, hidden, pairs, z_range, step, options, last, guide, ceiling, rays)
     height = median_filter(height, SMOOTH, mode="nearest")
+    agreeing, views = witnesses(fine, hidden.hits, rays, height, options.tolerance, step)
+    height = filled(height, 2 * agreeing > views, fine.cell)
     height = median_filter(settle(fine, hidden, pairs, height, step, options), SMOOTH, mode="nearest")
     if options.edges:
         height = sharpen(fine, hidden.hits, height, options.tolerance, options.edges)
-    agreeing, views = witnesses(fine, hidden.hits, rays, height, options.tolerance, step)
-    height = filled(height, 2 * agreeing > views, fine.cell)
     return Match(height, score, rival, *witnesses(fine, hidden.hits, rays, height, options.tolerance, step)[::-1])
 
 
