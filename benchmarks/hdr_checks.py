@@ -5,8 +5,8 @@
 claim: DSM errors of the four losses on linear 11-bit images and on the same scene as 8-bit tone-mapped RGB, once with
 the depth prior (the default) and once from a flat start without it, where the photometric loss has to do everything.
 cast: intersection over union of the shadows that the true heights cast with the ray-traced ones; (clear) leaves out the
-cells that houses beyond the map may shade. Where they differ, by cause, in per cent of all that differs; a map of it
-goes to FOLDER/cast_<seed>.png.
+cells that houses beyond the map may shade, (with the houses around) lets these cast their shadows, too. Where they
+differ, by cause, in per cent of all that differs; a map of it goes to FOLDER/cast_<seed>.png.
 shadows: the same from fitted heights;
 correlation of learned shadows with the ray-traced ones, with and without regularisation, from both starts.
 transients: the error with and without moving cars, with and without the transient model, and what `auto` chooses.
@@ -27,6 +27,7 @@ from typing import Any
 
 WEIGHTS = {"0.01": None, "off": 0.0, "1": 1.0, "0.01, start lit": None, "off, start lit": 0.0}
 CLEAR_M = 20.0  # the neighbouring blocks are no higher
+AROUND = 90  # cells of 0.5 m
 WALL_M = 1.5  # step between neighbouring cells
 LOSSES = ("mse", "mse-gamma", "raw-gamma", "raw-log")
 
@@ -88,8 +89,23 @@ def cast(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
             for extra, clear in (("", 0.0), (" (clear)", CLEAR_M)):
                 iou = shadow_iou(scene, truth[0], grid, truth[0], grid, clear, where)
                 row[f"IoU, {label}{extra}"] = round(iou, 3)
+        iou = shadow_iou(scene, truth[0], grid, truth[0], grid, 0.0, around=wider(options, seed))
+        row["IoU, all, with the houses around"] = round(iou, 3)
         rows.append(row | causes(scene, truth[0], classes[0], grid, options.out / f"cast_{seed}.png"))
     return rows
+
+
+def wider(options: argparse.Namespace, seed: int) -> Any:
+    """True heights of the map and of AROUND cells on every side of it, as far as the simulated city goes."""
+    import numpy as np
+
+    from sattools.scene import Grid
+    from sattools.simulate import SimulateOptions, world_of
+
+    grid, world = world_of(SimulateOptions(size=options.size, seed=seed))
+    cell, cells = grid.cell_size, 2 * AROUND + grid.width
+    grid = Grid(grid.crs, grid.left - AROUND * cell, grid.top + AROUND * cell, cell, cells, cells)
+    return world.surface(*np.meshgrid(grid.x(), grid.y())).astype(np.float32)
 
 
 def causes(scene: Any, height: Any, classes: Any, grid: Any, picture: Path) -> dict[str, Any]:
@@ -251,15 +267,15 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
 
 
 def shadow_iou(
-    scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, clear: float, where: Any = True
+    scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, clear: float, where: Any = True, around: Any = None
 ) -> float:
     """Intersection over union of the shadows that `height` casts with the ray-traced ones, over all views.
 
     Only cells whose ray to the sun has risen `clear` metres where it leaves the map: houses beyond cast shadows, too;
-    and only `where` that is true.
+    and only `where` that is true. around: see `compared`.
     """
     both = either = 0
-    for cast, lit, seen, rise in compared(scene, height, own, truth, truth_grid):
+    for cast, lit, seen, rise in compared(scene, height, own, truth, truth_grid, around):
         real = lit < 0.5
         use = seen & where & (rise >= clear)
         both += int((cast & real & use).sum())
@@ -267,9 +283,12 @@ def shadow_iou(
     return both / either
 
 
-def compared(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any) -> Any:
+def compared(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, around: Any = None) -> Any:
     """Per training view ``[H, W]``: where `height` casts shadow, the share of light that the ray tracer saw, which
-    cells the view sees, and how far their rays to the sun have risen where they leave the map [m]."""
+    cells the view sees, and how far their rays to the sun have risen where they leave the map [m].
+
+    around: heights of the map and AROUND cells on every side that cast shadows instead of `height`.
+    """
     import numpy as np
     import torch
 
@@ -280,7 +299,10 @@ def compared(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any) -> 
     lon, lat = (float(v) for v in to_geographic(own.crs, (west + east) / 2, (south + north) / 2))
     for item, (lit, seen) in zip(scene.train_items(), truth_on(scene, own, truth, truth_grid), strict=True):
         sun = grid_direction(*item.sun, own.crs, lon, lat)
-        cast = sun_visibility(torch.from_numpy(height), own.cell_size, tuple(sun)).numpy() < 0.5
+        casting = torch.from_numpy(height if around is None else around)
+        cast = sun_visibility(casting, own.cell_size, tuple(sun)).numpy() < 0.5
+        if around is not None:
+            cast = cast[AROUND:-AROUND, AROUND:-AROUND]
         yield cast, lit, seen, rise_to_the_edge(own.shape, own.cell_size, np.asarray(sun))
 
 

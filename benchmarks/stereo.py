@@ -224,14 +224,14 @@ def smoothed(height: np.ndarray) -> np.ndarray:
 
 
 def own(sources: list[Source], grid: Grid, z_range: tuple[float, float], pairs: int) -> tuple[np.ndarray, Any, float]:
-    """`sattools prior` on these images: all heights, those seen by two images (else NaN), CPU seconds."""
+    """`sattools prior` on these images: all heights, those with two witnesses (else NaN), CPU seconds."""
     options = PriorOptions(pairs=pairs)
     frame, views = make_frame(sources, grid, z_range, options.window)
     chosen = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs)
     start = time.process_time()
     found = match(frame, chosen, z_range, options)
     seconds = time.process_time() - start
-    height, seen = crop(found.height, grid.shape), crop(found.views, grid.shape) >= 2
+    height, seen = crop(found.height, grid.shape), crop(found.witnesses, grid.shape) >= 2
     return height, np.where(seen, height, np.nan), seconds
 
 

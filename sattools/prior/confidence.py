@@ -15,16 +15,17 @@ ENOUGH_VIEWS = 3.0
 
 
 def confidence(match: Match) -> np.ndarray:
-    """Product of four doubts: the images disagree, another height is nearly as good, few images see the place, or the
-    height jumps nearby, where a window sees two surfaces at once.
+    """Product of four doubts: the images disagree, another height is nearly as good, few images bear witness to the
+    place, or the height jumps nearby, where a window sees two surfaces at once.
 
     Returns:
-        ``[H, W]`` float32 in [0, 1]; 0 where fewer than two images see the surface.
+        ``[H, W]`` float32 in [0, 1]; 0 where fewer than two images see the surface and have the best place of their
+        lines of sight there.
     """
     agreement = np.clip(match.score / FULL_AGREEMENT, 0.0, 1.0)
     unique = 1.0 - np.exp(-np.maximum(match.rival, 0.0) / RIVAL_SCALE)
     # one view alone sees no height; two can, but cannot contradict each other
-    seen = 1.0 - np.exp(-np.maximum(match.views.astype(np.float32) - 1.0, 0.0) / (ENOUGH_VIEWS - 1.0))
+    seen = 1.0 - np.exp(-np.maximum(match.witnesses.astype(np.float32) - 1.0, 0.0) / (ENOUGH_VIEWS - 1.0))
     jump = maximum_filter(match.height, NEIGHBOURHOOD) - minimum_filter(match.height, NEIGHBOURHOOD)
     return (agreement * unique * seen / (1.0 + jump / STEP_SCALE)).astype(np.float32)
 

@@ -11,8 +11,10 @@ from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from sattools.prior.frame import Frame
 
 NEAR = 3  # cells from a height step within which a cell may change sides: the matching window and its blur
-REACH = 5  # cells around it that tell what either side looks like
+REACH = 5  # cells around it that tell how high either side is
 FALL = 3.0  # cells over which their weight falls
+LOOK = 10  # cells around it that tell what either side looks like, of which every second is asked
+LOOK_FALL = 5.0
 STEP_M = 2.0  # smallest height step that is a wall
 FLAT_M = 1.5  # height range of 3 x 3 cells that are surely off the step
 SAME_M = 1.0  # heights this near belong to the same side
@@ -78,14 +80,14 @@ def _strangeness(height, sure, image, mask, hit, row, col, z, at_row, at_col, li
     total = 0.0
     squares = 0.0
     weight = 0.0
-    for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
-        for j in range(max(0, col - REACH), min(cols, col + REACH + 1)):
-            if not sure[i, j] or abs(height[i, j] - z) > SAME_M:
+    for i in range(row - LOOK, row + LOOK + 1, 2):
+        for j in range(col - LOOK, col + LOOK + 1, 2):
+            if not (0 <= i < rows and 0 <= j < cols) or not sure[i, j] or abs(height[i, j] - z) > SAME_M:
                 continue
             r, c = round(at_row + i - row), round(at_col + j - col)
             if hit[r, c] > limit:
                 continue
-            w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * FALL * FALL))
+            w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * LOOK_FALL * LOOK_FALL))
             x = image[r, c]
             total += w * x
             squares += w * x * x

@@ -37,6 +37,21 @@ def _translate(image, row0, col0, row_shift, col_shift, out):
 
 
 @njit(cache=True, fastmath=FASTMATH)
+def _follow(image, surface, row0, col0, slope, dz, out):
+    """out(i, j) = image(row0 + i + slope[0] * z, col0 + j + slope[1] * z), bilinear, at z = surface(i, j) + dz."""
+    rows, cols = out.shape
+    for i in range(rows):
+        for j in range(cols):
+            z = surface[i, j] + dz
+            r, c = row0 + i + slope[0] * z, col0 + j + slope[1] * z
+            iy, ix = math.floor(r), math.floor(c)
+            fy, fx = np.float32(r - iy), np.float32(c - ix)
+            upper = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
+            lower = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
+            out[i, j] = upper + fy * (lower - upper)
+
+
+@njit(cache=True, fastmath=FASTMATH)
 def _window_sum(columns, radius, out):
     """out(j) = sum of columns(j .. j + 2 radius); the shorter array sets the length."""
     cols = out.shape[0]
@@ -135,6 +150,7 @@ def correlate(
     masks,
     slopes,
     heights,
+    base,
     z_ref,
     hits,
     shades,
@@ -163,6 +179,8 @@ def correlate(
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid with its whole window.
         slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
+        base: ``[H + 2 radius, W + 2 radius]`` float32 surface, with a border as wide as the window, above which the
+            heights are meant [m]: planes become parallels of it, and windows follow it; ``[0, 0]`` for planes.
         z_ref: reference height of the frame [m].
         hits: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
         shades: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
@@ -196,6 +214,19 @@ def correlate(
             dz = heights[k] - z_ref
             lowest_hit = np.float32(heights[k] + tolerance)
             for v in range(views):
+                if len(base):
+                    part = base[r0 : r0 + rows + 2 * radius]
+                    _follow(images[v], part, margin + r0 - radius, margin - radius, slopes[v], dz, moved[v])
+                    for i in range(rows):
+                        for j in range(width):
+                            z = base[r0 + i + radius, j + radius] + heights[k]
+                            nr = margin + r0 + i + round(slopes[v, 0] * (z - z_ref))
+                            nc = margin + j + round(slopes[v, 1] * (z - z_ref))
+                            lit = np.float32(1) if z >= shades[v, r0 + i, j] else np.float32(-1)
+                            near = hits[v, nr, nc] <= z + tolerance
+                            seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) if near else np.float32(0)
+                    _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
+                    continue
                 dr, dc = slopes[v, 0] * dz, slopes[v, 1] * dz
                 _translate(images[v], margin + r0 - radius, margin - radius, dr, dc, moved[v])
                 nr, nc = margin + r0 + round(dr), margin + round(dc)

@@ -11,8 +11,10 @@ from scipy.ndimage import median_filter, minimum_filter
 from sattools.prior.courts import open_courts
 from sattools.prior.edges import sharpen
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import at_surface, hide, measure_dark, nothing_hidden, thinned
+from sattools.prior.hidden import hide, measure_dark, nothing_hidden, thinned
 from sattools.prior.options import PriorOptions
+from sattools.prior.rays import Rays, filled, witnesses
+from sattools.prior.settle import settle
 from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, in_blocks, narrow
 from sattools.progress import Progress, part, silent
 
@@ -31,12 +33,14 @@ class Match:
         score: ``[H, W]`` float32 agreement of the images there, in [0, 1].
         rival: ``[H, W]`` float32 aggregated cost, per path, by which the best height two planes away or more is dearer.
         views: ``[H, W]`` uint8 number of images that see the surface there.
+        witnesses: ``[H, W]`` uint8 number of these whose rays have their best place there (see `rays`).
     """
 
     height: np.ndarray
     score: np.ndarray
     rival: np.ndarray
     views: np.ndarray
+    witnesses: np.ndarray
 
 
 def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
@@ -94,11 +98,15 @@ def match(
         if ceiling is not None:
             ceiling = ceiling.repeat(2, axis=0).repeat(2, axis=1)
     last = part(progress, 0.4, 1.0)
-    height, score, rival = in_blocks(fine, hidden, pairs, z_range, step, options, last, guide, ceiling)
+    rays = Rays.unknown(fine)
+    height, score, rival = in_blocks(fine, hidden, pairs, z_range, step, options, last, guide, ceiling, rays)
     height = median_filter(height, SMOOTH, mode="nearest")
+    agreeing, views = witnesses(fine, hidden.hits, rays, height, options.tolerance, step)
+    height = filled(height, 2 * agreeing > views, fine.cell)
+    height = median_filter(settle(fine, hidden, pairs, height, step, options), SMOOTH, mode="nearest")
     if options.edges:
         height = sharpen(fine, hidden.hits, height, options.tolerance, options.edges)
-    return Match(height, score, rival, seeing(fine, hidden.hits, height, options.tolerance))
+    return Match(height, score, rival, *witnesses(fine, hidden.hits, rays, height, options.tolerance, step)[::-1])
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
@@ -107,9 +115,4 @@ def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
     return max(2 * frame.cell, 1.0 / float(np.linalg.norm(apart, axis=1).max()))
 
 
-def seeing(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float) -> np.ndarray:
-    """Number of views ``[H, W]`` uint8 that see the surface at every cell."""
-    return at_surface(frame, hits, height, tolerance)[1].sum(axis=0, dtype=np.uint8)
-
-
-__all__ = ["Match", "margin_for", "match", "seeing"]
+__all__ = ["Match", "margin_for", "match"]

@@ -57,9 +57,9 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
         raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")
     found = match(frame, pairs, z_range, options, part(progress, 0.2, 0.9))
     agreement = left_out_agreement(frame, found.height)
-    found = Match(*(crop(a, grid.shape) for a in (found.height, found.score, found.rival, found.views)))
+    found = Match(**{name: crop(array, grid.shape) for name, array in vars(found).items()})
     trust = confidence(found)
-    # a height that fewer than two images see is a guess: it stays, without confidence, for the fit to judge
+    # a height without two witnesses among the images is a guess: it stays, without confidence, for the fit to judge
     height = found.height
 
     progress(0.9, "writing")
@@ -73,6 +73,7 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
         "prior": {
             "pairs": [[views[a].id, views[b].id] for a, b in pairs],
             "seen_by_two": round(completeness, 4),
+            "witnessed_by_two": round(float((found.witnesses >= 2).mean()), 4),
             "mean_confidence": round(float(trust.mean()), 4),
             "left_out_agreement": {
                 view.id: None if value is None else round(value, 4)
@@ -197,7 +198,7 @@ def _remarks(views: list[View], grid: Grid, completeness: float) -> list[str]:
     if worst.spread_m > 0.5 * grid.cell_size:
         remarks.append(f"{worst.id}: lines of sight are parallel only to {worst.spread_m:.2f} m over this area")
     if len(views) == 2:
-        remarks.append("two images only: nothing checks what one of them cannot see")
+        remarks.append("two images only: what one of them does not show is taken from lower ground around it")
     if completeness < 0.9:
         remarks.append(f"{100 * (1 - completeness):.0f} % of the area is seen by fewer than two images")
     for text in remarks:

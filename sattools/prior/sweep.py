@@ -10,6 +10,7 @@ import numpy as np
 from sattools.prior.frame import Frame
 from sattools.prior.hidden import Hidden, dark_noise
 from sattools.prior.options import PriorOptions
+from sattools.prior.rays import Rays, follow
 from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
@@ -18,6 +19,7 @@ KEEP_PLANES = 3  # planes kept above and below what was found
 STRAY = 30  # cells that may be wrong about it at either end
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
 BLOCK = 384  # cells of such a block
+PLANES = np.empty((0, 0), np.float32)  # no surface to which heights are relative
 OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
 
 
@@ -76,12 +78,14 @@ def in_blocks(
     progress: Progress = silent,
     guide: np.ndarray | None = None,
     ceiling: np.ndarray | None = None,
+    rays: Rays | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One pass over the whole grid: height, score and rival ``[H, W]``.
 
     Args:
         guide: ``[H, W]`` heights of an earlier pass [m]; blocks of a hilly area look only near them.
         ceiling: ``[H, W]`` heights above which nothing is looked for [m].
+        rays: filled in, if given, with the best place on every ray.
     """
     wanted = len(planes(z_range, step))
     # two volumes of single precision live at a time
@@ -98,10 +102,14 @@ def in_blocks(
         piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
         inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right], hidden.dark)
         lid = None if ceiling is None else ceiling[top:bottom, left:right]
-        new = sweep(piece, inside, pairs, planes(near, step), options, lid)
+        heights = planes(near, step)
+        *new, total = sweep(piece, inside, pairs, heights, options, lid)
+        inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
         for whole, part_found in zip(found, new, strict=True):
-            inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
             whole[rows, cols] = part_found[inner]
+        if rays is not None:
+            corner = (frame.margin + rows.start, frame.margin + cols.start)
+            follow(total[inner], frame.slopes, heights, frame.z_ref, *corner, rays.cost, rays.height)
     return found[0], found[1], found[2]
 
 
@@ -112,22 +120,15 @@ def sweep(
     heights: np.ndarray,
     options: PriorOptions,
     ceiling: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Correlate at all heights, aggregate, choose.
 
     Returns:
-        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`).
+        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
     """
-    from sattools.prior.kernels import correlate
     from sattools.prior.sgm import aggregate, lowest, rival
 
-    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
-    volume = np.empty((*frame.shape, len(heights)), np.float32)
-    correlate(
-        frame.images, frame.masks, frame.slopes, heights, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
-        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
-        np.float32(options.unseen), volume,
-    )  # fmt: skip
+    volume = agreement(frame, hidden, pairs, heights, options)
     if ceiling is not None:
         volume[heights > ceiling[..., None]] = 0
     total = np.empty_like(volume)
@@ -138,7 +139,28 @@ def sweep(
     score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
     gap = np.empty(frame.shape, np.float32)
     rival(total, index, gap)
-    return height, np.clip(score, 0, 1), gap / 8
+    return height, np.clip(score, 0, 1), gap / 8, total
+
+
+def agreement(
+    frame: Frame,
+    hidden: Hidden,
+    pairs: np.ndarray,
+    heights: np.ndarray,
+    options: PriorOptions,
+    base: np.ndarray = PLANES,
+) -> np.ndarray:
+    """Agreement of the views at every cell and height, ``[H, W, D]`` float32 (see `kernels.correlate`)."""
+    from sattools.prior.kernels import correlate
+
+    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
+    volume = np.empty((*frame.shape, len(heights)), np.float32)
+    correlate(
+        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
+        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
+        np.float32(options.unseen), volume,
+    )  # fmt: skip
+    return volume
 
 
 def scarcity(pairs: int) -> float:
@@ -146,4 +168,4 @@ def scarcity(pairs: int) -> float:
     return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
 
 
-__all__ = ["in_blocks", "narrow", "planes", "scarcity", "sweep"]
+__all__ = ["agreement", "in_blocks", "narrow", "planes", "scarcity", "sweep"]

@@ -1,10 +1,11 @@
 """Compiled CPU kernels of the surface renderer (see `sattools.render.reference` for the readable twin).
 
-All arrays are float32 and contiguous. Positions are in cells of the height grid (column = east, row = south), heights
-in metres.
-Rays of one view are parallel: the ray of output cell (row, col) passes `(col + offset[0] + slope[0] * (z - z_ref),
-row + offset[1] +
-slope[1] * (z - z_ref))` at height z.
+Positions are in cells of the height grid (column = east, row = south), heights in metres. Rays of one view are
+parallel: the ray of output cell (row, col) passes `(col + offset_x + slope_x * (z - z_ref), row + offset_y + slope_y *
+(z - z_ref))` at height z. All samples lie on common height planes, so that on one plane neighbouring rays read
+neighbouring cells with the same bilinear weights. The kernels therefore lead `LANES` neighbouring rays of a row down
+together, plane by plane: every loop over lanes reads and writes contiguous numbers without a branch, and the compiler
+turns it into vector instructions. `sattools.render.blocks` lays out the maps for that.
 """
 
 from __future__ import annotations
@@ -15,293 +16,331 @@ import numpy as np
 from numba import njit, prange
 
 from sattools.compiled import FASTMATH
+from sattools.render.blocks import CEILING, COLOUR, DEEP, EMPTY, LANES, PAD, REACH, coefficients
 
-# beyond this many softness lengths the logistic density is below 1e-3 of its maximum
-EMPTY = 6.0
 MIN_TRANSMITTANCE = 1e-3
-# radius in cells of the `ceiling` maps that let rays skip empty air without jumping over a wall
-REACH = 4
-# narrowest ramp of a shadow on a slope that the sun grazes, of the ray's rise over a cell
-LEAST_RAMP = 0.05
-ROUNDING = 1e-5  # of a share of light
-# alpha and its derivative as tables over u = (surface - z) / softness: one linear read instead of two exponentials
-TABLE_PER_UNIT = 64
-TABLE_END = 14.0
+U1 = np.uint64(1)
+LINE = 16  # float32 in a cache line
+# the 32nd root of exp(-u)
+_ROOT = coefficients(lambda u: np.exp(-u / 32), 5, (-EMPTY, DEEP))
+# places of a block's numbers in its workspace: transmittance, plane of the next look, 1 = close to the surface,
+# weight, and what else a ray sums up
+_T, _NEXT, _NEAR, _W, _DEPTH, _RGB = (np.uint64(k * LANES) for k in range(6))
+# the same for the gradients; there is a 0 before the weights and before the rises (of sigma * step with the height)
+_VALUE, _LEFT, _BEHIND, _GRAD_DEPTH, _GRAD_OPACITY = (np.uint64(k * LANES) for k in range(1, 6))
+_WEIGHT, _RISE, _GRAD_RGB = (np.uint64(k * LANES) for k in (7, 9, 10))
 
 
-def tables(softness: float, step: float) -> np.ndarray:
-    """``[n, 2]`` float32: alpha(u) and d(sigma * step)/d(surface) for u from -EMPTY to TABLE_END."""
-    u = -EMPTY + np.arange(int((EMPTY + TABLE_END) * TABLE_PER_UNIT) + 2) / TABLE_PER_UNIT
-    share = 1 / (1 + np.exp(-u))
-    alpha = -np.expm1(-share * step / softness)
-    return np.stack([alpha, share * (1 - share) * step / softness**2], axis=1).astype(np.float32)
-
-
-@njit(fastmath=FASTMATH, inline="always")
-def _corner(px, py, width, height):
-    """Cell index and weights of a bilinear read, clamped to the edge."""
-    px = min(max(px, np.float32(0.0)), np.float32(width - 1))
-    py = min(max(py, np.float32(0.0)), np.float32(height - 1))
-    ix = min(int(px), width - 2)
-    iy = min(int(py), height - 2)
-    return ix, iy, px - np.float32(ix), py - np.float32(iy)
+@njit
+def _workspace(places):
+    """Room for so many numbers of every ray of a block, at the beginning of a cache line (a few percent faster)."""
+    room = np.empty(places * LANES + LINE, np.float32)
+    begin = (-(room.ctypes.data // 4)) % LINE
+    return room[begin : begin + places * LANES]
 
 
 @njit(fastmath=FASTMATH, inline="always")
-def _entry(u):
-    """Index and fraction of a table read at u >= -EMPTY."""
-    position = (min(u, np.float32(TABLE_END)) + np.float32(EMPTY)) * np.float32(TABLE_PER_UNIT)
-    k = int(position)
-    return k, position - np.float32(k)
+def _plane(v, k, row, rows, col, cols):
+    """Height of plane k, and where the block that begins at (row, col) reads it: both rows, first packed column, and
+    the fractions of the bilinear read; clamped to the edge."""
+    z = v.z_top - np.float32(k) * v.step
+    x = v.offset_x + v.slope_x * (z - v.z_ref)
+    y = np.float32(row) + (v.offset_y + v.slope_y * (z - v.z_ref))
+    y = min(max(y, np.float32(0.0)), np.float32(rows - 1))
+    upper = max(0, min(int(y), rows - 2))
+    whole = math.floor(x)
+    first = PAD + min(max(col + int(whole), -PAD), cols)
+    return z, upper, min(upper + 1, rows - 1), first, x - np.float32(whole), y - np.float32(upper)
 
 
-@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
-def march(
-    height,
-    ceiling,
-    colour,
-    offset,
-    slope,
-    z_ref,
-    z_top,
-    z_bottom,
-    softness,
-    step,
-    table,
-    mask,
-    chunks,
-    rgb,
-    depth,
-    opacity,
-):
+@njit(fastmath=FASTMATH, error_model="numpy", inline="always")
+def _density(u):
+    """Logistic function of u = (surface - z) / softness >= -EMPTY, to a relative 5e-6."""
+    u = min(max(u, np.float32(-EMPTY)), np.float32(DEEP))
+    e = _ROOT[5] * u + _ROOT[4]
+    e = e * u + _ROOT[3]
+    e = e * u + _ROOT[2]
+    e = e * u + _ROOT[1]
+    e = e * u + _ROOT[0]
+    e *= e
+    e *= e
+    e *= e
+    e *= e
+    return np.float32(1.0) / (np.float32(1.0) + e * e)
+
+
+@njit(fastmath=FASTMATH, inline="always")
+def _alpha(p, a):
+    """Share of the light that a sample of density p keeps; a: of `absorption`."""
+    q = p + p - np.float32(1.0)
+    x = a[6] * q + a[5]
+    x = x * q + a[4]
+    x = x * q + a[3]
+    x = x * q + a[2]
+    x = x * q + a[1]
+    x = x * q + a[0]
+    return p * x
+
+
+@njit(fastmath=FASTMATH, error_model="numpy")
+def _look(s, maps, at, k, z, v, largest):
+    """Mark the rays that are close to the surface on plane k, and send the others to where they must look again;
+    returns the number of the close ones."""
+    limit = z - np.float32(EMPTY) * v.softness
+    here, one, zero = np.float32(k), np.float32(1.0), np.float32(0.0)
+    close = np.int32(0)
+    for j in range(np.uint64(LANES)):
+        looks = (s[_T + j] > np.float32(MIN_TRANSMITTANCE)) & (s[_NEXT + j] <= here)
+        free = limit - maps[at + j]
+        ahead = max(one, np.float32(np.int32(min(free, largest) / v.step)))
+        s[_NEXT + j] = here + ahead if looks & (free > zero) else s[_NEXT + j]
+        near = looks & (free <= zero)
+        s[_NEAR + j] = one if near else zero
+        close = np.int32(close + np.int32(near))
+    return close
+
+
+@njit(fastmath=FASTMATH)
+def _next(s, planes):
+    """The plane on which the first ray must look again; `planes` where no light is left."""
+    found = np.float32(planes)
+    for j in range(np.uint64(LANES)):
+        mine = s[_NEXT + j] if s[_T + j] > np.float32(MIN_TRANSMITTANCE) else np.float32(planes)
+        found = mine if mine < found else found
+    return int(found)
+
+
+@njit(fastmath=FASTMATH, error_model="numpy")
+def _weigh(s, maps, upper, lower, z, fx, fy, softness, absorb):
+    """Weights of the samples of one plane; returns how many are not 0."""
+    one, zero = np.float32(1.0), np.float32(0.0)
+    inverse = one / softness
+    hits = np.int32(0)
+    for j in range(np.uint64(LANES)):
+        a = maps[upper + j] * (one - fx) + maps[upper + j + U1] * fx
+        b = maps[lower + j] * (one - fx) + maps[lower + j + U1] * fx
+        u = (a * (one - fy) + b * fy - z) * inverse
+        weight = s[_T + j] * _alpha(_density(u), absorb)
+        weight = weight if (s[_NEAR + j] > zero) & (u >= np.float32(-EMPTY)) else zero
+        s[_W + j] = weight
+        s[_T + j] -= weight
+        s[_DEPTH + j] += weight * z
+        hits = np.int32(hits + np.int32(weight > zero))
+    return hits
+
+
+@njit(fastmath=FASTMATH)
+def _shine(s, maps, upper, lower, fx, fy, to):
+    """Add one colour of the samples of a plane to the sums at `to`."""
+    one = np.float32(1.0)
+    w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+    for j in range(np.uint64(LANES)):
+        colour = maps[upper + j] * w00 + maps[upper + j + U1] * w01 + maps[lower + j] * w10 + maps[lower + j + U1] * w11
+        s[to + j] += s[_W + j] * colour
+
+
+@njit(parallel=True, fastmath=FASTMATH, error_model="numpy", cache=True, nogil=True)
+def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
     """Composite every ray of a view; returns the number of field samples that were evaluated.
 
-    height [H, W], ceiling [H, W] (highest surface within REACH cells), colour [H, W, C], mask [H, W] (0 = skip);
-    outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W].
+    maps: of `pack`; v, absorb: `Sampling`, `absorption`; mask [H, W] (0 = skip); chunks: pieces of work, each of
+    consecutive rows; outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W], spans [H, blocks, 2]
+    int32: first plane on which a ray of the block meets the surface, and the one after the last.
     """
-    rows, cols = height.shape
-    bands = colour.shape[2]
+    rows, cols, bands = rgb.shape
+    width = maps.shape[2]
+    flat = maps.reshape(-1)
     counts = np.zeros(chunks, np.int64)
-    inverse = np.float32(1.0) / softness
     one = np.float32(1.0)
-    above = np.float32(EMPTY) * softness
     # the ceiling holds for REACH cells around, of which one belongs to the bilinear read
-    sideways = max(abs(slope[0]), abs(slope[1]))
-    largest = np.float32(REACH - 1) / max(sideways, np.float32(1e-3))
+    largest = np.float32(REACH - 1) / max(abs(v.slope_x), abs(v.slope_y), np.float32(1e-3))
     for chunk in prange(chunks):
         count = 0
-        for row in range(chunk, rows, chunks):
-            for col in range(cols):
-                for c in range(bands):
-                    rgb[row, col, c] = 0.0
-                depth[row, col] = 0.0
-                opacity[row, col] = 0.0
-                if mask[row, col] == 0:
-                    continue
-                x0 = np.float32(col) + offset[0]
-                y0 = np.float32(row) + offset[1]
-                z = z_top
-                transmittance = one
-                depth_sum = np.float32(0.0)
-                while z > z_bottom and transmittance > np.float32(MIN_TRANSMITTANCE):
-                    dz = z - z_ref
-                    ix, iy, fx, fy = _corner(x0 + slope[0] * dz, y0 + slope[1] * dz, cols, rows)
-                    free = z - above - ceiling[iy, ix]
-                    if free > 0:
-                        z -= step * max(one, np.float32(math.floor(min(free, largest) / step)))
+        s = _workspace(5 + bands)
+        for row in range(rows * chunk // chunks, rows * (chunk + 1) // chunks):
+            for block in range(spans.shape[1]):
+                col = block * LANES
+                inside = min(LANES, cols - col)
+                s[:] = 0.0
+                for j in range(inside):
+                    s[j] = one if mask[row, col + j] else np.float32(0.0)
+                first, last = v.planes, 0
+                k = 0
+                while k < v.planes:
+                    z, r0, r1, x, fx, fy = _plane(v, k, row, rows, col, cols)
+                    upper = np.uint64(r0 * maps.shape[1] * width + x)
+                    lower = np.uint64(r1 * maps.shape[1] * width + x)
+                    close = _look(s, flat, upper + np.uint64(CEILING * width), k, z, v, largest)
+                    count += close
+                    if close == 0:
+                        k = _next(s, v.planes)
                         continue
-                    count += 1
-                    upper = height[iy, ix] * (one - fx) + height[iy, ix + 1] * fx
-                    lower = height[iy + 1, ix] * (one - fx) + height[iy + 1, ix + 1] * fx
-                    surface = upper * (one - fy) + lower * fy
-                    u = (surface - z) * inverse
-                    if u < np.float32(-EMPTY):
-                        z -= step
-                        continue
-                    k, f = _entry(u)
-                    alpha = table[k, 0] + f * (table[k + 1, 0] - table[k, 0])
-                    weight = transmittance * alpha
-                    w00 = weight * (one - fx) * (one - fy)
-                    w01 = weight * fx * (one - fy)
-                    w10 = weight * (one - fx) * fy
-                    w11 = weight * fx * fy
+                    if _weigh(s, flat, upper, lower, z, fx, fy, v.softness, absorb) > 0:
+                        first, last = min(first, k), k + 1
+                        for c in range(bands):
+                            channel = np.uint64((COLOUR + c) * width)
+                            _shine(s, flat, upper + channel, lower + channel, fx, fy, _RGB + np.uint64(c * LANES))
+                    k += 1
+                spans[row, block, 0], spans[row, block, 1] = first, last
+                for j in range(inside):
+                    opacity[row, col + j] = one - s[j] if mask[row, col + j] else np.float32(0.0)
+                    depth[row, col + j] = s[4 * LANES + j]
                     for c in range(bands):
-                        rgb[row, col, c] += (
-                            w00 * colour[iy, ix, c]
-                            + w01 * colour[iy, ix + 1, c]
-                            + w10 * colour[iy + 1, ix, c]
-                            + w11 * colour[iy + 1, ix + 1, c]
-                        )
-                    depth_sum += weight * z
-                    transmittance -= weight
-                    z -= step
-                depth[row, col] = depth_sum
-                opacity[row, col] = one - transmittance
+                        rgb[row, col + j, c] = s[(5 + c) * LANES + j]
         counts[chunk] = count
     return counts.sum()
 
 
-@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
+@njit(fastmath=FASTMATH, error_model="numpy")
+def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
+    """Weights of the samples of one plane, their v so far, and the change of sigma * step with the height, for the
+    gradient; returns how many weights are not 0."""
+    one, zero = np.float32(1.0), np.float32(0.0)
+    inverse = one / softness
+    steepness = thickness * inverse
+    hits = np.int32(0)
+    for j in range(np.uint64(LANES)):
+        a = maps[upper + j] * (one - fx) + maps[upper + j + U1] * fx
+        b = maps[lower + j] * (one - fx) + maps[lower + j + U1] * fx
+        u = (a * (one - fy) + b * fy - z) * inverse
+        p = _density(u)
+        meets = (s[_T + j] > np.float32(MIN_TRANSMITTANCE)) & (u >= np.float32(-EMPTY))
+        s[_WEIGHT + j] = s[_T + j] * _alpha(p, absorb) if meets else zero
+        s[_RISE + j] = p * (one - p) * steepness if meets else zero
+        s[_VALUE + j] = s[_GRAD_DEPTH + j] * z + s[_GRAD_OPACITY + j]
+        hits = np.int32(hits + np.int32(meets))
+    return hits
+
+
+@njit(fastmath=FASTMATH)
+def _shine_back(s, maps, upper, lower, fx, fy, grad):
+    """Add one colour to the samples' v."""
+    one = np.float32(1.0)
+    w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+    for j in range(np.uint64(LANES)):
+        colour = maps[upper + j] * w00 + maps[upper + j + U1] * w01 + maps[lower + j] * w10 + maps[lower + j + U1] * w11
+        s[_VALUE + j] += s[grad + j] * colour
+
+
+@njit(fastmath=FASTMATH)
+def _pass(s):
+    """Lead the rays through a plane; leaves what a sample changes behind it, per sigma * step, at _BEHIND."""
+    for j in range(np.uint64(LANES)):
+        left = s[_LEFT + j] - s[_WEIGHT + j] * s[_VALUE + j]
+        transmittance = s[_T + j] - s[_WEIGHT + j]
+        s[_BEHIND + j] = transmittance * s[_VALUE + j] - left
+        s[_LEFT + j] = left
+        s[_T + j] = transmittance
+
+
+@njit(fastmath=FASTMATH)
+def _scatter(s, grads, to, fx, share, a, b):
+    """Hand a share of the product of what is at a and b to the cells of one row that every sample was read from; there
+    is a 0 before a. (Both rows in one loop would take twice as long: the compiler cannot know that they differ.)"""
+    one = np.float32(1.0)
+    for j in range(np.uint64(LANES)):
+        grads[to + j] += (s[a + j] * s[b + j] * (one - fx) + s[a - U1 + j] * s[b - U1 + j] * fx) * share
+    end = np.uint64(LANES)
+    grads[to + end] += s[a + end - U1] * s[b + end - U1] * fx * share
+
+
+@njit(fastmath=FASTMATH)
+def _reach(v, spans, first, end, rows):
+    """The rows of the map, from and to, that the rays of a chunk's rows read."""
+    low, high = rows, 0
+    for row in range(first, end):
+        start, stop = v.planes, 0
+        for block in range(spans.shape[1]):
+            start, stop = min(start, spans[row, block, 0]), max(stop, spans[row, block, 1])
+        if start < stop:
+            for k in (start, stop - 1):
+                _, upper, lower, _, _, _ = _plane(v, k, row, rows, 0, 1)
+                low, high = min(low, upper), max(high, lower + 1)
+    return min(low, high), high
+
+
+@njit(parallel=True, fastmath=FASTMATH, error_model="numpy", cache=True, nogil=True)
 def march_backward(
-    height, ceiling, colour, offset, slope, z_ref, z_top, z_bottom, softness, step, table, mask, chunks,
-    rgb, depth, opacity, grad_rgb, grad_depth, grad_opacity, height_buffers, colour_buffers,
+    maps, v, absorb, mask, chunks, rgb, depth, opacity, spans, grad_rgb, grad_depth, grad_opacity, grad_height,
+    grad_colour,
 ):  # fmt: skip
-    """Gradients of `march` with respect to height and colour, into one buffer per chunk ([chunks, H, W], [chunks, H,
-    W, C]).
+    """Gradients of `march` with respect to height and colour, filled in.
 
     With v_k = grad . (c_k, z_k, 1): dL/d(sigma_k step) = T_{k+1} v_k - sum over later samples of w_m v_m; the later
-    samples are
-    the whole sum, known from the forward pass, minus those passed so far.
+    samples are the whole sum, known from the forward pass, minus those passed so far. Every chunk of rows adds up
+    gradients of its own, over the rows that its rays read, and these are added in the order of the chunks.
     """
-    rows, cols = height.shape
-    bands = colour.shape[2]
-    inverse = np.float32(1.0) / softness
-    above = np.float32(EMPTY) * softness
-    sideways = max(abs(slope[0]), abs(slope[1]))
-    largest = np.float32(REACH - 1) / max(sideways, np.float32(1e-3))
-    one = np.float32(1.0)
+    rows, cols, bands = rgb.shape
+    width = maps.shape[2]
+    flat = maps.reshape(-1)
+    line, own = maps.shape[1] * width, (1 + bands) * width  # numbers per row of the maps and of the gradients
+    reach = np.zeros((chunks, 3), np.int64)
+    total = 0
+    for chunk in range(chunks):
+        low, high = _reach(v, spans, rows * chunk // chunks, rows * (chunk + 1) // chunks, rows)
+        reach[chunk, 0], reach[chunk, 1], reach[chunk, 2] = low, high, total
+        total += (high - low) * own
+    grads = np.empty(total, np.float32)
+    one, thickness = np.float32(1.0), v.step / v.softness
     for chunk in prange(chunks):
-        grad_h = height_buffers[chunk]
-        grad_c = colour_buffers[chunk]
-        for row in range(chunk, rows, chunks):
-            for col in range(cols):
-                if mask[row, col] == 0:
+        begin = reach[chunk, 2] - reach[chunk, 0] * own
+        grads[reach[chunk, 2] : reach[chunk, 2] + (reach[chunk, 1] - reach[chunk, 0]) * own] = 0.0
+        s = _workspace(10 + bands)
+        for row in range(rows * chunk // chunks, rows * (chunk + 1) // chunks):
+            for block in range(spans.shape[1]):
+                if spans[row, block, 0] >= spans[row, block, 1]:
                     continue
-                total = grad_depth[row, col] * depth[row, col] + grad_opacity[row, col] * opacity[row, col]
-                size = abs(grad_depth[row, col]) + abs(grad_opacity[row, col])
-                for c in range(bands):
-                    total += grad_rgb[row, col, c] * rgb[row, col, c]
-                    size += abs(grad_rgb[row, col, c])
+                col = block * LANES
+                s[:] = 0.0
+                size = np.float32(0.0)
+                for j in range(min(LANES, cols - col)):
+                    c = col + j
+                    if mask[row, c] == 0:
+                        continue
+                    s[np.int64(_T) + j] = 1.0
+                    s[np.int64(_GRAD_DEPTH) + j] = grad_depth[row, c]
+                    s[np.int64(_GRAD_OPACITY) + j] = grad_opacity[row, c]
+                    left = grad_depth[row, c] * depth[row, c] + grad_opacity[row, c] * opacity[row, c]
+                    size += abs(grad_depth[row, c]) + abs(grad_opacity[row, c])
+                    for b in range(bands):
+                        s[np.int64(_GRAD_RGB) + b * LANES + j] = grad_rgb[row, c, b]
+                        left += grad_rgb[row, c, b] * rgb[row, c, b]
+                        size += abs(grad_rgb[row, c, b])
+                    s[np.int64(_LEFT) + j] = left
                 if size == 0.0:
                     continue
-                x0 = np.float32(col) + offset[0]
-                y0 = np.float32(row) + offset[1]
-                z = z_top
-                transmittance = one
-                passed = np.float32(0.0)
-                while z > z_bottom and transmittance > np.float32(MIN_TRANSMITTANCE):
-                    dz = z - z_ref
-                    ix, iy, fx, fy = _corner(x0 + slope[0] * dz, y0 + slope[1] * dz, cols, rows)
-                    free = z - above - ceiling[iy, ix]
-                    if free > 0:
-                        z -= step * max(one, np.float32(math.floor(min(free, largest) / step)))
+                for k in range(spans[row, block, 0], spans[row, block, 1]):
+                    z, r0, r1, x, fx, fy = _plane(v, k, row, rows, col, cols)
+                    upper, lower = np.uint64(r0 * line + x), np.uint64(r1 * line + x)
+                    if _weigh_back(s, flat, upper, lower, z, fx, fy, v.softness, thickness, absorb) == 0:
                         continue
-                    upper = height[iy, ix] * (one - fx) + height[iy, ix + 1] * fx
-                    lower = height[iy + 1, ix] * (one - fx) + height[iy + 1, ix + 1] * fx
-                    surface = upper * (one - fy) + lower * fy
-                    u = (surface - z) * inverse
-                    if u < np.float32(-EMPTY):
-                        z -= step
-                        continue
-                    k, f = _entry(u)
-                    alpha = table[k, 0] + f * (table[k + 1, 0] - table[k, 0])
-                    weight = transmittance * alpha
-                    b00 = (one - fx) * (one - fy)
-                    b01 = fx * (one - fy)
-                    b10 = (one - fx) * fy
-                    b11 = fx * fy
-                    value = grad_depth[row, col] * z + grad_opacity[row, col]
-                    for c in range(bands):
-                        g = grad_rgb[row, col, c]
-                        value += g * (
-                            b00 * colour[iy, ix, c]
-                            + b01 * colour[iy, ix + 1, c]
-                            + b10 * colour[iy + 1, ix, c]
-                            + b11 * colour[iy + 1, ix + 1, c]
-                        )
-                        gw = g * weight
-                        grad_c[iy, ix, c] += gw * b00
-                        grad_c[iy, ix + 1, c] += gw * b01
-                        grad_c[iy + 1, ix, c] += gw * b10
-                        grad_c[iy + 1, ix + 1, c] += gw * b11
-                    passed += weight * value
-                    transmittance -= weight
-                    slope_sigma = table[k, 1] + f * (table[k + 1, 1] - table[k, 1])
-                    g = (transmittance * value - (total - passed)) * slope_sigma
-                    grad_h[iy, ix] += g * b00
-                    grad_h[iy, ix + 1] += g * b01
-                    grad_h[iy + 1, ix] += g * b10
-                    grad_h[iy + 1, ix + 1] += g * b11
-                    z -= step
-
-
-@njit(fastmath=FASTMATH, inline="always")
-def _limited(before, here, after):
-    """Slope of a cell from its neighbours: the flatter of both, 0 where they disagree (minmod), so that a slope stays
-    one and a wall stays a step between level cells."""
-    back, ahead = here - before, after - here
-    if back * ahead <= 0:
-        return np.float32(0.0)
-    return back if abs(back) < abs(ahead) else ahead
-
-
-@njit(parallel=True, cache=True, nogil=True)
-def limited_slopes(height, slope_x, slope_y):
-    """Rise of every cell's plate per cell along columns and rows [m], filled in; 0 across the map's edge."""
-    rows, cols = height.shape
+                    to_upper, to_lower = np.uint64(begin + r0 * own + x), np.uint64(begin + r1 * own + x)
+                    for b in range(bands):
+                        channel, grad = np.uint64((COLOUR + b) * width), _GRAD_RGB + np.uint64(b * LANES)
+                        _shine_back(s, flat, upper + channel, lower + channel, fx, fy, grad)
+                    _pass(s)
+                    for b in range(bands):
+                        to, grad = np.uint64((1 + b) * width), _GRAD_RGB + np.uint64(b * LANES)
+                        _scatter(s, grads, to_upper + to, fx, one - fy, _WEIGHT, grad)
+                        _scatter(s, grads, to_lower + to, fx, fy, _WEIGHT, grad)
+                    _scatter(s, grads, to_upper, fx, one - fy, _RISE, _BEHIND)
+                    _scatter(s, grads, to_lower, fx, fy, _RISE, _BEHIND)
     for row in prange(rows):
+        sums = np.zeros((1 + bands, width), np.float32)
+        for chunk in range(chunks):
+            if reach[chunk, 0] <= row < reach[chunk, 1]:
+                at = reach[chunk, 2] + (row - reach[chunk, 0]) * own
+                sums += grads[at : at + own].reshape(1 + bands, width)
+        for b in range(1 + bands):
+            # what was read beyond the edge is the edge
+            for x in range(PAD):
+                sums[b, PAD] += sums[b, x]
+            for x in range(PAD + cols, width):
+                sums[b, PAD + cols - 1] += sums[b, x]
         for col in range(cols):
-            h = height[row, col]
-            across = 0 < col < cols - 1
-            slope_x[row, col] = _limited(height[row, col - 1], h, height[row, col + 1]) if across else 0.0
-            along = 0 < row < rows - 1
-            slope_y[row, col] = _limited(height[row - 1, col], h, height[row + 1, col]) if along else 0.0
+            grad_height[row, col] = sums[0, PAD + col]
+            for b in range(bands):
+                grad_colour[row, col, b] = sums[1 + b, PAD + col]
 
 
-@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
-def shadow_march(height, slope_x, slope_y, direction, tangent, growth, top, visibility, caster, width, chunks):
-    """Sun visibility of every cell, and which cell casts the shadow.
-
-    The cells are plates with the slopes of `limited_slopes` and steps between them; the ray from a cell's middle is
-    compared with every plate where it enters and where it leaves it.
-
-    direction: (columns, rows) per cell length towards the sun, unit length; tangent: rise per cell length [m]; growth
-    [m per cell]: of half the width of the penumbra with distance; top: nothing is higher [m].
-    visibility [H, W] in [0, 1]; caster [H, W]: flat index of the deciding cell, -1 where nothing is near the sun ray;
-    width [H, W]: half the width of the ramp there [m].
-    """
-    rows, cols = height.shape
-    half, never = np.float32(0.5), np.float32(1e30)
-    dx, dy = direction[0], direction[1]
-    step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-    delta_c = np.float32(1.0) / abs(dx) if abs(dx) > np.float32(1e-6) else never
-    delta_r = np.float32(1.0) / abs(dy) if abs(dy) > np.float32(1e-6) else never
-    for chunk in prange(chunks):
-        for row in range(chunk, rows, chunks):
-            for col in range(cols):
-                base = height[row, col]
-                # the ray's rise over the cell's own plate, from its middle to its end: below that, a part is lit
-                own = half * (tangent - slope_x[row, col] * dx - slope_y[row, col] * dy)
-                best, where, wide = np.float32(1.0), -1, own
-                if own <= 0:
-                    best = np.float32(0.0)  # turned away from the sun
-                own = max(own, np.float32(LEAST_RAMP) * tangent)
-                c, r = col, row
-                next_c, next_r = half * delta_c, half * delta_r
-                while best > 0:
-                    t = min(next_c, next_r)
-                    if next_c < next_r:
-                        next_c += delta_c
-                        c += step_c
-                    else:
-                        next_r += delta_r
-                        r += step_r
-                    ramp = own + growth * (t - half)
-                    if c < 0 or r < 0 or c >= cols or r >= rows or base + t * tangent > top + ramp:
-                        break
-                    for end in range(2):
-                        if end == 1:
-                            t = min(next_c, next_r)
-                            ramp = own + growth * (t - half)
-                        over = base + t * tangent - height[r, c]
-                        over -= slope_x[r, c] * (np.float32(col - c) + dx * t)
-                        over -= slope_y[r, c] * (np.float32(row - r) + dy * t)
-                        lit = half + over / (np.float32(2.0) * ramp)
-                        if lit < best - np.float32(ROUNDING):
-                            best, where, wide = lit, r * cols + c, ramp
-                visibility[row, col] = max(best, np.float32(0.0))
-                caster[row, col] = where
-                width[row, col] = wide
-
-
-__all__ = ["limited_slopes", "march", "march_backward", "shadow_march"]
+__all__ = ["march", "march_backward"]

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import max_pool2d
 
 from sattools.render.reference import render_planes
 from sattools.render.view import Quadrature, Rays
@@ -56,19 +55,18 @@ class _Compiled(torch.autograd.Function):
     def forward(
         ctx: Any, height: Tensor, colour: Tensor, rays: Rays, q: Quadrature, cell: float, mask: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        from sattools.render import kernels
+        from sattools.render import blocks, kernels
 
         h = np.ascontiguousarray(height.detach().numpy(), dtype=np.float32)
         c = np.ascontiguousarray(colour.detach().numpy(), dtype=np.float32)
         keep = np.ones(h.shape, np.uint8) if mask is None else np.ascontiguousarray(mask.numpy())
-        geometry = _geometry(rays, q, cell)
-        ceiling = max_pool2d(torch.from_numpy(h)[None], 2 * kernels.REACH + 1, 1, kernels.REACH)[0].numpy()
+        maps = np.empty((h.shape[0], blocks.COLOUR + c.shape[2], blocks.packed_width(h.shape[1])), np.float32)
+        blocks.pack(h, c, maps)
+        sampling = _sampling(rays, q, cell, float(h.max()))
+        absorb = blocks.absorption(q.step / q.softness)
         rgb, depth, opacity = np.empty_like(c), np.empty_like(h), np.empty_like(h)
-        chunks = chunk_count(h.size)
-        # nothing to see above the highest surface; whole steps, so that the samples stay where they would have been
-        spare = q.z_top - (float(h.max()) + kernels.EMPTY * q.softness)
-        top = np.float32(q.z_top - max(0, math.floor(spare / q.step)) * q.step)
-        arguments = (h, ceiling, c, *geometry[:3], top, *geometry[3:], keep, chunks, rgb, depth, opacity)
+        spans = np.empty((h.shape[0], -(-h.shape[1] // blocks.LANES), 2), np.int32)
+        arguments = (maps, sampling, absorb, keep, chunk_count(h.size), rgb, depth, opacity, spans)
         COUNTER["forward"] += int(_call(kernels.march, arguments))
         ctx.arguments = arguments
         return torch.from_numpy(rgb), torch.from_numpy(depth), torch.from_numpy(opacity)
@@ -77,12 +75,10 @@ class _Compiled(torch.autograd.Function):
     def backward(ctx: Any, grad_rgb: Tensor, grad_depth: Tensor, grad_opacity: Tensor):
         from sattools.render import kernels
 
-        h, _, c, *_, chunks, _, _, _ = ctx.arguments
         grads = [np.ascontiguousarray(g.numpy(), dtype=np.float32) for g in (grad_rgb, grad_depth, grad_opacity)]
-        height_buffers = np.zeros((chunks, *h.shape), np.float32)
-        colour_buffers = np.zeros((chunks, *c.shape), np.float32)
-        _call(kernels.march_backward, (*ctx.arguments, *grads, height_buffers, colour_buffers))
-        return torch.from_numpy(height_buffers.sum(0)), torch.from_numpy(colour_buffers.sum(0)), None, None, None, None
+        height, colour = np.empty_like(grads[1]), np.empty_like(grads[0])
+        _call(kernels.march_backward, (*ctx.arguments, *grads, height, colour))
+        return torch.from_numpy(height), torch.from_numpy(colour), None, None, None, None
 
 
 # field samples evaluated by the compiled path, for benchmarks/throughput.py
@@ -94,20 +90,22 @@ def _call(kernel: Any, arguments: tuple) -> Any:
     return kernel(*arguments)
 
 
-def _geometry(rays: Rays, q: Quadrature, cell: float) -> tuple:
-    """Offset and slope in cells (column, row), reference height, bottom, softness, step, alpha table, as float32."""
-    from sattools.render import kernels
+def _sampling(rays: Rays, q: Quadrature, cell: float, highest: float) -> Any:
+    """`blocks.Sampling` of a view over a surface that is nowhere above `highest` [m]."""
+    from sattools.render import blocks
 
-    offset = np.array([rays.offset[0] / cell, -rays.offset[1] / cell], np.float32)
-    slope = np.array([rays.slope[0] / cell, -rays.slope[1] / cell], np.float32)
-    return (
-        offset,
-        slope,
-        np.float32(rays.z_ref),
-        np.float32(q.z_bottom),
-        np.float32(q.softness),
-        np.float32(q.step),
-        kernels.tables(q.softness, q.step),
+    # nothing to see above the highest surface; whole steps, so that the samples stay where they would have been
+    skipped = max(0, math.floor((q.z_top - (highest + blocks.EMPTY * q.softness)) / q.step))
+    return blocks.Sampling(
+        offset_x=np.float32(rays.offset[0] / cell),
+        offset_y=np.float32(-rays.offset[1] / cell),  # rows run south
+        slope_x=np.float32(rays.slope[0] / cell),
+        slope_y=np.float32(-rays.slope[1] / cell),
+        z_ref=np.float32(rays.z_ref),
+        z_top=np.float32(q.z_top - skipped * q.step),
+        step=np.float32(q.step),
+        softness=np.float32(q.softness),
+        planes=max(0, math.ceil((q.z_top - q.z_bottom) / q.step - 1e-6) - skipped),
     )
 
 

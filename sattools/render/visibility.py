@@ -47,27 +47,27 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
 def plate_slopes(height: Tensor) -> tuple[Tensor, Tensor]:
     """Rise of every cell per cell eastwards and southwards ``[H, W]`` [m] as far as its neighbours on both sides agree,
     else 0 (minmod): a plane keeps its slope, and beside a wall the ground and the roof stay level."""
-    from sattools.render import kernels
+    from sattools.render import shadow_kernels
 
     h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)
     east, south = np.empty_like(h), np.empty_like(h)
-    kernels.limited_slopes(h, east, south)
+    shadow_kernels.limited_slopes(h, east, south)
     return torch.from_numpy(east).to(height), torch.from_numpy(south).to(height)
 
 
 class _Visibility(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, height: Tensor, cell: float, heading: tuple[float, float], tangent: float) -> Tensor:
-        from sattools.render import kernels
+        from sattools.render import shadow_kernels
 
         h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)
         visibility, width, slope_x, slope_y = (np.empty_like(h) for _ in range(4))
         caster = np.empty(h.shape, np.int64)
-        kernels.limited_slopes(h, slope_x, slope_y)
+        shadow_kernels.limited_slopes(h, slope_x, slope_y)
         # width of the half shadow per metre along the ray's ground track: d(tan el) = d(el) / cos(el)^2
         growth = math.radians(SUN_RADIUS_DEG) * (1 + tangent**2) * cell
         top = h.max() + 0.5 * max(np.abs(slope_x).max(), np.abs(slope_y).max())
-        kernels.shadow_march(
+        shadow_kernels.shadow_march(
             h, slope_x, slope_y, np.array(heading, np.float32), np.float32(tangent * cell), np.float32(growth),
             np.float32(top), visibility, caster, width, 4 * chunk_count(h.size),
         )  # fmt: skip

@@ -74,7 +74,7 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
         return simulate_natural(scene, options, progress)
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
-    grid, world = _world(options, np.random.default_rng(seeds[0]))
+    grid, world = world_of(options)
     bright = (world.classes == 6)[..., None] & (world.albedo > BRIGHT_ROOF).any(-1, keepdims=True)
     world.albedo = np.where(bright, np.minimum(world.albedo * _light(options).roofs, 0.95), world.albedo)
     low, high = float(world.height.min()), float(world.height.max())
@@ -156,8 +156,9 @@ def _light(options: SimulateOptions) -> Light:
     return HDR if options.hdr else USUAL
 
 
-def _world(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
-    """The scene's grid and the ground under it."""
+def world_of(options: SimulateOptions) -> tuple[Grid, World]:
+    """The scene's grid and the ground under it and around it."""
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(1)[0])
     if options.dsm is not None:
         return _world_of_dsm(options, rng)
     from sattools.simulate.city import build_city

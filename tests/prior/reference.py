@@ -23,22 +23,30 @@ def agreement(a, b, noise, brightness):
 
 def correlate(
     images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs,
-    radius, noise, shadow_noise, brightness, margin, unseen,
+    radius, noise, shadow_noise, brightness, margin, unseen, base=None,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
     views, rows, cols = images.shape
     volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))
     near = range(-radius, radius + 1)
     for row, col, k in np.ndindex(volume.shape):
-        shift = slopes * (heights[k] - z_ref)
-        at = [(row + margin + dr, col + margin + dc) for dr, dc in shift]
-        windows = [
-            np.array([[bilinear(images[v], at[v][0] + i, at[v][1] + j) for j in near] for i in near])
-            for v in range(views)
-        ]
+        z = {
+            (i, j): heights[k] + (0 if base is None else base[row + radius + i, col + radius + j])
+            for i in near
+            for j in near
+        }
+        shift = slopes * (z[0, 0] - z_ref)
+
+        def window(v, row=row, col=col, z=z):
+            move = {at: slopes[v] * (z[at] - z_ref) + margin for at in z}
+            return np.array(
+                [[bilinear(images[v], row + i + move[i, j][0], col + j + move[i, j][1]) for j in near] for i in near]
+            )
+
+        windows = [window(v) for v in range(views)]
         nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
-        seen = [masks[n] > 0 and hits[n] <= heights[k] + tolerance for n in nearest]
-        lit = [shades[v, row, col] <= heights[k] for v in range(views)]
+        seen = [masks[n] > 0 and hits[n] <= z[0, 0] + tolerance for n in nearest]
+        lit = [shades[v, row, col] <= z[0, 0] for v in range(views)]
         usable = [(a, b) for a, b in pairs if seen[a] and seen[b] and lit[a] == lit[b]]
         squares = []
         for a, b in usable:

@@ -6,6 +6,7 @@ import reference
 
 from sattools.prior.kernels import correlate, descend, first_hits, shade_heights
 from sattools.prior.sgm import aggregate, lowest, rival
+from sattools.prior.sweep import PLANES
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 LOW = -1e9
@@ -21,7 +22,18 @@ def a_frame(seed=0, views=4):
 
 
 def run_correlate(
-    images, masks, slopes, hits, pairs, heights, z_ref=1.0, tolerance=0.5, shades=None, dark=None, **changed
+    images,
+    masks,
+    slopes,
+    hits,
+    pairs,
+    heights,
+    z_ref=1.0,
+    tolerance=0.5,
+    shades=None,
+    dark=None,
+    base=PLANES,
+    **changed,
 ):
     s = SETTINGS | changed
     m = s["margin"]
@@ -31,7 +43,7 @@ def run_correlate(
         shades = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
     if dark is None:
         dark = np.full(len(images), LOW, np.float32)
-    correlate(images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs, *order, volume)
+    correlate(images, masks, slopes, heights, base, z_ref, hits, shades, dark, tolerance, pairs, *order, volume)
     return volume
 
 
@@ -49,6 +61,26 @@ def test_correlation_is_that_of_the_plain_twin(radius):
     assert (slow == 0.3).any(), "the case must contain points that no pair sees"
     # single precision, running sums
     np.testing.assert_allclose(fast, slow, atol=2e-4)
+
+
+def test_correlation_along_a_surface_is_that_of_the_plain_twin():
+    images, masks, slopes, hits = a_frame()
+    pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-1.0, 0.0, 1.0])
+    base = np.random.default_rng(4).uniform(-1, 3, (9, 11)).astype(np.float32)  # 7 x 9 cells and a border of one
+    fast = run_correlate(images, masks, slopes, hits, pairs, heights, base=base)
+    no_shade, no_dark = np.full((4, 7, 9), LOW), np.full(4, LOW)
+    slow = reference.correlate(
+        images.astype(float), masks, slopes, heights, 1.0, hits, no_shade, no_dark, 0.5, pairs, **SETTINGS, base=base
+    )
+    np.testing.assert_allclose(fast, slow, atol=2e-4)
+
+
+def test_a_level_surface_is_a_plane():
+    images, masks, slopes, hits = a_frame()
+    pairs, heights = np.array([(0, 1), (2, 3)]), np.array([-1.0, 0.5, 2.0])
+    planes = run_correlate(images, masks, slopes, hits, pairs, heights + 0.75)
+    level = run_correlate(images, masks, slopes, hits, pairs, heights, base=np.full((9, 11), 0.75, np.float32))
+    np.testing.assert_allclose(level, planes, atol=1e-5)
 
 
 def test_correlation_over_many_tiles_is_that_of_one():

@@ -132,8 +132,9 @@ def test_normals_leave_out_what_is_unknown():
 
 def a_match(**changed):
     shape = (9, 9)
-    parts = {"height": 5.0, "score": 0.9, "rival": 1.0, "views": 10} | changed
-    return Match(*(np.full(shape, parts[n], np.uint8 if n == "views" else np.float32) for n in parts))
+    parts = {"height": 5.0, "score": 0.9, "rival": 1.0, "views": 10, "witnesses": 10} | changed
+    counts = ("views", "witnesses")
+    return Match(*(np.full(shape, parts[n], np.uint8 if n in counts else np.float32) for n in parts))
 
 
 def test_confidence_falls_with_every_doubt():
@@ -143,8 +144,8 @@ def test_confidence_falls_with_every_doubt():
     assert 0.9 < of() <= 1.0
     assert of(score=0.45) == pytest.approx(of() / 2, rel=1e-4)
     assert of(rival=0.1) < 0.5 * of()
-    assert 0 < of(views=2) < of(views=3) < of()
-    assert of(views=1) == of(views=0) == of(rival=0.0) == of(score=0.0) == 0.0
+    assert 0 < of(witnesses=2) < of(witnesses=3) < of()
+    assert of(witnesses=1) == of(witnesses=0) == of(rival=0.0) == of(score=0.0) == 0.0
 
 
 def test_confidence_is_halved_beside_a_step_of_three_metres():

@@ -136,3 +136,25 @@ def test_shadows_of_the_true_surface_are_those_that_the_ray_tracer_saw(town_sour
         either += (mine | theirs).sum()
     assert either > 5000
     assert both / either >= 0.9
+
+
+@pytest.mark.parametrize("azimuth", [0, 90, 137, 222.5, 300])
+@pytest.mark.parametrize(("left", "above"), [(1, 0), (13, 3), (32, 1), (45, 2)])
+def test_a_shadow_does_not_depend_on_where_in_the_map_it_lies(azimuth, left, above):
+    """Cells are worked on in blocks of a row; low ground beside the map moves the borders of the blocks."""
+    rng = np.random.default_rng(5)
+    height = np.zeros((37, 70), np.float32)
+    height[3:-3, 3:-3] = rng.normal(size=(31, 64))
+    height[10:20, 25:45] += 9
+    height[22:30, 6:14] += 14
+    weights = torch.from_numpy(rng.normal(size=height.shape)).float()
+
+    def shadows(left, above):
+        wide = np.pad(height, ((above, 0), (left, 0)), constant_values=0)
+        surface = torch.from_numpy(wide).requires_grad_()
+        lit = sun_visibility(surface, 1.0, sun_at(azimuth, 35))[above:, left:]
+        (lit * weights).sum().backward()
+        return lit.detach(), surface.grad[above:, left:]
+
+    for moved, still in zip(shadows(left, above), shadows(0, 0), strict=True):
+        assert torch.equal(moved, still)

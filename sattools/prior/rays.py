@@ -1,0 +1,124 @@
+"""Does every view agree that it looks at this place? A left-right check on the ground grid, for any number of views.
+
+A line of sight meets one surface. Matching chooses a height for every cell, without asking whether a ray that passes
+there would rather end at another cell: a roof smeared over the ground beside it uses pixels that show the roof itself.
+So every ray is asked where along it, over all cells and heights, the images agree best after aggregation. A cell stands
+where most of the views that see it have their best place there; the others are filled from the lower side, as what is
+not seen by enough views is more often ground behind a wall than roof.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit, prange
+
+from sattools.prior.frame import Frame
+from sattools.prior.hidden import at_surface
+
+SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
+REACH_M = 20.0  # distance within which a standing cell is looked for
+RANK = 2  # of the heights found in eight directions, from the lowest: one or two may be holes themselves
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Where along every ray the images agree best.
+
+    Attributes:
+        cost: ``[V, Hf, Wf]`` float32 lowest aggregated cost on the ray through a frame position.
+        height: ``[V, Hf, Wf]`` float32 height of that place [m]; NaN where no ray has been followed.
+    """
+
+    cost: np.ndarray
+    height: np.ndarray
+
+    @classmethod
+    def unknown(cls, frame: Frame) -> Rays:
+        """Nothing followed yet."""
+        return cls(np.full(frame.images.shape, np.inf, np.float32), np.full(frame.images.shape, np.nan, np.float32))
+
+
+def witnesses(
+    frame: Frame, hits: np.ndarray, rays: Rays, height: np.ndarray, tolerance: float, step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Number of views whose rays have their best place at the surface, and number that see it: ``[H, W]`` uint8 each.
+
+    Args:
+        frame: the views.
+        hits: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
+        rays: their best places.
+        height: ``[H, W]`` [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        step: distance of the height planes [m].
+    """
+    best, seen = at_surface(replace(frame, images=rays.height), hits, height, tolerance)
+    agree = seen & (np.abs(best - height) <= SAME_PLANES * step)
+    return agree.sum(axis=0, dtype=np.uint8), seen.sum(axis=0, dtype=np.uint8)
+
+
+def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
+    """Heights ``[H, W]`` in which cells that do not stand (``[H, W]`` bool) take one of the lower heights around.
+
+    Of the nearest standing cells in eight directions the third lowest counts, or the highest of fewer; a cell without
+    any within reach keeps its own.
+    """
+    result = height.copy()
+    _fill(height, stands, max(1, round(REACH_M / cell)), result)
+    return result
+
+
+@njit(parallel=True, cache=True)
+def follow(total, slopes, heights, z_ref, row0, col0, cost, height):
+    """Update the best places of all rays with the cells of a block.
+
+    Args:
+        total: ``[h, w, D]`` float32 aggregated cost.
+        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        heights: ``[D]`` float64 [m].
+        z_ref: reference height of the frame [m].
+        row0, col0: frame position of the block's first cell at that height.
+        cost, height: ``[V, Hf, Wf]`` float32, see `Rays`; changed.
+    """
+    rows, cols, depth = total.shape
+    for v in prange(slopes.shape[0]):
+        down, right = np.empty(depth, np.int64), np.empty(depth, np.int64)
+        for k in range(depth):
+            down[k] = row0 + round(slopes[v, 0] * (heights[k] - z_ref))
+            right[k] = col0 + round(slopes[v, 1] * (heights[k] - z_ref))
+        for row in range(rows):
+            for col in range(cols):
+                for k in range(depth):
+                    r, c = row + down[k], col + right[k]
+                    if total[row, col, k] < cost[v, r, c]:
+                        cost[v, r, c] = total[row, col, k]
+                        height[v, r, c] = heights[k]
+
+
+@njit(parallel=True, cache=True)
+def _fill(height, stands, reach, result):
+    rows, cols = height.shape
+    for row in prange(rows):
+        found = np.empty(8, np.float32)
+        for col in range(cols):
+            if stands[row, col]:
+                continue
+            count = 0
+            for direction in range(9):
+                dr, dc = direction // 3 - 1, direction % 3 - 1
+                if dr == 0 and dc == 0:
+                    continue
+                for n in range(1, reach + 1):
+                    r, c = row + n * dr, col + n * dc
+                    if r < 0 or c < 0 or r >= rows or c >= cols:
+                        break
+                    if stands[r, c]:
+                        found[count] = height[r, c]
+                        count += 1
+                        break
+            if count:
+                result[row, col] = np.sort(found[:count])[min(RANK, count - 1)]
+
+
+__all__ = ["Rays", "filled", "follow", "witnesses"]

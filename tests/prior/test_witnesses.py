@@ -1,0 +1,101 @@
+"""The left-right check on the ground grid: rays, their witnesses, and what is filled."""
+
+import numpy as np
+
+from sattools.prior.frame import Frame
+from sattools.prior.hidden import UNKNOWN
+from sattools.prior.rays import Rays, filled, follow, witnesses
+
+HEIGHTS = np.array([0.0, 2.0])
+MARGIN = 2
+
+
+def frame():
+    """A vertical view of one row of five cells, and one in which 2 m of height move a point by one column."""
+    shape = (2, 1 + 2 * MARGIN, 5 + 2 * MARGIN)
+    slopes = np.array([[0.0, 0.0], [0.0, 0.5]])
+    return Frame(np.zeros(shape, np.float32), np.ones(shape, np.uint8), slopes, 0.0, 1.0, MARGIN, (None, None))
+
+
+def followed(cost):
+    """The rays of `frame` after a cost ``[5][2]`` of the five cells at both heights."""
+    rays = Rays.unknown(frame())
+    volume = np.array(cost, np.float32)[None]
+    follow(volume, frame().slopes, HEIGHTS, 0.0, MARGIN, MARGIN, rays.cost, rays.height)
+    return rays
+
+
+def bear_witness(rays, height, hits=None):
+    f = frame()
+    hits = np.full(f.images.shape, UNKNOWN, np.float32) if hits is None else hits
+    return witnesses(f, hits, rays, np.array([height], np.float32), tolerance=0.5, step=0.5)
+
+
+# the second cell is a roof of 2 m, all others lie on the ground
+ROOF = [[1, 5], [4, 0], [1, 5], [1, 5], [1, 5]]
+
+
+def test_every_ray_keeps_its_cheapest_place():
+    rays = followed(ROOF)
+    # the leaning view shows the roof where the ground of the third cell would be
+    np.testing.assert_array_equal(rays.height[0, MARGIN, MARGIN : MARGIN + 5], [0, 2, 0, 0, 0])
+    np.testing.assert_array_equal(rays.height[1, MARGIN, MARGIN : MARGIN + 5], [0, 0, 2, 0, 0])
+    assert rays.cost[1, MARGIN, MARGIN + 2] == 0
+    assert np.isnan(rays.height[1, MARGIN, 0]), "no cell lies on this ray"
+
+
+def test_blocks_leave_the_rays_as_the_whole_does():
+    whole, parts = followed(ROOF), Rays.unknown(frame())
+    volume = np.array(ROOF, np.float32)[None]
+    for first, last in ((3, 5), (0, 3)):
+        at = (MARGIN, MARGIN + first)
+        follow(volume[:, first:last], frame().slopes, HEIGHTS, 0.0, *at, parts.cost, parts.height)
+    np.testing.assert_array_equal(parts.cost, whole.cost)
+    np.testing.assert_array_equal(parts.height, whole.height)
+
+
+def test_ground_whose_pixel_shows_the_roof_loses_a_witness():
+    agreeing, views = bear_witness(followed(ROOF), [0, 2, 0, 0, 0])
+    np.testing.assert_array_equal(agreeing, [[2, 2, 1, 2, 2]])
+    np.testing.assert_array_equal(views, [[2, 2, 2, 2, 2]])
+
+
+def test_a_view_that_cannot_see_the_place_is_no_witness():
+    hits = np.full(frame().images.shape, UNKNOWN, np.float32)
+    hits[1, MARGIN, MARGIN + 3] = 9.0
+    agreeing, views = bear_witness(followed(ROOF), [0, 2, 0, 0, 0], hits)
+    np.testing.assert_array_equal(agreeing, [[2, 2, 1, 1, 2]])
+    np.testing.assert_array_equal(views, [[2, 2, 2, 1, 2]])
+
+
+def test_heights_up_to_three_planes_apart_are_one_place():
+    assert bear_witness(followed(ROOF), [1.5, 2, 0, 0, 0])[0][0, 0] == 2
+    assert bear_witness(followed(ROOF), [1.6, 2, 0, 0, 0])[0][0, 0] == 0
+
+
+def test_a_hole_beside_a_wall_takes_the_ground():
+    height = np.zeros((9, 9), np.float32)
+    height[:, :4] = 10.0  # a house to the left of a hole of one column
+    stands = np.ones(height.shape, bool)
+    stands[:, 4] = False
+    height[:, 4] = 7.0
+    expected = np.where(np.arange(9) < 4, 10.0, 0.0)
+    np.testing.assert_array_equal(filled(height, stands, 1.0)[4], expected)
+
+
+def test_one_or_two_low_strays_do_not_fill_a_roof():
+    height = np.full((9, 9), 10.0, np.float32)
+    height[0, 4] = height[4, 0] = -3.0
+    height[4, 4] = 20.0
+    stands = np.ones(height.shape, bool)
+    stands[1:8, 1:8] = False
+    assert filled(height, stands, 1.0)[4, 4] == 10.0
+
+
+def test_nothing_beyond_twenty_metres_fills_a_hole():
+    height = np.full((1, 40), 7.0, np.float32)
+    stands = np.zeros(height.shape, bool)
+    height[0, 30], stands[0, 30] = 3.0, True
+    fine, coarse = filled(height, stands, 1.0)[0], filled(height, stands, 2.0)[0]
+    assert (fine[10], fine[9]) == (3.0, 7.0)
+    assert (coarse[20], coarse[19]) == (3.0, 7.0)
