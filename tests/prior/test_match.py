@@ -1,5 +1,7 @@
 """Matching of made-up views of a known surface."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rendered import CELL, RANGE, views_of
@@ -9,6 +11,7 @@ from sattools.prior.frame import Frame
 from sattools.prior.kernels import correlate
 from sattools.prior.match import match
 from sattools.prior.options import PriorOptions
+from sattools.prior.rays import filled
 from sattools.prior.sweep import BLOCK, _blocks
 
 
@@ -72,6 +75,22 @@ def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house):
     found = match(Frame(images, masks, frame.slopes, 0.0, CELL, frame.margin, frame.suns), ALL, RANGE, PriorOptions())
     assert found.views[:8, :8].max() == 0
     assert np.median(np.abs(found.height - height)[20:, 20:]) < 0.1
+
+
+def test_nothing_is_filled_where_no_image_reaches(house, monkeypatch):
+    _, frame = house
+    masks = frame.masks.copy()
+    masks[:, : frame.margin + 15, : frame.margin + 15] = 0
+    asked = []
+
+    def spy(height, stands, cell):
+        asked.append(stands)
+        return filled(height, stands, cell)
+
+    monkeypatch.setattr("sattools.prior.match.filled", spy)
+    match(replace(frame, masks=masks), ALL, RANGE, PriorOptions())
+    assert asked[0][:8, :8].all()
+    assert not asked[0].all()  # beside the walls something is filled
 
 
 @pytest.mark.parametrize(("memory", "planes", "guided"), [(10**9, 50, False), (10**7, 50, True), (10**9, 400, True)])
