@@ -64,6 +64,12 @@ def predict(kind: Kind, s: Samples, amount: Tensor, members: Tensor) -> Tensor:
     return torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape) for sun, view in pairs])
 
 
+def with_slope(kind: Kind, s: Samples, amount: Tensor, members: Tensor) -> tuple[Tensor, Tensor]:
+    """`predict` and its derivative with the amounts: as further bands, which share all that depends on directions."""
+    here, moved = predict(kind, s, torch.cat([amount, amount + STEP], -1), members).chunk(2, -1)
+    return here, (moved - here) / STEP
+
+
 def noise_of(s: Samples) -> Tensor:
     """Standard deviation ``[V, N, C]`` taken for what a view shows of a cell."""
     return GAP_SHARE * s.seen.clamp_min(0) + 0.002
@@ -84,8 +90,7 @@ def solve_amounts(
         amount = limits.raw(torch.full_like(s.seen[0], limits.usual))
     sigma = noise_of(s)
     for _ in range(rounds):
-        here = predict(kind, s, amount, members)
-        slope = (predict(kind, s, amount + STEP, members) - here) / STEP
+        here, slope = with_slope(kind, s, amount, members)
         residual = (s.seen - here) / sigma
         weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
         j = slope / sigma
@@ -146,7 +151,7 @@ def invert(
     best = (amount, members)
     for _ in range(rounds if free else 0):
         sigma = noise_of(s)
-        here = predict(kind, s, amount, members)
+        here, slope = with_slope(kind, s, amount, members)
         residual = (s.seen - here) / sigma
         weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
         centre = material_mean(s.shares, amount)
@@ -157,7 +162,7 @@ def invert(
             damping, cost, best = max(damping / 4, 1e-6), now, (amount, members)
         else:
             damping *= 10
-        j_amount = (predict(kind, s, amount + STEP, members) - here) / STEP / sigma  # [V, N, C]
+        j_amount = slope / sigma  # [V, N, C]
         # a change of one shape parameter of all members together: members differ by their shares
         columns = []
         for p in range(members.shape[1]):
