@@ -14,12 +14,12 @@ truth=$out/simulated/CITY/truth
 
 echo "2/2  Cameras, surface, maps, score ..." >&2
 sattools prep "$out"/simulated/CITY/images/*.tif --metadata "$out/simulated/CITY/metadata" \
-    --id CITY --out "$out/work" --overwrite |
+    --id CITY --out "$out/scenes" --overwrite |
     sattools fit --overwrite |
     sattools export --overwrite |
     tee "$out/scene.json" |
     sattools compare --dsm "$truth/CITY_DSM.tif" --classes "$truth/CITY_CLS.tif" --overwrite \
         >"$out/errors.json" 2> >(tee "$out/errors.txt" >&2)
 
-cp "$out/work/CITY/export/dsm.tif" "$out/work/CITY/export/dsm.png" "$out/"
+cp "$out/scenes/CITY/export/dsm.tif" "$out/scenes/CITY/export/dsm.png" "$out/"
 echo "Surface model: $out/dsm.tif   picture: $out/dsm.png   errors: $out/errors.txt, $out/errors.json" >&2

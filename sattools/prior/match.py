@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter, minimum_filter
 from sattools.prior.courts import open_courts
 from sattools.prior.edges import sharpen
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import at_surface, hide, measure_dark, nothing_hidden, thinned
+from sattools.prior.hidden import UNKNOWN, at_surface, hide, measure_dark, nothing_hidden, thinned
 from sattools.prior.options import PriorOptions
 from sattools.prior.rays import Rays, filled, witnesses
 from sattools.prior.settle import settle
@@ -103,7 +103,8 @@ def match(
     height = median_filter(height, SMOOTH, mode="nearest")
     agreeing, views = witnesses(fine, hidden.hits, rays, height, options.tolerance, step)
     # beyond the images nothing is known that could be on the lower side of anything
-    beyond_images = ~at_surface(fine, nothing_hidden(fine).hits, height, options.tolerance)[1].any(axis=0)
+    everything_seen = np.broadcast_to(np.float32(UNKNOWN), fine.images.shape)
+    beyond_images = ~at_surface(fine, everything_seen, height, options.tolerance)[1].any(axis=0)
     height = filled(height, (2 * agreeing > views) | beyond_images, fine.cell)
     height = median_filter(settle(fine, hidden, pairs, height, step, options), SMOOTH, mode="nearest")
     if options.edges:

@@ -117,4 +117,4 @@ def best_nearby(volume, surface, offsets, settled):
             settled[row, col] = z
 
 
-__all__ = ["best_nearby", "settle"]
+__all__ = ["best_nearby", "local_planes", "settle"]

@@ -331,23 +331,17 @@ def hapke(
 
 def plain_hapke(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> Tensor:
     """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors."""
-    operands, needed = _operands(normal, sun, view, *parameters)
+    opposition = (0.0, 1.0)[len(parameters) - 4 :]  # b0 and h, where they are not given
+    operands, needed = _operands(normal, sun, view, *parameters, *opposition)
     return _Hapke.apply(needed, *operands)
 
 
 def _operands(
-    normal: Tensor,
-    sun: Tensor,
-    view: Tensor,
-    w: Tensor | float,
-    b: Tensor | float,
-    c: Tensor | float,
-    theta_deg: Tensor | float,
-    b0: Tensor | float = 0.0,
-    h: Tensor | float = 1.0,
+    normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float
 ) -> tuple[list[Tensor | None], tuple[bool, ...]]:
-    """The arguments of `hapke` as tensors, b0 None for no opposition effect, and which need gradients."""
-    operands: list[Tensor | None] = [*as_tensors(normal, sun, view, w, b, c, theta_deg, b0, h)]
+    """All nine arguments of `hapke` as tensors, b0 None for no opposition effect, and which need gradients."""
+    operands: list[Tensor | None] = [*as_tensors(normal, sun, view, *parameters)]
+    b0 = parameters[4]
     if not isinstance(b0, Tensor) and b0 == 0:
         operands[7] = None
     return operands, tuple(torch.is_grad_enabled() and o is not None and o.requires_grad for o in operands)

@@ -130,13 +130,13 @@ def _weigh(s, maps, upper, lower, z, fx, fy, softness, absorb):
 
 
 @njit(fastmath=FASTMATH)
-def _shine(s, maps, upper, lower, fx, fy, to):
-    """Add one colour of the samples of a plane to the sums at `to`."""
+def _shine(s, maps, upper, lower, fx, fy, weight, to):
+    """Add one colour of the samples of a plane, times what is at `weight`, to what is at `to`."""
     one = np.float32(1.0)
     w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
     for j in range(np.uint64(LANES)):
         colour = maps[upper + j] * w00 + maps[upper + j + U1] * w01 + maps[lower + j] * w10 + maps[lower + j + U1] * w11
-        s[to + j] += s[_W + j] * colour
+        s[to + j] += s[weight + j] * colour
 
 
 @njit(parallel=True, fastmath=FASTMATH, error_model="numpy", cache=True, nogil=True)
@@ -179,7 +179,7 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
                         first, last = min(first, k), k + 1
                         for c in range(bands):
                             channel = np.uint64((COLOUR + c) * width)
-                            _shine(s, flat, upper + channel, lower + channel, fx, fy, _RGB + np.uint64(c * LANES))
+                            _shine(s, flat, upper + channel, lower + channel, fx, fy, _W, _RGB + np.uint64(c * LANES))
                     k += 1
                 spans[row, block, 0], spans[row, block, 1] = first, last
                 for j in range(inside):
@@ -210,16 +210,6 @@ def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
         s[_VALUE + j] = s[_GRAD_DEPTH + j] * z + s[_GRAD_OPACITY + j]
         hits = np.int32(hits + np.int32(meets))
     return hits
-
-
-@njit(fastmath=FASTMATH)
-def _shine_back(s, maps, upper, lower, fx, fy, grad):
-    """Add one colour to the samples' v."""
-    one = np.float32(1.0)
-    w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
-    for j in range(np.uint64(LANES)):
-        colour = maps[upper + j] * w00 + maps[upper + j + U1] * w01 + maps[lower + j] * w10 + maps[lower + j + U1] * w11
-        s[_VALUE + j] += s[grad + j] * colour
 
 
 @njit(fastmath=FASTMATH)
@@ -317,7 +307,7 @@ def march_backward(
                     to_upper, to_lower = np.uint64(begin + r0 * own + x), np.uint64(begin + r1 * own + x)
                     for b in range(bands):
                         channel, grad = np.uint64((COLOUR + b) * width), _GRAD_RGB + np.uint64(b * LANES)
-                        _shine_back(s, flat, upper + channel, lower + channel, fx, fy, grad)
+                        _shine(s, flat, upper + channel, lower + channel, fx, fy, grad, _VALUE)
                     _pass(s)
                     for b in range(bands):
                         to, grad = np.uint64((1 + b) * width), _GRAD_RGB + np.uint64(b * LANES)
