@@ -203,7 +203,7 @@ def transients(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]
 def city(folder: Path, options: argparse.Namespace, seed: int, **extra: Any) -> Any:
     """A simulated city; made once."""
     from sattools.scene import Scene
-    from sattools.scene.raster import write_text
+    from sattools.scene.files import write_text
     from sattools.simulate import SimulateOptions, simulate
 
     name = "_".join(["C", str(seed), *(f"{k}{v}" for k, v in extra.items())])
@@ -224,7 +224,7 @@ def fitted(scene: Any, options: argparse.Namespace, **extra: Any) -> dict[str, A
     from sattools.prior import PriorOptions
     from sattools.prior.stage import prior
     from sattools.scene import Grid
-    from sattools.scene.raster import write_text
+    from sattools.scene.files import write_text
 
     chosen = FitOptions(epochs=[options.epochs], resolution=options.resolution)
     chosen = replace(chosen, **{k: v for k, v in extra.items() if k in {f.name for f in fields(chosen)}})

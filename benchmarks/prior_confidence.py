@@ -21,7 +21,8 @@ from sattools.compare import compare_dsm, read_reference
 from sattools.compare.resample import resampled
 from sattools.compare.truth import read_dfc2019
 from sattools.scene import Scene
-from sattools.scene.raster import read_raster, write_text
+from sattools.scene.files import write_text
+from sattools.scene.raster import read_raster
 
 
 def error_and_confidence(scene: Scene, arguments: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:

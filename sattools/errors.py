@@ -18,3 +18,11 @@ class SceneError(SattoolsError, ValueError):
 
 class OutputExistsError(SattoolsError, FileExistsError):
     """An output is already there and overwriting was not asked for."""
+
+
+class OutputIsInputError(SattoolsError, ValueError):
+    """A command was about to write onto a file that it reads; it never does, whatever it is told."""
+
+
+class StaleError(SceneError):
+    """A product was made from something that has changed since."""

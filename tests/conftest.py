@@ -30,7 +30,7 @@ def data_dir() -> Path:
 @pytest.fixture(scope="session")
 def town_source(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A simulated scene of 64 m seen by six exact cameras; tests must leave its files alone."""
-    from sattools.scene.raster import write_text
+    from sattools.scene.files import write_text
     from sattools.simulate import SimulateOptions, simulate
 
     options = SimulateOptions(id="TOWN", size=64.0, views=6, dates=3)

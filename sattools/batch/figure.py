@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sattools.scene.raster import atomic
+from sattools.scene.files import write_figure
 
 Point = tuple[str, float, float]
 
@@ -80,8 +80,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> bool:
     figure = speed_error_figure(rows)
     if figure is None:
         return False
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png")
+    write_figure(path, figure)
     return True
 
 

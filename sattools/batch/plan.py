@@ -12,8 +12,9 @@ from typing import Any, Literal
 from sattools import __version__
 from sattools.errors import InputError
 from sattools.scene.copies import in_another_root
+from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
-from sattools.scene.raster import write_text
+from sattools.scene.files import write_text
 
 # what a configuration may hold, in the order of the pipe
 COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare")
@@ -116,12 +117,6 @@ def key_of(*parts: Any) -> str:
     """Hash of JSON-able parts and the suite's version."""
     text = json.dumps([__version__, *parts], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def files_of(scene: Scene) -> list[Path]:
-    """All files that a scene's document names, sorted."""
-    hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
-    return sorted({scene.path(href) for href in [*hrefs, *scene.products.values()]})
 
 
 def scene_content(scene: Scene, digests: Digests) -> list[Any]:

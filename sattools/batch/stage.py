@@ -23,13 +23,15 @@ from sattools.batch.plan import (
     split_task,
     tile_tasks,
 )
-from sattools.batch.table import Row, failed_row, write_tables
+from sattools.batch.table import TABLES, Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
+from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene
-from sattools.scene.raster import write_text
+from sattools.scene.files import check_outputs, write_text
 
 log = logging.getLogger(__name__)
+FIGURE, DIGESTS = "speed_error.png", "digests.json"
 
 
 @dataclass
@@ -109,6 +111,9 @@ def batch(
         emit: called with the scene document of every finished task as soon as it is there.
     """
     out = Path(options.out).absolute()
+    inputs = [path for scene in scenes for path in (scene.origin, *files_of(scene)) if path is not None]
+    ours = overwrite or (out / DIGESTS).exists()  # a batch is begun again in its own folder
+    check_outputs([out / name for name in (*TABLES, FIGURE, DIGESTS)], inputs, ours)
     plan = make_plan(options, scenes, configurations, overwrite)
     for pair, (_, error) in plan.errors.items():
         log.error("%s/%s: %s", *pair, error)
@@ -157,7 +162,7 @@ def batch(
         run(plan.jobs, options, shares(options, cores), finished, told)
     rows = plan.table()
     write_tables(rows, out)
-    draw(rows, out / "speed_error.png")
+    draw(rows, out / FIGURE)
     return plan
 
 
@@ -177,7 +182,7 @@ def make_plan(
         raise InputError("--aoi: found no --dfc2019, expected the root of the contest's data")
     out = Path(options.out).absolute()
     plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations])
-    digests = Digests(out / "digests.json")
+    digests = Digests(out / DIGESTS)
     for scene in scenes:
         truth = scene.products.get("truth_dsm")
         for c in configurations:
@@ -266,6 +271,8 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
 def _document(scene: Scene, out: Path) -> Path:
     """A file with the scene's document: what came on stdin may not be the one in its folder."""
     path = out / "scenes" / f"{scene.id}.json"
+    if scene.origin is not None and path.exists() and scene.origin.samefile(path):
+        return path
     write_text(path, scene.to_json() + "\n")
     return path
 

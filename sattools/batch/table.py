@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sattools.scene.dependencies import current_entry
 from sattools.scene.document import Scene
-from sattools.scene.raster import atomic, write_text
+from sattools.scene.files import write_bytes, write_text
 
 Row = dict[str, Any]
+TABLES = ("table.csv", "table.md", "table.parquet")
 TIMED = ("prep", "normalise", "prior", "fit", "export")
 ERRORS = ("mae", "median", "rmse", "nmad", "completeness", "within_1m", "within_2_5m", "mae_filled")
 CLASSES = ("ground", "trees", "buildings")
@@ -44,7 +46,9 @@ SHORT = {
 
 def make_row(scene: str, configuration: str, path: Path) -> Row:
     """The row of a finished scene, from its history; seconds are those of the steps up to `export`."""
-    last = {entry["command"]: entry for entry in Scene.from_file(path).history}
+    done = Scene.from_file(path)
+    # what another fit left in the history, or scored, is not this run's
+    last = {name: entry for name in (*TIMED, "compare") if (entry := current_entry(done, name)) is not None}
     steps = {name: last[name] for name in TIMED if name in last}
     row: Row = {"scene": scene, "configuration": configuration, "status": "done"}
     # a fit in tiles says what its parts took, each a command of its own
@@ -71,7 +75,7 @@ def failed_row(scene: str, configuration: str, status: str, error: str) -> Row:
 
 def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
     """`table.csv`, `table.md`, and `table.parquet` where pyarrow is installed; the files written."""
-    written = [out / "table.csv", out / "table.md"]
+    written = [out / name for name in TABLES[:2]]
     write_text(written[0], to_csv(rows))
     write_text(written[1], to_markdown(rows))
     if importlib.util.find_spec("pyarrow"):
@@ -80,9 +84,10 @@ def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
         # a column has its type even where no row has a value
         kinds = {name: "object" if name in TEXTS else "float64" for name in COLUMNS}
         frame = pandas.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
-        written.append(out / "table.parquet")
-        with atomic(written[-1]) as temporary:
-            frame.to_parquet(temporary, engine="pyarrow", index=False)
+        written.append(out / TABLES[2])
+        stream = io.BytesIO()
+        frame.to_parquet(stream, engine="pyarrow", index=False)
+        write_bytes(written[-1], stream.getbuffer())
     return written
 
 
@@ -112,4 +117,4 @@ def _text(name: str, value: Any) -> str:
     return " ".join(str(value).split()).replace("|", "\\|")
 
 
-__all__ = ["COLUMNS", "SHORT", "failed_row", "make_row", "to_csv", "to_markdown", "write_tables"]
+__all__ = ["COLUMNS", "SHORT", "TABLES", "failed_row", "make_row", "to_csv", "to_markdown", "write_tables"]

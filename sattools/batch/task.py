@@ -18,7 +18,7 @@ from typing import Any
 from sattools.batch.plan import Task
 from sattools.batch.table import make_row
 from sattools.errors import SattoolsError
-from sattools.scene.raster import write_text
+from sattools.scene.files import write_text
 
 Report = Callable[[float, str], None]
 _WATCH_S = 0.2

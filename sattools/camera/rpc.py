@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sattools.errors import InputError
+from sattools.scene.files import write_text
 
 Array = NDArray[np.float64]
 
@@ -290,7 +291,7 @@ class RPC:
 
     def write(self, path: str | Path) -> None:
         """Write `to_rpc_txt` to a file (name it `<image>_RPC.TXT` so that GDAL finds it beside the image)."""
-        Path(path).write_text(self.to_rpc_txt(), encoding="ascii", newline="\n")
+        write_text(Path(path), self.to_rpc_txt())
 
     # -- inner parts ----------------------------------------------------------------------------------------------
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
-from sattools.cli.pipe import Run, report_error, run_scenes
+from sattools.cli.pipe import Run, apply, report_error, run_scenes
 from sattools.compare.options import CompareOptions
 from sattools.errors import SattoolsError
+from sattools.export.options import ExportOptions
 from sattools.progress import Progress
 
 if TYPE_CHECKING:
@@ -44,8 +45,20 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return to_json(entry["errors"])
 
-    run = Run("compare", options, dry_run, print_config)
-    run_scenes(run, scenes, work, emit, "score the DSM")
+    def before(scene: Scene) -> Scene:
+        """The DSM is exported where a new fit has left it behind, as a stage that was left out is done."""
+        from sattools.export.stage import export
+        from sattools.scene.dependencies import stale
+
+        reason = stale(scene, "export") if "dsm" in scene.products else "no DSM of the last fit"
+        if reason is None or "model" not in scene.products:
+            return scene
+        click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
+        run = Run("export", ExportOptions(), overwrite=overwrite)
+        return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
+
+    run = Run("compare", options, dry_run, print_config, overwrite)
+    run_scenes(run, scenes, work, emit, "score the DSM", before)
 
 
 def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:

@@ -28,4 +28,4 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return export(scene, options, progress, overwrite)
 
-    run_scenes(Run("export", options, dry_run, print_config), scenes, work, plan="write the DSM and maps")
+    run_scenes(Run("export", options, dry_run, print_config, overwrite), scenes, work, plan="write the DSM and maps")

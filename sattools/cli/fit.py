@@ -47,4 +47,6 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return fit(scene, options, progress, overwrite)
 
-    run_scenes(Run("fit", options, dry_run, print_config), scenes, work, plan="fit the surface")
+    run_scenes(
+        Run("fit", options, dry_run, print_config, overwrite, at_once=False), scenes, work, plan="fit the surface"
+    )

@@ -32,4 +32,4 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return normalise(scene, options, progress, overwrite)
 
-    run_scenes(Run("normalise", options, dry_run, print_config), scenes, work, plan="write linear radiance")
+    run_scenes(Run("normalise", options, dry_run, print_config, overwrite), scenes, work, plan="write linear radiance")

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import sys
@@ -38,6 +39,9 @@ class Run:
     options: Any
     dry_run: bool = False
     print_config: bool = False
+    overwrite: bool = False
+    inputs: tuple[Path, ...] = ()  # of a command that makes a scene
+    at_once: bool = True  # all files of the command appear together; False where it reads what it has written
 
 
 def run_scenes(
@@ -46,6 +50,7 @@ def run_scenes(
     work: Work,
     emit: Callable[[Scene, dict[str, Any]], str] | None = None,
     plan: str = "",
+    before: Callable[[Scene], Scene] | None = None,
 ) -> None:
     """Apply ``work`` to every scene and pass the results on as soon as they are done.
 
@@ -55,6 +60,7 @@ def run_scenes(
         work: changes the scene; what it returns goes into the history entry.
         emit: makes the line for stdout from the scene and the history entry; None = the scene document.
         plan: for --dry-run, what would be done.
+        before: does what the command needs and the scene has not.
     """
     if run.print_config:
         print_config(run.command, run.options)
@@ -66,7 +72,7 @@ def run_scenes(
         if run.dry_run:
             click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}", err=True)
             return scene.to_json()
-        entry = _apply(run, scene, work)
+        scene, entry = apply(run, before(scene) if before else scene, work)
         return emit(scene, entry) if emit else scene.to_json()
 
     each_scene(run.command, scenes, handle)
@@ -105,9 +111,12 @@ def run_source(run: Run, make: Callable[[Progress], tuple[Scene, dict[str, Any] 
         click.echo(f"sattools {run.command}: would make {label}", err=True)
         return
     try:
+        from sattools.scene.files import all_or_nothing
+
         start = time.perf_counter()
-        scene, extra = make(_progress(run.command, label))
-        _finish(run, scene, start, extra)
+        with all_or_nothing(run.inputs, run.overwrite):
+            scene, extra = make(_progress(run.command, label))
+            _finish(run, scene, start, extra)
         _print_line(scene.to_json())
     except SattoolsError as error:
         report_error(run.command, error)
@@ -119,14 +128,50 @@ def report_error(command: str, error: SattoolsError) -> None:
     click.echo(f"sattools {command}: error: {' '.join(str(error).split())}", err=True)
 
 
-def _apply(run: Run, scene: Scene, work: Work) -> dict[str, Any]:
-    start = time.perf_counter()
-    extra = work(scene, _progress(run.command, scene.id))
-    return _finish(run, scene, start, extra)
+def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
+    """Work on a scene while no other process does; the scene and its new history entry.
+
+    The scene's folder is what counts: what another command has added to its document since this one was read is kept.
+    """
+    from sattools.scene import Scene
+    from sattools.scene.files import all_or_nothing, locked
+
+    with locked(scene.root):
+        if scene.origin is not None:
+            scene = Scene.from_file(scene.origin)
+        there = _document_of(scene, run.overwrite)
+        if there is not None and there.history[: len(scene.history)] == scene.history:
+            scene.history = there.history
+        start = time.perf_counter()
+        with all_or_nothing() if run.at_once else contextlib.nullcontext():
+            extra = work(scene, _progress(run.command, scene.id))
+            entry = _finish(run, scene, start, extra)
+        scene.origin = None  # from here on the scene knows more than that file
+        return scene, entry
+
+
+def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
+    """The document in the scene's folder, None where there is none; SceneError where it is of something else."""
+    from sattools.scene import Scene
+
+    path = scene.path("scene.json")
+    if not path.exists():
+        return None
+    try:
+        found = Scene.from_file(path)
+    except SceneError as error:
+        if overwrite:
+            return None
+        raise SceneError(f"{error}; it would be replaced: give --overwrite, or another root") from error
+    if found.id != scene.id and not overwrite:
+        raise SceneError(
+            f"{path}: found scene {found.id}, expected {scene.id}; give --overwrite to replace its document"
+        )
+    return found if found.id == scene.id else None
 
 
 def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
-    from sattools.scene.raster import write_text
+    from sattools.scene.files import write_text
 
     entry = {
         "command": run.command,
@@ -195,4 +240,4 @@ def _print_line(line: str) -> None:
         sys.exit(1)
 
 
-__all__ = ["Run", "documents", "each_scene", "parse", "report_error", "run_scenes", "run_source"]
+__all__ = ["Run", "apply", "documents", "each_scene", "parse", "report_error", "run_scenes", "run_source"]

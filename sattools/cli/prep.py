@@ -71,4 +71,4 @@ def command(
         return prepare(paths, options, progress, overwrite)
 
     label = options.id or f"a scene of {len(paths)} images"
-    run_source(Run("prep", options, dry_run, print_config), make, label)
+    run_source(Run("prep", options, dry_run, print_config, overwrite, tuple(paths)), make, label)

@@ -31,4 +31,4 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return prior(scene, options, progress, overwrite)
 
-    run_scenes(Run("prior", options, dry_run, print_config), scenes, work, plan="match the images")
+    run_scenes(Run("prior", options, dry_run, print_config, overwrite), scenes, work, plan="match the images")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
 
 from sattools.cli.pipe import documents, parse, report_error
-from sattools.errors import OutputExistsError, SattoolsError
+from sattools.errors import SattoolsError
 
 
 @click.command("report")
@@ -27,24 +28,26 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
         if source != "-" and batch.is_file():
             from sattools.report.batch import batch_page
 
-            write(out or batch.with_name("report.html"), batch_page(batch.parent), overwrite)
+            inputs = [path for path in batch.parent.iterdir() if path.name != "report.html"]
+            write(out or batch.with_name("report.html"), batch_page(batch.parent), overwrite, inputs)
             return
         from sattools.report.scene import scene_page
+        from sattools.scene.dependencies import files_of
 
         name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
         for origin, text in documents((name,)):
             scene = parse(origin, text)
-            write(out or scene.output("report.html"), scene_page(scene), overwrite)
+            page = scene_page(scene)
+            write(out or scene.output("report.html"), page, overwrite, [scene.path("scene.json"), *files_of(scene)])
     except SattoolsError as error:
         report_error("report", error)
         sys.exit(1)
 
 
-def write(path: Path, page: str, overwrite: bool) -> None:
-    """The page, atomically; its path on stdout."""
-    from sattools.scene.raster import write_text
+def write(path: Path, page: str, overwrite: bool, inputs: Iterable[Path]) -> None:
+    """The page, unless it would replace what it was made from; its path on stdout."""
+    from sattools.scene.files import check_outputs, write_text
 
-    if path.exists() and not overwrite:
-        raise OutputExistsError(f"{path}: exists already; give --overwrite to replace it")
+    check_outputs([path], inputs, overwrite)
     write_text(path, page)
     click.echo(str(path))

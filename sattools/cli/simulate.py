@@ -27,6 +27,8 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
     """
     options = build(SimulateOptions, values)
 
+    inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)
+
     def make(progress: Progress) -> tuple[Scene, dict[str, Any] | None]:
         from sattools.simulate.stage import simulate
 
@@ -34,4 +36,4 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
         errors = [item.properties["sattools:simulated"]["rpc_fit_error_px"] for item in scene.items]
         return scene, {"rpc_fit_error_px": max(errors)}
 
-    run_source(Run("simulate", options, dry_run, print_config), make, f"scene {options.id}")
+    run_source(Run("simulate", options, dry_run, print_config, overwrite, inputs), make, f"scene {options.id}")

@@ -49,13 +49,15 @@ def height_errors(
     reference: np.ndarray,
     classes: np.ndarray | None = None,
     filled: np.ndarray | None = None,
+    measured: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Error table of a registered prediction; all arrays [H, W] in metres, NaN = no height.
 
     Reference cells that are NaN or of class 9 (water) do not count. Errors are over cells with a prediction;
     `completeness`, `within_1m` and `within_2_5m` are shares of *all* counted reference cells, so a hole is never
-    within; `mae_filled` is the mean |difference| over all of them with holes filled from `filled` (default: the
-    nearest predicted cell). Raises InputError where nothing can be compared.
+    within. `completeness` counts cells that were `measured` (bool; default: that have a prediction), whose errors are
+    in `measured`; `filled` has those of all counted cells with holes filled from `filled` (default: the nearest
+    predicted cell), `mae_filled` their mean. Raises InputError where nothing can be compared.
     """
     counted = np.isfinite(reference)
     if classes is not None:
@@ -74,21 +76,27 @@ def height_errors(
     complete = clip_to_reference(
         fill_holes(predicted if filled is None else filled), np.where(counted, reference, np.nan)
     )
+    known = seen if measured is None else seen & measured
     result: dict[str, Any] = _errors(difference[seen])
     result |= {
-        "completeness": float(seen.sum() / total),
+        "completeness": float(known.sum() / total),
         "within_1m": float((absolute[seen] <= 1.0).sum() / total),
         "within_2_5m": float((absolute[seen] <= 2.5).sum() / total),
         "mae_filled": float(np.abs(complete - reference)[counted].mean()),
         "filled_by": FILL_METHOD,
         "cells": total,
         "cells_predicted": int(seen.sum()),
+        "measured": {**(_errors(difference[known]) if known.any() else _NO_ERRORS), "n": int(known.sum())},
+        "filled": {**_errors((complete - reference)[counted]), "n": total},
     }
     if classes is not None:
         result["classes"] = {
             name: _class_errors(difference, seen, counted & np.isin(classes, codes)) for name, codes in CLASSES.items()
         }
     return result
+
+
+_NO_ERRORS: dict[str, Any] = dict.fromkeys(("mae", "rmse", "median", "nmad", "bias"))
 
 
 def _errors(difference: np.ndarray) -> dict[str, Any]:
@@ -104,8 +112,7 @@ def _errors(difference: np.ndarray) -> dict[str, Any]:
 
 def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> dict[str, Any]:
     total, n = int(member.sum()), int((seen & member).sum())
-    empty = dict.fromkeys(("mae", "rmse", "median", "nmad", "bias"))
-    errors: Mapping[str, Any] = _errors(difference[seen & member]) if n else empty
+    errors: Mapping[str, Any] = _errors(difference[seen & member]) if n else _NO_ERRORS
     return {**errors, "n": n, "completeness": n / total if total else None}
 
 

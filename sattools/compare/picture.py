@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from sattools.scene.files import write_figure
 from sattools.scene.grid import Grid
-from sattools.scene.raster import atomic
 
 
 def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, limit_m: float = 5.0) -> None:
     """PNG of `difference_figure`."""
     figure = difference_figure(difference, grid, title, limit_m)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png")
+    write_figure(path, figure)
 
 
 def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: float = 5.0) -> Any:
@@ -62,5 +61,4 @@ def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, pat
     axes.plot(extent[:2], extent[:2], color="0.3", linewidth=1)
     axes.set(xlabel=f"{name}, reference", ylabel=f"{name}, found", xlim=extent[:2], ylim=extent[2:])
     figure.colorbar(shown, ax=axes, label="cells")
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png")
+    write_figure(path, figure)

@@ -18,9 +18,13 @@ from sattools.compare.resample import moved, padded, resampled
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
+from sattools.scene.dependencies import begin, check_current
 from sattools.scene.document import Item, Scene
+from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
-from sattools.scene.raster import read_image, read_raster, write_cog, write_text
+from sattools.scene.raster import read_image, read_raster, write_cog
+
+DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
 
 
 @dataclass(frozen=True)
@@ -44,10 +48,19 @@ def compare_dsm(
     truth: Truth,
     grid: Grid | None = None,
     method: Literal["ncc", "nuth-kaab", "z", "none"] = "ncc",
+    measured: np.ndarray | None = None,
 ) -> Comparison:
     """Score a DSM: a file, or an array [H, W] in metres (NaN = hole) with its `grid`, in any CRS.
 
-    Raises InputError where nothing can be compared.
+    Args:
+        predicted: the DSM.
+        truth: the reference.
+        grid: of an array.
+        method: of the registration.
+        measured: [H, W] bool, cells of the DSM that images really show; None = all that have a height.
+
+    Raises:
+        InputError: nothing can be compared.
     """
     if isinstance(predicted, np.ndarray):
         heights = predicted
@@ -64,7 +77,11 @@ def compare_dsm(
     found = register(wide, reference, method, margin)
     registered = shifted(wide, found.columns, found.rows, margin) + found.up
     filled = shifted(fill_holes(wide), found.columns, found.rows, margin) + found.up
-    figures = height_errors(registered, reference, truth.classes, filled)
+    known = None
+    if measured is not None:
+        only = resampled(np.where(measured, heights, np.float32(np.nan)), grid, padded(truth.grid, margin))
+        known = np.isfinite(shifted(only, found.columns, found.rows, margin))
+    figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
     figures |= {
         "shift_m": [round(value, 4) for value in found.metres(truth.grid.cell_size)],
@@ -104,33 +121,43 @@ def compare(
     """
     if "dsm" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
+    check_current(scene, "export")
+    maps = [_name_and_file(text) for text in options.map]
+    given = [options.dsm, options.classes, options.points, *(path for _, path in maps)]
+    outputs = begin(
+        scene, "compare", [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name, _ in maps)], overwrite,
+        [Path(path) for path in given if path],
+    )  # fmt: skip
     truth = read_truth(options, scene)
-    outputs = {
-        name: scene.output(f"compare/{name}", overwrite) for name in ("difference.tif", "difference.png", "errors.json")
-    }
     progress(0.1, "registering")
-    result = compare_dsm(scene.path(scene.products["dsm"]), truth, method=options.register)
+    heights, grid = read_raster(scene.path(scene.products["dsm"]))
+    result = compare_dsm(known_heights(heights[0]), truth, grid, options.register, _measured(scene, grid))
     figures: dict[str, Any] = {"scene": scene.id, **result.figures}
     if options.map:
         progress(0.6, "parameter maps")
-        figures["parameters"] = {
-            name: _compare_map(scene, name, reference, result, overwrite)
-            for name, reference in map(_name_and_file, options.map)
-        }
+        figures["parameters"] = {name: _compare_map(scene, name, reference, result) for name, reference in maps}
     if options.points:
         figures["points"] = _compare_points(scene, Path(options.points), result)
     if options.views:
         progress(0.7, "views")
         figures |= compare_views(scene)
     progress(0.8, "difference map")
-    write_difference(result, outputs["difference.tif"], outputs["difference.png"])
-    write_text(outputs["errors.json"], to_json(figures, indent=1) + "\n")
-    scene.products |= {
-        "difference": scene.href(outputs["difference.tif"]),
-        "errors": scene.href(outputs["errors.json"]),
-    }
+    write_difference(result, outputs[DIFFERENCE], outputs[PICTURE])
+    write_text(outputs[ERRORS], to_json(figures, indent=1) + "\n")
+    scene.products |= {"difference": DIFFERENCE, "errors": ERRORS}
     progress(1.0, "done")
     return figures
+
+
+def _measured(scene: Scene, grid: Grid) -> np.ndarray | None:
+    """Cells of the DSM that two images see, as `export` found; None where nobody looked."""
+    if "validity" not in scene.products:
+        return None
+    path = scene.path(scene.products["validity"])
+    validity, own = read_raster(path)
+    if own != grid:
+        raise InputError(f"{path}: found another grid than the DSM's, expected the same")
+    return np.asarray(validity[0] == 1)
 
 
 def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, Any]:
@@ -142,7 +169,11 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, 
         from sattools.scene.document import Scene as Folder
 
         place = Folder(id="compare", root=Path(options.out))
-        write_difference(result, place.output("difference.tif", overwrite), place.output("difference.png", overwrite))
+        outputs = [place.output(name) for name in ("difference.tif", "difference.png")]
+        given = [options.predicted, options.dsm, options.classes]
+        check_outputs(outputs, [Path(path) for path in given if path], overwrite)
+        with all_or_nothing():
+            write_difference(result, *outputs)
     return {"predicted": options.predicted, **result.figures}
 
 
@@ -156,7 +187,8 @@ def compare_views(scene: Scene) -> dict[str, Any]:
         if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
             rendered = read_image(scene.path(item.assets["rendered"].href))
             radiance = _radiance(scene, item)
-            views[item.id] = {"role": item.role, **image_errors(rendered, radiance)}  # type: ignore[dict-item]
+            role = "test" if item.held_out else "train"
+            views[item.id] = {"role": role, **image_errors(rendered, radiance)}  # type: ignore[dict-item]
     if not views:
         raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --view ID`")
     held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
@@ -187,7 +219,11 @@ def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[dict[s
     return compare_points(points, maps, (east, north))
 
 
-def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison, overwrite: bool) -> dict[str, Any]:
+def _scatter_href(name: str) -> str:
+    return f"compare/scatter_{name}.png"
+
+
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
@@ -200,7 +236,7 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison, o
     errors = map_errors(carried, array.astype(np.float32))
     from sattools.compare.picture import scatter_picture
 
-    scatter_picture(carried, array, name, scene.output(f"compare/scatter_{name}.png", overwrite))
+    scatter_picture(carried, array, name, scene.output(_scatter_href(name)))
     return errors
 
 
@@ -239,8 +275,9 @@ def table(figures: Mapping[str, Any]) -> str:
         f"{name} against {figures['reference']} ({figures['protocol']})",
         f"  MAE {figures['mae']:.3f} m   holes filled {figures['mae_filled']:.3f} m   RMSE {figures['rmse']:.3f} m   "
         f"median {figures['median']:.3f} m   NMAD {figures['nmad']:.3f} m",
-        f"  completeness {100 * figures['completeness']:.2f} %   within 1 m {100 * figures['within_1m']:.1f} %   "
-        f"within 2.5 m {100 * figures['within_2_5m']:.1f} %   of {figures['cells']} cells",
+        f"  completeness {100 * figures['completeness']:.2f} % (MAE there {_text(figures['measured']['mae'])} m)   "
+        f"within 1 m {100 * figures['within_1m']:.1f} %   within 2.5 m {100 * figures['within_2_5m']:.1f} %   "
+        f"of {figures['cells']} cells",
         f"  shift {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up ({figures['registration']['method']})",
         f"  scored: {figures['mask']}",
     ]

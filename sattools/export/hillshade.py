@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from sattools.scene.files import write_figure
 from sattools.scene.grid import Grid
-from sattools.scene.raster import atomic
 
 
 def hillshade(
@@ -26,8 +26,7 @@ def hillshade(
 def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> None:
     """PNG of `picture`."""
     figure = picture(height, grid, title)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png", bbox_inches="tight")
+    write_figure(path, figure, dpi=110, bbox_inches="tight")
 
 
 def picture(height: np.ndarray, grid: Grid, title: str) -> Any:

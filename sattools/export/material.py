@@ -37,10 +37,17 @@ def material_maps(surface: ReflectiveScene, tensors: dict[str, Tensor]) -> dict[
     return {name: tensor.detach().cpu().numpy() for name, tensor in maps.items()}
 
 
+def material_names(kind: str, tensors: dict[str, Tensor]) -> list[str]:
+    """Names of the `material_maps` of a reflectance model."""
+    names = [AMOUNT[kind].name, *(p.name for p in SHAPE[kind])]  # type: ignore[index]
+    stds = [f"{name}_std" for name in names if f"{name}_std" in tensors]
+    return [*names, *stds, "normal", "normal_std", "reflectance"]
+
+
 def write_material(
-    scene: Scene, grid: Grid, surface: ReflectiveScene, tensors: dict[str, Tensor], overwrite: bool
+    scene: Scene, grid: Grid, surface: ReflectiveScene, tensors: dict[str, Tensor], valid: np.ndarray
 ) -> None:
-    """Write `material_maps` below ``export/`` and name them as products."""
+    """Write `material_maps` below ``export/`` and name them as products; no data where not ``valid`` ``[H, W]``."""
     tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": surface.kind}
     for name, array in material_maps(surface, tensors).items():
         href = f"export/{name}.tif"
@@ -57,8 +64,9 @@ def write_material(
         else:
             bands = [name] if array.shape[0] == 1 else [f"{name} {b + 1}" for b in range(array.shape[0])]
         unit = "degrees" if name in ("theta", "theta_std", "normal_std") else "1"
-        write_cog(scene.output(href, overwrite), array, grid, units=unit, tags=own, descriptions=bands)
+        array = np.where(valid, array, np.nan)
+        write_cog(scene.output(href), array, grid, units=unit, tags=own, descriptions=bands)
         scene.products[name] = href
 
 
-__all__ = ["material_maps", "write_material"]
+__all__ = ["material_maps", "material_names", "write_material"]

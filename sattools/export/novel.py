@@ -22,6 +22,7 @@ from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog, write_image_like
 from sattools.views import load_sources, views_on
 
+RELIT = "export/relit.tif"
 Vector = tuple[float, float, float]
 
 
@@ -133,29 +134,33 @@ def write_view(
     surface: SurfaceScene,
     meta: dict[str, Any],
     sun_angles: tuple[float, float] | None,
-    overwrite: bool,
 ) -> None:
     """Write the item's asset ``rendered`` (with another sun: ``relit``)."""
     picture = render_item(scene, item_id, surface, meta, sun_angles)
     name = "relit" if sun_angles else "rendered"
-    href = f"export/{name}/{item_id}.tif"
+    href = view_href(name, item_id)
     item = next(item for item in scene.items if item.id == item_id)
     like = next(item.assets[asset] for asset in ("radiance", "image") if asset in item.assets)
-    write_image_like(scene.output(href, overwrite), picture, scene.path(like.href))
+    write_image_like(scene.output(href), picture, scene.path(like.href))
     item.assets[name] = Asset(href, GEOTIFF_TYPE)
 
 
 def write_relit(
-    scene: Scene, surface: SurfaceScene, meta: dict[str, Any], sun_angles: tuple[float, float], overwrite: bool
+    scene: Scene, surface: SurfaceScene, meta: dict[str, Any], sun_angles: tuple[float, float], valid: np.ndarray
 ) -> None:
-    """The scene from above under another sun, on the ground grid: product ``relit``."""
+    """The scene from above under another sun, on the ground grid: product ``relit``; no data where not ``valid``."""
     grid = Grid.from_dict(meta["grid"])
     sun = grid_sun(grid, *sun_angles)
     light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, (0.0, 0.0, 1.0))
     tags = {"SUN_AZIMUTH": f"{sun_angles[0]:g}", "SUN_ELEVATION": f"{sun_angles[1]:g}", "SOFTWARE": "sattools"}
-    href = "export/relit.tif"
-    write_cog(scene.output(href, overwrite), light.permute(2, 0, 1).numpy(), grid, units="1", tags=tags)
-    scene.products["relit"] = href
+    array = np.where(valid, light.permute(2, 0, 1).numpy(), np.nan)
+    write_cog(scene.output(RELIT), array, grid, units="1", tags=tags)
+    scene.products["relit"] = RELIT
 
 
-__all__ = ["light_towards", "render_item", "write_relit", "write_view"]
+def view_href(name: str, item_id: str) -> str:
+    """Where a map or picture of an image goes."""
+    return f"export/{name}/{item_id}.tif"
+
+
+__all__ = ["RELIT", "light_towards", "render_item", "view_href", "write_relit", "write_view"]

@@ -19,6 +19,9 @@ class ExportOptions:
     sun: tuple[float, float] | None = option(
         None, "Sun to relight the scene and the --view images with: azimuth and elevation [degrees]."
     )
+    fill: bool = option(
+        False, "Keep the heights and maps of ground that fewer than two images reach; product validity marks them."
+    )
 
 
 __all__ = ["ExportOptions"]

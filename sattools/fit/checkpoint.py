@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -9,17 +10,22 @@ from typing import Any
 from torch import Tensor
 
 from sattools.errors import InputError
-from sattools.scene.raster import atomic
+from sattools.scene.files import write_bytes
 
-KEY = "sattools"
+KEY, CHECKSUM = "sattools", "sha256"
 
 
 def save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
-    """Write tensors and a JSON description into one file, atomically."""
-    from safetensors.torch import save_file
+    """Write tensors and a JSON description into one file, with a checksum of both.
 
-    with atomic(path) as temporary:
-        save_file({k: v.contiguous() for k, v in tensors.items()}, temporary, metadata={KEY: json.dumps(meta)})
+    Raises:
+        SattoolsError: the file cannot be written.
+    """
+    from safetensors.torch import save as to_bytes
+
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    text = json.dumps(meta)
+    write_bytes(path, to_bytes(tensors, metadata={KEY: text, CHECKSUM: _checksum(tensors, text)}))
 
 
 def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -32,12 +38,29 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
     try:
         with safe_open(path, framework="pt") as file:
-            meta = json.loads((file.metadata() or {})[KEY])
-            return {k: file.get_tensor(k) for k in file.keys()}, meta  # noqa: SIM118
+            about = file.metadata() or {}
+            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
+        meta = json.loads(about[KEY])
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file, expected a model written by `sattools fit`") from error
-    except (SafetensorError, KeyError, ValueError, OSError) as error:
+    except (SafetensorError, KeyError, ValueError, OSError, RecursionError) as error:
         raise InputError(f"{path}: found no sattools model ({error})") from error
+    if not isinstance(meta, dict):
+        raise InputError(f"{path}: found no sattools model (its description is no JSON object)")
+    # models of version 0.1 have none
+    if CHECKSUM in about and about[CHECKSUM] != _checksum(tensors, about[KEY]):
+        raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
+    return tensors, meta
+
+
+def _checksum(tensors: dict[str, Tensor], text: str) -> str:
+    """SHA-256 of names, types, shapes and bytes."""
+    known = hashlib.sha256(text.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        known.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
+        known.update(tensor.contiguous().numpy().tobytes())
+    return known.hexdigest()
 
 
 __all__ = ["load", "save"]

@@ -91,14 +91,14 @@ def exposed(sources: list[Source]) -> tuple[list[Source], float]:
     return [replace(source, radiance=source.radiance * np.float32(factor)) for source in sources], factor
 
 
-def choose_views(scene: Scene, which: str) -> None:
-    """Hold out the training images that ``which`` (``all`` or ``nearest-nadir:N``) leaves out.
+def views_left_out(scene: Scene, which: str) -> list[str]:
+    """Ids of the training images that ``which`` (``all`` or ``nearest-nadir:N``) leaves out.
 
     Raises:
         SceneError: another text, or an image without its off-nadir angle.
     """
     if which == "all":
-        return
+        return []
     match = re.fullmatch(r"nearest-nadir:([1-9]\d*)", which)
     if not match:
         raise SceneError(f"--views: found {which!r}, expected all or nearest-nadir:N")
@@ -107,8 +107,7 @@ def choose_views(scene: Scene, which: str) -> None:
         if item.properties.get("view:off_nadir") is None:
             raise SceneError(f"scene {scene.id}: item {item.id} has no view:off_nadir, expected it for --views {which}")
     items.sort(key=lambda item: float(item.properties["view:off_nadir"]))
-    for item in items[int(match[1]) :]:
-        item.properties["sattools:role"] = "test"
+    return [item.id for item in items[int(match[1]) :]]
 
 
 def phase_angles(items: Sequence[Item]) -> np.ndarray:
@@ -195,6 +194,15 @@ def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid)
 
 
 __all__ = [
-    "KINDS", "Radiance", "calibrated", "check_light", "choose_views", "exposed", "light_scale", "material_remarks",
-    "phase_angles", "prior_normals", "radiance_kind",
+    "KINDS",
+    "Radiance",
+    "calibrated",
+    "check_light",
+    "exposed",
+    "light_scale",
+    "material_remarks",
+    "phase_angles",
+    "prior_normals",
+    "radiance_kind",
+    "views_left_out",
 ]  # fmt: skip

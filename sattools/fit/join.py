@@ -18,6 +18,7 @@ from sattools.fit.tiles import COARSE, COMMON, FOLDER, Plan
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
+from sattools.scene.dependencies import record
 from sattools.scene.raster import read_raster
 from sattools.scene.tiles import Tile
 
@@ -66,8 +67,10 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
     progress(1.0, f"joining {len(names)} tiles")
     whole = scene.need_grid().resized(plan.finest)
     common, meta = checkpoint.load(scene.root / COMMON)
+    made = {}
     if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
         _join_priors(plan, names)
+        made = record(scene, "prior", scene.train_items(), implicit=True)
     sheets: dict[str, Sheet] = {}
     image_sheets: dict[str, list[Sheet]] = {}
     softness = meta["softness"]
@@ -94,7 +97,7 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
     remarks = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *remarks]
     result = save_fit(
         scene, scene.output(MODEL), found, {**meta, "grid": whole.to_dict(), "softness": softness},
-        _trace(plan, [COARSE, *names]), remarks,
+        _trace(plan, [COARSE, *names]), remarks, made,
     )  # fmt: skip
     if spent := plan.spent():
         result["parts"] = spent

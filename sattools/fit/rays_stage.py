@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
-from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +15,7 @@ from sattools.field.networks import NETWORKS
 from sattools.field.protocol import Box, Field
 from sattools.field.voxel import VoxelField
 from sattools.fit import checkpoint
+from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint
 from sattools.fit.options import FitOptions
 from sattools.fit.rays import RaySet, RayTrainer, join
 from sattools.progress import Progress, part
@@ -37,7 +35,7 @@ def fit_rays(
     scene: Scene,
     sources: list[Source],
     options: FitOptions,
-    prior: tuple[np.ndarray, np.ndarray, Grid] | None,
+    prior: PriorMaps | None,
     device: torch.device,
     trace: Any,
     progress: Progress,
@@ -67,7 +65,7 @@ def fit_rays(
     rates = VOXEL_RATES if options.field == "voxel" else None
     trainer = RayTrainer(field, rays, options, gain, offset, rates)
     remarks = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
-    remarks += _train(scene, trainer, options, trace, progress, sources, grid, z_range)
+    remarks += _train(scene, trainer, options, trace, progress, sources, prior, grid, z_range)
     maps = read_surface(trainer, grid, z_range)
     tensors = dict(zip(("height", "height_std", "albedo"), maps, strict=True))
     tensors |= {n: t.detach() for n, t in trainer.colour.items()}
@@ -115,7 +113,7 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
         )
 
 
-def prior_maps(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid) -> tuple[Tensor, Tensor] | None:
+def prior_maps(prior: PriorMaps | None, grid: Grid) -> tuple[Tensor, Tensor] | None:
     """The prior's height and confidence ``[H, W]`` on the grid; unknown heights are the median, without confidence."""
     if prior is None:
         return None
@@ -212,17 +210,18 @@ def _train(
     trace: Any,
     progress: Progress,
     sources: list[Source],
+    prior: PriorMaps | None,
     grid: Grid,
     z_range: tuple[float, float],
 ) -> list[str]:
     from sattools.fit.stage import CHECKPOINT
 
-    path, print_ = scene.output(CHECKPOINT), fingerprint(options, sources, grid)
+    path, print_ = scene.output(CHECKPOINT), fingerprint(scene, options, sources, prior)
     start = 0
     if options.resume and path.exists():
         tensors, meta = checkpoint.load(path)
-        if meta["fingerprint"] != print_:
-            raise SceneError(f"{path}: found a checkpoint of other options or images, expected the same; drop --resume")
+        if meta.get("fingerprint") != print_:
+            raise SceneError(f"{path}: {OTHER_FIT}")
         trainer.load(tensors)
         start, trace.rows, trace.offset = meta["step"], meta["rows"], meta["rows"][-1]["seconds"]
     elif options.resume:
@@ -263,13 +262,6 @@ def _score(
     found = float(compare_dsm(height.numpy(), read_reference(options.reference), grid).figures["mae"])
     trace.started += time.perf_counter() - pause  # watching must not count as fitting
     return {"mae_m": found}
-
-
-def fingerprint(options: FitOptions, sources: list[Source], grid: Grid) -> str:
-    """Hash of everything that a continued fit must share with the interrupted one."""
-    plain = asdict(replace(options, resume=False, budget=None, reference=None))
-    what = [plain, grid.to_dict(), [[s.id, hashlib.sha256(s.radiance.tobytes()).hexdigest()] for s in sources]]
-    return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
 
 __all__ = ["fit_rays", "make_field", "ray_set", "read_surface"]

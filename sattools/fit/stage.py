@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
+import functools
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,13 @@ from sattools.fit.illumination import (
     Radiance,
     calibrated,
     check_light,
-    choose_views,
     exposed,
     light_scale,
     material_remarks,
     prior_normals,
     radiance_kind,
 )
+from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint, holding_out, load_prior, may_write
 from sattools.fit.irradiance import Light
 from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
@@ -42,11 +41,13 @@ from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
 from sattools.progress import Progress, part, silent
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
-from sattools.scene.raster import read_raster, write_text
+from sattools.scene.dependencies import MADE, begin, record
+from sattools.scene.files import all_or_nothing, write_text
 from sattools.views import Source, View, load_sources, match_colours, shown_on, views_on
 
 log = logging.getLogger(__name__)
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
+STATE = "fit/tiles/tiles.json"  # of a fit in tiles that is not finished
 START_AMBIENT = 0.4
 
 
@@ -58,15 +59,15 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
 
     Raises:
         SceneError: fewer than two usable images, or unknown held-out ids.
+        OutputExistsError: there is a model and ``overwrite`` is False, or ``resume`` finds a finished fit.
     """
-    model_path = scene.output(MODEL, overwrite or options.resume)
-    for item in scene.items:
-        if item.id in options.holdout:
-            item.properties["sattools:role"] = "test"
-    unknown = set(options.holdout) - {item.id for item in scene.items}
-    if unknown:
-        raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r} to hold out")
-    choose_views(scene, options.views)
+    may = may_write(scene, options, overwrite, (CHECKPOINT, STATE))
+    path = begin(scene, "fit", [MODEL, TRACE], may)[MODEL]
+    with holding_out(scene, options.holdout, options.views):
+        return _fit(scene, options, progress, path, may)
+
+
+def _fit(scene: Scene, options: FitOptions, progress: Progress, model_path: Path, may: bool) -> dict[str, Any]:
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
@@ -80,14 +81,14 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         return fit_tiled(scene, options, progress)
     sources = load_sources(scene, items)
     grid, z_range = scene.need_grid(), scene.need_height_range()
-    prior = load_prior(scene, options, part(progress, 0.0, 0.2))
+    prior, made = load_prior(scene, options, part(progress, 0.0, 0.2), may)
     if options.field != "surface":
         from sattools.fit.rays_stage import fit_rays
 
         trace = Trace()
         progress = part(progress, 0.2 if prior else 0.0, 1.0)
         tensors, meta, more = fit_rays(scene, sources, options, prior, device, trace, progress)
-        return save_fit(scene, model_path, tensors, meta, trace, remarks + more)
+        return save_fit(scene, model_path, tensors, meta, trace, remarks + more, made)
     # amounts of a reflectance model and what tiles share have the unit of the images
     plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
@@ -121,18 +122,30 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         "radiance": radiance,
         "brdf": options.brdf,
     }
-    return save_fit(scene, model_path, tensors, meta, job.trace, remarks + more)
+    return save_fit(scene, model_path, tensors, meta, job.trace, remarks + more, made)
 
 
 def save_fit(
-    scene: Scene, path: Path, tensors: dict[str, Tensor], meta: dict[str, Any], trace: Trace, remarks: list[str]
+    scene: Scene,
+    path: Path,
+    tensors: dict[str, Tensor],
+    meta: dict[str, Any],
+    trace: Trace,
+    remarks: list[str],
+    made: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Write model and trace; figures for the history."""
-    checkpoint.save(path, tensors, meta)
-    write_text(scene.output(TRACE), trace.to_csv())
+    """Write model and trace; figures for the history, with what was made from what (``made``: the prior's record)."""
+    with all_or_nothing():
+        checkpoint.save(path, tensors, meta)
+        write_text(scene.output(TRACE), trace.to_csv())
     scene.output(CHECKPOINT).unlink(missing_ok=True)
     scene.products.update(model=MODEL, trace=TRACE)
-    return {"remarks": remarks, "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)}}
+    used = [item for item in scene.items if item.id in meta["items"]]
+    return {
+        "remarks": remarks,
+        "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)},
+        MADE: {**(made or {}), **record(scene, "fit", used)},
+    }
 
 
 def choose_device(name: str) -> torch.device:
@@ -144,21 +157,6 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def load_prior(scene: Scene, options: FitOptions, progress: Progress) -> tuple[np.ndarray, np.ndarray, Grid] | None:
-    """Height, confidence and grid of the scene's depth prior; made with its defaults where it is missing."""
-    if options.prior_weight == 0:
-        return None
-    if "prior_dsm" not in scene.products:
-        from sattools.prior import PriorOptions
-        from sattools.prior.stage import prior
-
-        prior(scene, PriorOptions(), progress)
-    within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
-    height, grid = read_raster(scene.path(scene.products["prior_dsm"]), within)
-    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]), within)
-    return height[0], confidence[0], grid
-
-
 @dataclass
 class _Job:
     """One fit from the first stage to the last, with checkpoints."""
@@ -167,7 +165,7 @@ class _Job:
     sources: list[Source]
     options: FitOptions
     stages: list[StageSettings]
-    prior: tuple[np.ndarray, np.ndarray, Grid] | None
+    prior: PriorMaps | None
     z_ref: float
     device: torch.device
     radiance: Radiance = "relative"
@@ -364,17 +362,12 @@ class _Job:
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 
-    def _fingerprint(self) -> str:
-        """Hash of everything that a continued fit must share with the interrupted one."""
-        options = asdict(self.options)
-        for name in ("resume", "budget", "reference"):
-            options.pop(name)
-        what = [options, [s.id for s in self.sources], self.scene.need_grid().to_dict(), self.z_ref]
-        what.append([hashlib.sha256(s.radiance.tobytes()).hexdigest() for s in self.sources])
-        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+    @functools.cached_property
+    def _print(self) -> str:
+        return fingerprint(self.scene, self.options, self.sources, self.prior)
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
-        meta = {"stage": stage, "epoch": epoch, "fingerprint": self._fingerprint(), "rows": self.trace.rows}
+        meta = {"stage": stage, "epoch": epoch, "fingerprint": self._print, "rows": self.trace.rows}
         meta["settled"] = self.settled
         checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
 
@@ -384,8 +377,8 @@ class _Job:
             log.warning("%s: no checkpoint, the fit starts anew", path)
             return None
         tensors, meta = checkpoint.load(path)
-        if meta["fingerprint"] != self._fingerprint():
-            raise SceneError(f"{path}: found a checkpoint of other options or images, expected the same; drop --resume")
+        if meta.get("fingerprint") != self._print:
+            raise SceneError(f"{path}: {OTHER_FIT}")
         self.trace.rows = meta["rows"]
         self.trace.offset = self.trace.rows[-1]["seconds"]
         return tensors, meta

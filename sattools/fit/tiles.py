@@ -26,18 +26,20 @@ from sattools import __version__
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
 from sattools.fit.coarse import COLOURS, PRODUCT
+from sattools.fit.inputs import OTHER_FIT
 from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
-from sattools.fit.stage import CHECKPOINT, MODEL, fit
+from sattools.fit.stage import CHECKPOINT, MODEL, STATE, fit
 from sattools.progress import Progress, part, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy
-from sattools.scene.raster import raster_grid, write_text
+from sattools.scene.files import write_text
+from sattools.scene.raster import raster_grid
 from sattools.scene.tiles import Tile, common_cell, cut
 from sattools.views import TONE_PROPERTY, Source, Tone, load_sources, views_on
 
 log = logging.getLogger(__name__)
-FOLDER, STATE, COARSE = "fit/tiles", "fit/tiles/tiles.json", "coarse"
+FOLDER, COARSE = "fit/tiles", "coarse"
 COMMON = "fit/tiles/common.safetensors"
 WHOLE = "fit/tiles/scene.json"  # the document of the whole as it was cut
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
@@ -223,9 +225,7 @@ class Plan:
     def check_state(self, state: dict[str, Any]) -> None:
         """Raise SceneError where the tiles on disk belong to another fit."""
         if state["key"] != self._key():
-            raise SceneError(
-                f"{self.scene.root / STATE}: found tiles of other options or images, expected the same; drop --resume"
-            )
+            raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
 
     def _state(self) -> dict[str, Any] | None:
         path = self.scene.root / STATE

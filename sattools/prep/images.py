@@ -19,7 +19,8 @@ from rasterio.windows import Window
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
-from sattools.scene.raster import atomic
+from sattools.scene.files import write_bytes
+from sattools.scene.raster import sensor_profile
 from sattools.scene.sidecars import sidecars
 
 
@@ -167,23 +168,8 @@ def write_image(source: Source, rpc: RPC, target: Path) -> None:
     """
     col, row, width, height = source.window
     with opened(source.path) as data:
-        profile = {
-            "driver": "GTiff",
-            "width": width,
-            "height": height,
-            "count": data.count,
-            "dtype": data.dtypes[0],
-            "tiled": True,
-            "blockxsize": 256,
-            "blockysize": 256,
-            "compress": "deflate",
-            "predictor": 3 if np.issubdtype(np.dtype(source.dtype), np.floating) else 2,
-            "interleave": "pixel" if data.count > 1 else "band",
-            "bigtiff": "if_safer",
-        }
-        if data.nodata is not None:
-            profile["nodata"] = data.nodata
-        # Through memory: on a full disk GDAL closes a broken file without an error, Python's own write does not.
+        profile = sensor_profile(source.dtype, data.count, height, width, data.nodata)
+        profile |= {"interleave": "pixel" if data.count > 1 else "band", "bigtiff": "if_safer"}
         with rasterio.MemoryFile() as memory:
             with memory.open(**profile) as out:
                 strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
@@ -194,8 +180,7 @@ def write_image(source: Source, rpc: RPC, target: Path) -> None:
                         out.write(values, band, window=Window(0, first, width, rows))
                 out.descriptions = data.descriptions
                 out.update_tags(ns="RPC", **rpc.to_tags())
-            with atomic(target) as temporary:
-                temporary.write_bytes(memory.getbuffer())
+            write_bytes(target, memory.getbuffer())
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import View, find_tie_points
-from sattools.errors import InputError, OutputExistsError, SattoolsError
+from sattools.errors import InputError
 from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
 from sattools.prep.images import Source, check_ids, load_source, read_gray, write_image
 from sattools.prep.items import describe, tie_point_features
@@ -33,11 +32,18 @@ from sattools.prep.layout import (
 from sattools.prep.options import PrepOptions
 from sattools.progress import Progress, part, silent
 from sattools.scene import Grid, Scene
-from sattools.scene.raster import write_text
+from sattools.scene.dependencies import begin
+from sattools.scene.files import write_text
+from sattools.scene.sidecars import sidecars
 
 _BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
 _FINAL_MARGIN_PX = 16
 _SEARCH_HEIGHT_M = 600.0
+_REPORTS = {
+    "adjustment": "adjustment.json",
+    "adjustment_report": "adjustment.txt",
+    "tie_points": "tie_points.geojson",
+}
 
 
 def prepare(
@@ -58,13 +64,12 @@ def prepare(
     if unknown:
         raise InputError(f"holdout: found {unknown[0]!r}, expected one of {', '.join(ids[:4])} ...")
     scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
-    if not overwrite and scene.path("scene.json").exists():
-        raise OutputExistsError(f"{scene.path('scene.json')}: exists already; give --overwrite to replace it")
-    _check_writable(scene.root)
     metadata_dir = Path(options.metadata) if options.metadata else None
     if metadata_dir is not None and not metadata_dir.is_dir():
         raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
 
+    files = [*images, *(f for p in images for f in sidecars(p, [d for d in (metadata_dir, p.parent) if d]))]
+    begin(scene, "prep", _outputs(ids), overwrite, [*files, *([Path(options.aoi)] if options.aoi else [])])
     progress(0.0, "reading metadata")
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
     crs = check_projected(options.crs) if options.crs else _default_crs(sources)
@@ -162,11 +167,9 @@ def check_places(sources: Sequence[Source], crs: str) -> None:
     )
 
 
-def _check_writable(root: Path) -> None:
-    """Say at once, not after the work, that nothing can be written."""
-    folder = next(p for p in (root, *root.parents) if p.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise SattoolsError(f"{folder}: cannot be written to, expected a writable folder for {root}")
+def _outputs(ids: Sequence[str]) -> list[str]:
+    """All files that will be written; images that do not show the area are left out."""
+    return [*_REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
 
 
 def _default_crs(sources: Sequence[Source]) -> str:
@@ -261,12 +264,10 @@ def _grid(
 
 
 def _write_reports(scene: Scene, result: Adjustment) -> None:
-    write_text(scene.output("adjustment.json"), json.dumps(_no_nan(result.to_dict()), indent=1) + "\n")
-    write_text(scene.output("adjustment.txt"), result.to_text())
-    write_text(scene.output("tie_points.geojson"), tie_point_features(result))
-    scene.products["adjustment"] = "adjustment.json"
-    scene.products["adjustment_report"] = "adjustment.txt"
-    scene.products["tie_points"] = "tie_points.geojson"
+    write_text(scene.output(_REPORTS["adjustment"]), json.dumps(_no_nan(result.to_dict()), indent=1) + "\n")
+    write_text(scene.output(_REPORTS["adjustment_report"]), result.to_text())
+    write_text(scene.output(_REPORTS["tie_points"]), tie_point_features(result))
+    scene.products |= _REPORTS
 
 
 def _no_nan(value: Any) -> Any:

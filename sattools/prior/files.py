@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning
 
 from sattools.camera.rpc import RPC
-from sattools.scene.raster import atomic
+from sattools.scene.raster import write_sensor_image
 
 
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
@@ -19,20 +16,10 @@ def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: s
     Raises:
         SattoolsError: the file cannot be written.
     """
-    rows, cols = array.shape
-    profile = {"driver": "GTiff", "height": rows, "width": cols, "count": 1, "dtype": "float32", "nodata": np.nan}
-    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "predictor": 3}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        # through memory: on a full disk GDAL closes a broken file without an error, Python's own write does not
-        with rasterio.MemoryFile() as memory:
-            with memory.open(**profile) as data:
-                data.write(array.astype(np.float32), 1)
-                data.units, data.descriptions = [unit], (name,)
-                data.update_tags(SOFTWARE="sattools")
-                data.update_tags(ns="RPC", **rpc.to_tags())
-            with atomic(path) as temporary:
-                temporary.write_bytes(memory.getbuffer())
+    write_sensor_image(
+        path, array[None].astype(np.float32), rpc.to_tags(), nodata=float("nan"), descriptions=[name], units=unit,
+        tags={"SOFTWARE": "sattools"},
+    )  # fmt: skip
 
 
 __all__ = ["write_sensor_map"]

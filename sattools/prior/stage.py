@@ -19,6 +19,7 @@ from sattools.prior.pairs import choose_pairs
 from sattools.prior.project import seen_by
 from sattools.progress import Progress, part, silent
 from sattools.scene import Asset, Grid, Scene
+from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog
 from sattools.views import Source, Tone, View, check_seen, line_of_sight, load_sources, match_colours, views_on
@@ -30,8 +31,21 @@ Z_REF_SHARE = 0.3  # share of the height range below the reference height: most 
 USUAL_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
 
 
-def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+def prior(
+    scene: Scene,
+    options: PriorOptions,
+    progress: Progress = silent,
+    overwrite: bool = True,
+    implicit: bool = False,
+) -> dict[str, Any]:
     """Match the scene's training images; writes height, confidence and normals below ``prior/`` of the root.
+
+    Args:
+        scene: gets the products.
+        options: of the matching.
+        progress: share done.
+        overwrite: replace products that are there.
+        implicit: whether another stage asks for it, which may then make it anew for other images.
 
     Returns:
         Remarks and figures for the history.
@@ -40,9 +54,11 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
         SceneError: fewer than two usable images, or none from different directions.
         OutputExistsError: a product exists and ``overwrite`` is False.
     """
-    for name in (DSM, CONFIDENCE, NORMALS):
-        scene.output(name, overwrite)
     items = scene.train_items()
+    outputs = [DSM, CONFIDENCE, NORMALS]
+    if options.per_image:
+        outputs += [_per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
+    begin(scene, "prior", outputs, overwrite)
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     whole = scene.need_grid()
@@ -63,9 +79,9 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
     height = found.height
 
     progress(0.9, "writing")
-    write_maps(scene, height, trust, grid, overwrite)
+    write_maps(scene, height, trust, grid)
     if options.per_image:
-        _per_image(scene, sources, grid, height, trust, z_range, part(progress, 0.92, 1.0), overwrite)
+        _per_image(scene, sources, grid, height, trust, z_range, part(progress, 0.92, 1.0))
     progress(1.0, "matched")
     completeness = float((found.views >= 2).mean())
     return {
@@ -80,12 +96,13 @@ def prior(scene: Scene, options: PriorOptions, progress: Progress = silent, over
                 for view, value in zip(views, agreement, strict=True)
             },
         },
+        MADE: record(scene, "prior", items, implicit=implicit),
     }
 
 
-def write_maps(scene: Scene, height: np.ndarray, trust: np.ndarray, grid: Grid, overwrite: bool = True) -> None:
+def write_maps(scene: Scene, height: np.ndarray, trust: np.ndarray, grid: Grid) -> None:
     """Write height [m], confidence and the height's normals as the scene's prior; ``height``, ``trust``: ``[H, W]``."""
-    targets = {name: scene.output(name, overwrite) for name in (DSM, CONFIDENCE, NORMALS)}
+    targets = {name: scene.output(name) for name in (DSM, CONFIDENCE, NORMALS)}
     tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
     write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
     write_cog(targets[CONFIDENCE], trust, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=["confidence"])
@@ -177,7 +194,6 @@ def _per_image(
     trust: np.ndarray,
     z_range: tuple[float, float],
     progress: Progress,
-    overwrite: bool,
 ) -> None:
     """Write the assets `depth` and `confidence` of every matched image, pixel by pixel of the image."""
     items = {item.id: item for item in scene.items}
@@ -187,9 +203,13 @@ def _per_image(
         progress(k / len(sources), f"depth of {source.id}")
         depth, (sure,) = seen_by(source.rpc, source.radiance.shape[1:], grid, height, [trust], (low, high))
         for name, array, unit in (("depth", depth, "m"), ("confidence", sure, "1")):
-            href = f"prior/{name}/{source.id}.tif"
-            write_sensor_map(scene.output(href, overwrite), array, source.rpc, name, unit)
+            href = _per_image_href(name, source.id)
+            write_sensor_map(scene.output(href), array, source.rpc, name, unit)
             items[source.id].assets[name] = Asset(href, GEOTIFF_TYPE)
+
+
+def _per_image_href(name: str, item_id: str) -> str:
+    return f"prior/{name}/{item_id}.tif"
 
 
 def _remarks(views: list[View], grid: Grid, completeness: float) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.scene.raster import atomic
+from sattools.scene.files import write_figure
 
 COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:purple", "tab:brown", "tab:pink", "tab:olive", "tab:cyan")
 
@@ -35,8 +35,7 @@ def histogram_figure(
         axes.set(xlabel=label, ylabel="share of the pixels", ylim=(0, None))
         axes.legend()
     figure.suptitle(title)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png")
+    write_figure(path, figure)
 
 
 __all__ = ["histogram_figure"]

@@ -25,6 +25,7 @@ from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
+from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.raster import read_image, write_image_like
 from sattools.scene.sidecars import sidecars
 
@@ -77,20 +78,20 @@ def normalise(
     calibrations = {item.id: _calibration(scene, item, options) for item in items}
     quantity = _quantity(scene, items, options, calibrations, remarks)
     job = _Job(scene, options, quantity, calibrations, _bits(items, options, remarks))
-    outputs = {item.id: scene.output(f"radiance/{item.id}.tif", overwrite) for item in items}
-    figure = scene.output(FIGURE, overwrite)
+    paths = begin(scene, "normalise", [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], overwrite)
     shares = {}
     for k, item in enumerate(items):
         progress(k / len(items), item.id)
-        shares[item.id] = _one(job, item, outputs[item.id], remarks)
+        shares[item.id] = _one(job, item, paths[f"radiance/{item.id}.tif"], remarks)
     pooled = [[np.concatenate(band) for band in zip(*part, strict=True)] for part in (job.numbers, job.radiance)]
     label = LABELS[job.quantity]
-    histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", figure)
+    histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", paths[FIGURE])
     scene.products["radiance_histogram"] = FIGURE
     for text in remarks:
         log.warning("%s", text)
     progress(1.0, "normalised")
-    return {"remarks": remarks, "quantity": job.quantity, "images": shares}
+    made = record(scene, "normalise", items)
+    return {"remarks": remarks, "quantity": job.quantity, "images": shares, MADE: made}
 
 
 def _one(job: _Job, item: Item, output: Path, remarks: list[str]) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ import numpy as np
 from sattools.report import figures
 from sattools.report.commands import pipeline
 from sattools.report.page import Code, Picture, Section, Table, render
+from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
 from sattools.scene.raster import read_image, read_raster
 
+log = logging.getLogger(__name__)
 # product -> what it is, with its unit; shown where a scene has them
 MAPS = {
     "dsm_std": "standard deviation of the height [m]",
@@ -35,8 +38,20 @@ _PIXELS = 200_000  # of an image are enough for its histogram
 
 def scene_page(scene: Scene) -> str:
     """HTML of everything that the scene has data for."""
+    notes = _drop_stale(scene)
     makers: list[Callable[[Scene], Section]] = [_images, _adjustment, _radiometry, _surface, _errors, _maps, _training]
-    return render(f"Scene {scene.id}", [*(make(scene) for make in makers), _history(scene)])
+    return render(f"Scene {scene.id}", [*notes, *(make(scene) for make in makers), _history(scene)])
+
+
+def _drop_stale(scene: Scene) -> list[Section]:
+    """What is out of date is left out, and the page says so."""
+    for stage in ("fit", "export", "compare"):
+        reason = stale(scene, stage)
+        if reason:
+            gone = ", ".join(drop(scene, stage))
+            log.warning("scene %s: %s; left out of the report: %s", scene.id, reason, gone)
+            return [Section("Out of date", [f"Left out: {gone}. {reason[0].upper()}{reason[1:]}."])]
+    return []
 
 
 def _images(scene: Scene) -> Section:
@@ -74,7 +89,7 @@ def _item_table(scene: Scene) -> Table:
                 str(p.get("datetime") or "")[:16].replace("T", " "),
                 *(_number(value, 1) for value in (*sun, p.get("view:azimuth"), p.get("view:off_nadir"))),
                 _number(p.get("gsd"), 2),
-                item.role,
+                "test" if item.held_out else "train",
             ]
         )
     names = ["image", "UTC", "sun azimuth [°]", "sun elevation [°]", "view azimuth [°]", "off nadir [°]", "pixel [m]"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sattools.scene.document import Scene
-from sattools.scene.raster import write_text
+from sattools.scene.files import write_text
 
 
 def absolute_copy(scene: Scene, root: Path) -> Scene:

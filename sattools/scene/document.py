@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sattools.errors import OutputExistsError, SceneError
+from sattools.errors import SceneError
 from sattools.scene.grid import Grid
 
 FORMAT_VERSION = 1
+FIT_ROLE = "sattools:fit_role"  # of an image that the last fit held out, whatever its role is
 COG_TYPE = "image/tiff; application=geotiff; profile=cloud-optimized"
 GEOTIFF_TYPE = "image/tiff; application=geotiff"
 STAC_EXTENSIONS = [
@@ -66,8 +67,13 @@ class Item:
 
     @property
     def role(self) -> str:
-        """``train`` or ``test``."""
+        """``train`` or ``test``, as the scene has it; a fit may hold out more, see `held_out`."""
         return str(self.properties.get("sattools:role", "train"))
+
+    @property
+    def held_out(self) -> bool:
+        """Whether the last fit did not see the image."""
+        return self.properties.get(FIT_ROLE, self.role) != "train"
 
     @property
     def sun(self) -> tuple[float, float] | None:
@@ -121,6 +127,7 @@ class Scene:
         height_range_m: lowest and highest ellipsoidal height to look for the surface [m].
         products: name -> href of scene-wide outputs (dsm, albedo, ...).
         history: one entry a command: options, seconds, peak memory, versions, remarks.
+        origin: file that the document was read from, None for one from a pipe.
     """
 
     id: str
@@ -130,6 +137,7 @@ class Scene:
     height_range_m: tuple[float, float] | None = None
     products: dict[str, str] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
+    origin: Path | None = None
 
     def __post_init__(self) -> None:
         check_id(self.id, "scene")
@@ -227,7 +235,9 @@ class Scene:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise SceneError(f"{path}: cannot be read ({error}), expected a scene document") from error
-        return cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
+        scene = cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
+        scene.origin = path
+        return scene
 
     # ---- files ------------------------------------------------------------------------------------------
 
@@ -241,23 +251,15 @@ class Scene:
             return Path(href)
         return self._below_root(href)
 
-    def output(self, relative: str, overwrite: bool = True) -> Path:
-        """Absolute path below the root for writing; makes its folder.
+    def output(self, relative: str) -> Path:
+        """Absolute path below the root for writing; whether it may be written, `scene.dependencies.begin` says.
 
         Raises:
             SceneError: the path would leave the root (absolute, `..`, or through a symbolic link).
-            OutputExistsError: it exists and ``overwrite`` is False.
         """
         if Path(relative).is_absolute():
             raise SceneError(f"{relative}: found an absolute output path, expected one below {self.root}")
-        path = self._below_root(relative)
-        if path.exists() and not overwrite:
-            raise OutputExistsError(f"{path}: exists already; give --overwrite to replace it")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise SceneError(f"{path.parent}: cannot be made ({error.strerror}), expected a writable root") from error
-        return path
+        return self._below_root(relative)
 
     def href(self, path: Path) -> str:
         """The relative href of a file below the root."""
@@ -297,4 +299,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["COG_TYPE", "GEOTIFF_TYPE", "Asset", "Item", "Scene", "check_id"]
+__all__ = ["COG_TYPE", "FIT_ROLE", "GEOTIFF_TYPE", "Asset", "Item", "Scene", "check_id"]

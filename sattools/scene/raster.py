@@ -1,17 +1,12 @@
-"""Reading and writing rasters: the one I/O layer of the suite.
-
-Everything is written under a temporary name in the target's folder and renamed when complete, so that an interrupted
-command never leaves half a file.
-"""
+"""Reading and writing rasters: the one I/O layer of the suite."""
 
 from __future__ import annotations
 
-import os
-import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -20,44 +15,10 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from sattools.errors import InputError, SattoolsError
+from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
-
-
-@contextmanager
-def atomic(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; rename it on success, remove it on any failure.
-
-    Raises:
-        SattoolsError: the folder is not writable or the disk is full.
-    """
-    path = Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".tmp" + path.suffix, dir=path.parent)
-        os.close(handle)
-    except OSError as error:
-        raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a writable folder") from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes files private; a product has the permissions any other new file would have
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except (OSError, RasterioError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise SattoolsError(f"{path}: cannot be written ({reason})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 text file atomically."""
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def write_cog(
@@ -94,9 +55,9 @@ def write_cog(
     elif array.dtype == bool:
         array = array.astype(np.uint8)
     is_float = np.issubdtype(array.dtype, np.floating)
-    with atomic(path) as temporary, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.MemoryFile() as memory:
+        with rasterio.MemoryFile() as memory, rasterio.MemoryFile(ext=".tif") as optimised:
             with memory.open(
                 driver="GTiff",
                 dtype=array.dtype,
@@ -116,12 +77,13 @@ def write_cog(
             with memory.open() as data:
                 rasterio.shutil.copy(
                     data,
-                    temporary,
+                    optimised.name,
                     driver="COG",
                     compress="DEFLATE",
                     predictor="YES",
                     overview_resampling="average" if is_float else "nearest",
                 )
+            write_bytes(path, optimised.getbuffer())
 
 
 def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Grid]:
@@ -220,18 +182,56 @@ def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Se
     """
     with _opened(like) as source:
         rpc = source.tags(ns="RPC")
+    write_sensor_image(path, array.astype(np.float32), rpc, nodata=float("nan"), descriptions=descriptions)
+
+
+def write_sensor_image(
+    path: Path,
+    array: np.ndarray,
+    rpc: Mapping[str, str] | None = None,
+    *,
+    nodata: float | None = None,
+    descriptions: Sequence[str] | None = None,
+    units: str | None = None,
+    tags: Mapping[str, str] | None = None,
+) -> None:
+    """Write an image in sensor geometry as a tiled GeoTIFF.
+
+    Args:
+        path: target file.
+        array: ``[B, H, W]``.
+        rpc: its camera as RPC tags.
+        nodata: no-data value.
+        descriptions: one name per band.
+        units: unit of the bands.
+        tags: dataset tags.
+
+    Raises:
+        SattoolsError: the file cannot be written.
+    """
     bands, height, width = array.shape
-    with atomic(path) as temporary, warnings.catch_warnings():
+    profile = sensor_profile(array.dtype, bands, height, width, nodata)
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(
-            temporary, "w", driver="GTiff", dtype="float32", count=bands, height=height, width=width,
-            nodata=float("nan"), tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
-        ) as data:  # fmt: skip
-            data.write(array.astype(np.float32))
-            if descriptions:
-                data.descriptions = tuple(descriptions)
-            if rpc:
-                data.update_tags(ns="RPC", **rpc)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(**profile) as data:
+                data.write(array)
+                if descriptions:
+                    data.descriptions = tuple(descriptions)
+                if units:
+                    data.units = [units] * bands
+                data.update_tags(**(tags or {}))
+                if rpc:
+                    data.update_tags(ns="RPC", **rpc)
+            write_bytes(path, memory.getbuffer())
+
+
+def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, nodata: float | None) -> dict[str, Any]:
+    """rasterio profile of an image in sensor geometry, without its camera."""
+    profile: dict[str, Any] = {"driver": "GTiff", "dtype": dtype, "count": bands, "height": height, "width": width}
+    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate"}
+    profile["predictor"] = 3 if np.issubdtype(np.dtype(dtype), np.floating) else 2
+    return profile if nodata is None else profile | {"nodata": nodata}
 
 
 @contextmanager
@@ -258,12 +258,12 @@ def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None
 
 
 __all__ = [
-    "atomic",
     "image_shape",
     "raster_grid",
     "read_image",
     "read_raster",
+    "sensor_profile",
     "write_cog",
     "write_image_like",
-    "write_text",
+    "write_sensor_image",
 ]

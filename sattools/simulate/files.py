@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,39 +10,10 @@ import numpy as np
 
 from sattools.camera.rpc import RPC, SCALARS, VECTORS
 from sattools.scene.document import Scene
+from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
-from sattools.scene.raster import atomic, write_cog, write_text
+from sattools.scene.raster import write_cog
 from sattools.simulate.world import World
-
-
-def write_sensor_image(
-    path: Path, image: np.ndarray, rpc: RPC | None = None, tags: dict[str, str] | None = None
-) -> None:
-    """An image [B, H, W] in sensor geometry as GeoTIFF, with the camera in its RPC tags."""
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
-    bands, height, width = image.shape
-    with warnings.catch_warnings(), atomic(path) as temporary:
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(
-            temporary,
-            "w",
-            driver="GTiff",
-            count=bands,
-            height=height,
-            width=width,
-            dtype=image.dtype,
-            compress="deflate",
-            predictor=3 if np.issubdtype(image.dtype, np.floating) else 2,
-            tiled=True,
-            blockxsize=256,
-            blockysize=256,
-        ) as data:
-            data.write(image)
-            data.update_tags(**(tags or {}))
-            if rpc is not None:
-                data.update_tags(ns="RPC", **rpc.to_tags())
 
 
 def sat_nerf_metadata(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,11 +19,12 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
+from sattools.scene.files import check_outputs, write_text
 from sattools.scene.grid import Grid
-from sattools.scene.raster import read_raster
+from sattools.scene.raster import read_raster, write_sensor_image
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
-from sattools.simulate.files import sat_nerf_metadata, write_json, write_sensor_image, write_truth
+from sattools.simulate.files import sat_nerf_metadata, write_json, write_truth
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
 from sattools.simulate.world import World
@@ -67,7 +69,7 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     per view the share of sunlit ground and the height seen). Raises OutputExistsError where a scene is there already.
     """
     scene = Scene(options.id, Path(root))
-    scene.output("scene.json", overwrite)
+    check_outputs([scene.output("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
     if options.terrain == "natural":
         from sattools.simulate.fan import simulate_natural
 
@@ -103,9 +105,13 @@ def take_all(
 ) -> None:
     """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise."""
     with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
-        jobs = pool.map(take, range(len(views)), views, seed.spawn(len(views)))
-        for number, item in enumerate(jobs, 1):
-            scene.items.append(item)
+        # files that are held back until the scene is whole are so in every thread
+        jobs = [
+            pool.submit(contextvars.copy_context().run, take, number, view, own)
+            for number, (view, own) in enumerate(zip(views, seed.spawn(len(views)), strict=True))
+        ]
+        for number, job in enumerate(jobs, 1):
+            scene.items.append(job.result())
             progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
 
 
@@ -244,10 +250,9 @@ def write_view(
         "truth_lit": f"truth/views/{view.id}_LIT.tif",
         "truth_height": f"truth/views/{view.id}_HEIGHT.tif",
     }
-    write_sensor_image(
-        scene.output(files["image"]), image, delivered, {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
-    )
-    view.rpc.write(scene.output(files["rpc"]))
+    taken = {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
+    write_sensor_image(scene.output(files["image"]), image, delivered.to_tags(), tags=taken)
+    write_text(scene.output(files["rpc"]), view.rpc.to_rpc_txt())
     corners = _footprint(view, float(np.median(height)))
     metadata = sat_nerf_metadata(
         f"{view.id}.tif", delivered, view.shape, view.sun, view.time.strftime("%Y%m%d%H%M%S"), corners

@@ -21,7 +21,7 @@ MEASURED = {"scene", "seconds", "fit_s", "export_s", "peak_memory_mb"}  # differ
 def folder(tmp_path_factory) -> Path:
     """Two scenes with the same images under two names, and a configuration of two epochs."""
     from sattools.scene import Scene
-    from sattools.scene.raster import write_text
+    from sattools.scene.files import write_text
     from sattools.simulate import SimulateOptions, simulate
 
     root = tmp_path_factory.mktemp("batch")

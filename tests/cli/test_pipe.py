@@ -12,6 +12,7 @@ from sattools.cli.options import common_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.errors import SceneError
 from sattools.scene import Scene
+from sattools.scene.dependencies import begin
 
 
 @click.command("touch")
@@ -25,11 +26,11 @@ def touch(scenes, overwrite, dry_run, print_config, fail):
         if scene.id == fail:
             raise SceneError(f"scene {scene.id}: found a\nproblem, expected none")
         progress(0.5, "half")
-        scene.output("touched", overwrite).write_text(scene.id)
+        begin(scene, "fit", ["touched"], overwrite)["touched"].write_text(scene.id)
         scene.products["touched"] = "touched"
         return {"remarks": ["it was easy"]}
 
-    run_scenes(Run("touch", None, dry_run, print_config), scenes, work, plan="touch a file")
+    run_scenes(Run("touch", None, dry_run, print_config, overwrite), scenes, work, plan="touch a file")
 
 
 @pytest.fixture
@@ -152,7 +153,7 @@ def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path):
     result = CliRunner().invoke(other, input=scene.to_json())
     assert result.exit_code == 1
     assert result.stdout == ""
-    assert result.stderr.startswith(f"sattools other: error: {tmp_path}/a/scene.json: cannot be written (")
+    assert result.stderr.startswith(f"sattools other: error: {tmp_path}/a/scene.json: cannot be read (")
     assert [p.name for p in (tmp_path / "a").iterdir() if ".tmp" in p.name] == []
 
 

@@ -10,7 +10,7 @@ import torch
 from sattools.errors import SceneError
 from sattools.fit.auto import blocks_of, choose_model, extreme_views
 from sattools.fit.checkpoint import load
-from sattools.fit.illumination import choose_views, light_scale, phase_angles, radiance_kind
+from sattools.fit.illumination import light_scale, phase_angles, radiance_kind, views_left_out
 from sattools.fit.inversion import Samples, invert, material_mean, predict, shape_of, solve_amounts, start_members
 from sattools.fit.material import AMOUNT, SHAPE, blurred, line_to, radiance_factor, surface_normals
 from sattools.fit.members import soft_members
@@ -145,10 +145,10 @@ def test_views_near_the_nadir_are_chosen_and_the_others_held_out(source):
     scene = Scene.from_json(source.to_json())
     for item in scene.items:
         item.properties["sattools:role"] = "train"
-    choose_views(scene, "nearest-nadir:3")
+    views_left_out(scene, "nearest-nadir:3")
     assert [i.id[-3:] for i in scene.train_items()] == ["004", "005", "006"]
     with pytest.raises(SceneError, match="nearest-nadir:N"):
-        choose_views(scene, "nearest-nadir:some")
+        views_left_out(scene, "nearest-nadir:some")
 
 
 def test_phase_angles():

@@ -103,7 +103,7 @@ def test_resuming_with_other_options_is_refused(make_town):
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
-    with pytest.raises(SceneError, match="found a checkpoint of other options or images"):
+    with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
         fit(scene, replace(SHORT, resume=True, seed=3))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import geopandas
 import pytest
 
-from sattools.errors import OutputExistsError, SceneError
+from sattools.errors import SceneError
 from sattools.scene import Asset, Grid, Item, Scene
 
 RING = [[-81.7, 30.3], [-81.6, 30.3], [-81.6, 30.4], [-81.7, 30.4], [-81.7, 30.3]]
@@ -123,14 +123,6 @@ def test_absolute_paths_are_read_but_never_written(tmp_path):
     assert scene.path(elsewhere) == Path(elsewhere)
     with pytest.raises(SceneError, match="found an absolute output path"):
         scene.output(elsewhere)
-
-
-def test_an_existing_output_needs_overwrite(tmp_path):
-    scene = make_scene(tmp_path)
-    (tmp_path / "dsm.tif").write_text("")
-    with pytest.raises(OutputExistsError, match="give --overwrite"):
-        scene.output("dsm.tif", overwrite=False)
-    assert scene.output("dsm.tif", overwrite=True) == tmp_path / "dsm.tif"
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,13 @@
 """Rasters as they are written: cloud-optimised, labelled, complete or not there."""
 
-import errno
-
 import numpy as np
 import pytest
 import rasterio
 
 from sattools.errors import InputError, SattoolsError
 from sattools.scene import Grid
-from sattools.scene.raster import atomic, read_image, read_raster, write_cog, write_text
+from sattools.scene.files import write_text
+from sattools.scene.raster import read_image, read_raster, write_cog
 
 GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 0.5, 1100, 700)
 
@@ -57,23 +56,6 @@ def test_an_array_of_another_shape_than_its_grid_is_refused(tmp_path):
     with pytest.raises(SattoolsError, match=r"found an array of \(3, 2\), expected the grid's \(700, 1100\)"):
         write_cog(tmp_path / "dsm.tif", np.zeros((3, 2)), GRID)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_failure_leaves_neither_half_a_file_nor_a_temporary_one(tmp_path):
-    with pytest.raises(KeyboardInterrupt), atomic(tmp_path / "a.txt") as temporary:  # noqa: PT012
-        temporary.write_text("half")
-        raise KeyboardInterrupt
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_failure_keeps_the_old_file(tmp_path):
-    (tmp_path / "a.txt").write_text("old")
-    with pytest.raises(SattoolsError, match=r"a\.txt: cannot be written \(No space left on device\)"):  # noqa: PT012, SIM117
-        with atomic(tmp_path / "a.txt") as temporary:
-            temporary.write_text("new")
-            raise OSError(errno.ENOSPC, "No space left on device")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
-    assert (tmp_path / "a.txt").read_text() == "old"
 
 
 def test_a_new_file_has_the_permissions_of_any_other(tmp_path):

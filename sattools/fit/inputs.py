@@ -1,0 +1,145 @@
+"""What a fit begins with: which images it may see, the depth prior, and whether it continues an interrupted one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from sattools import __version__
+from sattools.errors import OutputExistsError, SceneError
+from sattools.fit.coarse import PRODUCT
+from sattools.fit.illumination import views_left_out
+from sattools.fit.options import FitOptions
+from sattools.progress import Progress
+from sattools.scene import Grid, Scene
+from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
+from sattools.scene.document import FIT_ROLE
+from sattools.scene.files import digest
+from sattools.scene.raster import read_raster
+from sattools.views import Source
+
+log = logging.getLogger(__name__)
+OTHER_FIT = "found a checkpoint of other options, images or cameras, expected the same; drop --resume"
+PriorMaps = tuple[np.ndarray, np.ndarray, Grid]
+# of an option, what does not change the result
+_HOUSEKEEPING = ("resume", "budget", "reference")
+
+
+@contextmanager
+def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[None]:
+    """Images that this fit must not see are of the role ``test`` inside; afterwards `FIT_ROLE` names them.
+
+    Raises:
+        SceneError: an unknown id, or a ``views`` that cannot be followed.
+    """
+    unknown = sorted(set(holdout) - {item.id for item in scene.items})
+    if unknown:
+        raise SceneError(f"scene {scene.id}: found no item {unknown[0]!r} to hold out")
+    before = {item.id: item.properties.get("sattools:role") for item in scene.items}
+    out: list[str] = []
+    try:
+        for ids in (holdout, views):
+            found = views_left_out(scene, ids) if isinstance(ids, str) else list(ids)
+            out += found
+            for item in scene.items:
+                if item.id in found:
+                    item.properties["sattools:role"] = "test"
+        yield
+    finally:
+        for item in scene.items:
+            if before[item.id] is None:
+                item.properties.pop("sattools:role", None)
+            else:
+                item.properties["sattools:role"] = before[item.id]
+    for item in scene.items:
+        if item.id in out:
+            item.properties[FIT_ROLE] = "test"
+
+
+def may_write(scene: Scene, options: FitOptions, overwrite: bool, begun: Sequence[str]) -> bool:
+    """Whether the fit may replace a model that is there: asked for, or the end of what was interrupted.
+
+    Args:
+        scene: of the fit.
+        options: of the fit.
+        overwrite: what the user said.
+        begun: hrefs of what an interrupted fit leaves.
+
+    Raises:
+        OutputExistsError: ``resume`` on a fit that is finished.
+    """
+    if overwrite or not options.resume:
+        return overwrite
+    if any(scene.path(href).exists() for href in begun):
+        return True
+    # without a model in the document the fit was stopped before its end was noted
+    if "model" in scene.products:
+        raise OutputExistsError(
+            f"{scene.path(scene.products['model'])}: found a finished fit, expected an interrupted one for --resume; "
+            "give --overwrite to fit anew"
+        )
+    return True
+
+
+def load_prior(
+    scene: Scene, options: FitOptions, progress: Progress, overwrite: bool = True
+) -> tuple[PriorMaps | None, dict[str, Any]]:
+    """Height, confidence and grid of the scene's depth prior, and a record of it if it is made here.
+
+    It is made with its defaults where it is missing, or where an earlier fit has made it of other images.
+
+    Raises:
+        StaleError: a prior that the user asked for is out of date.
+    """
+    if options.prior_weight == 0:
+        return None, {}
+    made = latest(scene, "prior")
+    ids = [item.id for item in scene.train_items()]
+    if made is not None and "prior_dsm" in scene.products:
+        if made.get("implicit") and (made["items"] != ids or stale(scene, "prior")):
+            log.info("scene %s: the prior is made anew, for %d images", scene.id, len(ids))
+            drop(scene, "prior")
+            overwrite = True
+        else:
+            check_current(scene, "prior")
+            if leaked := sorted(set(made["items"]) - set(ids)):
+                log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
+    new: dict[str, Any] = {}
+    if "prior_dsm" not in scene.products:
+        from sattools.prior import PriorOptions
+        from sattools.prior.stage import prior
+
+        new = prior(scene, PriorOptions(), progress, overwrite, implicit=True)[MADE]
+    within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]), within)
+    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]), within)
+    return (height[0], confidence[0], grid), new
+
+
+def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: PriorMaps | None) -> str:
+    """Hash of everything that a continued fit must share with the interrupted one: options, version, images with
+    cameras and suns, prior, grid, heights, what tiles share."""
+    plain = {name: value for name, value in asdict(options).items() if name not in _HOUSEKEEPING}
+    what: list[Any] = [__version__, plain, scene.need_grid().to_dict(), scene.need_height_range()]
+    what += [
+        [s.id, _hash(s.radiance), s.rpc.to_rpc_txt(), s.sun, s.linear, asdict(s.tone) if s.tone else None]
+        for s in sources
+    ]
+    what += [[item.id, item.properties.get("sattools:radiance")] for item in scene.train_items()]
+    what.append([_hash(prior[0]), _hash(prior[1]), prior[2].to_dict()] if prior else None)
+    what.append(digest(scene.path(scene.products[PRODUCT])) if PRODUCT in scene.products else None)
+    return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _hash(array: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+
+
+__all__ = ["OTHER_FIT", "PriorMaps", "fingerprint", "holding_out", "load_prior", "may_write"]

@@ -1,0 +1,221 @@
+"""What is made from what: a command drops what it makes invalid, and what changed behind its back is noticed.
+
+Every stage notes in its history entry, under `made`, a hash of what it read and of each file that it wrote (`record`).
+`check_current` compares that with what is there now; `begin` drops what a stage is about to replace, with everything
+that was made from it, and refuses outputs that must not be written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sattools.errors import StaleError
+from sattools.scene.document import FIT_ROLE, Item, Scene
+from sattools.scene.files import check_outputs, digest
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a stage leaves in a scene.
+
+    Attributes:
+        products: names of products; `NAME_std` goes with NAME.
+        assets: names of assets of the images.
+        properties: of the images.
+    """
+
+    products: tuple[str, ...] = ()
+    assets: tuple[str, ...] = ()
+    properties: tuple[str, ...] = ()
+
+
+# in the order of the pipe: a stage depends on all before it
+STAGES: dict[str, Stage] = {
+    "prep": Stage(),
+    "normalise": Stage(("radiance_histogram",), ("radiance",)),
+    "prior": Stage(("prior_dsm", "prior_confidence", "prior_normals"), ("depth", "confidence")),
+    "fit": Stage(("model", "trace"), (), (FIT_ROLE,)),
+    "export": Stage(
+        (
+            *("dsm", "dsm_picture", "validity", "albedo", "reflectance", "normal", "relit"),
+            *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc"),
+        ),
+        ("shadow", "s_net", "tau", "rendered", "relit"),
+    ),
+    "compare": Stage(("difference", "errors")),
+}
+ORDER = list(STAGES)
+MADE = "made"  # member of a history entry: stage -> record
+# who began a history entry that makes all others out of date
+SOURCES = ("prep", "simulate")
+
+
+def begin(
+    scene: Scene, stage: str, outputs: Iterable[str], overwrite: bool, inputs: Iterable[Path] = ()
+) -> dict[str, Path]:
+    """Get ready to write a stage's outputs: nothing is written yet, but nothing can be in the way any more.
+
+    What the stage and all after it have left is dropped from the scene in memory; its files stay. All other files that
+    the scene names count as inputs.
+
+    Args:
+        scene: is changed.
+        stage: name, see `STAGES`.
+        outputs: hrefs of all files that will be written.
+        overwrite: whether they may exist.
+        inputs: files beside the scene's that must not be written onto.
+
+    Returns:
+        Path of every output by its href.
+
+    Raises:
+        OutputIsInputError, OutputExistsError: see `check_outputs`.
+        SceneError: an href leads out of the scene's root.
+    """
+    drop(scene, stage)
+    paths = {href: scene.output(href) for href in outputs}
+    check_outputs(paths.values(), [*files_of(scene), *inputs], overwrite)
+    return paths
+
+
+def drop(scene: Scene, stage: str) -> list[str]:
+    """Forget what a stage and all after it have made, in the scene in memory; names of the products."""
+    gone = []
+    for later in ORDER[ORDER.index(stage) :]:
+        made = STAGES[later]
+        for name in [name for name in scene.products if name in _names(made)]:
+            del scene.products[name]
+            gone.append(name)
+        for item in scene.items:
+            for name in made.assets:
+                item.assets.pop(name, None)
+            for name in made.properties:
+                item.properties.pop(name, None)
+    return gone
+
+
+def files_of(scene: Scene) -> list[Path]:
+    """All files that a scene's document names, sorted."""
+    hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
+    return sorted({scene.path(href) for href in [*hrefs, *scene.products.values()]})
+
+
+def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) -> dict[str, dict[str, Any]]:
+    """What a stage has made from what, for `made` of the history entry.
+
+    Args:
+        scene: with the stage's outputs.
+        stage: name, see `STAGES`.
+        items: the images that it used.
+        more: further members of the record.
+    """
+    ids = [item.id for item in items]
+    return {stage: {"inputs": _inputs(scene, stage, ids), "items": ids, "outputs": _outputs(scene, stage), **more}}
+
+
+def latest(scene: Scene, stage: str) -> dict[str, Any] | None:
+    """The record of what a stage has made, None where there is none or it is out of date by the history's order."""
+    for entry in reversed(scene.history):
+        made = entry.get(MADE) or {}
+        if stage in made:
+            return dict(made[stage])
+        if _is_before(entry.get("command"), stage) or any(_is_before(name, stage) for name in made):
+            return None
+    return None
+
+
+def current_entry(scene: Scene, command: str) -> dict[str, Any] | None:
+    """The last history entry of a command, None where a later command has made it out of date."""
+    for entry in reversed(scene.history):
+        if entry.get("command") == command:
+            return entry
+        if _is_before(entry.get("command"), command):
+            return None
+    return None
+
+
+def check_current(scene: Scene, stage: str) -> None:
+    """Raise StaleError where a stage's products are not what it left, or were made from something else than is there.
+
+    Products without a record, of other programs or older versions, are taken as they are.
+    """
+    reason = stale(scene, stage)
+    if reason:
+        raise StaleError(f"scene {scene.id}: {reason}")
+
+
+def stale(scene: Scene, stage: str) -> str | None:
+    """Why a stage's products must not be used, None where they may."""
+    for name in ORDER[1 : ORDER.index(stage) + 1]:
+        found = latest(scene, name)
+        if found is None or not _has_outputs(scene, name):
+            continue
+        now = _outputs(scene, name)
+        changed = [n for n, hash_ in found["outputs"].items() if n in now and now[n] not in (hash_, None)]
+        again = f"expected what `sattools {name}` left (run it again with --overwrite)"
+        if changed:
+            return f"found another file for {changed[0]} than the history knows, {again}"
+        if _inputs(scene, name, found["items"]) != found["inputs"]:
+            return f"found that what {name} was made from has changed since, {again}"
+    return None
+
+
+def _is_before(command: str | None, stage: str) -> bool:
+    if command in SOURCES:
+        return True
+    return command in STAGES and stage in STAGES and ORDER.index(command) < ORDER.index(stage)
+
+
+def _has_outputs(scene: Scene, stage: str) -> bool:
+    made = STAGES[stage]
+    return any(n in scene.products for n in made.products) or any(
+        name in item.assets for item in scene.items for name in made.assets
+    )
+
+
+def _outputs(scene: Scene, stage: str) -> dict[str, str | None]:
+    """Digest of every file that a stage has left, by the name of the product or `item/asset`."""
+    made = STAGES[stage]
+    hrefs = {name: href for name, href in scene.products.items() if name in _names(made)}
+    hrefs |= {f"{i.id}/{name}": i.assets[name].href for i in scene.items for name in made.assets if name in i.assets}
+    return {name: digest(scene.path(href)) for name, href in hrefs.items()}
+
+
+def _names(made: Stage) -> set[str]:
+    return {*made.products, *(f"{name}_std" for name in made.products)}
+
+
+def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
+    """Hash of what a stage reads: for matching and fitting the images with their cameras and suns, else the products
+    of the stage before."""
+    what: list[Any] = [stage]
+    if stage in ("normalise", "prior", "fit"):
+        if stage != "normalise":
+            what += [scene.grid.to_dict() if scene.grid else None, scene.height_range_m]
+        what += [_image(scene, item, stage) for item in scene.items if item.id in ids]
+    if stage == "fit":
+        what.append(_outputs(scene, "prior"))
+    elif stage == "export":
+        what.append(_outputs(scene, "fit").get("model"))
+    elif stage == "compare":
+        what.append(_outputs(scene, "export"))
+    return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
+    asset = "radiance" if stage != "normalise" and "radiance" in item.assets else "image"
+    own = [digest(scene.path(item.assets[n].href)) if n in item.assets else None for n in (asset, "rpc")]
+    # `normalise` says by properties what its numbers are
+    others = {FIT_ROLE, "sattools:role", *(("sattools:radiance", "sattools:tone") if stage == "normalise" else ())}
+    properties = {k: v for k, v in item.properties.items() if k not in others}
+    return [item.id, *own, properties]
+
+
+__all__ = [
+    "MADE", "STAGES", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "record", "stale",
+]  # fmt: skip

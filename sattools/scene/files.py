@@ -1,0 +1,267 @@
+"""Writing files: the one way of the suite, for every format.
+
+A file is made in memory, written under a temporary name in the target's folder, synced, read back and compared, and
+only then renamed, so that under its own name it is either what it was before or complete: on a full disk GDAL and
+other libraries close a truncated file without an error. What a command writes can be held back until all of it is
+there (`all_or_nothing`).
+"""
+
+from __future__ import annotations
+
+import contextvars
+import fcntl
+import functools
+import glob
+import hashlib
+import logging
+import os
+import socket
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from sattools.errors import OutputExistsError, OutputIsInputError, SattoolsError
+
+log = logging.getLogger(__name__)
+_MARK = ".tmp-sattools"
+_PIECE = 1 << 20
+_WHOLE = 256 << 20  # bytes up to which a digest is that of the whole file
+_SAMPLES = 128
+_held_back: contextvars.ContextVar[list[tuple[Path, Path]] | None] = contextvars.ContextVar("held_back", default=None)
+
+
+def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
+    """Write a file: complete, verified and on the disk before it gets its name; else the old one stands.
+
+    Raises:
+        SattoolsError: the folder is not writable, the disk is full, or what was read back is not what was written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(21, "is a folder")
+        _remove_orphans(path)
+        try:
+            _write(temporary, memoryview(data).cast("B"))
+            waiting = _held_back.get()
+            if waiting is None:
+                _rename([(temporary, path)])
+            else:
+                waiting.append((temporary, path))
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise SattoolsError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """`write_bytes` of UTF-8 text."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_figure(path: Path, figure: Any, **options: Any) -> None:
+    """`write_bytes` of a matplotlib figure as PNG; ``options`` go to `savefig`."""
+    import io
+
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", **options)
+    write_bytes(path, stream.getbuffer())
+
+
+@contextmanager
+def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False) -> Iterator[None]:
+    """Files that are written inside get their names together at the end, or none of them does.
+
+    Inside they cannot be read yet. Blocks within blocks stand for themselves. Threads take part where they run in a
+    copy of the context (`contextvars.copy_context`).
+
+    Args:
+        inputs: where given, all files are checked at the end by `check_outputs` with these.
+        overwrite: for that check.
+    """
+    waiting: list[tuple[Path, Path]] = []
+    token = _held_back.set(waiting)
+    try:
+        yield
+        if inputs is not None:
+            check_outputs([path for _, path in waiting], inputs, overwrite)
+        _rename(waiting)
+    except OSError as error:
+        if isinstance(error, SattoolsError):
+            raise
+        raise SattoolsError(f"{error.filename}: cannot be written ({error.strerror or error})") from error
+    finally:
+        _held_back.reset(token)
+        for temporary, _ in waiting:
+            temporary.unlink(missing_ok=True)
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrite: bool = False) -> None:
+    """Refuse outputs that must not be written, before the first of them is.
+
+    Args:
+        outputs: files that a command is about to write; none needs to exist.
+        inputs: files that it reads, or that must survive it. They are compared by device and inode, so links of
+            either kind are seen through.
+        overwrite: whether outputs may replace what is there. An input is never replaced.
+
+    Raises:
+        OutputIsInputError: an output is an input, or two outputs are one file.
+        OutputExistsError: an output exists and ``overwrite`` is False.
+        SattoolsError: an output is a folder, or lies in one that cannot be written to.
+    """
+    taken: dict[tuple[int, int], Path] = {}
+    for path in inputs:
+        with suppress(OSError, ValueError):
+            found = os.stat(path)
+            taken[found.st_dev, found.st_ino] = Path(path)
+    outputs = [Path(path) for path in outputs]
+    named: set[str] = set()
+    exists = None
+    for path in outputs:
+        if str(path) in named:
+            raise OutputIsInputError(f"{path}: would be written twice, expected different names")
+        named.add(str(path))
+        try:
+            found = os.stat(path)
+        except OSError:
+            if path.is_symlink() and exists is None:  # it leads nowhere, but it is somebody's
+                exists = path
+            _check_folder(path)
+            continue
+        source = taken.get((found.st_dev, found.st_ino))
+        if source is not None:
+            same = "is an input too" if os.path.abspath(source) == os.path.abspath(path) else f"is the input {source}"
+            raise OutputIsInputError(f"{path}: {same}, expected outputs in another place; nothing was written")
+        if stat.S_ISDIR(found.st_mode):
+            raise SattoolsError(f"{path}: found a folder, expected a file name to write to")
+        exists = exists or path
+        _check_folder(path)
+    if exists is not None and not overwrite:
+        raise OutputExistsError(f"{exists}: exists already; give --overwrite to replace it")
+
+
+def digest(path: Path) -> str | None:
+    """SHA-256 of a file's content, None where there is no readable file.
+
+    A file that is held back counts already. Above 256 MiB: of its size and 128 evenly spaced pieces of 1 MiB, so that
+    whole satellite scenes need no minutes.
+    """
+    path = {target: temporary for temporary, target in _held_back.get() or ()}.get(Path(path), path)
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size <= _WHOLE:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+            known = hashlib.sha256(str(size).encode())
+            for k in range(_SAMPLES):
+                file.seek((size - _PIECE) * k // (_SAMPLES - 1))
+                known.update(file.read(_PIECE))
+            return known.hexdigest()
+    except OSError:
+        return None
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Let one process at a time write below a folder; says so once where it has to wait.
+
+    The lock is on the folder itself, goes with the process, and leaves nothing behind. File systems that know no locks
+    go without.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:
+        yield
+        return
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            log.warning("%s: another sattools process works here, waiting for it", folder)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        except OSError:
+            log.debug("%s: cannot be locked", folder)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _write(path: Path, data: memoryview) -> None:
+    """Write, sync and read back a new file with the permissions that any new file has."""
+    with open(path, "xb") as file:
+        for start in range(0, len(data), _PIECE):
+            file.write(data[start : start + _PIECE])
+        file.flush()
+        os.fsync(file.fileno())
+    with open(path, "rb") as file:
+        if os.fstat(file.fileno()).st_size != len(data):
+            raise OSError(5, "found a truncated file after writing")
+        for start in range(0, len(data), _PIECE):
+            if file.read(_PIECE) != data[start : start + _PIECE]:
+                raise OSError(5, "found other bytes than were written")
+
+
+def _rename(pairs: list[tuple[Path, Path]]) -> None:
+    for temporary, path in pairs:
+        os.replace(temporary, path)
+    for folder in {path.parent for _, path in pairs}:
+        with suppress(OSError):  # not every file system can sync a folder
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+
+
+def _remove_orphans(path: Path) -> None:
+    """Remove what a killed process of this machine left of the same file."""
+    for orphan in path.parent.glob(f".{glob.escape(path.name)}.*{_MARK}"):
+        host, number, *_ = [*orphan.name.removesuffix(_MARK).rpartition(".")[2].split("-"), ""]
+        if host == _host() and number.isdigit() and not _alive(int(number)):
+            orphan.unlink(missing_ok=True)
+
+
+def remove_orphans(folder: Path) -> None:
+    """Remove temporary files that killed processes of this machine left anywhere below a folder."""
+    for orphan in Path(folder).rglob(f".*{_MARK}"):
+        _remove_orphans(orphan.with_name(orphan.name[1:].removesuffix(_MARK).rpartition(".")[0]))
+
+
+def _alive(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+@functools.cache
+def _host() -> str:
+    """A few letters for this machine: process numbers of another one that shares the disk say nothing here."""
+    return hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+
+
+def _check_folder(path: Path) -> None:
+    folder = next(p for p in path.absolute().parents if p.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise SattoolsError(f"{folder}: cannot be written to, expected a writable folder for {path.name}")
+
+
+__all__ = [
+    "all_or_nothing",
+    "check_outputs",
+    "digest",
+    "locked",
+    "remove_orphans",
+    "write_bytes",
+    "write_figure",
+    "write_text",
+]
