@@ -77,17 +77,18 @@ def height_errors(
         fill_holes(predicted if filled is None else filled), np.where(counted, reference, np.nan)
     )
     known = seen if measured is None else seen & measured
+    everywhere = _errors((complete - reference)[counted])
     result: dict[str, Any] = _errors(difference[seen])
     result |= {
         "completeness": float(known.sum() / total),
         "within_1m": float((absolute[seen] <= 1.0).sum() / total),
         "within_2_5m": float((absolute[seen] <= 2.5).sum() / total),
-        "mae_filled": float(np.abs(complete - reference)[counted].mean()),
+        "mae_filled": everywhere["mae"],
         "filled_by": FILL_METHOD,
         "cells": total,
         "cells_predicted": int(seen.sum()),
         "measured": {**(_errors(difference[known]) if known.any() else _NO_ERRORS), "n": int(known.sum())},
-        "filled": {**_errors((complete - reference)[counted]), "n": total},
+        "filled": {**everywhere, "n": total},
     }
     if classes is not None:
         result["classes"] = {

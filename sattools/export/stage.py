@@ -68,15 +68,17 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected one for --view")
-    check_current(scene, "fit")
     source = scene.path(scene.products["model"])
     tensors, meta = load(source)
+    check_current(scene, "fit")
     try:
         grid = Grid.from_dict(meta["grid"])
         height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
         names = meta["items"]
     except KeyError as error:
         raise InputError(f"{source}: found a model without {error}, expected a surface model") from error
+    if not np.isfinite(height.numpy()).any():
+        raise InputError(f"{source}: found no height at all, expected a surface model")
     begin(scene, "export", _outputs(scene, options, tensors, meta), overwrite)
 
     progress(0.05, "what the images show")

@@ -12,6 +12,7 @@ from torch import Tensor
 from sattools.errors import InputError
 from sattools.scene.files import write_bytes
 
+# one key, with the checksum inside: safetensors writes several in any order, and the same fit gives the same file
 KEY, CHECKSUM = "sattools", "sha256"
 
 
@@ -24,8 +25,9 @@ def save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     from safetensors.torch import save as to_bytes
 
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    text = json.dumps(meta)
-    write_bytes(path, to_bytes(tensors, metadata={KEY: text, CHECKSUM: _checksum(tensors, text)}))
+    meta = json.loads(json.dumps(meta))
+    text = json.dumps({**meta, CHECKSUM: _checksum(tensors, meta)})
+    write_bytes(path, to_bytes(tensors, metadata={KEY: text}))
 
 
 def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -47,15 +49,16 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise InputError(f"{path}: found no sattools model ({error})") from error
     if not isinstance(meta, dict):
         raise InputError(f"{path}: found no sattools model (its description is no JSON object)")
-    # models of version 0.1 have none
-    if CHECKSUM in about and about[CHECKSUM] != _checksum(tensors, about[KEY]):
+    # older models have none
+    expected = meta.pop(CHECKSUM, None)
+    if expected is not None and expected != _checksum(tensors, meta):
         raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
     return tensors, meta
 
 
-def _checksum(tensors: dict[str, Tensor], text: str) -> str:
-    """SHA-256 of names, types, shapes and bytes."""
-    known = hashlib.sha256(text.encode())
+def _checksum(tensors: dict[str, Tensor], meta: dict[str, Any]) -> str:
+    """SHA-256 of the description, and of names, types, shapes and bytes of the tensors."""
+    known = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
     for name in sorted(tensors):
         tensor = tensors[name]
         known.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())

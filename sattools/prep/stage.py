@@ -68,7 +68,8 @@ def prepare(
     if metadata_dir is not None and not metadata_dir.is_dir():
         raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
 
-    files = [*images, *(f for p in images for f in sidecars(p, [d for d in (metadata_dir, p.parent) if d]))]
+    folders = [d for d in (metadata_dir,) if d]
+    files = [*images, *(f for p in images if p.exists() for f in sidecars(p, [*folders, p.parent]))]
     begin(scene, "prep", _outputs(ids), overwrite, [*files, *([Path(options.aoi)] if options.aoi else [])])
     progress(0.0, "reading metadata")
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]

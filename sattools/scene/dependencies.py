@@ -17,6 +17,7 @@ from typing import Any
 from sattools.errors import StaleError
 from sattools.scene.document import FIT_ROLE, Item, Scene
 from sattools.scene.files import check_outputs, digest
+from sattools.scene.grid import Grid
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,9 @@ def begin(
         SceneError: an href leads out of the scene's root.
     """
     drop(scene, stage)
-    paths = {href: scene.output(href) for href in outputs}
-    check_outputs(paths.values(), [*files_of(scene), *inputs], overwrite)
-    return paths
+    outputs = list(outputs)
+    check_outputs([scene.path(href) for href in outputs], [*files_of(scene), *inputs], overwrite)
+    return {href: scene.output(href) for href in outputs}
 
 
 def drop(scene: Scene, stage: str) -> list[str]:
@@ -196,7 +197,9 @@ def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
     what: list[Any] = [stage]
     if stage in ("normalise", "prior", "fit"):
         if stage != "normalise":
-            what += [scene.grid.to_dict() if scene.grid else None, scene.height_range_m]
+            # as the document gives them back: 0 and 0.0 are one
+            what += [Grid.from_dict(scene.grid.to_dict()).to_dict() if scene.grid else None]
+            what += [float(z) for z in scene.height_range_m or ()]
         what += [_image(scene, item, stage) for item in scene.items if item.id in ids]
     if stage == "fit":
         what.append(_outputs(scene, "prior"))

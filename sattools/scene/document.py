@@ -252,14 +252,21 @@ class Scene:
         return self._below_root(href)
 
     def output(self, relative: str) -> Path:
-        """Absolute path below the root for writing; whether it may be written, `scene.dependencies.begin` says.
+        """Absolute path below the root for writing; makes its folder.
+
+        Whether it may be written is for `scene.dependencies.begin` to say.
 
         Raises:
             SceneError: the path would leave the root (absolute, `..`, or through a symbolic link).
         """
         if Path(relative).is_absolute():
             raise SceneError(f"{relative}: found an absolute output path, expected one below {self.root}")
-        return self._below_root(relative)
+        path = self._below_root(relative)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SceneError(f"{path.parent}: cannot be made ({error.strerror}), expected a writable root") from error
+        return path
 
     def href(self, path: Path) -> str:
         """The relative href of a file below the root."""

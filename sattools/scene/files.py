@@ -42,6 +42,9 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     temporary = path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a writable folder") from error
+    try:
         if path.is_dir():
             raise IsADirectoryError(21, "is a folder")
         _remove_orphans(path)
@@ -90,11 +93,10 @@ def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False
         yield
         if inputs is not None:
             check_outputs([path for _, path in waiting], inputs, overwrite)
-        _rename(waiting)
-    except OSError as error:
-        if isinstance(error, SattoolsError):
-            raise
-        raise SattoolsError(f"{error.filename}: cannot be written ({error.strerror or error})") from error
+        try:
+            _rename(waiting)
+        except OSError as error:
+            raise SattoolsError(f"{error.filename2}: cannot be written ({error.strerror})") from error
     finally:
         _held_back.reset(token)
         for temporary, _ in waiting:

@@ -2,19 +2,22 @@
 
 import json
 import random
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.scene import Scene
+from sattools.scene.raster import write_cog
 
 SHORT = FitOptions(resolution=2.0, coarsest=4.0, epochs=[10, 9], prior_weight=0.0)
 FLAGS = ["--resolution", "2", "--coarsest", "4", "--epochs", "20", "--epochs", "20", "--prior-weight", "0"]
@@ -92,11 +95,12 @@ def test_killed_at_random_moments_and_resumed(make_town):
         process.kill()
         process.stderr.close()
         assert process.wait() in (-9, 0)  # 0: a machine so busy that the fit was done first
-    again = subprocess.run(
-        [*command, "--resume", str(scene.root / "scene.json")], capture_output=True, text=True, check=True
-    )
+        if "model" in Scene.from_file(scene.root / "scene.json").products:
+            break  # a machine so busy that the fit was done before it was killed
+    else:
+        subprocess.run([*command, "--resume", str(scene.root / "scene.json")], capture_output=True, check=True)
     assert_same(model(scene), model(reference))
-    assert json.loads(again.stdout)["sattools"]["history"][-1]["command"] == "fit"
+    assert json.loads((scene.root / "scene.json").read_text())["sattools"]["history"][-1]["command"] == "fit"
 
 
 def test_resuming_with_other_options_is_refused(make_town):
@@ -105,6 +109,85 @@ def test_resuming_with_other_options_is_refused(make_town):
         fit(scene, SHORT, interrupt_after(6))
     with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
         fit(scene, replace(SHORT, resume=True, seed=3))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda scene: scene.items[0].properties.update({"view:sun_azimuth": 99.0}),
+        lambda scene: scene.items[0].assets.update(rpc=scene.items[1].assets["rpc"]),
+        lambda scene: scene.items[0].assets.update(image=scene.items[1].assets["image"]),
+        lambda scene: setattr(scene, "height_range_m", (-40.0, 60.0)),
+    ],
+)
+def test_resuming_with_another_sun_camera_image_or_height_range_is_refused(make_town, change):
+    scene = make_town()
+    with pytest.raises(Interrupted):
+        fit(scene, SHORT, interrupt_after(6))
+    change(scene)
+    with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
+        fit(scene, replace(SHORT, resume=True))
+
+
+def test_resuming_on_another_prior_is_refused(make_town):
+    scene = make_town()
+    with_prior = replace(SHORT, prior_weight=1.0)
+    shutil.copy(scene.path(scene.products["truth_dsm"]), scene.root / "prior.tif")
+    write_cog(scene.root / "sure.tif", np.ones(scene.need_grid().shape), scene.need_grid())
+    scene.products |= {"prior_dsm": "prior.tif", "prior_confidence": "sure.tif"}
+    with pytest.raises(Interrupted):
+        fit(scene, with_prior, interrupt_after(6))
+    write_cog(scene.root / "sure.tif", np.full(scene.need_grid().shape, 0.5), scene.need_grid())
+    with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
+        fit(scene, replace(with_prior, resume=True))
+
+
+def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole, make_town):
+    scene = make_town()
+    fit(scene, SHORT)
+    with pytest.raises(OutputExistsError, match=r"found a finished fit, expected an interrupted one for --resume"):
+        fit(scene, replace(SHORT, resume=True), overwrite=False)
+    fit(scene, replace(SHORT, resume=True), overwrite=True)
+    assert_same(model(scene), whole)
+
+
+def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole, make_town):
+    """Killed between the model and the scene's document, which then names no model."""
+    scene = make_town()
+    fit(make_town("OTHER"), SHORT)
+    shutil.copytree(scene.root.parent / "OTHER/fit", scene.root / "fit")
+    with pytest.raises(OutputExistsError):
+        fit(scene, SHORT, overwrite=False)
+    fit(scene, replace(SHORT, resume=True), overwrite=False)
+    assert_same(model(scene), whole)
+
+
+@pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
+def test_a_flipped_byte_in_a_checkpoint_is_noticed(make_town, place):
+    scene = make_town()
+    with pytest.raises(Interrupted):
+        fit(scene, SHORT, interrupt_after(6))
+    path = scene.root / "fit/checkpoint.safetensors"
+    data = bytearray(path.read_bytes())
+    data[int(place * len(data))] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"checkpoint\.safetensors: found other content than was written"):
+        fit(scene, replace(SHORT, resume=True))
+
+
+def test_tensors_of_another_type_in_a_checkpoint_are_noticed(make_town):
+    from safetensors import safe_open
+    from safetensors.torch import save_file
+
+    scene = make_town()
+    with pytest.raises(Interrupted):
+        fit(scene, SHORT, interrupt_after(6))
+    path = scene.root / "fit/checkpoint.safetensors"
+    with safe_open(path, framework="pt") as file:
+        about, tensors = file.metadata(), {k: file.get_tensor(k).double() for k in file.keys()}  # noqa: SIM118
+    save_file(tensors, path, metadata=about)
+    with pytest.raises(InputError, match="found other content than was written"):
+        fit(scene, replace(SHORT, resume=True))
 
 
 def test_a_damaged_checkpoint_is_named(make_town):

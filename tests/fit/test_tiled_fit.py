@@ -90,7 +90,9 @@ def test_an_interrupted_tiled_fit_does_only_what_is_left(both, make_town):
     assert said[0][1].startswith("whole area, coarsely: ")
     assert [(scene.root / f"fit/tiles/{n}/fit/model.safetensors").exists() for n in ("r0c1", "r1c0")] == [True, False]
     said.clear()
-    with pytest.raises(SceneError, match="found tiles of other options or images, expected the same; drop --resume"):
+    with pytest.raises(
+        SceneError, match="found a checkpoint of other options, images or cameras, expected the same; drop --resume"
+    ):
         fit(scene, replace(TILED, seed=1, resume=True))
     fit(scene, replace(TILED, resume=True), lambda share, message: said.append((share, message)))
     assert {message.split(":")[0] for _, message in said if ":" in message} == {"tile 3 of 4", "tile 4 of 4"}

@@ -1,0 +1,161 @@
+"""Ground that fewer than two images reach is no-data, what is hidden is said, and nothing seen is lost."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import rasterio
+
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.export.validity import FILLED, MEASURED, UNSEEN, valid_pixels, validity_of
+from sattools.fit.checkpoint import load, save
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import read_raster
+
+QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0)
+
+
+@pytest.fixture(scope="module")
+def fitted_source(town_source, tmp_path_factory):
+    root = tmp_path_factory.mktemp("fitted") / "TOWN"
+    shutil.copytree(town_source.root, root)
+    scene = Scene.from_json(town_source.to_json())
+    scene.root = root
+    fit(scene, QUICK)
+    return scene
+
+
+@pytest.fixture
+def fitted(fitted_source, tmp_path):
+    shutil.copytree(fitted_source.root, tmp_path / "TOWN")
+    scene = Scene.from_json(fitted_source.to_json())
+    scene.root = tmp_path / "TOWN"
+    return scene
+
+
+def blank(scene, item, columns):
+    """Frame the image in zeros, as vendors do."""
+    path = scene.path(item.assets["image"].href)
+    with rasterio.open(path) as data:
+        pixels, profile, rpc = data.read(), data.profile, data.tags(ns="RPC")
+    pixels[:, :, columns] = 0
+    with rasterio.open(path, "w", **profile) as data:
+        data.write(pixels)
+        data.update_tags(ns="RPC", **rpc)
+
+
+def east_half_in(scene, count):
+    """All but ``count`` images show the western half only."""
+    for item in scene.items[count:]:
+        with rasterio.open(scene.path(item.assets["image"].href)) as data:
+            middle = data.width // 2
+        blank(scene, item, slice(middle, None))
+
+
+@pytest.mark.parametrize(("count", "kind"), [(0, UNSEEN), (1, UNSEEN), (2, MEASURED)])
+def test_two_images_make_a_measurement_and_one_does_not(fitted, count, kind):
+    east_half_in(fitted, count)
+    tensors, meta = load(fitted.root / "fit/model.safetensors")
+    grid = Grid.from_dict(meta["grid"])
+    flat = np.full(grid.shape, float(np.median(tensors["height"])), np.float32)
+    found = validity_of(fitted, meta["items"], grid, flat)
+    assert found is not None
+    assert np.median(found[:, -8:]) == kind
+    assert (found[:, :8] == MEASURED).all()
+
+
+def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted):
+    east_half_in(fitted, 1)
+    fit(fitted, QUICK)
+    made = export(fitted, ExportOptions())
+    validity, _ = read_raster(fitted.path(fitted.products["validity"]))
+    unseen = validity[0] == UNSEEN
+    assert 0.3 < unseen.mean() < 0.7
+    assert made["validity"]["unseen"] == pytest.approx(unseen.mean(), abs=1e-4)
+    for name in ("dsm", "dsm_std", "albedo"):
+        values, _ = read_raster(fitted.path(fitted.products[name]))
+        assert np.array_equal(np.isnan(values).any(axis=0), unseen), name
+    for item in fitted.items:
+        if "shadow" in item.assets:
+            mask, _ = read_raster(fitted.path(item.assets["shadow"].href))
+            assert np.array_equal(mask[0] == 255, unseen)
+
+
+def test_fill_gives_the_heights_back_and_the_mark_stays(fitted):
+    east_half_in(fitted, 1)
+    fit(fitted, QUICK)
+    export(fitted, ExportOptions(fill=True))
+    heights, _ = read_raster(fitted.path(fitted.products["dsm"]))
+    validity, _ = read_raster(fitted.path(fitted.products["validity"]))
+    assert np.isfinite(heights).all()
+    assert (validity == UNSEEN).any()
+
+
+def test_a_court_between_walls_that_only_one_image_looks_into_is_filled(fitted):
+    """A shaft 1 cell wide and 60 m deep: no image but the one from the zenith, if there is one, sees its floor."""
+    _, meta = load(fitted.root / "fit/model.safetensors")
+    grid = Grid.from_dict(meta["grid"])
+    height = np.full(grid.shape, 60.0, np.float32)
+    row, col = grid.height // 2, grid.width // 2
+    height[row, col] = 0.0
+    found = validity_of(fitted, meta["items"], grid, height)
+    assert found is not None
+    assert found[row, col] == FILLED
+    assert found[row, col - 5] == MEASURED
+
+
+def test_no_cell_that_two_images_see_is_lost(fitted):
+    export(fitted, ExportOptions())
+    heights, _ = read_raster(fitted.path(fitted.products["dsm"]))
+    validity, _ = read_raster(fitted.path(fitted.products["validity"]))
+    assert (validity == MEASURED).mean() > 0.9
+    assert np.isfinite(heights[validity == MEASURED]).all()
+
+
+def test_without_the_images_nobody_knows(fitted, caplog):
+    del fitted.items[0].assets["rpc"]
+    fitted.history.clear()
+    export(fitted, ExportOptions())
+    assert "validity" not in fitted.products
+    assert "nobody knows what they show" in caplog.text
+    heights, _ = read_raster(fitted.path(fitted.products["dsm"]))
+    assert np.isfinite(heights).all()
+
+
+def test_dark_pixels_inside_an_image_are_pixels_and_a_frame_of_zeros_is_none():
+    image = np.ones((1, 20, 20), np.float32)
+    image[0, 8:12, 8:12] = 0.0
+    image[0, :, :5] = 0.0
+    image[0, 15, 15] = np.nan
+    valid = valid_pixels(image)
+    assert valid[8:12, 8:12].all()
+    assert not valid[:, :5].any()
+    assert not valid[15, 15]
+    assert valid.sum() == 400 - 100 - 1
+
+
+def test_compare_says_what_was_measured_and_what_holes_cost(fitted):
+    from sattools.compare import CompareOptions, compare
+
+    east_half_in(fitted, 1)
+    fit(fitted, QUICK)
+    export(fitted, ExportOptions())
+    figures = compare(CompareOptions(register="none"), fitted)
+    heights, _ = read_raster(fitted.path(fitted.products["dsm"]))
+    assert figures["completeness"] == pytest.approx(np.isfinite(heights).mean(), abs=0.05)
+    assert figures["measured"]["n"] == round(figures["completeness"] * figures["cells"])
+    assert figures["filled"]["mae"] == figures["mae_filled"]
+    assert json.loads((fitted.root / "compare/errors.json").read_text())["measured"] == figures["measured"]
+
+
+def test_a_model_that_is_no_data_everywhere_is_an_error_not_a_crash(fitted):
+    tensors, meta = load(fitted.root / "fit/model.safetensors")
+    tensors["height"][:] = float("nan")
+    save(fitted.root / "fit/model.safetensors", tensors, meta)
+    fitted.history.clear()
+    with pytest.raises(Exception, match=r"fit/model\.safetensors: found no height at all"):
+        export(fitted, ExportOptions())

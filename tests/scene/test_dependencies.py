@@ -1,0 +1,130 @@
+"""What a command makes invalid is dropped, and what changed behind its back is noticed."""
+
+import pytest
+
+from sattools.errors import OutputExistsError, OutputIsInputError, StaleError
+from sattools.scene import Asset, Grid, Item, Scene
+from sattools.scene.dependencies import MADE, begin, check_current, current_entry, drop, latest, record, stale
+from sattools.scene.document import FIT_ROLE
+
+FILES = {
+    "prior": {"prior_dsm": "prior/dsm.tif"},
+    "fit": {"model": "fit/model.safetensors"},
+    "export": {"dsm": "export/dsm.tif", "theta": "export/theta.tif", "theta_std": "export/theta_std.tif"},
+    "compare": {"errors": "compare/errors.json"},
+}
+
+
+def put(scene, href, text):
+    path = scene.root / href
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def run(scene, command, text="", items=None):
+    """A command as the pipe runs it, its outputs made of text."""
+    drop(scene, command)
+    for name, href in FILES[command].items():
+        put(scene, href, f"{command} {text}")
+        scene.products[name] = href
+    used = scene.items if items is None else items
+    scene.history.append({"command": command, MADE: record(scene, command, used)})
+
+
+@pytest.fixture
+def scene(tmp_path):
+    items = []
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.tif").write_text(f"pixels of {name}")
+        (tmp_path / f"{name}_RPC.TXT").write_text(f"camera of {name}")
+        assets = {"image": Asset(f"{name}.tif"), "rpc": Asset(f"{name}_RPC.TXT")}
+        items.append(Item(name, None, None, {"view:sun_azimuth": 120.0, "sattools:role": "train"}, assets))
+    scene = Scene("S", tmp_path, items, Grid("EPSG:32617", 0, 0, 1.0, 4, 4), (0.0, 9.0))
+    scene.history.append({"command": "prep"})
+    return scene
+
+
+def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene):
+    for command in FILES:
+        run(scene, command)
+    scene.items[0].assets["shadow"] = Asset("export/shadow/a.tif")
+    scene.items[0].properties[FIT_ROLE] = "test"
+    scene.products["truth_dsm"] = "truth/dsm.tif"
+    assert drop(scene, "fit") == ["model", "dsm", "theta", "theta_std", "errors"]
+    assert scene.products == {"prior_dsm": "prior/dsm.tif", "truth_dsm": "truth/dsm.tif"}
+    assert set(scene.items[0].assets) == {"image", "rpc"}
+    assert not scene.items[0].held_out
+
+
+def test_products_that_were_left_alone_are_current(scene):
+    for command in FILES:
+        run(scene, command)
+    for command in FILES:
+        assert stale(scene, command) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: put(s, "export/dsm.tif", "of another program"), "another file for dsm"),
+        (lambda s: put(s, "fit/model.safetensors", "of another fit"), "another file for model"),
+        (lambda s: put(s, "prior/dsm.tif", "of another prior"), "another file for prior_dsm"),
+        (lambda s: put(s, "a.tif", "other pixels"), "what prior was made from has changed"),
+        (lambda s: put(s, "b_RPC.TXT", "another camera"), "what prior was made from has changed"),
+        (lambda s: s.items[0].properties.update({"view:sun_azimuth": 121.0}), "what prior was made from has changed"),
+        (lambda s: setattr(s, "height_range_m", (0.0, 8.0)), "what prior was made from has changed"),
+    ],
+)
+def test_whatever_changed_is_named(scene, change, words):
+    for command in FILES:
+        run(scene, command)
+    change(scene)
+    with pytest.raises(StaleError, match=words):
+        check_current(scene, "compare")
+
+
+def test_a_missing_file_is_the_readers_error_and_products_without_a_record_are_taken_as_they_are(scene):
+    run(scene, "fit")
+    (scene.root / "fit/model.safetensors").unlink()
+    assert stale(scene, "fit") is None
+    scene.history.clear()
+    put(scene, "fit/model.safetensors", "by hand")
+    assert stale(scene, "export") is None
+
+
+def test_a_score_counts_until_something_before_it_is_made_anew(scene):
+    for command in FILES:
+        run(scene, command)
+    assert current_entry(scene, "compare") is scene.history[-1]
+    run(scene, "fit", "again")
+    assert current_entry(scene, "compare") is None
+    assert latest(scene, "compare") is None
+    assert current_entry(scene, "prior") is scene.history[1]
+    scene.history.append({"command": "prep"})
+    assert latest(scene, "fit") is None
+
+
+def test_outputs_are_checked_against_all_other_files_of_the_scene(scene):
+    for command in FILES:
+        run(scene, command)
+    with pytest.raises(OutputExistsError, match=r"export/dsm\.tif"):
+        begin(scene, "export", ["export/new.tif", "export/dsm.tif"], False)
+    begin(scene, "export", ["export/new.tif", "export/dsm.tif"], True)
+    for href in ("a.tif", "prior/dsm.tif", "fit/model.safetensors"):
+        with pytest.raises(OutputIsInputError):
+            begin(scene, "export", ["export/new.tif", href], True)
+    (scene.root / "export/linked.tif").symlink_to(scene.root / "a.tif")
+    with pytest.raises(OutputIsInputError, match=r"linked\.tif: is the input .*a\.tif"):
+        begin(scene, "export", ["export/linked.tif"], True)
+    assert (scene.root / "a.tif").read_text() == "pixels of a"
+
+
+def test_a_copy_in_another_place_knows_its_history(scene, tmp_path):
+    from sattools.scene.copies import absolute_copy
+
+    for command in FILES:
+        run(scene, command)
+    copy = absolute_copy(scene, tmp_path / "copy")
+    assert stale(copy, "compare") is None
+    put(scene, "a.tif", "other pixels")
+    assert stale(copy, "compare") is not None
