@@ -1,0 +1,471 @@
+"""Damages every kind of input, at random but seeded, and runs the command that reads it: nothing may break.
+
+    python benchmarks/fuzz.py --count 10000 --out fuzz
+    python benchmarks/fuzz.py --seed 0 --only 4711 --out fuzz      # one case again, its folder is kept
+
+A case is a tiny scene of which one file, or one option of the command line, is mutated: bytes flipped, cut, repeated
+or replaced; numbers made huge, negative, NaN; members of a JSON document replaced by other types, removed, nested or
+renamed; other files put in its place. What must hold:
+
+- the command ends by itself, with status 0, 1, 2 or 3, within --limit seconds and 2 GB;
+- no traceback; a failure says one line `sattools COMMAND: error: ...` (or click's usage error);
+- a failure leaves every other file as it was, and no temporary file.
+
+Prints what was found and a table per kind of input, and writes fuzz.json. The exit status is 1 where anything was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import re
+import shutil
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from forked import Result, preload, run
+
+MEMORY_MB = 2048
+FIT = ["--resolution", "4", "--coarsest", "4", "--epochs", "1", "--prior-weight", "0"]
+WITH_PRIOR = ["--resolution", "4", "--coarsest", "4", "--epochs", "1"]
+PREP = ["prep", "{images}", "--metadata", "{root}/metadata", "--out", "{root}/out", "--id", "S"]
+SCENE = "{root}/scene.json"
+CONFIG = """[fit]
+resolution = 4.0
+coarsest = 4.0
+epochs = [1]
+prior-weight = 0.0
+seed = 1
+holdout = ["TINY_001"]
+
+[compare]
+register = "none"
+"""
+POINTS = "name,easting,northing,albedo_1,albedo_2\na,{x},{y},0.2,0.3\nb,{x},{y},0.1,0.2\n"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A file of the tiny scene (a pattern; the first that fits is mutated) and the commands that read it."""
+
+    pattern: str
+    commands: tuple[tuple[str, ...], ...]
+
+
+def on(*command: str) -> tuple[str, ...]:
+    return (*command, SCENE)
+
+
+TARGETS = [
+    Target("scene.json", (on("info"), on("fit", *FIT), on("prior", "--resolution", "4"), on("normalise"),
+                          on("export", "--overwrite"), on("compare", "--overwrite"), on("report"),
+                          on("fit", *WITH_PRIOR, "--overwrite"), on("export", "--overwrite", "--view", "TINY_002"),
+                          ("batch", "--dry-run", "--out", "{root}/batch", SCENE))),
+    Target("images/TINY_002.tif", (tuple(PREP), on("fit", *FIT, "--overwrite"), on("normalise"),
+                                   on("prior", "--resolution", "4", "--overwrite"))),
+    Target("metadata/TINY_002.json", (tuple(PREP),)),
+    Target("rpc/TINY_002_RPC.TXT", (on("fit", *FIT, "--overwrite"), on("export", "--overwrite"),
+                                    ("prep", "{images}", "--metadata", "{root}/rpc", "--out", "{root}/out"))),
+    Target("vendor/TINY_002.xml", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
+    Target("vendor/TINY_002.RPB", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
+    Target("aoi.geojson", ((*PREP, "--aoi", "{root}/aoi.geojson"),)),
+    Target("config.toml", (on("fit", "--config", "{root}/config.toml", "--overwrite"),
+                           on("compare", "--config", "{root}/config.toml", "--overwrite"),
+                           ("batch", "--dry-run", "--config", "{root}/config.toml", "--out", "{root}/batch", SCENE))),
+    Target("fit/model.safetensors", (on("export", "--overwrite"), on("export", "--overwrite", "--view", "TINY_002"))),
+    Target("fit/checkpoint.safetensors", (on("fit", *FIT, "--resume"),)),
+    Target("prior/dsm.tif", (on("fit", *WITH_PRIOR, "--overwrite"),)),
+    Target("prior/confidence.tif", (on("fit", *WITH_PRIOR, "--overwrite"),)),
+    Target("export/dsm.tif", (on("compare", "--overwrite"), on("report"),
+                              ("compare", "--predicted", "{root}/export/dsm.tif", "--dsm",
+                               "{root}/truth/TINY_DSM.tif"))),
+    Target("export/validity.tif", (on("compare", "--overwrite"),)),
+    Target("truth/TINY_DSM.tif", (on("compare", "--overwrite"), on("compare", "--truth", "{root}/truth", "--overwrite"),
+                                  ("simulate", "--dsm", "{root}/truth/TINY_DSM.tif", "--size", "32", "--views", "2",
+                                   "--out", "{root}/made"))),
+    Target("truth/TINY_CLS.tif", (on("compare", "--overwrite"),)),
+    Target("truth/TINY_DSM.txt", (on("compare", "--truth", "{root}/truth", "--overwrite"),)),
+    Target("points.csv", (on("compare", "--points", "{root}/points.csv", "--overwrite"),)),
+    Target("compare/errors.json", (on("report"),)),
+    Target("fit/trace.csv", (on("report"),)),
+    Target("adjustment.json", (on("report"),)),
+    Target("batch/table.csv", (("report", "{root}/batch"),)),
+    Target("batch/digests.json", (("batch", "--dry-run", "--out", "{root}/batch", SCENE),)),
+]  # fmt: skip
+COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare", "simulate", "report", "batch")
+ODD_TEXT = [
+    *("", " ", "nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "-1e9", "1" * 400, "0x10", "1,5", "π", "\udc80",
+      "a" * 5000, "../../../etc/passwd", "/dev/zero", "/dev/full", "/vsicurl/http://127.0.0.1:9/x.tif", "-", "--", "*",
+      "TINY_001", "$HOME", "%s%n", "\x1b[31m", "[]", "{}", "true", "auto"),
+]  # fmt: skip
+ODD_VALUES: list[Any] = [
+    None, True, 0, -1, 1.5, 1e308, -1e308, float("nan"), float("inf"), "", "x", "nan", [], {}, [1], [None] * 3,
+    {"a": 1}, 10**400, "../..", "/dev/zero", "/vsicurl/http://127.0.0.1:9/x.tif", "\x1b[31m", [[[]]],
+    "2014-13-45T99:99:99Z",
+]  # fmt: skip
+
+
+class Fuzz:
+    """The tiny scene and what was found."""
+
+    def __init__(self, out: Path, limit: float) -> None:
+        self.out, self.limit = out.absolute(), limit
+        self.base = self.out / "base"
+        self.found: list[dict[str, Any]] = []
+        self.table: dict[str, Counter[str]] = {}
+
+    def prepare(self) -> None:
+        """Make the scene with every file that a command may read."""
+        shutil.rmtree(self.out, ignore_errors=True)
+        self.base.parent.mkdir(parents=True)
+        simulate = ["simulate", "--size", "32", "--views", "3", "--dates", "2", "--gsd", "1", "--id", "TINY"]
+        self.must([*simulate, "--out", str(self.out)])
+        shutil.move(self.out / "TINY", self.base)
+        document = json.loads((self.base / "scene.json").read_text())
+        document["sattools"]["root"] = "."
+        (self.base / "scene.json").write_text(json.dumps(document))
+        for name, options in (("prior", ["--resolution", "2"]), ("fit", FIT[:-2]), ("export", []), ("compare", [])):
+            self.must([name, *options, str(self.base / "scene.json")])
+        document = json.loads((self.base / "scene.json").read_text())
+        document["sattools"]["root"] = "."
+        (self.base / "scene.json").write_text(json.dumps(document))
+        (self.base / "config.toml").write_text(CONFIG)
+        shutil.copy(self.base / "fit/model.safetensors", self.base / "fit/checkpoint.safetensors")
+        grid = document["sattools"]["grid"]
+        (self.base / "points.csv").write_text(POINTS.format(x=grid["left"] + 9, y=grid["top"] - 9))
+        ring = document["features"][0]["geometry"]
+        (self.base / "aoi.geojson").write_text(
+            json.dumps(
+                {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": ring}]}
+            )
+        )
+        self.must([*self.filled(PREP, self.base)])
+        shutil.copy(self.base / "out/S/adjustment.json", self.base / "adjustment.json")
+        shutil.rmtree(self.base / "out")
+        self._vendor()
+        self.must(["batch", "--workers", "1", "--config", str(self.base / "config.toml"), "--out",
+                   str(self.base / "batch"), str(self.base / "scene.json")])  # fmt: skip
+        shutil.rmtree(self.base / "batch/runs")
+
+    def _vendor(self) -> None:
+        """The same cameras in two vendors' formats."""
+        from sattools.camera import RPC
+
+        folder = self.base / "vendor"
+        folder.mkdir()
+        for path in sorted((self.base / "rpc").glob("*.TXT")):
+            name = path.name.removesuffix("_RPC.TXT")
+            rpc = RPC.from_file(path)
+            (folder / f"{name}.RPB").write_text(_rpb(rpc))
+            (folder / f"{name}.xml").write_text(_xml(rpc))
+
+    def must(self, arguments: list[str]) -> None:
+        done = run(["--threads", "1", "-q", *arguments], self.out / "run")
+        if done.status:
+            sys.exit(f"{arguments} failed undamaged: {done.stderr}")
+
+    def filled(self, command: list[str] | tuple[str, ...], root: Path) -> list[str]:
+        """The command line on a copy of the scene."""
+        filled: list[str] = []
+        for part in command:
+            if part == "{images}":
+                filled += sorted(str(path) for path in (root / "images").glob("*.tif"))
+            else:
+                filled.append(part.replace("{root}", str(root)))
+        return filled
+
+    def case(self, number: int, seed: int, keep: bool = False) -> None:
+        """One case, from its number alone."""
+        rng = random.Random(f"{seed}/{number}")
+        root = self.out / f"case{number}"
+        shutil.rmtree(root, ignore_errors=True)
+        shutil.copytree(self.base, root, copy_function=os.link)  # commands replace files, they never write into them
+        if rng.random() < 0.2:
+            kind, what, command = "options", *self._odd_option(rng, root)
+        else:
+            target = rng.choice(TARGETS)
+            kind, path = target.pattern, root / target.pattern
+            command = self.filled(rng.choice(target.commands), root)
+            what = damage(path, rng)
+        before = digests(root)
+        try:
+            arguments = ["--threads", "1", *command]
+            done = run(arguments, self.out / "run", self.limit, memory_mb=MEMORY_MB + 1024, cwd=root)
+        except (ValueError, OSError) as error:  # no process can be given such arguments
+            self._count(kind, f"not run ({type(error).__name__})")
+            shutil.rmtree(root)
+            return
+        wrong = self._judge(done, root, before)
+        self._count(kind, f"status {done.status}")
+        if wrong:
+            self.found.append({"case": number, "kind": kind, "damage": what, "command": command, "wrong": wrong,
+                               "stderr": done.stderr[-1500:]})  # fmt: skip
+            line = f"FOUND case {number}: {kind}, {what[:200]}: {wrong[:300]}\n   {' '.join(command)[:400]}"
+            print(line.encode("ascii", "replace").decode(), flush=True)
+        if keep:
+            print(done, root)
+        else:
+            shutil.rmtree(root, ignore_errors=True)
+            shutil.rmtree(self.out / "odd", ignore_errors=True)
+
+    def _judge(self, done: Result, root: Path, before: dict[str, str]) -> str:
+        if done.timed_out:
+            return f"no end after {self.limit:g} s"
+        if done.traceback:
+            return "traceback: " + done.stderr.strip().splitlines()[-1][:200]
+        if "internal error" in done.stderr:
+            return "internal error: " + done.stderr.strip().splitlines()[-1][:300]
+        if done.status not in (0, 1, 2, 3):
+            return f"status {done.status}"
+        if done.peak_mb > MEMORY_MB:
+            return f"{done.peak_mb:.0f} MB"
+        if left := [path.name for path in root.rglob(".*tmp-sattools*")]:
+            return f"left {left[0]}"
+        if done.status in (1, 2) and not re.search(r"^(sattools [a-z]+: )?error: |^Error: ", done.stderr, re.I | re.M):
+            return "failed without a word"
+        # click repeats what somebody typed
+        long = [line for line in done.stderr.splitlines() if len(line) > 1500]
+        if long and done.status != 2:
+            return f"a line of {len(long[0])} characters"
+        if done.status == 1:
+            after = digests(root)
+            changed = [name for name in before if after.get(name) != before[name]]
+            new = [name for name in after if name not in before and not name.startswith(("batch/", "out/"))]
+            if changed or new:
+                return f"failed, but wrote {(changed + new)[0]}"
+        return ""
+
+    def _odd_option(self, rng: random.Random, root: Path) -> tuple[str, list[str]]:
+        """A command with an option of an odd value."""
+        import click
+
+        from sattools.cli import main
+
+        name = rng.choice(COMMANDS)
+        part = main.get_command(click.Context(main), name)
+        assert part is not None
+        options = [p for p in part.params if isinstance(p, click.Option) and p.name not in ("help", "dry_run")]
+        option = rng.choice(options)
+        values = [] if option.is_flag else [rng.choice(ODD_TEXT) for _ in range(max(1, option.nargs))]
+        flag = rng.choice([*option.opts, *option.secondary_opts])
+        usual = {
+            "prep": PREP, "fit": on("fit", *FIT, "--overwrite"),
+            "prior": on("prior", "--resolution", "4", "--overwrite"),
+            "simulate": ("simulate", "--size", "32", "--views", "2", "--dates", "1", "--gsd", "1", "--out",
+                         "{root}/made"),
+            "batch": ("batch", "--dry-run", "--out", "{root}/batch", SCENE), "info": on("info"), "report": on("report"),
+        }  # fmt: skip
+        command = self.filled(usual.get(name, on(name, "--overwrite")), root)
+        where = rng.choice([1, len(command)])
+        return f"{flag} {values}", [*command[:where], flag, *values, *command[where:]]
+
+    def _count(self, kind: str, result: str) -> None:
+        self.table.setdefault(kind, Counter())[result] += 1
+
+
+def damage(path: Path, rng: random.Random) -> str:
+    """Replace a file by a damaged one; what was done."""
+    data = path.read_bytes()
+    kinds: list[Callable[[bytes, random.Random], tuple[str, bytes]]] = [flip, cut, repeat, overwrite, insert]
+    if path.suffix in (".json", ".geojson"):
+        kinds = [structure, structure, structure, numbers, *kinds]
+    elif path.suffix.lower() in (".txt", ".csv", ".toml", ".xml", ".rpb"):
+        kinds = [numbers, numbers, lines, *kinds]
+    if rng.random() < 0.05:
+        what, new = other(data, rng)
+    else:
+        what, new = rng.choice(kinds)(data, rng)
+        if rng.random() < 0.3:
+            more, new = rng.choice(kinds)(new, rng)
+            what += f", {more}"
+    path.unlink()
+    path.write_bytes(new)
+    return what
+
+
+def flip(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    new, count = bytearray(data), rng.choice((1, 1, 2, 8, 64))
+    # headers are where formats are decided
+    for _ in range(count if data else 0):
+        end = len(data) if rng.random() < 0.5 else min(len(data), 600)
+        new[rng.randrange(end)] ^= 1 << rng.randrange(8)
+    return f"{count} bits flipped", bytes(new)
+
+
+def cut(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    end = rng.choice((0, 1, 4, rng.randrange(len(data) + 1), max(0, len(data) - 1)))
+    return f"cut to {end} bytes", data[:end]
+
+
+def repeat(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    start = rng.randrange(len(data) + 1)
+    piece = data[start : start + rng.choice((1, 16, 300))]
+    return f"{len(piece)} bytes repeated at {start}", data[:start] + piece * rng.choice((2, 50)) + data[start:]
+
+
+def overwrite(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    start = rng.randrange(max(1, min(len(data), rng.choice((64, 1000, 10**9)))))
+    fill = rng.choice((b"\0", b"\xff", b"9", b"\x7f"))
+    length = rng.choice((1, 2, 4, 8, 200))
+    return f"{length} bytes {fill!r} at {start}", data[:start] + fill * length + data[start + length :]
+
+
+def insert(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    start = rng.choice((0, rng.randrange(len(data) + 1)))
+    piece = rng.choice((b"\0", b"\xef\xbb\xbf", b"\xff\xfe", os.urandom(0), b"\r\n", b"{" * 2000, b"[" * 100_000,
+                        b"<!DOCTYPE a [<!ENTITY b SYSTEM 'file:///etc/passwd'>]>", b"9" * 5000))  # fmt: skip
+    return f"{piece[:20]!r} inserted at {start}", data[:start] + piece + data[start:]
+
+
+def other(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    vrt = (b"<VRTDataset rasterXSize='32' rasterYSize='32'><VRTRasterBand dataType='Byte' band='1'><SimpleSource>"
+           b"<SourceFilename>/etc/passwd</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>")  # fmt: skip
+    name, new = rng.choice((
+        ("empty", b""), ("random", rng.randbytes(2000)), ("VRT", vrt), ("zip", b"PK\x03\x04" + bytes(300)),
+        ("JSON", b'{"type": "FeatureCollection", "features": []}'), ("null", b"null"), ("number", b"1e999"),
+        ("WMS", b"<GDAL_WMS><Service name='TMS'><ServerUrl>http://127.0.0.1:9/</ServerUrl></Service></GDAL_WMS>"),
+        ("UTF-16", data[:2000].decode("latin-1").encode("utf-16")), ("long line", b"a" * 3_000_000),
+    ))  # fmt: skip
+    return f"replaced by {name}", new
+
+
+def numbers(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    """One number of a text becomes another."""
+    found = list(re.finditer(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?", data))
+    if not found:
+        return flip(data, rng)
+    spot = rng.choice(found)
+    new = rng.choice((b"nan", b"inf", b"-1", b"0", b"1e308", b"-1e308", b"1e-320", b"9" * 400, b"x", b"",
+                      b"-" + spot[0],                      spot[0] + b"0", b"1" + spot[0], b"65536", b"4294967296", b"null", b'"1"'))  # fmt: skip
+    return f"{spot[0][:20]!r} at {spot.start()} becomes {new[:20]!r}", data[: spot.start()] + new + data[spot.end() :]
+
+
+def lines(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    rows = data.split(b"\n")
+    a, b = rng.randrange(len(rows)), rng.randrange(len(rows))
+    what = rng.choice(("removed", "exchanged", "doubled"))
+    if what == "removed":
+        del rows[a]
+    elif what == "doubled":
+        rows.insert(a, rows[a])
+    else:
+        rows[a], rows[b] = rows[b], rows[a]
+    return f"lines {a}, {b} {what}", b"\n".join(rows)
+
+
+def structure(data: bytes, rng: random.Random) -> tuple[str, bytes]:
+    """One member of a JSON document is replaced, removed, renamed, doubled or nested."""
+    try:
+        document = json.loads(data)
+    except ValueError:
+        return flip(data, rng)
+    places: list[tuple[Any, Any]] = []
+
+    def walk(value: Any) -> None:
+        items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        for key, inner in items:
+            places.append((value, key))
+            walk(inner)
+
+    walk(document)
+    if not places:
+        return flip(data, rng)
+    # members near the root are few and matter most
+    holder, key = rng.choice(places if rng.random() < 0.7 else places[:30])
+    what = rng.choice(("replaced", "replaced", "replaced", "removed", "renamed", "nested", "doubled", "copied"))
+    if what == "replaced":
+        holder[key] = rng.choice(ODD_VALUES)
+    elif what == "removed":
+        del holder[key]
+    elif what == "renamed" and isinstance(holder, dict):
+        holder[f"{key}x"] = holder.pop(key)
+    elif what == "nested":
+        depth = rng.choice((1, 50, 900))
+        for _ in range(depth):
+            holder[key] = [holder[key]]
+    elif what == "doubled" and isinstance(holder, list):
+        holder.insert(key, json.loads(json.dumps(holder[key])))
+    else:
+        source, name = rng.choice(places)
+        holder[key] = json.loads(json.dumps(source.get(name) if isinstance(source, dict) else source[name - 1]))
+    try:
+        return f"{key!r} {what}", json.dumps(document).encode()
+    except (ValueError, RecursionError):
+        return flip(data, rng)
+
+
+def digests(root: Path) -> dict[str, str]:
+    """Content of every file below a folder; a checkpoint may change, and a log may grow."""
+    found = {}
+    for path in root.rglob("*"):
+        if path.is_file() and "checkpoint" not in path.name and "/tiles/" not in str(path):
+            found[str(path.relative_to(root))] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def _rpb(rpc: Any) -> str:
+    """The camera as DigitalGlobe's .RPB."""
+    tags = rpc.to_tags()
+    names = {
+        "lineOffset": "LINE_OFF", "sampOffset": "SAMP_OFF", "latOffset": "LAT_OFF", "longOffset": "LONG_OFF",
+        "heightOffset": "HEIGHT_OFF", "lineScale": "LINE_SCALE", "sampScale": "SAMP_SCALE", "latScale": "LAT_SCALE",
+        "longScale": "LONG_SCALE", "heightScale": "HEIGHT_SCALE",
+    }  # fmt: skip
+    vectors = {"lineNumCoef": "LINE_NUM_COEFF", "lineDenCoef": "LINE_DEN_COEFF", "sampNumCoef": "SAMP_NUM_COEFF",
+               "sampDenCoef": "SAMP_DEN_COEFF"}  # fmt: skip
+    rows = ['satId = "QB02";', 'bandId = "P";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
+    rows += ["\terrBias = 0.0;", "\terrRand = 0.0;", *(f"\t{name} = {tags[tag]};" for name, tag in names.items())]
+    rows += [f"\t{n} = (\n\t\t\t" + ",\n\t\t\t".join(tags[tag].split()) + ");" for n, tag in vectors.items()]
+    return "\n".join([*rows, "END_GROUP = IMAGE", "END;\n"])
+
+
+def _xml(rpc: Any) -> str:
+    """The camera as DigitalGlobe's XML."""
+    tags = rpc.to_tags()
+    names = {
+        "LINEOFFSET": "LINE_OFF", "SAMPOFFSET": "SAMP_OFF", "LATOFFSET": "LAT_OFF", "LONGOFFSET": "LONG_OFF",
+        "HEIGHTOFFSET": "HEIGHT_OFF", "LINESCALE": "LINE_SCALE", "SAMPSCALE": "SAMP_SCALE", "LATSCALE": "LAT_SCALE",
+        "LONGSCALE": "LONG_SCALE", "HEIGHTSCALE": "HEIGHT_SCALE",
+    }  # fmt: skip
+    vectors = {"LINENUMCOEF": "LINE_NUM_COEFF", "LINEDENCOEF": "LINE_DEN_COEFF", "SAMPNUMCOEF": "SAMP_NUM_COEFF",
+               "SAMPDENCOEF": "SAMP_DEN_COEFF"}  # fmt: skip
+    inner = "".join(f"<{name}>{tags[tag]}</{name}>\n" for name, tag in names.items())
+    inner += "".join(f"<{n}List><{n}>{tags[tag]}</{n}></{n}List>\n" for n, tag in vectors.items())
+    return f'<?xml version="1.0"?>\n<isd><RPB><SATID>WV03</SATID><IMAGE>\n{inner}</IMAGE></RPB></isd>\n'
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, help="run this case alone and keep its folder")
+    parser.add_argument("--limit", type=float, default=600.0, help="seconds after which a case counts as hanging")
+    parser.add_argument("--out", type=Path, default=Path("fuzz"))
+    options = parser.parse_args()
+    preload()
+    fuzz = Fuzz(options.out, options.limit)
+    fuzz.prepare()
+    if options.only is not None:
+        fuzz.case(options.only, options.seed, keep=True)
+    else:
+        for k in range(options.first, options.first + options.count):
+            fuzz.case(k, options.seed)
+            if (k + 1) % 500 == 0:
+                print(f"{k + 1} cases, {len(fuzz.found)} found", flush=True)
+    for kind, results in sorted(fuzz.table.items()):
+        print(f"{kind:28s} " + "   ".join(f"{name} {count}" for name, count in sorted(results.items())))
+    print(f"{sum(sum(r.values()) for r in fuzz.table.values())} cases, {len(fuzz.found)} found")
+    (fuzz.out / "fuzz.json").write_text(json.dumps({"table": fuzz.table, "found": fuzz.found}, indent=1, default=str))
+    sys.exit(bool(fuzz.found))
+
+
+if __name__ == "__main__":
+    main()
