@@ -20,7 +20,8 @@ import click
 from sattools import __version__
 from sattools.cli.options import print_config
 from sattools.cli.progress import make_progress
-from sattools.errors import SattoolsError, SceneError
+from sattools.cli.safety import complain, quiet_stdout
+from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress
 from sattools.settings import as_dict
 
@@ -116,7 +117,7 @@ def run_source(run: Run, make: Callable[[Progress], tuple[Scene, dict[str, Any] 
 
 def report_error(command: str, error: SattoolsError) -> None:
     """One line on stderr."""
-    click.echo(f"sattools {command}: error: {' '.join(str(error).split())}", err=True)
+    complain(f"sattools {command}: error: {error}")
 
 
 def _apply(run: Run, scene: Scene, work: Work) -> dict[str, Any]:
@@ -126,8 +127,6 @@ def _apply(run: Run, scene: Scene, work: Work) -> dict[str, Any]:
 
 
 def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
-    from sattools.scene.raster import write_text
-
     entry = {
         "command": run.command,
         "options": _plain(as_dict(run.options)) if run.options is not None else {},
@@ -138,7 +137,7 @@ def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) 
         **(extra or {}),
     }
     scene.history.append(entry)
-    write_text(scene.output("scene.json"), scene.to_json() + "\n")
+    scene.write()
     return entry
 
 
@@ -173,14 +172,37 @@ def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:
             continue
         if sys.stdin is None or sys.stdin.isatty():
             raise click.UsageError("expected scene documents on stdin (from `sattools prep`) or the path of one")
-        for number, line in enumerate(sys.stdin, 1):
-            if line.strip():
-                yield f"stdin line {number}", line
+        yield from _lines()
+
+
+def _lines() -> Iterator[tuple[str, str]]:
+    """The documents on stdin, one per line, of a length that memory holds."""
+    from sattools.scene.jsonio import TEXT_LIMIT, decode
+
+    stream = sys.stdin.buffer
+    number = 0
+    while line := stream.readline(TEXT_LIMIT + 1):
+        number += 1
+        name = f"stdin line {number}"
+        try:
+            if len(line) > TEXT_LIMIT:
+                raise InputError(f"{name}: found more than {TEXT_LIMIT >> 20} MiB, expected a scene document in a line")
+            text = decode(line, name)
+        except InputError as error:
+            yield name, f"\0{error}"
+            if len(line) > TEXT_LIMIT:
+                return
+            continue
+        if text.strip():
+            yield name, text
 
 
 def parse(source: str, text: str | None) -> Scene:
+    """The scene of a document; raises SceneError where it is none."""
     from sattools.scene import Scene
 
+    if text is not None and text.startswith("\0"):  # what `_lines` could not read
+        raise SceneError(text[1:])
     return Scene.from_file(source) if text is None else Scene.from_json(text, source)
 
 
@@ -188,8 +210,7 @@ def _print_line(line: str) -> None:
     try:
         print(line, flush=True)
     except OSError as error:
-        # keep Python from complaining once more when it flushes stdout at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        quiet_stdout()
         if not isinstance(error, BrokenPipeError):  # nobody reads any more: stop quietly
             click.echo(f"sattools: error: stdout: cannot be written ({error.strerror})", err=True)
         sys.exit(1)

@@ -186,7 +186,7 @@ class Plan:
             for item in one.items:
                 if item.id in tones:
                     item.properties[TONE_PROPERTY] = asdict(tones[item.id])
-            write_text(one.output("scene.json"), one.to_json() + "\n")
+            one.write()
             names.append(tile.name)
         write_text(self.scene.output(WHOLE), self.scene.to_json() + "\n")
         self._write_state(names, remarks, time.perf_counter() - started)

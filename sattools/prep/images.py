@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
+from sattools.scene.opening import opened
 from sattools.scene.raster import atomic
 from sattools.scene.sidecars import sidecars
 
@@ -198,23 +197,6 @@ def write_image(source: Source, rpc: RPC, target: Path) -> None:
                 temporary.write_bytes(memory.getbuffer())
 
 
-@contextmanager
-def opened(path: Path) -> Iterator[rasterio.DatasetReader]:
-    """A raster in any geometry. Raises InputError when it cannot be opened."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        try:
-            data = rasterio.open(path)
-        except RasterioError as error:
-            if not path.exists():
-                raise InputError(f"{path}: no such file, expected an image") from None
-            raise InputError(f"{path}: found no readable image ({str(error).splitlines()[0]})") from None
-        with data:
-            if data.count == 0:
-                raise InputError(f"{path}: found a container without bands, expected an image")
-            yield data
-
-
 def _read(data: rasterio.DatasetReader, source: Source, band: int, window: Window) -> NDArray[np.generic]:
     try:
         return np.asarray(data.read(band, window=window))
@@ -230,7 +212,6 @@ __all__ = [
     "check_ids",
     "image_id",
     "load_source",
-    "opened",
     "read_gray",
     "significant_bits",
     "value_range",

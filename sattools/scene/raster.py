@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.grid import Grid
+from sattools.scene.opening import opened
 
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
@@ -133,7 +134,7 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
     Raises:
         InputError: unreadable, without CRS, or not north-up with square cells.
     """
-    with _opened(path) as data:
+    with opened(path) as data:
         grid = _grid_of(data, path)
         window = None
         if within is not None:
@@ -148,7 +149,7 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
 
 def raster_grid(path: Path) -> Grid:
     """The grid of a georeferenced north-up raster; raises as `read_raster` does."""
-    with _opened(path) as data:
+    with opened(path) as data:
         return _grid_of(data, path)
 
 
@@ -163,7 +164,7 @@ def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
 
 def image_shape(path: Path) -> tuple[int, int]:
     """(rows, columns) of an image. Raises InputError where it cannot be read."""
-    with _opened(path) as data:
+    with opened(path) as data:
         return data.height, data.width
 
 
@@ -179,7 +180,7 @@ def read_image(path: Path, window: tuple[slice, slice] | None = None, reduce: in
     Raises:
         InputError: missing, truncated or not an image.
     """
-    with _opened(path) as data:
+    with opened(path) as data:
         rows, cols = window or (slice(0, data.height), slice(0, data.width))
         if reduce == 1:
             return _numbers(data, path, rows, cols)
@@ -218,7 +219,7 @@ def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Se
         InputError: ``like`` cannot be read.
         SattoolsError: the file cannot be written.
     """
-    with _opened(like) as source:
+    with opened(like) as source:
         rpc = source.tags(ns="RPC")
     bands, height, width = array.shape
     with atomic(path) as temporary, warnings.catch_warnings():
@@ -232,20 +233,6 @@ def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Se
                 data.descriptions = tuple(descriptions)
             if rpc:
                 data.update_tags(ns="RPC", **rpc)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        try:
-            data = rasterio.open(path)
-        except RasterioError as error:
-            if not Path(path).exists():
-                raise InputError(f"{path}: no such file, expected an image") from error
-            raise InputError(f"{path}: found no readable image ({str(error).splitlines()[0]})") from error
-        with data:
-            yield data
 
 
 def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None) -> np.ndarray:
