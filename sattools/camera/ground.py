@@ -34,18 +34,17 @@ def utm_crs(lon: float, lat: float) -> str:
 def _transformer(source: str, target: str) -> Transformer:
     try:
         return Transformer.from_crs(source, target, always_xy=True)
-    except CRSError as error:
-        raise InputError(
-            f"CRS {source} or {target}: found {str(error).splitlines()[0]}, expected a known CRS"
-        ) from None
+    except CRSError:
+        unknown = source if target == "EPSG:4326" else target
+        raise InputError(f"CRS {unknown[:200]!r}: found none that is known, expected e.g. EPSG:32617") from None
 
 
 def check_projected(crs: str) -> str:
     """The CRS as given, or InputError if it is unknown or not projected in metres."""
     try:
         parsed = CRS.from_user_input(crs)
-    except CRSError as error:
-        raise InputError(f"CRS {crs!r}: found {str(error).splitlines()[0]}, expected e.g. EPSG:32617") from None
+    except CRSError:
+        raise InputError(f"CRS {crs[:200]!r}: found none that is known, expected e.g. EPSG:32617") from None
     if not parsed.is_projected or any(abs(a.unit_conversion_factor - 1.0) > 1e-9 for a in parsed.axis_info[:2]):
         raise InputError(f"CRS {crs!r}: found one that is not projected in metres, expected e.g. EPSG:32617")
     return crs

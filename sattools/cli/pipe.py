@@ -97,15 +97,21 @@ def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], 
         sys.exit(3 if done else 1)
 
 
-def run_source(run: Run, make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]], label: str) -> None:
-    """Make one scene and print it."""
+def run_source(
+    run: Run,
+    make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]],
+    label: str,
+    check: Callable[[], None] = lambda: None,
+) -> None:
+    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would."""
     if run.print_config:
         print_config(run.command, run.options)
         return
-    if run.dry_run:
-        click.echo(f"sattools {run.command}: would make {label}", err=True)
-        return
     try:
+        if run.dry_run:
+            check()
+            click.echo(f"sattools {run.command}: would make {label}", err=True)
+            return
         start = time.perf_counter()
         scene, extra = make(_progress(run.command, label))
         _finish(run, scene, start, extra)

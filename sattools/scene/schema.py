@@ -50,6 +50,20 @@ class Number:
 
 
 @dataclass(frozen=True)
+class NumberText:
+    """A number, or text that is one, as in vendors' metadata."""
+
+    def check(self, value: Any, where: str) -> None:
+        """See `Kind`."""
+        try:
+            right = not isinstance(value, bool | list | Mapping) and math.isfinite(float(value))
+        except (TypeError, ValueError, OverflowError):
+            right = False
+        if not right:
+            raise InputError(f"{where}: found {shown(value)}, expected a finite number")
+
+
+@dataclass(frozen=True)
 class Text:
     """Text, not empty; one of `choices` where there are some."""
 
@@ -162,10 +176,10 @@ def shown(value: Any) -> str:
     return text if len(text) <= 40 else text[:36] + "...'"
 
 
-def meant(found: Any, known: Iterable[str]) -> str:
+def meant(found: Any, known: Iterable[str], closeness: float = 0.6) -> str:
     """` (did you mean 'x'?)` where a known name is close to the one found, else nothing."""
-    close = difflib.get_close_matches(str(found)[:100].lower(), list(known), 1, 0.6)
+    close = difflib.get_close_matches(str(found)[:100].lower(), list(known), 1, closeness)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-__all__ = ["Anything", "Flag", "Items", "Kind", "Maybe", "Number", "Table", "Text", "meant", "shown"]
+__all__ = ["Anything", "Flag", "Items", "Kind", "Maybe", "Number", "NumberText", "Table", "Text", "meant", "shown"]
