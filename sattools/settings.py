@@ -12,7 +12,6 @@ import typing
 from dataclasses import MISSING, dataclass
 from typing import Any
 
-
 LARGEST = 1e12  # of a number in an option: no length, weight or time of the suite is larger, and its square is finite
 LARGEST_COUNT = 10**9
 

@@ -39,7 +39,14 @@ VECTORS = {
 }
 
 # magnitudes that no camera over the Earth has; beyond them polynomials overflow
-_LARGEST = {"LAT_OFF": 90.0, "LONG_OFF": 540.0, "HEIGHT_OFF": 1e5, "LAT_SCALE": 180.0, "LONG_SCALE": 360.0, "HEIGHT_SCALE": 1e6}
+_LARGEST = {
+    "LAT_OFF": 90.0,
+    "LONG_OFF": 540.0,
+    "HEIGHT_OFF": 1e5,
+    "LAT_SCALE": 180.0,
+    "LONG_SCALE": 360.0,
+    "HEIGHT_SCALE": 1e6,
+}
 _LARGEST_NUMBER = 1e9
 _SMALLEST_SCALE = 1e-9
 _CHUNK = 1 << 14  # points evaluated at once: 20 monomials of a chunk stay in the second-level cache
@@ -128,9 +135,8 @@ class RPC:
                 raise InputError(f"{source}: found {key} = {values[name]:g}, expected at most {largest:g}{swapped}")
         for key, name in VECTORS.items():
             if np.abs(values[name]).max() > _LARGEST_NUMBER:
-                raise InputError(
-                    f"{source}: found {key} of up to {np.abs(values[name]).max():g}, expected at most {_LARGEST_NUMBER:g}"
-                )
+                worst = np.abs(values[name]).max()
+                raise InputError(f"{source}: found {key} of up to {worst:g}, expected at most {_LARGEST_NUMBER:g}")
             if key.endswith("DEN_COEFF") and not values[name].any():
                 raise InputError(f"{source}: found {key} that are all 0, expected a denominator")
         return cls(**values)

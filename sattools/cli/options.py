@@ -119,8 +119,8 @@ def read_toml(path: Path) -> dict[str, Any]:
             from sattools.scene.schema import meant, shown
 
             if isinstance(value, dict):
-                expected = f"one named like a command{meant(name, COMMANDS)}"
-                raise click.BadParameter(f"{path}: found the table [{name}], expected {expected}", param_hint="--config")
+                wrong = f"{path}: found the table [{name}], expected one named like a command{meant(name, COMMANDS)}"
+                raise click.BadParameter(wrong, param_hint="--config")
             if name in COMMANDS:
                 raise click.BadParameter(
                     f"{path}: found {name} = {shown(value)}, expected a table [{name}]", param_hint="--config"

@@ -6,7 +6,6 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 
 from __future__ import annotations
 
-import os
 import resource
 import sys
 import time

@@ -62,7 +62,7 @@ def explain(error: BaseException) -> str:
     if isinstance(error, SattoolsError):
         return str(error)
     if isinstance(error, MemoryError):
-        return f"found too little memory ({_short(error) or 'of this machine'}), expected a smaller area or coarser cells"
+        return f"found too little memory ({_short(error) or 'all is taken'}), expected a smaller area or coarser cells"
     if isinstance(error, OSError) and error.strerror:
         where = f"{_name(error.filename)}: " if error.filename is not None else ""
         return f"{where}found {error.strerror}, expected a file or folder that can be used"

@@ -11,8 +11,8 @@ from sattools.compare.metrics import WATER
 from sattools.compare.resample import resampled
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
-from sattools.scene.opening import opened
 from sattools.scene.jsonio import read_text
+from sattools.scene.opening import opened
 from sattools.scene.raster import read_image, read_raster
 
 DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none

@@ -27,18 +27,15 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         SceneError: the scene has no model.
         InputError: the model file is damaged.
     """
-    from sattools.fit.checkpoint import load
+    from sattools.fit.model import read_model
 
     if "model" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
     source = scene.path(scene.products["model"])
-    tensors, meta = load(source)
-    try:
-        grid = Grid.from_dict(meta["grid"])
-        height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
-        names, suns = meta["items"], meta["suns"]
-    except KeyError as error:
-        raise InputError(f"{source}: found a model without {error}, expected a surface model") from error
+    tensors, meta = read_model(source)
+    grid = Grid.from_dict(meta["grid"])
+    height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
+    names, suns = meta["items"], meta["suns"]
     targets = {name: scene.output(name, overwrite) for name in (DSM, STD, ALBEDO, PICTURE)}
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
@@ -101,7 +98,11 @@ def _views(
     from sattools.export.novel import write_relit, write_view
     from sattools.fit.reflective import ReflectiveScene, restored_model
 
-    surface = restored_model(tensors, meta)
+    try:
+        surface = restored_model(tensors, meta)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{scene.products['model']}: found a model without what its kind needs ({reason})") from error
     if isinstance(surface, ReflectiveScene):
         progress(0.0, "reflectance")
         write_material(scene, grid, surface, tensors, overwrite)

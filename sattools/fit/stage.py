@@ -42,7 +42,7 @@ from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
 from sattools.progress import Progress, part, silent
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
-from sattools.scene.raster import read_raster, write_text
+from sattools.scene.raster import write_text
 from sattools.views import Source, View, load_sources, match_colours, shown_on, views_on
 
 log = logging.getLogger(__name__)
@@ -148,15 +148,15 @@ def load_prior(scene: Scene, options: FitOptions, progress: Progress) -> tuple[n
     """Height, confidence and grid of the scene's depth prior; made with its defaults where it is missing."""
     if options.prior_weight == 0:
         return None
+    from sattools.prior.files import read_prior
+
     if "prior_dsm" not in scene.products:
         from sattools.prior import PriorOptions
         from sattools.prior.stage import prior
 
         prior(scene, PriorOptions(), progress)
     within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
-    height, grid = read_raster(scene.path(scene.products["prior_dsm"]), within)
-    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]), within)
-    return height[0], confidence[0], grid
+    return read_prior(scene, within)
 
 
 @dataclass

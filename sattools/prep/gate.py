@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment
-from sattools.camera.ground import from_geographic, metres_per_degree, view_direction
+from sattools.camera.ground import view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.images import Source
@@ -29,7 +29,6 @@ _SUN_FAR_DEG = 12.0  # an hour of local instead of universal time
 _CAMERA_TOLERANCE_PX = 40.0  # vendors' cameras are good to some metres; the worst of the contest is off by 36 px
 _CAMERA_SHARE = 0.2  # of an image's shorter side
 _VIEW_TOLERANCE_DEG = 2.0
-_SCALE_TOLERANCE = 0.02  # of a projection: UTM two zones away is off by 1.5 %
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LARGEST_NUMBER = 1e9
@@ -84,23 +83,11 @@ def _check_time(source: Source) -> None:
 
 
 def _check_camera(source: Source) -> None:
-    """The camera against the image's size, against its own handedness, and against a second camera."""
+    """The camera against another one that the image brings along."""
     rpc, (height, width) = source.rpc, source.size
     lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, rpc.alt_offset)
     if not (math.isfinite(lon) and math.isfinite(lat)):
         return  # told where footprints are compared
-    for name, offset, scale, size in (
-        ("columns", rpc.col_offset, rpc.col_scale, width),
-        ("rows", rpc.row_offset, rpc.row_scale, height),
-    ):
-        low, high = offset - abs(scale), offset + abs(scale)
-        outside = max(low - 0, size - 1 - high) / size
-        if outside > 0.1:
-            source.warn(
-                f"its camera was made for {name} {low:.0f} to {high:.0f}, the image has 0 to {size - 1}: the RPC of this "
-                "image and of this part of it?"
-            )
-            break
     other = source.tags_rpc
     if other is None or other is rpc:
         return
@@ -110,9 +97,7 @@ def _check_camera(source: Source) -> None:
     turned = math.degrees(math.acos(min(1.0, float(a @ b))))
     if not away <= _limit_px(source.size) or turned > _VIEW_TOLERANCE_DEG:
         what = f"{away:.0f} px and {turned:.1f} degrees" if math.isfinite(away) else "altogether"
-        source.warn(
-            f"its own RPC tags differ from {source.metadata.rpc_source} by {what}: metadata of another image?"
-        )
+        source.warn(f"its own RPC tags differ from {source.metadata.rpc_source} by {what}: metadata of another image?")
 
 
 def _limit_px(size: tuple[int, int]) -> float:
@@ -178,25 +163,6 @@ def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
 
 
-def check_scale(crs: str, lon: float, lat: float) -> None:
-    """Raise InputError where a metre of the CRS is none on the ground, as far from its own region or in web maps."""
-    east, north = metres_per_degree(lat)
-    step = 10.0
-    lons, lats = [lon, lon + step / east, lon], [lat, lat, lat + step / north]
-    x, y = from_geographic(crs, lons, lats)
-    with np.errstate(invalid="ignore"):
-        scale = math.hypot(x[1] - x[0], y[1] - y[0]) / step, math.hypot(x[2] - x[0], y[2] - y[0]) / step
-    worst = max(scale, key=lambda s: abs(s - 1) if math.isfinite(s) else math.inf)
-    if not abs(worst - 1) <= _SCALE_TOLERANCE:
-        from sattools.camera.ground import utm_crs
-
-        found = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
-        raise InputError(
-            f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {found}, expected a CRS of this region such as "
-            f"{utm_crs(lon, lat)}"
-        )
-
-
 def check_pixels(sources: Sequence[Source], grays: Sequence[NDArray[np.float32]]) -> None:
     """Raise InputError where two images are one and the same, or numbers are absurd; warns of few grey levels."""
     seen: dict[str, Source] = {}
@@ -208,8 +174,8 @@ def check_pixels(sources: Sequence[Source], grays: Sequence[NDArray[np.float32]]
         known = gray[np.isfinite(gray)]
         if np.abs(known).max() > _LARGEST_NUMBER:
             raise InputError(
-                f"{source.path}: found numbers of up to {np.abs(known).max():.2g}, expected digital numbers, radiance or "
-                f"reflectance below {_LARGEST_NUMBER:g}"
+                f"{source.path}: found numbers of up to {np.abs(known).max():.2g}, expected digital numbers, radiance "
+                f"or reflectance below {_LARGEST_NUMBER:g}"
             )
         some = known[:: max(1, known.size // 100_000)]
         levels = np.unique(some).size
@@ -225,8 +191,8 @@ def check_corrections(result: Adjustment, sources: Sequence[Source]) -> list[str
         if not view.weak and length > _limit_px((source.window[3], source.window[2])):
             whose = "; whose camera it is cannot be told from so few" if len(sources) < 4 else ""
             remarks.append(
-                f"{source.id}: its camera and those of the others are {length:.0f} px apart{whose}: the RPC of this image "
-                "and of this part of it?"
+                f"{source.id}: its camera and those of the others are {length:.0f} px apart{whose}: the RPC of this "
+                "image and of this part of it?"
             )
     return remarks
 
@@ -259,7 +225,6 @@ __all__ = [
     "check_heights",
     "check_pixels",
     "check_places_and_suns",
-    "check_scale",
     "check_sources",
     "mirrored",
 ]

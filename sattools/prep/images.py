@@ -21,9 +21,9 @@ from rasterio.windows import Window
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
+from sattools.scene.location import RemotePath
 from sattools.scene.opening import opened
 from sattools.scene.raster import atomic
-from sattools.scene.location import RemotePath
 from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)

@@ -87,7 +87,8 @@ def describe(source: Source, rpc: RPC, view: ViewAdjustment, grid: Grid, heights
         source.remarks.append("time unknown: no metadata and no name says when it was taken")
     sun = sun_angles(source, lon, lat, middle)
     if sun is not None and sun[1] <= 0:  # by time and place: `gate` has refused such metadata
-        source.warn(f"time and place put the sun {sun[1]:.1f} degrees above the horizon: taken as unknown; is the time right?")
+        below = f"time and place put the sun {sun[1]:.1f} degrees above the horizon"
+        source.warn(f"{below}: taken as unknown; is the time right?")
         sun = None
     if sun is None:
         properties["sattools:sun"] = "unknown"

@@ -57,7 +57,8 @@ _SATNERF_JSON = Table(
         "rpc": Table(),
     }
 )
-_STAC_JSON = Table({"properties": Maybe(Table({"datetime": Maybe(Text(empty=True)), "platform": Maybe(Text(empty=True))}))})
+_MAYBE_TEXT = Maybe(Text(empty=True))
+_STAC_JSON = Table({"properties": Maybe(Table({"datetime": _MAYBE_TEXT, "platform": _MAYBE_TEXT}))})
 
 _TIME_TEXT = (
     re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d+)?)"),
@@ -171,8 +172,9 @@ def _from_json(path: Path) -> Metadata:
             time=parse_time(properties.get("datetime")), platform=properties.get("platform") or None, sun=sun
         )
     _SATNERF_JSON.check(document, str(path))
-    for name in document:
-        hint = "" if name in _SATNERF_JSON.members else meant(name, _SATNERF_JSON.members.keys() - document.keys(), 0.85)
+    known = _SATNERF_JSON.members.keys()
+    for name in document.keys() - known:
+        hint = meant(name, known - document.keys(), 0.85)
         if hint:
             raise InputError(f"{path}: found an unknown member {name[:40]!r}, expected a known one{hint}")
     size = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import check_projected, ground_sample_distance, utm_crs
+from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import View, find_tie_points
 from sattools.errors import InputError, OutputExistsError, SattoolsError
@@ -25,7 +25,6 @@ from sattools.prep.gate import (
     check_heights,
     check_pixels,
     check_places_and_suns,
-    check_scale,
     check_sources,
 )
 from sattools.prep.images import Source, check_ids, load_source, read_gray, write_image
@@ -183,9 +182,7 @@ def _warn(found: Sequence[str], remarks: list[str]) -> None:
         log.warning("%s", text)
 
 
-def _roles(
-    options: PrepOptions, result: Adjustment, sources: Sequence[Source], remarks: list[str]
-) -> dict[str, str]:
+def _roles(options: PrepOptions, result: Adjustment, sources: Sequence[Source], remarks: list[str]) -> dict[str, str]:
     """Role of every image; one without tie points is set aside, as its camera may be anything.
 
     Raises InputError where fewer than two are left to train on.
@@ -202,8 +199,8 @@ def _roles(
     left = [name for name, role in roles.items() if role == "train"]
     if len(left) < 2:
         raise InputError(
-            f"images: found {len(left)} for training that have enough tie points with others, expected at least 2 (do they "
-            "show the same place, with their own RPCs?)"
+            f"images: found {len(left)} for training that have enough tie points with others, expected at least 2 "
+            "(do they show the same place, with their own RPCs?)"
         )
     return roles
 

@@ -191,7 +191,8 @@ def _history(scene: Scene) -> Section:
     rows = []
     for entry in scene.history:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
-        rows.append([entry["command"], _number(entry.get("seconds"), 1), _number(entry.get("peak_memory_mb"), 0), versions])
+        taken = _number(entry.get("seconds"), 1), _number(entry.get("peak_memory_mb"), 0)
+        rows.append([entry["command"], *taken, versions])
     names = ["command", "time [s]", "peak memory [MB]", "versions"]
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."

@@ -1,7 +1,7 @@
 """Reading of text, JSON and TOML that anybody may have written: the one place where the suite does so.
 
-What is read has a largest size, depth and length of numbers, so that no file can exhaust memory or stack, neither here nor in
-the code that walks through the result.
+What is read has a largest size, depth and length of numbers, so that no file can exhaust memory or stack, neither here
+nor in the code that walks through the result.
 """
 
 from __future__ import annotations

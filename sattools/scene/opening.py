@@ -1,4 +1,4 @@
-"""The one way in which the suite opens rasters: with known drivers, and without asking the network for anything else."""
+"""The one way in which the suite opens rasters: with known drivers, and no word to the network unasked."""
 
 from __future__ import annotations
 
