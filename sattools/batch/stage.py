@@ -162,9 +162,13 @@ def batch(
 
 
 def make_plan(
-    options: BatchOptions, scenes: Sequence[Scene], configurations: Sequence[Configuration], overwrite: bool = False
+    options: BatchOptions,
+    scenes: Sequence[Scene],
+    configurations: Sequence[Configuration],
+    overwrite: bool = False,
+    dry_run: bool = False,
 ) -> Batch:
-    """What there is to do, and what is done already."""
+    """What there is to do, and what is done already; with ``dry_run`` nothing is written."""
     names = [c.name for c in configurations]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
@@ -183,7 +187,7 @@ def make_plan(
         for c in configurations:
             try:
                 content = scene_content(scene, digests)
-                source = _document(scene, out)
+                source = _document(scene, out, dry_run)
                 truth_path = scene.path(truth) if truth else None
                 task = run_task(out, scene.id, source, content, c, truth_path, digests)
             except SattoolsError as error:
@@ -193,7 +197,8 @@ def make_plan(
     for aoi in options.aoi:
         _add_area(plan, aoi, options, configurations, digests, overwrite)
     plan.share(overwrite)
-    digests.save()
+    if not dry_run:
+        digests.save()
     return plan
 
 
@@ -263,10 +268,11 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
     return True
 
 
-def _document(scene: Scene, out: Path) -> Path:
+def _document(scene: Scene, out: Path, dry_run: bool) -> Path:
     """A file with the scene's document: what came on stdin may not be the one in its folder."""
     path = out / "scenes" / f"{scene.id}.json"
-    write_text(path, scene.to_json() + "\n")
+    if not dry_run:
+        write_text(path, scene.to_json() + "\n")
     return path
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from sattools.cli.pipe import documents, parse, report_error
-from sattools.errors import OutputExistsError, SattoolsError
+from sattools.errors import OutputExistsError, SattoolsError, SceneError
 
 
 @click.command("report")
@@ -32,9 +32,13 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
         from sattools.report.scene import scene_page
 
         name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
+        done = False
         for origin, text in documents((name,)):
             scene = parse(origin, text)
+            done = True
             write(out or scene.output("report.html"), scene_page(scene), overwrite)
+        if not done:
+            raise SceneError("stdin: found nothing, expected a scene document (did the command before fail?)")
     except SattoolsError as error:
         report_error("report", error)
         sys.exit(1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment
-from sattools.camera.ground import view_direction
+from sattools.camera.ground import ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.images import Source
@@ -29,6 +29,8 @@ _SUN_FAR_DEG = 12.0  # an hour of local instead of universal time
 _CAMERA_TOLERANCE_PX = 40.0  # vendors' cameras are good to some metres; the worst of the contest is off by 36 px
 _CAMERA_SHARE = 0.2  # of an image's shorter side
 _VIEW_TOLERANCE_DEG = 2.0
+_PIXEL_M = (0.005, 2000.0)
+_LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LARGEST_NUMBER = 1e9
@@ -88,13 +90,23 @@ def _check_camera(source: Source) -> None:
     lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, rpc.alt_offset)
     if not (math.isfinite(lon) and math.isfinite(lat)):
         return  # told where footprints are compared
+    with np.errstate(all="ignore"):
+        size = ground_sample_distance(rpc, lon, lat, rpc.alt_offset)
+        up = float(view_direction(rpc, lon, lat, rpc.alt_offset)[2])
+    if not (_PIXEL_M[0] <= size <= _PIXEL_M[1] and up >= _LEAST_UP):
+        seen = f"pixels of {size:.3g} m seen {math.degrees(math.asin(min(1.0, up))):.0f} degrees above the horizon"
+        raise InputError(
+            f"{source.path}: found a camera with {seen if math.isfinite(size + up) else 'no image of the ground'}, "
+            f"expected the RPC of a satellite image (from {source.metadata.rpc_source})"
+        )
     other = source.tags_rpc
     if other is None or other is rpc:
         return
     col, row = other.projection(lon, lat, rpc.alt_offset)
     away = math.hypot(col - (width - 1) / 2, row - (height - 1) / 2)
-    a, b = view_direction(rpc, lon, lat, rpc.alt_offset), view_direction(other, lon, lat, rpc.alt_offset)
-    turned = math.degrees(math.acos(min(1.0, float(a @ b))))
+    with np.errstate(all="ignore"):
+        a, b = view_direction(rpc, lon, lat, rpc.alt_offset), view_direction(other, lon, lat, rpc.alt_offset)
+    turned = math.degrees(math.acos(max(-1.0, min(1.0, float(a @ b)))))
     if not away <= _limit_px(source.size) or turned > _VIEW_TOLERANCE_DEG:
         what = f"{away:.0f} px and {turned:.1f} degrees" if math.isfinite(away) else "altogether"
         source.warn(f"its own RPC tags differ from {source.metadata.rpc_source} by {what}: metadata of another image?")

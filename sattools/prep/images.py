@@ -22,6 +22,7 @@ from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.scene.location import RemotePath
+from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
 from sattools.scene.raster import atomic
 from sattools.scene.sidecars import sidecars
@@ -162,6 +163,7 @@ def read_gray(source: Source) -> NDArray[np.float32]:
     Raises InputError: truncated, or a band without any data. Adds a remark where pixels are not finite.
     """
     col, row, width, height = source.window
+    check_memory(14.0 * height * width, f"{source.path}: {width} x {height} pixels", "give --aoi or --bounds")
     total = np.zeros((height, width), np.float32)
     valid = np.ones((height, width), bool)
     nonzero = np.zeros((height, width), bool)

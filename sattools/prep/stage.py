@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -81,16 +82,17 @@ def prepare(
     check_pixels(sources, grays)
     cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
     views = [View(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
-    tracks = find_tie_points(views, crs, progress=part(progress, 0.1, 0.55))
     model = "shift" if options.correction == "none" else options.correction
-    result = adjust(
-        cameras,
-        [s.id for s in sources],
-        [(g.shape[0], g.shape[1]) for g in grays],
-        tracks,
-        AdjustOptions(model=model),
-        part(progress, 0.55, 0.75),
-    )
+    sizes = [(g.shape[0], g.shape[1]) for g in grays]
+    try:
+        tracks = find_tie_points(views, crs, progress=part(progress, 0.1, 0.55))
+        names = [s.id for s in sources]
+        result = adjust(cameras, names, sizes, tracks, AdjustOptions(model=model), part(progress, 0.55, 0.75))
+    except SattoolsError:
+        raise
+    except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
+        text = " ".join(str(error).split())[:200]
+        raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
     if options.correction == "none":
         remarks.append("cameras were left as they are (correction none)")
         result = replace(result, rpcs=cameras)

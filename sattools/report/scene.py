@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,10 @@ from sattools.report import figures
 from sattools.report.commands import pipeline
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.document import Scene
+from sattools.scene.jsonio import read_json, read_text
 from sattools.scene.raster import read_image, read_raster
+from sattools.scene.schema import Items, Maybe, Number, Text
+from sattools.scene.schema import Table as Members
 
 # product -> what it is, with its unit; shown where a scene has them
 MAPS = {
@@ -30,6 +33,30 @@ MAPS = {
     "rhoc": "hot spot rhoc [1]",
     "prior_confidence": "confidence of the prior [1]",
 }
+_LENGTH = Maybe(Number())
+_ADJUSTMENT = Members(
+    {
+        "views": Items(
+            Members({"id": Text(), "median_before_px": _LENGTH, "median_after_px": _LENGTH}, ("id",)),
+        ),
+        **{name: Number() for name in ("observations", "ground_points", "median_before_px", "median_after_px")},
+        "model": Text(),
+    },
+    ("observations", "ground_points", "median_before_px", "median_after_px", "model"),
+)
+_FIGURES = dict.fromkeys(("mae", "median", "rmse", "nmad", "completeness", "within_1m", "n"), _LENGTH)
+_ERRORS = Members(
+    {
+        **_FIGURES,
+        "cells": Maybe(Number(0)),
+        "classes": Maybe(Members(other=Members(_FIGURES))),
+        "shift_m": Items(Number(), 3, 3),
+        "protocol": Text(),
+        "reference": Text(),
+        "mask": Text(empty=True),
+    },
+    ("shift_m", "protocol", "reference", "mask", "completeness", "within_1m"),
+)
 _PIXELS = 200_000  # of an image are enough for its histogram
 
 
@@ -86,7 +113,8 @@ def _adjustment(scene: Scene) -> Section:
     path = _beside_images(scene, "adjustment.json")
     if path is None:
         return section
-    found = json.loads(path.read_text(encoding="utf-8"))
+    found = read_json(path, "a report of `sattools prep`")
+    _ADJUSTMENT.check(found, str(path))
     views = [v for v in found.get("views", []) if v.get("median_before_px") and v.get("median_after_px")]
     if views:
         figure = figures.residuals(
@@ -143,7 +171,8 @@ def _errors(scene: Scene) -> Section:
     path = _product(scene, "errors")
     if path is None:
         return section
-    found = json.loads(path.read_text(encoding="utf-8"))
+    found = read_json(path, "a table of `sattools compare`")
+    _ERRORS.check(found, str(path))
     rows = [_error_row("all", found, found.get("cells"))]
     rows += [_error_row(name, own, own["n"]) for name, own in (found.get("classes") or {}).items() if own.get("n")]
     east, north, up = found["shift_m"]
@@ -175,8 +204,10 @@ def _training(scene: Scene) -> Section:
     path = _product(scene, "trace")
     if path is None:
         return section
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = [{k: float(v) for k, v in row.items() if _is_number(v)} for row in csv.DictReader(file)]
+    rows = [
+        {k: float(v) for k, v in row.items() if isinstance(v, str) and _is_number(v)}
+        for row in csv.DictReader(io.StringIO(read_text(path)))
+    ]
     rows = [row for row in rows if {"seconds", "loss"} <= row.keys()]
     if rows:
         caption = "Loss after every epoch; it jumps where a finer stage begins."

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path, PosixPath
 
 from sattools.errors import InputError
@@ -23,7 +23,7 @@ _SCHEMES = {
 }
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):/")
 _NETWORK = re.compile(r"/vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)|[a-z0-9+.-]+://", re.IGNORECASE)
-_allowed: ContextVar[bool] = ContextVar("sattools_remote_allowed", default=False)
+_SWITCH = "SATTOOLS_ALLOW_REMOTE"
 
 
 class RemotePath(PosixPath):
@@ -85,18 +85,25 @@ def location(text: str | Path) -> Path:
 
 
 @contextmanager
-def remote_allowed(allowed: bool = True) -> Iterator[None]:
-    """Let documents name files on other machines and in archives, as the user has said that they may."""
-    token = _allowed.set(allowed)
+def remote_allowed() -> Iterator[None]:
+    """Let documents name files on other machines and in archives, as the user has said that they may.
+
+    It is a variable of the environment, so that threads and the processes of a batch see it too.
+    """
+    before = os.environ.get(_SWITCH)
+    os.environ[_SWITCH] = "1"
     try:
         yield
     finally:
-        _allowed.reset(token)
+        if before is None:
+            os.environ.pop(_SWITCH, None)
+        else:
+            os.environ[_SWITCH] = before
 
 
 def check_allowed(text: str) -> None:
     """Raise InputError unless documents may name remote files. Nothing may be sent because a file said so."""
-    if not _allowed.get():
+    if os.environ.get(_SWITCH) != "1":
         raise InputError(
             f"found the remote or archived file {text[:200]!r}, expected a path below the scene's root or an absolute "
             "one (--allow-remote lets documents name others)"

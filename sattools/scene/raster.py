@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.grid import Grid
+from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
 
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
@@ -141,6 +142,9 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
             rows, cols = grid.window(within)
             window = Window.from_slices(rows, cols)
             grid = grid.part(rows, cols)
+        check_memory(
+            8.0 * data.count * grid.width * grid.height, f"{path}: {grid.width} x {grid.height} cells", "crop it"
+        )
         array = _read(data, path, window)
         if np.issubdtype(array.dtype, np.floating) and data.nodata is not None and np.isfinite(data.nodata):
             array = np.where(array == data.nodata, np.nan, array)
@@ -182,6 +186,8 @@ def read_image(path: Path, window: tuple[slice, slice] | None = None, reduce: in
     """
     with opened(path) as data:
         rows, cols = window or (slice(0, data.height), slice(0, data.width))
+        pixels = data.count * (rows.stop - rows.start) * (cols.stop - cols.start) // reduce**2
+        check_memory(8.0 * pixels, f"{path}: {data.width} x {data.height} pixels", "crop it, or `prep --aoi`")
         if reduce == 1:
             return _numbers(data, path, rows, cols)
         height, width = (rows.stop - rows.start) // reduce, (cols.stop - cols.start) // reduce
