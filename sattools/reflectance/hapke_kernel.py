@@ -316,7 +316,7 @@ class CompiledHapke(torch.autograd.Function):
         threads, before = torch.get_num_threads(), numba.get_num_threads()
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
         try:
-            evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays)  # type: ignore[call-arg]
+            evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays)
         finally:
             numba.set_num_threads(before)
             if torch.get_num_threads() != threads:  # when it starts its threads, numba may set torch's number as well
