@@ -1,8 +1,111 @@
-"""How numerical kernels are compiled."""
+"""How numerical kernels are compiled, and where what was compiled is kept.
+
+Kernels import `njit` from here and not from numba: in a container the package's folder is read-only and there is no
+home, where numba would refuse to be used at all.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import stat
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+log = logging.getLogger(__name__)
 
 # What may be assumed of numbers. Sums must not be reordered and products not fused: the compiler would do so
 # in one way when a kernel is compiled and used at once and in another when it comes from the cache, and the first run
 # after an installation would give other heights than the second. Kernels that meet NaN or infinity must not use these.
 FASTMATH = {"nnan", "ninf", "nsz"}
 
-__all__ = ["FASTMATH"]
+
+def writable(folder: Path) -> bool:
+    """Files can be made in a folder, or the folder below one where they can."""
+    try:
+        place = next(p for p in (folder, *folder.parents) if p.exists())
+        # asking for rights is not enough: root has all of them on a read-only file system too
+        with tempfile.TemporaryFile(dir=place):
+            return True
+    except (OSError, StopIteration):
+        return False
+
+
+def cache_folder(package: Path = Path(__file__).parent) -> Path | None:
+    """Where compiled kernels go instead, when neither the package's folder nor the user's cache can be written.
+
+    None = numba finds a place by itself. The folder below the system's temporary one belongs to this user alone, as
+    what is loaded from it is run.
+
+    Raises: OSError where no folder at all can be written.
+    """
+    if os.environ.get("NUMBA_CACHE_DIR") or writable(package / "__pycache__") or writable(_users_cache()):
+        return None
+    folder = Path(tempfile.gettempdir()) / f"sattools-cache-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
+            return folder
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="sattools-cache-"))
+
+
+def _users_cache() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME")
+    return Path(home) if home else Path(os.path.expanduser("~")) / ".cache"
+
+
+def _settle() -> bool:
+    """Choose the caches of numba and matplotlib before either is imported; whether kernels can be kept at all."""
+    try:
+        folder = cache_folder()
+    except OSError:
+        return False
+    if folder is not None:
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        os.environ.setdefault("MPLCONFIGDIR", str(folder))
+        from numba import config
+
+        config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]  # where something has imported numba before
+        log.info("compiled kernels are kept in %s", folder)
+    return True
+
+
+_KEPT = _settle()
+
+import numba  # noqa: E402
+from numba import prange  # noqa: E402
+from numba.core import event  # noqa: E402
+
+
+class _FirstRun(event.Listener):
+    """Says once why nothing seems to happen: kernels that come from the cache start no compilation."""
+
+    said = False
+
+    def on_start(self, event: Any) -> None:
+        """See `numba.core.event.Listener`."""
+        if not self.said:
+            self.said = True
+            log.warning("compiling, first run: this takes up to a minute, once")
+
+    def on_end(self, event: Any) -> None:
+        """See `numba.core.event.Listener`."""
+
+
+event.register("numba:compile", _FirstRun())
+
+
+def njit(*arguments: Any, **options: Any) -> Callable[..., Any]:
+    """`numba.njit`; kept only for this run where there is no folder for the cache."""
+    if options.get("cache") and not _KEPT:
+        options["cache"] = False
+    compiled: Callable[..., Any] = numba.njit(*arguments, **options)
+    return compiled
+
+
+__all__ = ["FASTMATH", "cache_folder", "njit", "prange", "writable"]

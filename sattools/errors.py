@@ -4,6 +4,13 @@ Every message is one line that names the file, what was found and what was expec
 """
 
 
+def printable(text: str) -> str:
+    """The text with its control characters written out, so that no file's content can steer a terminal."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
 class SattoolsError(Exception):
     """Root of all errors that sattools raises on purpose."""
 

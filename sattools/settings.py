@@ -12,6 +12,9 @@ import typing
 from dataclasses import MISSING, dataclass
 from typing import Any
 
+LARGEST = 1e12  # of a number in an option: no length, weight or time of the suite is larger, and its square is finite
+LARGEST_COUNT = 10**9
+
 
 def option(default: Any, help: str, *, minimum: float | None = None, maximum: float | None = None) -> Any:
     """A dataclass field with its help text, unit included, and inclusive limits."""
@@ -35,6 +38,8 @@ class OptionSpec:
         help: help text.
         minimum, maximum: inclusive limits, or None.
         count: how many values it takes at once.
+
+    Numbers are finite, and no larger than `LARGEST` where nothing else is said.
     """
 
     name: str
@@ -105,4 +110,4 @@ def as_dict(options: Any) -> dict[str, Any]:
     return dataclasses.asdict(options)
 
 
-__all__ = ["OptionSpec", "as_dict", "option", "specs"]
+__all__ = ["LARGEST", "LARGEST_COUNT", "OptionSpec", "as_dict", "option", "specs"]

@@ -18,9 +18,14 @@ class BatchOptions:
     imagery: Literal["auto", "crops", "rgb", "msi"] = option(
         "auto", "Images of --dfc2019: Sat-NeRF's crops, the contest's RGB or MSI tiles; auto = the first that is there."
     )
-    workers: int | None = option(None, "Tasks at a time on this machine [default: one per two cores].", minimum=1)
+    workers: int | None = option(
+        None, "Tasks at a time on this machine [default: one per two cores].", minimum=1, maximum=1024
+    )
     task_threads: int | None = option(
-        None, "CPU threads of a task [default: cores / workers; with --scheduler the worker's own].", minimum=1
+        None,
+        "CPU threads of a task [default: cores / workers; with --scheduler the worker's own].",
+        minimum=1,
+        maximum=1024,
     )
     memory_limit: float | None = option(
         None, "Memory of a task above which it is stopped [MB; default: this machine's / workers].", minimum=100
@@ -29,7 +34,7 @@ class BatchOptions:
         None, "Address of a running Dask scheduler, tcp://HOST:PORT, instead of this machine."
     )
     gpu: bool = option(False, "Every fit asks for one GPU (Dask resource GPU=1); on this machine one worker per GPU.")
-    retries: int = option(2, "How often a task is started again whose worker was lost.", minimum=0)
+    retries: int = option(2, "How often a task is started again whose worker was lost.", minimum=0, maximum=100)
 
 
 __all__ = ["BatchOptions"]

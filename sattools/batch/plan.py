@@ -15,7 +15,11 @@ from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import read_json
+from sattools.scene.schema import Anything, Items, Table, Text
 
+_RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
+_DIGESTS = Table(other=Items(Anything(), 3, 3))
 # what a configuration may hold, in the order of the pipe
 COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare")
 TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles`
@@ -70,11 +74,11 @@ class Task:
     def result(self) -> dict[str, Any] | None:
         """What an earlier run of the very same task left, or None."""
         try:
-            found = json.loads(self.record.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            found = read_json(self.record)
+            _RECORD.check(found, str(self.record))
+        except InputError:  # missing, or not what a batch has written: it is done again
             return None
-        same = isinstance(found, dict) and found.get("key") == self.key
-        return found if same and Path(found["scene_json"]).is_file() else None
+        return found if found["key"] == self.key and Path(found["scene_json"]).is_file() else None
 
     def start(self) -> Path:
         """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
@@ -93,8 +97,9 @@ class Digests:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self.known = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            self.known = read_json(path)
+            _DIGESTS.check(self.known, str(path))
+        except InputError:
             self.known = {}
 
     def __call__(self, path: Path) -> str:
@@ -212,7 +217,8 @@ def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
 def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[list[Task], Task]:
     """The tasks of the tiles that a finished split has left, and the run that joins them."""
     folder = Path(run.folder) / TILES
-    found = json.loads((folder / "tiles.json").read_text(encoding="utf-8"))
+    found = read_json(folder / "tiles.json")
+    Table({"tiles": Items(Text())}, ("tiles",)).check(found, str(folder / "tiles.json"))
     steps = ["prior", "fit"] if "prior" in configuration.tables else ["fit"]
     commands = [[step, "{scene}", "--overwrite"] for step in steps]
     tiles = [

@@ -167,9 +167,13 @@ def batch(
 
 
 def make_plan(
-    options: BatchOptions, scenes: Sequence[Scene], configurations: Sequence[Configuration], overwrite: bool = False
+    options: BatchOptions,
+    scenes: Sequence[Scene],
+    configurations: Sequence[Configuration],
+    overwrite: bool = False,
+    dry_run: bool = False,
 ) -> Batch:
-    """What there is to do, and what is done already."""
+    """What there is to do, and what is done already; with ``dry_run`` nothing is written."""
     names = [c.name for c in configurations]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
@@ -188,7 +192,7 @@ def make_plan(
         for c in configurations:
             try:
                 content = scene_content(scene, digests)
-                source = _document(scene, out)
+                source = _document(scene, out, dry_run)
                 truth_path = scene.path(truth) if truth else None
                 task = run_task(out, scene.id, source, content, c, truth_path, digests)
             except SattoolsError as error:
@@ -198,7 +202,8 @@ def make_plan(
     for aoi in options.aoi:
         _add_area(plan, aoi, options, configurations, digests, overwrite)
     plan.share(overwrite)
-    digests.save()
+    if not dry_run:
+        digests.save()
     return plan
 
 
@@ -268,12 +273,12 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
     return True
 
 
-def _document(scene: Scene, out: Path) -> Path:
+def _document(scene: Scene, out: Path, dry_run: bool) -> Path:
     """A file with the scene's document: what came on stdin may not be the one in its folder."""
     path = out / "scenes" / f"{scene.id}.json"
-    if scene.origin is not None and path.exists() and scene.origin.samefile(path):
-        return path
-    write_text(path, scene.to_json() + "\n")
+    same = scene.origin is not None and path.exists() and scene.origin.samefile(path)
+    if not dry_run and not same:
+        write_text(path, scene.to_json() + "\n")
     return path
 
 

@@ -50,6 +50,7 @@ class ViewAdjustment:
     rms_after_px: float
     outlier: bool
     remark: str = ""
+    weak: bool = False  # too few tie points: the camera is what the vendor says, right or wrong
 
 
 @dataclass(frozen=True)
@@ -222,6 +223,7 @@ def adjust(
                 _rms(after[seen]),
                 outlier,
                 remark,
+                bool(weak[v]),
             )
         )
     parts = block.components(~weak)

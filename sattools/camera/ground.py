@@ -21,6 +21,7 @@ from sattools.errors import InputError
 Array = NDArray[np.float64]
 
 _A = 6378137.0  # WGS84 semi-major axis [m]
+_SCALE_TOLERANCE = 0.02  # of a projection: UTM two zones away is off by 1.5 %
 _E2 = 6.69437999014e-3  # WGS84 first eccentricity squared
 
 
@@ -34,18 +35,17 @@ def utm_crs(lon: float, lat: float) -> str:
 def _transformer(source: str, target: str) -> Transformer:
     try:
         return Transformer.from_crs(source, target, always_xy=True)
-    except CRSError as error:
-        raise InputError(
-            f"CRS {source} or {target}: found {str(error).splitlines()[0]}, expected a known CRS"
-        ) from None
+    except CRSError:
+        unknown = source if target == "EPSG:4326" else target
+        raise InputError(f"CRS {unknown[:200]!r}: found none that is known, expected e.g. EPSG:32617") from None
 
 
 def check_projected(crs: str) -> str:
     """The CRS as given, or InputError if it is unknown or not projected in metres."""
     try:
         parsed = CRS.from_user_input(crs)
-    except CRSError as error:
-        raise InputError(f"CRS {crs!r}: found {str(error).splitlines()[0]}, expected e.g. EPSG:32617") from None
+    except CRSError:
+        raise InputError(f"CRS {crs[:200]!r}: found none that is known, expected e.g. EPSG:32617") from None
     if not parsed.is_projected or any(abs(a.unit_conversion_factor - 1.0) > 1e-9 for a in parsed.axis_info[:2]):
         raise InputError(f"CRS {crs!r}: found one that is not projected in metres, expected e.g. EPSG:32617")
     return crs
@@ -90,6 +90,23 @@ def metres_per_degree(lat: float, h: float = 0.0) -> tuple[float, float]:
     east = (_A / math.sqrt(w2) + h) * math.cos(phi)
     north = _A * (1.0 - _E2) / w2**1.5 + h
     return math.radians(east), math.radians(north)
+
+
+def check_scale(crs: str, lon: float, lat: float) -> None:
+    """Raise InputError where a metre of the CRS is none on the ground, as far from its own region or in web maps."""
+    east, north = metres_per_degree(lat)
+    step = 10.0
+    lons, lats = [lon, lon + step / east, lon], [lat, lat, lat + step / north]
+    x, y = from_geographic(crs, lons, lats)
+    with np.errstate(invalid="ignore"):
+        scale = math.hypot(x[1] - x[0], y[1] - y[0]) / step, math.hypot(x[2] - x[0], y[2] - y[0]) / step
+    worst = max(scale, key=lambda s: abs(s - 1) if math.isfinite(s) else math.inf)
+    if not abs(worst - 1) <= _SCALE_TOLERANCE:
+        found = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
+        raise InputError(
+            f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {found}, expected a CRS of this region such as "
+            f"{utm_crs(lon, lat)}"
+        )
 
 
 def view_direction(rpc: RPC, lon: float, lat: float, h: float) -> Array:
@@ -148,6 +165,7 @@ def ground_sample_distance(rpc: RPC, lon: float, lat: float, h: float) -> float:
 __all__ = [
     "azimuth_elevation",
     "check_projected",
+    "check_scale",
     "convergence_deg",
     "direction",
     "from_geographic",

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sattools.errors import InputError
 from sattools.scene.files import write_text
+from sattools.scene.location import location
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,17 @@ VECTORS = {
     "SAMP_DEN_COEFF": "col_den",
 }
 
+# magnitudes that no camera over the Earth has; beyond them polynomials overflow
+_LARGEST = {
+    "LAT_OFF": 90.0,
+    "LONG_OFF": 540.0,
+    "HEIGHT_OFF": 1e5,
+    "LAT_SCALE": 180.0,
+    "LONG_SCALE": 360.0,
+    "HEIGHT_SCALE": 1e6,
+}
+_LARGEST_NUMBER = 1e9
+_SMALLEST_SCALE = 1e-9
 _CHUNK = 1 << 14  # points evaluated at once: 20 monomials of a chunk stay in the second-level cache
 _MAX_ITERATIONS = 40
 _STEP_DEG = 1e-11  # Newton converges quadratically, so the error left after such a step is at rounding level
@@ -102,7 +114,7 @@ class RPC:
         """
         from sattools.camera.rpc_formats import read_rpc_fields
 
-        return cls.from_tags(read_rpc_fields(Path(path)), source=str(path))
+        return cls.from_tags(read_rpc_fields(location(path)), source=str(path))
 
     @classmethod
     def from_tags(cls, tags: Mapping[str, Any], source: str = "RPC tags") -> RPC:
@@ -116,8 +128,18 @@ class RPC:
         for key, name in VECTORS.items():
             values[name] = _twenty(tags, key, source)
         for key, name in SCALARS.items():
-            if key.endswith("SCALE") and values[name] == 0.0:
-                raise InputError(f"{source}: found {key} = 0, expected a scale different from 0")
+            value, largest = abs(values[name]), _LARGEST.get(key, _LARGEST_NUMBER)
+            if key.endswith("SCALE") and value < _SMALLEST_SCALE:
+                raise InputError(f"{source}: found {key} = {values[name]:g}, expected a scale different from 0")
+            if value > largest:
+                swapped = " (latitude and longitude swapped?)" if key == "LAT_OFF" and value <= 180.0 else ""
+                raise InputError(f"{source}: found {key} = {values[name]:g}, expected at most {largest:g}{swapped}")
+        for key, name in VECTORS.items():
+            if np.abs(values[name]).max() > _LARGEST_NUMBER:
+                worst = np.abs(values[name]).max()
+                raise InputError(f"{source}: found {key} of up to {worst:g}, expected at most {_LARGEST_NUMBER:g}")
+            if key.endswith("DEN_COEFF") and not values[name].any():
+                raise InputError(f"{source}: found {key} that are all 0, expected a denominator")
         return cls(**values)
 
     # -- ground to pixel ------------------------------------------------------------------------------------------

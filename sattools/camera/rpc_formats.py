@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
 from sattools.camera.rpc import SCALARS, VECTORS
 from sattools.errors import InputError
+from sattools.scene import jsonio
+from sattools.scene.jsonio import read_json
+from sattools.scene.location import RemotePath, location
 
 Fields = dict[str, Any]
 
 _UNITS = {"", "pixel", "pixels", "degree", "degrees", "deg", "meter", "meters", "metre", "metres", "m"}
-_TEXT_LIMIT = 64 << 20  # bytes; no metadata file is larger, and a raster without a known header must not be read whole
+_WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16
 _SATNERF = SCALARS | VECTORS  # its members are named as ours
 _RPB = {
     "LINE_OFF": "LINEOFFSET",
@@ -37,11 +38,16 @@ _RPB = {
 
 def read_rpc_fields(path: Path) -> Fields:
     """RPC members of any supported file, under GDAL's names. Raises InputError in one line."""
+    path = location(path)
+    if isinstance(path, RemotePath):
+        return _from_raster(path)
     try:
         with open(path, "rb") as file:
             head = file.read(512)
-    except OSError as error:
-        raise InputError(f"{path}: found {error.strerror or error}, expected a readable file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: found {jsonio.reason(error)}, expected a readable file") from None
+    if head.startswith(_WIDE):
+        head = head[: len(head) // 2 * 2].decode("utf-16", "ignore").encode()
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if start.startswith(b"<"):
         return _from_xml(path)
@@ -58,32 +64,8 @@ def read_rpc_fields(path: Path) -> Fields:
 
 
 def read_text(path: Path) -> str:
-    """Text of a metadata file: UTF-8 with or without byte order mark, else Latin-1; any line ends."""
-    try:
-        size = path.stat().st_size
-        if size > _TEXT_LIMIT:
-            raise InputError(f"{path}: found {size} bytes, expected a metadata file of less than {_TEXT_LIMIT} bytes")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: found {error.strerror or error}, expected a readable file") from None
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file. Raises InputError when it is not one."""
-    try:
-        document = json.loads(read_text(path))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: found unreadable JSON ({error}), expected a JSON object") from None
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: found a JSON {type(document).__name__}, expected a JSON object")
-    return document
+    """Text of a metadata file: UTF-8 or UTF-16 with or without byte order mark, else Latin-1; any line ends."""
+    return jsonio.read_text(path, strict=False)
 
 
 def parse_xml(path: Path) -> Any:
@@ -91,13 +73,14 @@ def parse_xml(path: Path) -> Any:
     import defusedxml.ElementTree as ElementTree
     from defusedxml import DefusedXmlException
 
+    data = jsonio.read_bytes(path)
     try:
         # Bytes, so that the declared encoding is obeyed; the reader knows a byte order mark.
-        return ElementTree.fromstring(path.read_bytes().strip())
+        return ElementTree.fromstring(data if data.startswith(_WIDE) else data.strip())
     except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:
         raise InputError(f"{path}: found unreadable XML ({error}), expected DIMAP or DigitalGlobe metadata") from None
-    except OSError as error:
-        raise InputError(f"{path}: found {error.strerror or error}, expected a readable file") from None
+    except RecursionError:
+        raise InputError(f"{path}: found XML nested too deeply, expected DIMAP or DigitalGlobe metadata") from None
 
 
 def local_name(element: Any) -> str:
@@ -189,17 +172,10 @@ def _from_json(path: Path) -> Fields:
 
 
 def _from_raster(path: Path) -> Fields:
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from sattools.scene.opening import opened
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as dataset:
-                fields = dict(dataset.tags(ns="RPC"))
-    except RasterioError as error:
-        reason = " ".join(str(error).split()).removeprefix(f"{path}: ").removeprefix(f"'{path}' ")
-        raise InputError(f"{path}: found no image or metadata that can be read ({reason})") from None
+    with opened(path, "an image or metadata") as dataset:
+        fields = dict(dataset.tags(ns="RPC"))
     if not fields:
         raise InputError(f"{path}: found an image without RPC, expected RPC tags or a metadata file beside it")
     return fields

@@ -9,10 +9,13 @@ import os
 import signal
 import sys
 import threading
+from typing import Any
 
 import click
 
 from sattools import __version__
+from sattools.cli.options import configure_logging, run_options
+from sattools.cli.safety import LastResort, PlainFormatter, check_folder
 
 # name -> first line of help; a command's module is imported only when it is called, so that --help stays fast
 COMMANDS = {
@@ -29,7 +32,7 @@ COMMANDS = {
 }
 
 
-class LazyGroup(click.Group):
+class LazyGroup(LastResort):
     """A group that imports a command's module when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -39,28 +42,47 @@ class LazyGroup(click.Group):
         if name not in COMMANDS:
             return None
         try:
-            return importlib.import_module(f"sattools.cli.{name}").command
+            command: click.Command = importlib.import_module(f"sattools.cli.{name}").command
         except ModuleNotFoundError as error:
             if error.name == f"sattools.cli.{name}":
                 return None
             raise
+        if not any(parameter.name == "threads" for parameter in command.params):
+            command.params += [_after_the_command(option) for option in run_options()]
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            from sattools.scene.schema import meant
+
+            ctx.fail(f"No such command {args[0][:100]!r}{meant(args[0], COMMANDS)}.")
+        self.running, *_ = args
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
 
 
+def _after_the_command(option: click.Option) -> click.Option:
+    """The same option behind a command: what is said there counts, as it is said last."""
+
+    def use(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
+        if ctx.get_parameter_source(str(parameter.name)) in (click.core.ParameterSource.DEFAULT, None):
+            return
+        root = ctx.find_root()
+        if root is not ctx:
+            root.params[str(parameter.name)] = value
+            _apply(root)
+
+    option.callback, option.expose_value = use, False
+    return option
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="sattools")
-@click.option("-v", "--verbose", count=True, help="Say more on stderr (twice: debugging).")
-@click.option("-q", "--quiet", is_flag=True, help="Say only errors on stderr.")
-@click.option(
-    "--progress",
-    type=click.Choice(["auto", "bar", "json", "none"]),
-    default="auto",
-    help="Progress on stderr: a bar on a terminal (auto), JSON lines, or none.",
-)
-@click.option("--threads", type=click.IntRange(min=1), help="CPU threads (default: all that this process may use).")
 @click.option(
     "--json-usage",
     is_flag=True,
@@ -70,22 +92,40 @@ class LazyGroup(click.Group):
     help="Print every command with its options as JSON and stop.",
 )
 @click.pass_context
-def main(ctx: click.Context, verbose: int, quiet: bool, progress: str, threads: int | None) -> None:
+def main(ctx: click.Context, **values: Any) -> None:
     """Satellite images with RPC cameras to surface models and reflectance maps.
 
     Each command does one step and hands a scene document to the next:
 
         sattools prep *.tif --out work | sattools fit | sattools export
     """
-    level = logging.ERROR if quiet else (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
-    logging.basicConfig(stream=sys.stderr, format="sattools: %(message)s")
-    logging.getLogger("sattools").setLevel(level)
-    ctx.obj = {"progress": "none" if quiet and progress == "auto" else progress}
-    set_threads(threads)
+    check_folder()
+    logging.basicConfig(stream=sys.stderr)
+    for handler in logging.getLogger().handlers:
+        if type(handler) is logging.StreamHandler:
+            handler.setFormatter(PlainFormatter("sattools: %(message)s"))
+    _apply(ctx)
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGINT):
             before = signal.signal(number, _terminate)
             ctx.call_on_close(lambda number=number, before=before: signal.signal(number, before))
+
+
+main.params[:0] = run_options()
+
+
+def _apply(root: click.Context) -> None:
+    """Settle how the program runs from the options given so far."""
+    values = root.params
+    configure_logging(values["verbose"], values["quiet"])
+    progress = values["progress"] or "auto"
+    root.obj = {"progress": "none" if values["quiet"] and progress == "auto" else progress}
+    set_threads(values["threads"])
+    if values["allow_remote"] and not root.meta.get("sattools.remote"):
+        from sattools.scene.location import remote_allowed
+
+        root.meta["sattools.remote"] = True
+        root.with_resource(remote_allowed())
 
 
 def _json_usage(ctx: click.Context, wanted: bool) -> None:

@@ -52,7 +52,7 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
         if not found and not options.aoi:
             raise click.UsageError("expected scenes, or --dfc2019 ROOT --aoi AREA")
         if dry_run:
-            plan = make_plan(options, found, configurations)
+            plan = make_plan(options, found, configurations, dry_run=True)
             for job in plan.jobs:
                 click.echo(f"sattools batch: would do {job.task.name} in {job.task.folder}", err=True)
             return

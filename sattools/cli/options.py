@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from sattools.cli.kinds import check_value, kind_of
+from sattools.errors import InputError
 from sattools.settings import OptionSpec, as_dict, specs
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -39,6 +41,29 @@ def common_options(command: F) -> F:
     return command
 
 
+def run_options() -> list[click.Option]:
+    """How the program runs, not what comes out: accepted before the command and after it."""
+    return [
+        click.Option(["-v", "--verbose"], count=True, help="Say more on stderr (twice: debugging)."),
+        click.Option(["-q", "--quiet"], is_flag=True, help="Say only errors on stderr."),
+        click.Option(
+            ["--progress"],
+            type=click.Choice(["auto", "bar", "json", "none"]),
+            help="Progress on stderr: a bar on a terminal (auto), JSON lines, or none [default: auto].",
+        ),
+        click.Option(
+            ["--threads"],
+            type=click.IntRange(min=1, max=1024),
+            help="CPU threads (default: all that this process may use).",
+        ),
+        click.Option(
+            ["--allow-remote"],
+            is_flag=True,
+            help="Let scene documents name files on other machines and in archives (/vsicurl/, /vsis3/, /vsizip/).",
+        ),
+    ]
+
+
 def dataclass_options(cls: type) -> Callable[[F], F]:
     """Add one option per field of an options dataclass (see `sattools.settings`)."""
 
@@ -66,17 +91,12 @@ def print_config(command: str, options: Any) -> None:
 
 def _click_option(spec: OptionSpec) -> Callable[[F], F]:
     name = spec.name.replace("_", "-")
-    kind: Any = spec.kind
-    if spec.choices:
-        kind = click.Choice(spec.choices)
-    elif spec.kind in (int, float) and (spec.minimum is not None or spec.maximum is not None):
-        kind = _range(spec)
     declaration = f"--{name}/--no-{name}" if spec.kind is bool else f"--{name}"
     show = spec.default is not None and spec.default != []
     return click.option(
         declaration,
         spec.name,
-        type=None if spec.kind is bool else kind,
+        type=kind_of(spec),
         default=spec.default,
         multiple=spec.multiple,
         nargs=spec.count,
@@ -85,21 +105,27 @@ def _click_option(spec: OptionSpec) -> Callable[[F], F]:
     )
 
 
-def _range(spec: OptionSpec) -> click.IntRange | click.FloatRange:
-    if spec.kind is float:
-        return click.FloatRange(min=spec.minimum, max=spec.maximum)
-    low, high = (None if limit is None else int(limit) for limit in (spec.minimum, spec.maximum))
-    return click.IntRange(min=low, max=high)
-
-
 def read_toml(path: Path) -> dict[str, Any]:
-    """A TOML file's content; an unreadable one is wrong usage of --config."""
+    """A TOML file's tables; an unreadable one, or one with a table of no command, is wrong usage of --config."""
+    from sattools.cli import COMMANDS
+    from sattools.scene.jsonio import read_toml as read
+
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise click.BadParameter(f"{path}: cannot be read ({error.strerror})", param_hint="--config") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise click.BadParameter(f"{path}: found no valid TOML ({error})", param_hint="--config") from error
+        data = read(path)
+    except InputError as error:
+        raise click.BadParameter(str(error), param_hint="--config") from None
+    for name, value in data.items():
+        if isinstance(value, dict) != (name in COMMANDS):
+            from sattools.scene.schema import meant, shown
+
+            if isinstance(value, dict):
+                wrong = f"{path}: found the table [{name}], expected one named like a command{meant(name, COMMANDS)}"
+                raise click.BadParameter(wrong, param_hint="--config")
+            if name in COMMANDS:
+                raise click.BadParameter(
+                    f"{path}: found {name} = {shown(value)}, expected a table [{name}]", param_hint="--config"
+                )
+    return data
 
 
 def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
@@ -107,13 +133,41 @@ def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | No
         return
     data = read_toml(Path(value))
     command = ctx.info_name or ""
-    table = data.get(command, {k: v for k, v in data.items() if not isinstance(v, dict)})
-    known = {p.name for p in ctx.command.params}
-    resolved = {k.replace("-", "_"): v for k, v in table.items()}
-    unknown = sorted(set(resolved) - known)
-    if unknown:
-        raise click.BadParameter(f"{value}: found option {unknown[0]!r}, which `sattools {command}` does not have")
+    loose = {k: v for k, v in data.items() if not isinstance(v, dict)}
+    if loose and command in data:
+        name = next(iter(loose))
+        raise click.BadParameter(f"{value}: found {name!r} outside of the table [{command}], expected it inside")
+    table = data.get(command, loose)
+    known = {p.name: p for p in ctx.command.params if isinstance(p, click.Option) and p.name != "config"}
+    resolved = {}
+    for key, given in table.items():
+        option = known.get(key.replace("-", "_"))
+        if option is None:
+            from sattools.scene.schema import meant
+
+            hint = meant(key.replace("_", "-"), [str(name).replace("_", "-") for name in known])
+            raise click.BadParameter(f"{value}: found option {key!r}, which `sattools {command}` does not have{hint}")
+        try:
+            check_value(option, given)
+        except InputError as error:
+            raise click.BadParameter(f"{value}: {key}: {error}") from None
+        resolved[str(option.name)] = given
     ctx.default_map = {**(ctx.default_map or {}), **resolved}
 
 
-__all__ = ["build", "common_options", "dataclass_options", "print_config", "read_toml", "scene_argument"]
+def configure_logging(verbose: int, quiet: bool) -> None:
+    """How much is said on stderr."""
+    level = logging.ERROR if quiet else (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    logging.getLogger("sattools").setLevel(level)
+
+
+__all__ = [
+    "build",
+    "common_options",
+    "configure_logging",
+    "dataclass_options",
+    "print_config",
+    "read_toml",
+    "run_options",
+    "scene_argument",
+]

@@ -7,7 +7,6 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 from __future__ import annotations
 
 import contextlib
-import os
 import resource
 import sys
 import time
@@ -21,7 +20,8 @@ import click
 from sattools import __version__
 from sattools.cli.options import print_config
 from sattools.cli.progress import make_progress
-from sattools.errors import SattoolsError, SceneError
+from sattools.cli.safety import complain, quiet_stdout
+from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress
 from sattools.settings import as_dict
 
@@ -102,15 +102,21 @@ def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], 
         sys.exit(3 if done else 1)
 
 
-def run_source(run: Run, make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]], label: str) -> None:
-    """Make one scene and print it."""
+def run_source(
+    run: Run,
+    make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]],
+    label: str,
+    check: Callable[[], None] = lambda: None,
+) -> None:
+    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would."""
     if run.print_config:
         print_config(run.command, run.options)
         return
-    if run.dry_run:
-        click.echo(f"sattools {run.command}: would make {label}", err=True)
-        return
     try:
+        if run.dry_run:
+            check()
+            click.echo(f"sattools {run.command}: would make {label}", err=True)
+            return
         from sattools.scene.files import all_or_nothing
 
         start = time.perf_counter()
@@ -125,7 +131,7 @@ def run_source(run: Run, make: Callable[[Progress], tuple[Scene, dict[str, Any] 
 
 def report_error(command: str, error: SattoolsError) -> None:
     """One line on stderr."""
-    click.echo(f"sattools {command}: error: {' '.join(str(error).split())}", err=True)
+    complain(f"sattools {command}: error: {error}")
 
 
 def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
@@ -171,8 +177,6 @@ def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
 
 
 def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
-    from sattools.scene.files import write_text
-
     entry = {
         "command": run.command,
         "options": _plain(as_dict(run.options)) if run.options is not None else {},
@@ -183,7 +187,7 @@ def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) 
         **(extra or {}),
     }
     scene.history.append(entry)
-    write_text(scene.output("scene.json"), scene.to_json() + "\n")
+    scene.write()
     return entry
 
 
@@ -218,14 +222,37 @@ def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:
             continue
         if sys.stdin is None or sys.stdin.isatty():
             raise click.UsageError("expected scene documents on stdin (from `sattools prep`) or the path of one")
-        for number, line in enumerate(sys.stdin, 1):
-            if line.strip():
-                yield f"stdin line {number}", line
+        yield from _lines()
+
+
+def _lines() -> Iterator[tuple[str, str]]:
+    """The documents on stdin, one per line, of a length that memory holds."""
+    from sattools.scene.jsonio import TEXT_LIMIT, decode
+
+    stream = sys.stdin.buffer
+    number = 0
+    while line := stream.readline(TEXT_LIMIT + 1):
+        number += 1
+        name = f"stdin line {number}"
+        try:
+            if len(line) > TEXT_LIMIT:
+                raise InputError(f"{name}: found more than {TEXT_LIMIT >> 20} MiB, expected a scene document in a line")
+            text = decode(line, name)
+        except InputError as error:
+            yield name, f"\0{error}"
+            if len(line) > TEXT_LIMIT:
+                return
+            continue
+        if text.strip():
+            yield name, text
 
 
 def parse(source: str, text: str | None) -> Scene:
+    """The scene of a document; raises SceneError where it is none."""
     from sattools.scene import Scene
 
+    if text is not None and text.startswith("\0"):  # what `_lines` could not read
+        raise SceneError(text[1:])
     return Scene.from_file(source) if text is None else Scene.from_json(text, source)
 
 
@@ -233,8 +260,7 @@ def _print_line(line: str) -> None:
     try:
         print(line, flush=True)
     except OSError as error:
-        # keep Python from complaining once more when it flushes stdout at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        quiet_stdout()
         if not isinstance(error, BrokenPipeError):  # nobody reads any more: stop quietly
             click.echo(f"sattools: error: stdout: cannot be written ({error.strerror})", err=True)
         sys.exit(1)

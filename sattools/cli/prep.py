@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sattools.cli.kinds import Finite
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
 from sattools.errors import InputError
@@ -19,20 +20,20 @@ if TYPE_CHECKING:
 
 
 @click.command("prep")
-@click.argument("images", nargs=-1, type=click.Path(path_type=Path), metavar="IMAGE...")
+@click.argument("images", nargs=-1, type=click.Path(path_type=str), metavar="IMAGE...")
 @dataclass_options(PrepOptions)
 @click.option("--aoi", help="GeoJSON file of the area of interest; with --dfc2019 the name of an area such as JAX_068.")
 @click.option(
     "--bounds",
     nargs=4,
-    type=float,
+    type=Finite(),
     metavar="W S E N",
     help="Area of interest, in --crs if that is given, else in degrees.",
 )
 @click.option("--dfc2019", type=click.Path(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
 @common_options
 def command(
-    images: tuple[Path, ...],
+    images: tuple[str, ...],
     aoi: str | None,
     bounds: tuple[float, float, float, float] | None,
     dfc2019: Path | None,
@@ -44,14 +45,15 @@ def command(
     """Correct the cameras of images that show one place, find the height range, and print the scene.
 
     Images: GeoTIFF with RPC tags, NITF, or any raster with DIMAP or DigitalGlobe XML, .RPB, _RPC.TXT or Sat-NeRF JSON
-    beside it or in --metadata.
+    beside it or in --metadata. They and the area of interest may also be addresses (https://, s3://) or lie in
+    archives (/vsizip/FILE.zip/NAME.tif).
     """
     if not images and dfc2019 is None and not print_config:
         raise click.UsageError("expected IMAGE... or --dfc2019 ROOT --aoi AREA")
     if images and dfc2019 is not None:
         raise click.UsageError("expected either IMAGE... or --dfc2019, found both")
     options = replace(build(PrepOptions, values), aoi=aoi, bounds=list(bounds or ()))
-    paths = list(images)
+    paths: list[Path] = []
     if dfc2019 is not None:
         from sattools.prep.dfc2019 import find_images
 
@@ -65,10 +67,23 @@ def command(
         metadata = options.metadata or (str(folder) if folder else None)
         options = replace(options, id=options.id or aoi, metadata=metadata, aoi=None)
 
+    def check() -> None:
+        """Everything that can be checked without work."""
+        from sattools.prep.stage import check_inputs
+
+        check_inputs(paths, options)
+
     def make(progress: Progress) -> tuple[Scene, dict[str, Any]]:
         from sattools.prep.stage import prepare
 
         return prepare(paths, options, progress, overwrite)
 
+    from sattools.scene.location import location
+
+    try:
+        paths = paths or [location(name) for name in images]
+    except InputError as error:
+        report_error("prep", error)
+        raise SystemExit(1) from None
     label = options.id or f"a scene of {len(paths)} images"
-    run_source(Run("prep", options, dry_run, print_config, overwrite, tuple(paths)), make, label)
+    run_source(Run("prep", options, dry_run, print_config, overwrite, tuple(paths)), make, label, check)

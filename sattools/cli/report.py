@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from sattools.cli.pipe import documents, parse, report_error
-from sattools.errors import SattoolsError
+from sattools.errors import SattoolsError, SceneError
 
 
 @click.command("report")
@@ -35,10 +35,14 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
         from sattools.scene.dependencies import files_of
 
         name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
+        done = False
         for origin, text in documents((name,)):
             scene = parse(origin, text)
+            done = True
             page = scene_page(scene)
             write(out or scene.output("report.html"), page, overwrite, [scene.path("scene.json"), *files_of(scene)])
+        if not done:
+            raise SceneError("stdin: found nothing, expected a scene document (did the command before fail?)")
     except SattoolsError as error:
         report_error("report", error)
         sys.exit(1)

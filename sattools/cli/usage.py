@@ -10,7 +10,7 @@ import click
 from sattools import __version__
 
 # options of the commands' housekeeping: a form has no use for them
-PLUMBING = {"help", "config", "print_config", "dry_run"}
+PLUMBING = {"help", "config", "print_config", "dry_run", "verbose", "quiet", "progress", "threads", "allow_remote"}
 
 
 def usage(group: click.Group) -> str:

@@ -37,11 +37,16 @@ def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: f
         extent=(0.0, east - west, 0.0, north - south),
         interpolation="nearest",
     )
-    axes.set_title(title)
+    axes.set_title(_plain(title))
     axes.set_xlabel(f"metres east of {west:.0f}")
-    axes.set_ylabel(f"metres north of {south:.0f} ({grid.crs})")
+    axes.set_ylabel(f"metres north of {south:.0f} ({_plain(grid.crs)})")
     figure.colorbar(shown, ax=axes, extend="both", label="prediction minus reference [m]")
     return figure
+
+
+def _plain(text: str) -> str:
+    """Text that matplotlib shows as it is: what stands between two dollars would be taken for a formula."""
+    return text.replace("$", r"\$")
 
 
 def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, path: Path) -> None:
@@ -59,6 +64,6 @@ def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, pat
     extent = (low - pad, high + pad, low - pad, high + pad)
     shown = axes.hexbin(r, p, gridsize=60, extent=extent, bins="log", mincnt=1, cmap="viridis")
     axes.plot(extent[:2], extent[:2], color="0.3", linewidth=1)
-    axes.set(xlabel=f"{name}, reference", ylabel=f"{name}, found", xlim=extent[:2], ylim=extent[2:])
+    axes.set(xlabel=f"{_plain(name)}, reference", ylabel=f"{_plain(name)}, found", xlim=extent[:2], ylim=extent[2:])
     figure.colorbar(shown, ax=axes, label="cells")
     write_figure(path, figure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,10 @@ import numpy as np
 
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import TEXT_LIMIT, read_bytes, read_json, read_text
 
 TEXT = ("name",)
+_MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
 PLACES = (("x", "y"), ("lon", "lat"))
 
 
@@ -29,7 +32,7 @@ class Point:
 
 
 def read_points(path: Path) -> list[Point]:
-    """Samples from a CSV or any vector file that GDAL reads (GeoPackage, GeoJSON, ...).
+    """Samples from a CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf.
 
     A CSV has the columns ``name`` and ``x``, ``y`` (in the CRS of the maps) or ``lon``, ``lat`` (WGS84); all other
     columns with numbers are values. Of a vector file the point geometries and the attributes are taken.
@@ -47,16 +50,15 @@ def read_points(path: Path) -> list[Point]:
 
 def _read_csv(path: Path) -> list[Point]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.DictReader(io.StringIO(read_text(path))))
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read ({error}), expected a CSV of sample points") from error
     points = []
     for number, row in enumerate(rows, 1):
         place = next((pair for pair in PLACES if row.get(pair[0]) and row.get(pair[1])), None)
         if place is None:
             raise InputError(f"{path}: found no x, y or lon, lat in row {number}, expected one of them")
-        numbers = {key: _number(value) for key, value in row.items() if key and key not in TEXT}
+        numbers = {key: _number(value) for key, value in row.items() if isinstance(key, str) and key not in TEXT}
         if numbers[place[0]] is None or numbers[place[1]] is None:
             raise InputError(f"{path}: found {row[place[0]]!r}, {row[place[1]]!r} in row {number}, expected numbers")
         values = {k: v for k, v in numbers.items() if v is not None and k not in {n for pair in PLACES for n in pair}}
@@ -69,18 +71,35 @@ def _read_csv(path: Path) -> list[Point]:
 
 def _number(text: str | None) -> float | None:
     try:
-        return float(text) if text else None
+        value = float(text) if text else None
     except ValueError:
         return None
+    return value if value is not None and np.isfinite(value) else None
+
+
+def _check_vector(path: Path) -> None:
+    """Raise InputError unless the file begins as one of the formats that are read.
+
+    GDAL opens by content: a VRT or WFS description under another name would make it read other files and hosts.
+    """
+    head = read_bytes(path, TEXT_LIMIT * 16)[:512]
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if start.startswith(b"{"):
+        read_json(path, "GeoJSON")  # its depth and numbers
+    elif not head.startswith(_MAGIC):
+        raise InputError(f"{path}: found another format, expected CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf")
 
 
 def _read_vector(path: Path) -> list[Point]:
     import geopandas
 
+    _check_vector(path)
     try:
         frame = geopandas.read_file(path)
     except Exception as error:  # GDAL's drivers raise a dozen kinds
         raise InputError(f"{path}: cannot be read ({error}), expected a vector file of sample points") from error
+    if "geometry" not in frame or frame.geometry.isna().any() or frame.geometry.is_empty.any():
+        raise InputError(f"{path}: found features without a place, expected points")
     if not (frame.geometry.geom_type == "Point").all():
         raise InputError(f"{path}: found {sorted(set(frame.geometry.geom_type))}, expected points")
     names = frame["name"] if "name" in frame else [str(k + 1) for k in range(len(frame))]

@@ -11,6 +11,8 @@ from sattools.compare.metrics import WATER
 from sattools.compare.resample import resampled
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import read_text
+from sattools.scene.opening import opened
 from sattools.scene.raster import read_image, read_raster
 
 DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none
@@ -142,9 +144,7 @@ def _class_codes(classes: np.ndarray) -> np.ndarray:
 
 
 def _dfc2019_crs(dsm: Path, aoi: str) -> str:
-    import rasterio
-
-    with rasterio.open(dsm) as data:
+    with opened(dsm) as data:
         if data.crs is not None:
             return str(data.crs.to_string())
     try:
@@ -156,11 +156,11 @@ def _dfc2019_crs(dsm: Path, aoi: str) -> str:
 
 def _dfc2019_grid(path: Path, shape: tuple[int, ...], crs: str) -> Grid:
     try:
-        left, bottom, size, cell_size = (float(value) for value in path.read_text(encoding="ascii").split())
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}), expected easting, northing, size, cell size"
-        ) from error
+        left, bottom, size, cell_size = (float(value) for value in read_text(path).split())
+        if not np.isfinite([left, bottom, size, cell_size]).all():
+            raise ValueError
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(
             f"{path}: found other text, expected four numbers: easting, northing, size, cell size"

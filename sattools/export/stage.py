@@ -61,7 +61,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         StaleError: the model was made from something else than the scene holds now.
         InputError: the model file is damaged.
     """
-    from sattools.fit.checkpoint import load
+    from sattools.fit.model import read_model
 
     if "model" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
@@ -69,16 +69,10 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     if unknown:
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected one for --view")
     source = scene.path(scene.products["model"])
-    tensors, meta = load(source)
+    tensors, meta = read_model(source)
     check_current(scene, "fit")
-    try:
-        grid = Grid.from_dict(meta["grid"])
-        height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
-        names = meta["items"]
-    except KeyError as error:
-        raise InputError(f"{source}: found a model without {error}, expected a surface model") from error
-    if not np.isfinite(height.numpy()).any():
-        raise InputError(f"{source}: found no height at all, expected a surface model")
+    grid, names = Grid.from_dict(meta["grid"]), meta["items"]
+    height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
     begin(scene, "export", _outputs(scene, options, tensors, meta), overwrite)
 
     progress(0.05, "what the images show")
@@ -176,7 +170,11 @@ def _views(scene: Scene, options: ExportOptions, model: _Model, progress: Progre
     from sattools.export.novel import write_relit, write_view
     from sattools.fit.reflective import ReflectiveScene, restored_model
 
-    surface = restored_model(model.tensors, model.meta)
+    try:
+        surface = restored_model(model.tensors, model.meta)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{scene.products['model']}: found a model without what its kind needs ({reason})") from error
     if isinstance(surface, ReflectiveScene):
         progress(0.0, "reflectance")
         write_material(scene, model.grid, surface, model.tensors, model.valid)

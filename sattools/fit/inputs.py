@@ -22,7 +22,6 @@ from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
 from sattools.scene.document import FIT_ROLE
 from sattools.scene.files import digest
-from sattools.scene.raster import read_raster
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
@@ -111,6 +110,8 @@ def load_prior(
             check_current(scene, "prior")
             if leaked := sorted(set(made["items"]) - set(ids)):
                 log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
+    from sattools.prior.files import read_prior
+
     new: dict[str, Any] = {}
     if "prior_dsm" not in scene.products:
         from sattools.prior import PriorOptions
@@ -118,9 +119,7 @@ def load_prior(
 
         new = prior(scene, PriorOptions(), progress, overwrite, implicit=True)[MADE]
     within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
-    height, grid = read_raster(scene.path(scene.products["prior_dsm"]), within)
-    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]), within)
-    return (height[0], confidence[0], grid), new
+    return read_prior(scene, within), new
 
 
 def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: PriorMaps | None) -> str:

@@ -59,8 +59,12 @@ class FitOptions(RayOptions):
         "Cell at which the fit starts [m]; each stage halves it (default: 4 x the finest; the finest with a prior).",
         minimum=0.01,
     )
-    epochs: list[int] = option([16], "Passes over all views per stage, coarse to fine (the last is repeated).")
-    softness: list[float] = option([1.5, 0.5], "Softness of the surface at the start and the end of a stage, in cells.")
+    epochs: list[int] = option(
+        [16], "Passes over all views per stage, coarse to fine (the last is repeated).", minimum=1, maximum=100_000
+    )
+    softness: list[float] = option(
+        [1.5, 0.5], "Softness of the surface at the start and the end of a stage, in cells.", minimum=0.01, maximum=1000
+    )
     smooth: float | None = option(
         None, "Weight of the height smoothness (default: 0.4, or 0.05 from a flat start).", minimum=0
     )

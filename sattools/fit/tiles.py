@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from sattools import __version__
-from sattools.errors import SceneError
+from sattools.errors import InputError, SceneError
 from sattools.fit import checkpoint
 from sattools.fit.coarse import COLOURS, PRODUCT
 from sattools.fit.inputs import OTHER_FIT
@@ -34,7 +34,9 @@ from sattools.progress import Progress, part, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import read_json
 from sattools.scene.raster import raster_grid
+from sattools.scene.schema import Items, Maybe, Number, Table, Text
 from sattools.scene.tiles import Tile, common_cell, cut
 from sattools.views import TONE_PROPERTY, Source, Tone, load_sources, views_on
 
@@ -45,6 +47,10 @@ WHOLE = "fit/tiles/scene.json"  # the document of the whole as it was cut
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
+_STATE = Table(
+    {"key": Text(), "tiles": Maybe(Items(Text())), "remarks": Items(Text()), "seconds": Number(0)},
+    ("key", "tiles", "remarks"),
+)
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "part", "device")
 
@@ -188,7 +194,7 @@ class Plan:
             for item in one.items:
                 if item.id in tones:
                     item.properties[TONE_PROPERTY] = asdict(tones[item.id])
-            write_text(one.output("scene.json"), one.to_json() + "\n")
+            one.write()
             names.append(tile.name)
         write_text(self.scene.output(WHOLE), self.scene.to_json() + "\n")
         self._write_state(names, remarks, time.perf_counter() - started)
@@ -230,11 +236,12 @@ class Plan:
     def _state(self) -> dict[str, Any] | None:
         path = self.scene.root / STATE
         try:
-            return dict(json.loads(path.read_text(encoding="utf-8")))
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError) as error:
-            raise SceneError(f"{path}: found no list of tiles ({error}), expected one of `fit --tile`") from error
+            state = read_json(path) if path.exists() else None
+            if state is not None:
+                _STATE.check(state, str(path))
+            return state
+        except InputError as error:
+            raise SceneError(f"{error} (a list of tiles of `fit --tile`)") from error
 
     def _write_state(self, names: list[str] | None, remarks: list[str], seconds: float = 0.0) -> None:
         state = {"key": self._key(), "tiles": names, "remarks": remarks, "seconds": round(seconds, 3)}

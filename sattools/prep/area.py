@@ -9,29 +9,58 @@ from typing import Any
 import numpy as np
 
 from sattools.camera.ground import check_projected, from_geographic
-from sattools.camera.rpc_formats import read_json
 from sattools.errors import InputError
 from sattools.prep.layout import Bounds
+from sattools.scene.jsonio import read_json
+from sattools.scene.location import RemotePath
 
 
 def bounds_from_geojson(path: Path, crs: str) -> Bounds:
-    """Bounds in `crs` [m] of all polygons of a GeoJSON file; longitude and latitude unless the file names a CRS."""
-    document = read_json(path)
+    """Bounds in `crs` [m] of all polygons of a GeoJSON file; longitude and latitude unless the file names a CRS.
+
+    The file may be remote, then as any vector file that GDAL reads from there.
+    """
+    if isinstance(path, RemotePath):
+        return _from_afar(path, crs)
+    document = read_json(path, "GeoJSON with the area of interest")
     points = np.array(list(_positions(document)), dtype=np.float64).reshape(-1, 2)
     if len(points) < 3 or not np.isfinite(points).all():
         raise InputError(f"{path}: found no polygon, expected GeoJSON with the area of interest")
-    named = ((document.get("crs") or {}).get("properties") or {}).get("name", "")
+    named = document.get("crs")
+    for member in ("properties", "name"):
+        named = named.get(member) if isinstance(named, dict) else None
+    return _bounds_of(points, str(named or ""), crs, path)
+
+
+def _bounds_of(points: np.ndarray, named: str, crs: str, path: Path) -> Bounds:
     if named and "CRS84" not in named and not named.endswith("4326"):
-        return _transformed(points, str(named), crs, str(path))
+        return _transformed(points, named, crs, str(path))
     if np.abs(points[:, 0]).max() > 360 or np.abs(points[:, 1]).max() > 90:
         raise InputError(f"{path}: found coordinates that are no degrees, expected longitude and latitude (RFC 7946)")
-    return _box(*from_geographic(crs, points[:, 0], points[:, 1]))
+    return _box(*from_geographic(crs, points[:, 0], points[:, 1]), str(path))
+
+
+def _from_afar(path: RemotePath, crs: str) -> Bounds:
+    """What GDAL's GeoJSON driver, and no other, reads from another machine or an archive."""
+    import geopandas
+
+    try:
+        frame = geopandas.read_file(f"GeoJSON:{path}", engine="pyogrio")
+    except Exception as error:  # GDAL's drivers raise a dozen kinds
+        text = " ".join(str(error).split())[:200]
+        raise InputError(f"{path}: cannot be read ({text}), expected GeoJSON with the area of interest") from None
+    frame = frame[frame.geometry.notna() & ~frame.geometry.is_empty] if "geometry" in frame else frame[:0]
+    if not len(frame):
+        raise InputError(f"{path}: found no polygon, expected GeoJSON with the area of interest")
+    west, south, east, north = (float(v) for v in frame.total_bounds)
+    corners = np.array([(west, south), (east, south), (east, north), (west, north)])
+    return _bounds_of(corners, frame.crs.to_string() if frame.crs else "", crs, path)
 
 
 def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | None) -> Bounds:
     """Bounds in `crs` from `--bounds W S E N`: in the CRS given with them, else in degrees."""
     west, south, east, north = (float(v) for v in numbers)
-    if not (west < east and south < north):
+    if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
         raise InputError(f"bounds: found {west:g} {south:g} {east:g} {north:g}, expected west < east and south < north")
     if given_crs is not None:
         check_projected(given_crs)
@@ -40,7 +69,7 @@ def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | Non
         raise InputError("bounds: found numbers that are no degrees, expected --crs with bounds in metres")
     t = np.linspace(0, 1, 5)
     x, y = np.meshgrid(west + t * (east - west), south + t * (north - south))
-    return _box(*from_geographic(crs, x.ravel(), y.ravel()))
+    return _box(*from_geographic(crs, x.ravel(), y.ravel()), "bounds")
 
 
 def _transformed(points: np.ndarray, source: str, crs: str, path: str) -> Bounds:
@@ -51,10 +80,12 @@ def _transformed(points: np.ndarray, source: str, crs: str, path: str) -> Bounds
         transformer = Transformer.from_crs(source, crs, always_xy=True)
     except CRSError:
         raise InputError(f"{path}: found CRS {source!r}, expected a known one") from None
-    return _box(*transformer.transform(points[:, 0], points[:, 1]))
+    return _box(*transformer.transform(points[:, 0], points[:, 1]), path)
 
 
-def _box(x: np.ndarray, y: np.ndarray) -> Bounds:
+def _box(x: np.ndarray, y: np.ndarray, source: str) -> Bounds:
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError(f"{source}: found places that the scene's CRS does not reach, expected an area in the images")
     return float(np.min(x)), float(np.min(y)), float(np.max(x)), float(np.max(y))
 
 
@@ -64,9 +95,9 @@ def _positions(node: Any) -> list[tuple[float, float]]:
         if "coordinates" in node:
             return _positions(node["coordinates"])
         parts = node.get("features") or node.get("geometries") or [node.get("geometry")]
-        return [p for part in parts for p in _positions(part)]
+        return [p for part in parts for p in _positions(part)] if isinstance(parts, list) else []
     if isinstance(node, list) and node:
-        if len(node) >= 2 and all(isinstance(v, int | float) for v in node[:2]):
+        if len(node) >= 2 and all(isinstance(v, int | float) and not isinstance(v, bool) for v in node[:2]):
             return [(float(node[0]), float(node[1]))]
         return [p for part in node for p in _positions(part)]
     return []

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import logging
 import re
-import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.enums import MaskFlags
+from rasterio.errors import RasterioError
+from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.scene.files import write_bytes
+from sattools.scene.location import RemotePath
+from sattools.scene.memory import check_memory
+from sattools.scene.opening import opened
 from sattools.scene.raster import sensor_profile
 from sattools.scene.sidecars import sidecars
+
+log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -37,6 +44,15 @@ class Source:
     metadata: Metadata
     window: tuple[int, int, int, int] = (0, 0, 0, 0)  # col0, row0, width, height
     remarks: list[str] = field(default_factory=list)
+    meanings: tuple[str, ...] = ()  # of the bands: gray, red, alpha, palette, ...
+    mask_like: bool = False  # the band marked as alpha holds two values at most
+    masked: bool = False  # a mask lies beside the bands
+    tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used
+
+    def warn(self, text: str) -> None:
+        """A remark that the user sees at once."""
+        self.remarks.append(text)
+        log.warning("%s: %s", self.id, text)
 
 
 def image_id(path: Path) -> str:
@@ -49,6 +65,8 @@ def image_id(path: Path) -> str:
 
 def check_ids(images: Sequence[Path]) -> list[str]:
     """Ids of all images; InputError when there are fewer than two images or two have the same id."""
+    for path in images:
+        check_there(path)
     if len(images) < 2:
         found = f"{images[0]}: found this one image only" if images else "prep: found no image"
         raise InputError(f"{found}, expected at least 2 images of one place")
@@ -58,6 +76,18 @@ def check_ids(images: Sequence[Path]) -> list[str]:
         paths = [str(p) for p, i in zip(images, ids, strict=True) if i == twice[0]]
         raise InputError(f"{paths[1]}: found id {twice[0]!r}, which {paths[0]} has too, expected unique file names")
     return ids
+
+
+def check_there(path: Path) -> None:
+    """Raise InputError where a file of this machine is not there."""
+    if isinstance(path, RemotePath):
+        return
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise InputError(f"{path}: found {error.strerror}, expected an image") from None
+    if not there:
+        raise InputError(f"{path}: no such file, expected an image")
 
 
 def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
@@ -70,11 +100,15 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
         size = (data.height, data.width)
         bands, dtype = data.count, str(data.dtypes[0])
         tags, rpc_tags = data.tags(), data.tags(ns="RPC")
+        meanings = tuple(interpretation.name for interpretation in data.colorinterp)
+        mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
+        masked = any(flags == [MaskFlags.per_dataset] for flags in data.mask_flag_enums)
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
     metadata = Metadata()
     remarks = []
-    folders = [f for f in (metadata_dir, path.parent) if f is not None]
+    own = path.parent if not isinstance(path, RemotePath) else None
+    folders = [f for f in (metadata_dir, own) if f is not None]
     for sidecar in sidecars(path, folders):
         try:
             part = read_sidecar(sidecar)
@@ -95,11 +129,33 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
     metadata = metadata.filled(from_tags(tags, path.stem))
     if metadata.rpc is None:
         if not rpc_tags:
-            where = " or ".join(str(f) for f in folders)
-            raise InputError(f"{path}: found no RPC, expected RPC tags in the image or a metadata file in {where}")
+            where = f" or a metadata file in {' or '.join(str(f) for f in folders)}" if folders else ""
+            raise InputError(f"{path}: found no RPC, expected RPC tags in the image{where}")
         metadata.rpc = RPC.from_tags(rpc_tags, source=str(path))
         metadata.rpc_source = str(path)
-    return Source(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), remarks)
+    found = Source(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), remarks)
+    found.meanings, found.mask_like, found.masked = meanings, mask_like, masked
+    if rpc_tags and metadata.rpc_source != str(path):
+        with suppress(InputError):  # it is not used
+            found.tags_rpc = RPC.from_tags(rpc_tags, source=str(path))
+    return found
+
+
+def _two_values(data: DatasetReader, path: Path, band: int) -> bool:
+    """A sample of a band holds two values at most, as masks do."""
+    size = 64
+    picks = [Window(c, r, min(size, data.width - c), min(size, data.height - r)) for c, r in _corners(data, size)]
+    try:
+        values = [data.read(band, window=window).ravel() for window in picks]
+    except (RasterioError, ValueError):
+        raise InputError(f"{path}: found a damaged or truncated image in band {band}, expected pixels") from None
+    return np.unique(np.concatenate(values)).size <= 2
+
+
+def _corners(data: DatasetReader, size: int) -> list[tuple[int, int]]:
+    cols = {0, max(0, data.width // 2 - size // 2), max(0, data.width - size)}
+    rows = {0, max(0, data.height // 2 - size // 2), max(0, data.height - size)}
+    return [(c, r) for c in sorted(cols) for r in sorted(rows)]
 
 
 def read_gray(source: Source) -> NDArray[np.float32]:
@@ -108,6 +164,7 @@ def read_gray(source: Source) -> NDArray[np.float32]:
     Raises InputError: truncated, or a band without any data. Adds a remark where pixels are not finite.
     """
     col, row, width, height = source.window
+    check_memory(14.0 * height * width, f"{source.path}: {width} x {height} pixels", "give --aoi or --bounds")
     total = np.zeros((height, width), np.float32)
     valid = np.ones((height, width), bool)
     nonzero = np.zeros((height, width), bool)
@@ -183,24 +240,7 @@ def write_image(source: Source, rpc: RPC, target: Path) -> None:
             write_bytes(target, memory.getbuffer())
 
 
-@contextmanager
-def opened(path: Path) -> Iterator[rasterio.DatasetReader]:
-    """A raster in any geometry. Raises InputError when it cannot be opened."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        try:
-            data = rasterio.open(path)
-        except RasterioError as error:
-            if not path.exists():
-                raise InputError(f"{path}: no such file, expected an image") from None
-            raise InputError(f"{path}: found no readable image ({str(error).splitlines()[0]})") from None
-        with data:
-            if data.count == 0:
-                raise InputError(f"{path}: found a container without bands, expected an image")
-            yield data
-
-
-def _read(data: rasterio.DatasetReader, source: Source, band: int, window: Window) -> NDArray[np.generic]:
+def _read(data: DatasetReader, source: Source, band: int, window: Window) -> NDArray[np.generic]:
     try:
         return np.asarray(data.read(band, window=window))
     except (RasterioError, ValueError):
@@ -215,7 +255,6 @@ __all__ = [
     "check_ids",
     "image_id",
     "load_source",
-    "opened",
     "read_gray",
     "significant_bits",
     "value_range",

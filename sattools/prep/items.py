@@ -86,15 +86,18 @@ def describe(source: Source, rpc: RPC, view: ViewAdjustment, grid: Grid, heights
     if meta.time is None:
         source.remarks.append("time unknown: no metadata and no name says when it was taken")
     sun = sun_angles(source, lon, lat, middle)
+    if sun is not None and sun[1] <= 0:  # by time and place: `gate` has refused such metadata
+        below = f"time and place put the sun {sun[1]:.1f} degrees above the horizon"
+        source.warn(f"{below}: taken as unknown; is the time right?")
+        sun = None
     if sun is None:
         properties["sattools:sun"] = "unknown"
-        source.remarks.append("sun unknown: neither sun angles nor a time were found")
+        if meta.time is None:
+            source.remarks.append("sun unknown: neither sun angles nor a time were found")
     else:
         properties["view:sun_azimuth"], properties["view:sun_elevation"] = sun[0], sun[1]
         properties["sattools:sun"] = sun[2]
         properties["sattools:sun_direction"] = _rounded(grid_direction(sun[0], sun[1], grid.crs, lon, lat))
-        if sun[1] <= 0:
-            source.remarks.append(f"sun {sun[1]:.1f} degrees above the horizon: is the time right?")
     assets = {
         "image": Asset(f"images/{source.id}.tif", GEOTIFF_TYPE, ["data"]),
         "rpc": Asset(f"rpc/{source.id}_RPC.TXT", "text/plain", ["metadata"]),

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from sattools.camera import RPC
-from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_json, read_text
+from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
 from sattools.errors import InputError
+from sattools.scene.jsonio import read_json
+from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant
 
 PLATFORMS = {
     "WV01": "WorldView-1",
@@ -41,6 +43,22 @@ ORBIT_KM = {
 }
 DEFAULT_ORBIT_KM = 650
 EARTH_KM = 6371.0
+
+_UNKNOWN_ANGLE = 900.0  # -999, 9999 and the like
+_NUMBER = NumberText()
+# Sat-NeRF's: numbers may be text; what else is there is nobody's business
+_SATNERF_JSON = Table(
+    {
+        "height": Number(1, 10**7, whole=True),
+        "width": Number(1, 10**7, whole=True),
+        "sun_elevation": Maybe(_NUMBER),
+        "sun_azimuth": Maybe(_NUMBER),
+        "acquisition_date": Maybe(Text(empty=True)),
+        "rpc": Table(),
+    }
+)
+_MAYBE_TEXT = Maybe(Text(empty=True))
+_STAC_JSON = Table({"properties": Maybe(Table({"datetime": _MAYBE_TEXT, "platform": _MAYBE_TEXT}))})
 
 _TIME_TEXT = (
     re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d+)?)"),
@@ -80,18 +98,26 @@ def parse_time(text: Any) -> datetime | None:
     return None
 
 
-def parse_angle(value: Any, low: float, high: float) -> float | None:
-    """An angle from a number or text such as "+33.5"; None when missing or impossible such as -999."""
+def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> float | None:
+    """An angle from a number or text such as "+33.5"; None when missing, or a vendor's word for that such as -999.
+
+    Raises: InputError, naming `source`, for a number that is neither that nor within the limits.
+    """
     try:
         angle = float(str(value).strip())
     except ValueError:
         return None
-    return angle if math.isfinite(angle) and low <= angle <= high else None
+    if not math.isfinite(angle) or abs(angle) >= _UNKNOWN_ANGLE:
+        return None
+    if not low <= angle <= high:
+        raise InputError(f"{source}: found {angle:g} degrees, expected {low:g} to {high:g}")
+    return angle
 
 
-def parse_sun(azimuth: Any, elevation: Any) -> tuple[float, float] | None:
-    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there."""
-    a, e = parse_angle(azimuth, -360.0, 360.0), parse_angle(elevation, -90.0, 90.0)
+def parse_sun(azimuth: Any, elevation: Any, source: str = "sun") -> tuple[float, float] | None:
+    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there; raises as `parse_angle` does."""
+    a = parse_angle(azimuth, -360.0, 360.0, f"{source}: azimuth of the sun")
+    e = parse_angle(elevation, -90.0, 90.0, f"{source}: elevation of the sun")
     return None if a is None or e is None else (a % 360.0, e)
 
 
@@ -139,21 +165,28 @@ def from_tags(tags: Mapping[str, str], name: str) -> Metadata:
 def _from_json(path: Path) -> Metadata:
     document = read_json(path)
     if document.get("type") in ("Feature", "FeatureCollection"):
+        _STAC_JSON.check(document, str(path))
         properties = document.get("properties") or {}
-        sun = parse_sun(properties.get("view:sun_azimuth"), properties.get("view:sun_elevation"))
+        sun = parse_sun(properties.get("view:sun_azimuth"), properties.get("view:sun_elevation"), str(path))
         return Metadata(
             time=parse_time(properties.get("datetime")), platform=properties.get("platform") or None, sun=sun
         )
+    _SATNERF_JSON.check(document, str(path))
+    known = _SATNERF_JSON.members.keys()
+    for name in document.keys() - known:
+        hint = meant(name, known - document.keys(), 0.85)
+        if hint:
+            raise InputError(f"{path}: found an unknown member {name[:40]!r}, expected a known one{hint}")
     size = None
-    if isinstance(document.get("height"), int) and isinstance(document.get("width"), int):
-        size = (document["height"], document["width"])
+    if "height" in document and "width" in document:
+        size = (int(document["height"]), int(document["width"]))
     has_rpc = "rpc" in document or "row_offset" in document
     return Metadata(
         rpc=RPC.from_file(path) if has_rpc else None,
         rpc_source=str(path) if has_rpc else None,
         size=size,
         time=parse_time(document.get("acquisition_date", document.get("datetime"))),
-        sun=parse_sun(document.get("sun_azimuth"), document.get("sun_elevation")),
+        sun=parse_sun(document.get("sun_azimuth"), document.get("sun_elevation"), str(path)),
     )
 
 
@@ -184,7 +217,7 @@ def _from_xml(path: Path) -> Metadata:
             time=parse_time(f"{date}T{clock}") if date and clock else None,
             platform=find_platform(code),
             bits=int(bits) if bits and bits.isdigit() and 0 < int(bits) <= 32 else None,
-            sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION")),
+            sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION"), str(path)),
         )
     model = bool(find_all(root, "RPB"))
     return Metadata(
@@ -192,7 +225,7 @@ def _from_xml(path: Path) -> Metadata:
         rpc_source=str(path) if model else None,
         time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME") or ""),
         platform=find_platform(first("SATID") or ""),
-        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL")),
+        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL"), str(path)),
     )
 
 
@@ -207,7 +240,7 @@ def _from_imd(path: Path) -> Metadata:
     return Metadata(
         time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME") or ""),
         platform=find_platform(first("SATID") or ""),
-        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL")),
+        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL"), str(path)),
     )
 
 

@@ -17,13 +17,17 @@ class PrepOptions:
     id: str | None = option(None, "Name of the scene [default: what the image names have in common].")
     crs: str | None = option(None, "Ground CRS, projected in metres [default: UTM zone of the place].")
     cell_size: float | None = option(
-        None, "Cell size of the ground grid in metres [default: from the pixels].", minimum=1e-3
+        None, "Cell size of the ground grid in metres [default: from the pixels].", minimum=1e-3, maximum=1e4
     )
     correction: Literal["auto", "shift", "affine", "none"] = option(
         "auto", "Camera correction: a shift per image, an affine map, what tie points ask for (auto), or none."
     )
-    min_height: float | None = option(None, "Lowest height of the surface, m above the ellipsoid [default: found].")
-    max_height: float | None = option(None, "Highest height of the surface, m above the ellipsoid [default: found].")
+    min_height: float | None = option(
+        None, "Lowest height of the surface, m above the ellipsoid [default: found].", minimum=-12_000, maximum=12_000
+    )
+    max_height: float | None = option(
+        None, "Highest height of the surface, m above the ellipsoid [default: found].", minimum=-12_000, maximum=12_000
+    )
     holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")
     aoi: str | None = None  # GeoJSON file of the area of interest
     bounds: list[float] = field(default_factory=list)  # west, south, east, north

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import check_projected, ground_sample_distance, utm_crs
+from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import View, find_tie_points
-from sattools.errors import InputError
+from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
+from sattools.prep.gate import (
+    check_corrections,
+    check_heights,
+    check_pixels,
+    check_places_and_suns,
+    check_sources,
+)
 from sattools.prep.images import Source, check_ids, load_source, read_gray, write_image
 from sattools.prep.items import describe, tie_point_features
 from sattools.prep.layout import (
@@ -34,8 +43,11 @@ from sattools.progress import Progress, part, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import begin
 from sattools.scene.files import write_text
+from sattools.scene.location import RemotePath, location
+from sattools.scene.schema import meant
 from sattools.scene.sidecars import sidecars
 
+log = logging.getLogger(__name__)
 _BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
 _FINAL_MARGIN_PX = 16
 _SEARCH_HEIGHT_M = 600.0
@@ -58,49 +70,42 @@ def prepare(
     Returns: the scene, and remarks and figures for its history.
     Raises: InputError (one line, naming the file) for images that cannot be used; OutputExistsError.
     """
-    images = [Path(p) for p in images]
+    images = [location(p) for p in images]
     ids = check_ids(images)
-    unknown = sorted(set(options.holdout) - set(ids))
-    if unknown:
-        raise InputError(f"holdout: found {unknown[0]!r}, expected one of {', '.join(ids[:4])} ...")
+    _check_options(options, ids)
     scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
-    metadata_dir = Path(options.metadata) if options.metadata else None
-    if metadata_dir is not None and not metadata_dir.is_dir():
-        raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
-
-    folders = [d for d in (metadata_dir,) if d]
-    files = [*images, *(f for p in images if p.exists() for f in sidecars(p, [*folders, p.parent]))]
-    begin(scene, "prep", _outputs(ids), overwrite, [*files, *([Path(options.aoi)] if options.aoi else [])])
+    begin(scene, "prep", _outputs(ids), overwrite, _inputs(images, options))
     progress(0.0, "reading metadata")
-    sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
-    crs = check_projected(options.crs) if options.crs else _default_crs(sources)
-    check_places(sources, crs)
     remarks: list[str] = []
-    asked = _asked_bounds(options, crs)
-    if asked is not None:
-        sources = _cropped_to_area(sources, crs, asked, remarks)
+    sources, crs, asked = survey(images, ids, options, remarks)
 
     grays = []
     for k, source in enumerate(sources):
         progress(0.02 + 0.08 * k / len(sources), f"reading {source.id}")
         grays.append(read_gray(source))
+    check_pixels(sources, grays)
     cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
     views = [View(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
-    tracks = find_tie_points(views, crs, progress=part(progress, 0.1, 0.55))
     model = "shift" if options.correction == "none" else options.correction
-    result = adjust(
-        cameras,
-        [s.id for s in sources],
-        [(g.shape[0], g.shape[1]) for g in grays],
-        tracks,
-        AdjustOptions(model=model),
-        part(progress, 0.55, 0.75),
-    )
+    sizes = [(g.shape[0], g.shape[1]) for g in grays]
+    try:
+        tracks = find_tie_points(views, crs, progress=part(progress, 0.1, 0.55))
+        names = [s.id for s in sources]
+        result = adjust(cameras, names, sizes, tracks, AdjustOptions(model=model), part(progress, 0.55, 0.75))
+    except SattoolsError:
+        raise
+    except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
+        text = " ".join(str(error).split())[:200]
+        raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
     if options.correction == "none":
         remarks.append("cameras were left as they are (correction none)")
         result = replace(result, rpcs=cameras)
     remarks += result.remarks
+    roles = _roles(options, result, sources, remarks)
+    _warn(check_corrections(result, sources), remarks)
     heights = _height_range(options, result, grays, crs, asked, part(progress, 0.75, 0.85))
+    given = options.min_height is not None or options.max_height is not None
+    _warn(check_heights(*heights, result.heights(), given), remarks)
     grid = _grid(options, sources, result.rpcs, crs, heights, asked)
 
     scene.grid, scene.height_range_m = grid, heights
@@ -115,7 +120,7 @@ def prepare(
         write_image(source, camera, scene.output(f"images/{source.id}.tif"))
         write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
         item = describe(source, camera, result.views[k], grid, heights)
-        item.properties["sattools:role"] = "test" if source.id in options.holdout else "train"
+        item.properties["sattools:role"] = roles[source.id]
         scene.items.append(item)
         remarks += [f"{source.id}: {r}" for r in source.remarks]
     _write_reports(scene, result)
@@ -129,6 +134,81 @@ def prepare(
             "outlier_views": [v.name for v in result.views if v.outlier],
         },
     }
+
+
+def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:
+    """All checks of `prepare` that need no pixels; raises what it would raise."""
+    images = [location(p) for p in images]
+    ids = check_ids(images)
+    _check_options(options, ids)
+    survey(images, ids, options, [])
+
+
+def survey(
+    images: Sequence[Path], ids: Sequence[str], options: PrepOptions, remarks: list[str]
+) -> tuple[list[Source], str, Bounds | None]:
+    """All that can be said without reading pixels: the images that show the area, the ground CRS, the area asked for.
+
+    Raises InputError for what cannot be used; warns of what is odd.
+    """
+    metadata_dir = Path(options.metadata) if options.metadata else None
+    if metadata_dir is not None and not metadata_dir.is_dir():
+        raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
+    sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
+    check_sources(sources)
+    _warn(check_places_and_suns(sources), remarks)
+    lon, lat = _middle(sources)
+    crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
+    check_scale(crs, lon, lat)
+    check_places(sources, crs)
+    asked = _asked_bounds(options, crs)
+    if asked is not None:
+        sources = _cropped_to_area(sources, crs, asked, remarks)
+    return sources, crs, asked
+
+
+def _check_options(options: PrepOptions, ids: Sequence[str]) -> None:
+    """Raise InputError for options that contradict each other or the images."""
+    unknown = sorted(set(options.holdout) - set(ids))
+    if unknown:
+        raise InputError(
+            f"holdout: found {unknown[0]!r}, expected one of {', '.join(ids[:4])} ...{meant(unknown[0], ids)}"
+        )
+    left = len(ids) - len(set(options.holdout))
+    if left < 2:
+        raise InputError(f"holdout: found {left} of {len(ids)} images left for training, expected at least 2")
+    if options.min_height is not None and options.max_height is not None:
+        check_heights(options.min_height, options.max_height, np.zeros(0), True)
+
+
+def _warn(found: Sequence[str], remarks: list[str]) -> None:
+    """Remarks that the user sees at once."""
+    for text in found:
+        remarks.append(text)
+        log.warning("%s", text)
+
+
+def _roles(options: PrepOptions, result: Adjustment, sources: Sequence[Source], remarks: list[str]) -> dict[str, str]:
+    """Role of every image; one without tie points is set aside, as its camera may be anything.
+
+    Raises InputError where fewer than two are left to train on.
+    """
+    roles = {s.id: "test" if s.id in options.holdout else "train" for s in sources}
+    for view in result.views:
+        if not view.weak:
+            continue
+        if options.correction == "none":  # the user vouches for the cameras
+            _warn([f"{view.name}: too few tie points to tell whether its camera is right"], remarks)
+            continue
+        roles[view.name] = "unused"
+        _warn([f"{view.name}: too few tie points with the other images, set aside (role unused)"], remarks)
+    left = [name for name, role in roles.items() if role == "train"]
+    if len(left) < 2:
+        raise InputError(
+            f"images: found {len(left)} for training that have enough tie points with others, expected at least 2 "
+            "(do they show the same place, with their own RPCs?)"
+        )
+    return roles
 
 
 def common_name(ids: Sequence[str]) -> str:
@@ -168,24 +248,35 @@ def check_places(sources: Sequence[Source], crs: str) -> None:
     )
 
 
+def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
+    """All files that will be read."""
+    found = [Path(name) for name in (options.aoi,) if name]
+    for image in images:
+        folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
+        local = [folder for folder in folders if not isinstance(folder, RemotePath) and folder.is_dir()]
+        found += [image, *sidecars(image, local)]
+    return [path for path in found if not isinstance(path, RemotePath)]
+
+
 def _outputs(ids: Sequence[str]) -> list[str]:
     """All files that will be written; images that do not show the area are left out."""
     return [*_REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
 
 
-def _default_crs(sources: Sequence[Source]) -> str:
+def _middle(sources: Sequence[Source]) -> tuple[float, float]:
+    """Longitude and latitude in the middle of the images."""
     centres = [s.rpc.localization((s.size[1] - 1) / 2, (s.size[0] - 1) / 2, s.rpc.alt_offset) for s in sources]
     lon, lat = np.nanmedian(np.array(centres), axis=0)
     if not (np.isfinite(lon) and np.isfinite(lat)):
         raise InputError(f"{sources[0].path}: found RPCs that do not reach the images' pixels, expected their own RPCs")
-    return utm_crs(float(lon), float(lat))
+    return float(lon), float(lat)
 
 
 def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
     if options.aoi and options.bounds:
         raise InputError("area: found both --aoi and --bounds, expected one of them")
     if options.aoi:
-        return bounds_from_geojson(Path(options.aoi), crs)
+        return bounds_from_geojson(location(options.aoi), crs)
     return bounds_from_numbers(options.bounds, crs, options.crs) if options.bounds else None
 
 
@@ -232,8 +323,6 @@ def _height_range(
             raise InputError("images: found no ground that two of them show, expected images that overlap")
         found = estimate_height_range(heights, grays, result.rpcs, crs, bounds, progress=progress)
         low, high = (found[0] if low is None else low), (found[1] if high is None else high)
-    if not low < high:
-        raise InputError(f"heights: found lowest {low:g} m and highest {high:g} m, expected lowest < highest")
     return round(float(low), 2), round(float(high), 2)
 
 
@@ -279,4 +368,4 @@ def _no_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-__all__ = ["PrepOptions", "check_places", "common_name", "prepare"]
+__all__ = ["PrepOptions", "check_inputs", "check_places", "common_name", "prepare"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
+from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
 
 NEAR = 3  # cells from a height step within which a cell may change sides: the matching window and its blur

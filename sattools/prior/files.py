@@ -1,4 +1,4 @@
-"""Maps on an image's own pixels as files."""
+"""The prior's files: maps on an image's own pixels, and the prior of a scene as it is read back."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from sattools.camera.rpc import RPC
-from sattools.scene.raster import write_sensor_image
+from sattools.errors import InputError, SceneError
+from sattools.scene import Grid, Scene
+from sattools.scene.raster import read_raster, write_sensor_image
 
 
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
@@ -22,4 +24,38 @@ def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: s
     )  # fmt: skip
 
 
-__all__ = ["write_sensor_map"]
+def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np.ndarray, Grid]:
+    """Height [m] and confidence ``[H, W]`` of the scene's prior, and their grid; ``within``: only this part.
+
+    Raises:
+        SceneError: one of them is missing.
+        InputError: a file that cannot be read, or is none of a prior of this scene.
+    """
+    arrays, grids = [], []
+    for name in ("prior_dsm", "prior_confidence"):
+        if name not in scene.products:
+            raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools prior`")
+        path = scene.path(scene.products[name])
+        array, grid = read_raster(path, within)
+        if array.shape[0] != 1:
+            raise InputError(f"{path}: found {array.shape[0]} bands, expected one as {name} has")
+        known = array[np.isfinite(array)]
+        if not known.size:
+            raise InputError(f"{path}: found no data, expected the {name} of this scene")
+        if name == "prior_confidence":
+            right, what = known.min() >= 0 and known.max() <= 1, "0 to 1"
+        else:
+            low, high = scene.need_height_range()
+            span = high - low
+            middle = float(np.median(known))
+            right, what = low - span <= middle <= high + span, f"heights around {low:g} to {high:g} m"
+        if not right:
+            raise InputError(f"{path}: found numbers from {known.min():g} to {known.max():g}, expected {what}")
+        arrays.append(array[0])
+        grids.append(grid)
+    if grids[0] != grids[1]:
+        raise InputError(f"{path}: found another grid than that of prior_dsm, expected the same")
+    return arrays[0], arrays[1], grids[0]
+
+
+__all__ = ["read_prior", "write_sensor_map"]

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
-from sattools.compiled import FASTMATH
+from sattools.compiled import FASTMATH, njit, prange
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 NO_SHADE = np.float32(-1e9)

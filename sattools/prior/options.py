@@ -11,7 +11,9 @@ from sattools.settings import option
 class PriorOptions:
     """What `prior` does; the field's help texts are the command's help."""
 
-    resolution: float | None = option(None, "Cell of the surface [m] (default: the scene grid's).", minimum=0.01)
+    resolution: float | None = option(
+        None, "Cell of the surface [m] (default: the scene grid's).", minimum=0.01, maximum=1e4
+    )
     step: float | None = option(
         None, "Distance of the height planes [m] (default: two cells, more for nearly parallel views).", minimum=0.01
     )
@@ -42,7 +44,7 @@ class PriorOptions:
         minimum=0,
     )
     rough_passes: int = option(
-        5, "Passes, at most, at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0
+        5, "Passes, at most, at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0, maximum=100
     )
     erode: float = option(3.0, "Radius by which the surface is thinned before it hides anything [m].", minimum=0)
     tolerance: float = option(

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
 
+from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
 from sattools.prior.hidden import at_surface
 

@@ -8,8 +8,8 @@ Shimizu and Okutomi 2001). Here the agreement itself decides, on parallels of th
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
 from sattools.prior.hidden import Hidden
 from sattools.prior.options import PriorOptions

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
-from sattools.compiled import FASTMATH
+from sattools.compiled import FASTMATH, njit, prange
 
 ROW_STEPS = (0, 0, 1, -1, 1, -1, 1, -1)
 COL_STEPS = (1, -1, 0, 0, 1, -1, -1, 1)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from sattools.compiled import njit
 
 MAGIC = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to an integer, which the last bits then hold
 

@@ -13,10 +13,10 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from sattools.compiled import njit, prange
 from sattools.reflectance.elementary import angle, at_least, at_most, exp, expm1, log, sign, tan
 from sattools.reflectance.hapke import B_MAX, THETA_MAX, THETA_MIN, W_MAX
 from sattools.reflectance.roughness import A_MIN, D_MIN, EXPONENT_MAX, R2_MIN, SIN2_MIN, T_MAX, U_MAX, Z_MIN
@@ -316,7 +316,7 @@ class CompiledHapke(torch.autograd.Function):
         threads, before = torch.get_num_threads(), numba.get_num_threads()
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
         try:
-            evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays)  # type: ignore[call-arg]
+            evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays)
         finally:
             numba.set_num_threads(before)
             if torch.get_num_threads() != threads:  # when it starts its threads, numba may set torch's number as well

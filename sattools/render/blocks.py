@@ -10,9 +10,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 
-from sattools.compiled import FASTMATH
+from sattools.compiled import FASTMATH, njit, prange
 
 # rays that are led down together
 LANES = 32

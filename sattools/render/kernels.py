@@ -13,9 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
 
-from sattools.compiled import FASTMATH
+from sattools.compiled import FASTMATH, njit, prange
 from sattools.render.blocks import CEILING, COLOUR, DEEP, EMPTY, LANES, PAD, REACH, coefficients
 
 MIN_TRANSMITTANCE = 1e-3

@@ -7,9 +7,8 @@ in metres.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
-from sattools.compiled import FASTMATH
+from sattools.compiled import FASTMATH, njit, prange
 from sattools.render.blocks import LANES
 
 # narrowest ramp of a shadow on a slope that the sun grazes, of the ray's rise over a cell

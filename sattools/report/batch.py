@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from sattools.batch.table import SHORT
 from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.document import check_id
+from sattools.scene.jsonio import read_text
 from sattools.scene.raster import read_raster
 
 SHOWN = 24  # difference maps of more runs would make a page that no browser likes
@@ -27,12 +29,13 @@ def batch_page(folder: Path) -> str:
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """The rows of a batch's table, numbers as numbers, empty cells as None."""
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}), expected the table of a batch") from error
+        rows = list(csv.DictReader(io.StringIO(read_text(path))))
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read ({error}), expected the table of a batch") from error
     if not rows or not {"scene", "configuration", "seconds", "mae_m"} <= rows[0].keys():
         raise InputError(f"{path}: found no rows of a batch, expected columns scene, configuration, seconds, mae_m")
+    if any(None in row or None in row.values() for row in rows):
+        raise InputError(f"{path}: found a row with more or fewer cells than columns, expected the table of a batch")
     for row in rows:  # they become folder names below
         check_id(row["scene"], f"{path}: scene")
         check_id(row["configuration"], f"{path}: configuration")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
+import io
 import logging
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,10 @@ from sattools.report.commands import pipeline
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
+from sattools.scene.jsonio import read_json, read_text
 from sattools.scene.raster import read_image, read_raster
+from sattools.scene.schema import Items, Maybe, Number, Text
+from sattools.scene.schema import Table as Members
 
 log = logging.getLogger(__name__)
 # product -> what it is, with its unit; shown where a scene has them
@@ -33,6 +36,30 @@ MAPS = {
     "rhoc": "hot spot rhoc [1]",
     "prior_confidence": "confidence of the prior [1]",
 }
+_LENGTH = Maybe(Number())
+_ADJUSTMENT = Members(
+    {
+        "views": Items(
+            Members({"id": Text(), "median_before_px": _LENGTH, "median_after_px": _LENGTH}, ("id",)),
+        ),
+        **{name: Number() for name in ("observations", "ground_points", "median_before_px", "median_after_px")},
+        "model": Text(),
+    },
+    ("observations", "ground_points", "median_before_px", "median_after_px", "model"),
+)
+_FIGURES = dict.fromkeys(("mae", "median", "rmse", "nmad", "completeness", "within_1m", "n"), _LENGTH)
+_ERRORS = Members(
+    {
+        **_FIGURES,
+        "cells": Maybe(Number(0)),
+        "classes": Maybe(Members(other=Members(_FIGURES))),
+        "shift_m": Items(Number(), 3, 3),
+        "protocol": Text(),
+        "reference": Text(),
+        "mask": Text(empty=True),
+    },
+    ("shift_m", "protocol", "reference", "mask", "completeness", "within_1m"),
+)
 _PIXELS = 200_000  # of an image are enough for its histogram
 
 
@@ -101,7 +128,8 @@ def _adjustment(scene: Scene) -> Section:
     path = _beside_images(scene, "adjustment.json")
     if path is None:
         return section
-    found = json.loads(path.read_text(encoding="utf-8"))
+    found = read_json(path, "a report of `sattools prep`")
+    _ADJUSTMENT.check(found, str(path))
     views = [v for v in found.get("views", []) if v.get("median_before_px") and v.get("median_after_px")]
     if views:
         figure = figures.residuals(
@@ -158,7 +186,8 @@ def _errors(scene: Scene) -> Section:
     path = _product(scene, "errors")
     if path is None:
         return section
-    found = json.loads(path.read_text(encoding="utf-8"))
+    found = read_json(path, "a table of `sattools compare`")
+    _ERRORS.check(found, str(path))
     rows = [_error_row("all", found, found.get("cells"))]
     rows += [_error_row(name, own, own["n"]) for name, own in (found.get("classes") or {}).items() if own.get("n")]
     east, north, up = found["shift_m"]
@@ -190,8 +219,10 @@ def _training(scene: Scene) -> Section:
     path = _product(scene, "trace")
     if path is None:
         return section
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = [{k: float(v) for k, v in row.items() if _is_number(v)} for row in csv.DictReader(file)]
+    rows = [
+        {k: float(v) for k, v in row.items() if isinstance(v, str) and _is_number(v)}
+        for row in csv.DictReader(io.StringIO(read_text(path)))
+    ]
     rows = [row for row in rows if {"seconds", "loss"} <= row.keys()]
     if rows:
         caption = "Loss after every epoch; it jumps where a finer stage begins."
@@ -206,7 +237,8 @@ def _history(scene: Scene) -> Section:
     rows = []
     for entry in scene.history:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
-        rows.append([entry["command"], _number(entry["seconds"], 1), _number(entry["peak_memory_mb"], 0), versions])
+        taken = _number(entry.get("seconds"), 1), _number(entry.get("peak_memory_mb"), 0)
+        rows.append([entry["command"], *taken, versions])
     names = ["command", "time [s]", "peak memory [MB]", "versions"]
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from sattools.scene.document import Scene
-from sattools.scene.files import write_text
 
 
 def absolute_copy(scene: Scene, root: Path) -> Scene:
@@ -22,9 +21,7 @@ def absolute_copy(scene: Scene, root: Path) -> Scene:
 def in_another_root(path: Path, root: Path) -> Path:
     """`absolute_copy` of a scene's document; the path of the copy's."""
     copy = absolute_copy(Scene.from_file(path), root)
-    document = copy.output("scene.json")
-    write_text(document, copy.to_json() + "\n")
-    return document
+    return copy.write()
 
 
 __all__ = ["absolute_copy", "in_another_root"]

@@ -14,8 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sattools.errors import SceneError
+from sattools.errors import InputError, SceneError
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import parse_json, read_text
+from sattools.scene.location import check_allowed, is_remote, location
+from sattools.scene.members import check_members
 
 FORMAT_VERSION = 1
 FIT_ROLE = "sattools:fit_role"  # of an image that the last fit held out, whatever its role is
@@ -67,7 +70,10 @@ class Item:
 
     @property
     def role(self) -> str:
-        """``train`` or ``test``, as the scene has it; a fit may hold out more, see `held_out`."""
+        """``train``, ``test`` (held out) or ``unused`` (set aside, as its camera could not be settled).
+
+        That is the scene's word; a fit may hold out more, see `held_out`.
+        """
         return str(self.properties.get("sattools:role", "train"))
 
     @property
@@ -145,8 +151,8 @@ class Scene:
 
     # ---- JSON -------------------------------------------------------------------------------------------
 
-    def to_dict(self) -> dict[str, Any]:
-        """The document as plain JSON types."""
+    def to_dict(self, root: str | None = None) -> dict[str, Any]:
+        """The document as plain JSON types; ``root`` in place of the absolute one."""
         boxes = [item.bbox for item in self.items if item.bbox]
         document: dict[str, Any] = {
             "type": "FeatureCollection",
@@ -154,7 +160,7 @@ class Scene:
             "features": [item.to_dict() for item in self.items],
             "sattools": {
                 "version": FORMAT_VERSION,
-                "root": str(self.root),
+                "root": root or str(self.root),
                 "grid": self.grid.to_dict() if self.grid else None,
                 "height_range_m": list(self.height_range_m) if self.height_range_m else None,
                 "products": self.products,
@@ -170,9 +176,9 @@ class Scene:
             ]
         return document
 
-    def to_json(self) -> str:
-        """The document in one line."""
-        return json.dumps(_finite(self.to_dict()), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    def to_json(self, root: str | None = None) -> str:
+        """The document in one line; ``root`` in place of the absolute one."""
+        return json.dumps(_finite(self.to_dict(root)), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str, source: str = "<stdin>", folder: Path | None = None) -> Scene:
@@ -187,12 +193,9 @@ class Scene:
             SceneError: not JSON, or not a scene document.
         """
         try:
-            data = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise SceneError(
-                f"{source}: found text that is not JSON ({error.msg} at line {error.lineno}, column {error.colno}), "
-                "expected a scene document"
-            ) from error
+            data = parse_json(text, source, "a scene document")
+        except InputError as error:
+            raise SceneError(str(error)) from None
         if not isinstance(data, dict) or data.get("type") != "FeatureCollection" or "sattools" not in data:
             raise SceneError(
                 f"{source}: found JSON without a 'sattools' member, expected a scene document "
@@ -205,22 +208,19 @@ class Scene:
         if not isinstance(data.get("features"), list):
             raise SceneError(f"{source}: found no list of features, expected a FeatureCollection of STAC Items")
         try:
+            check_members(data)
             height_range = ours.get("height_range_m")
             scene = cls(
                 id=data.get("id", ""),
-                root=(folder or Path.cwd()) / str(ours.get("root", ".")),
+                root=_root(ours.get("root", "."), data, folder),
                 items=[Item.from_dict(feature) for feature in data["features"]],
                 grid=Grid.from_dict(ours["grid"]) if ours.get("grid") else None,
                 height_range_m=(float(height_range[0]), float(height_range[1])) if height_range else None,
-                products={str(k): str(v) for k, v in (ours.get("products") or {}).items()},
+                products=dict(ours.get("products") or {}),
                 history=list(ours.get("history") or []),
             )
-        except SceneError as error:
-            raise SceneError(f"{source}: {error}") from error
-        except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
-            raise SceneError(
-                f"{source}: found a malformed scene member ({error}), expected a scene document"
-            ) from error
+        except (InputError, SceneError) as error:
+            raise SceneError(f"{source}: {error}") from None
         ids = [item.id for item in scene.items]
         twice = {i for i in ids if ids.count(i) > 1}
         if twice:
@@ -229,15 +229,29 @@ class Scene:
 
     @classmethod
     def from_file(cls, path: Path | str) -> Scene:
-        """Read a `scene.json`; a relative root is relative to the file's folder."""
-        path = Path(path)
+        """Read a `scene.json`; a relative root is relative to the file's folder.
+
+        A folder that was moved is found again: where the recorded root is not there any more, or the document lies
+        beside the files it names, the root is the folder of the document.
+        """
         try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise SceneError(f"{path}: cannot be read ({error}), expected a scene document") from error
+            text = read_text(path)
+        except InputError as error:
+            raise SceneError(f"{error} with a scene document") from None
         scene = cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
-        scene.origin = path
+        scene.origin = Path(path)
         return scene
+
+    def write(self) -> Path:
+        """Write `scene.json` below the root, complete or not at all; its path.
+
+        Its root is ".", so that the folder can be moved and sent to others.
+        """
+        from sattools.scene.files import write_text
+
+        path = self.output("scene.json")
+        write_text(path, self.to_json(root=".") + "\n")
+        return path
 
     # ---- files ------------------------------------------------------------------------------------------
 
@@ -245,8 +259,15 @@ class Scene:
         """Absolute path of ``href`` for reading: relative hrefs must stay below the root.
 
         Raises:
-            SceneError: a relative href that leaves the root.
+            SceneError: a relative href that leaves the root, or one that asks for the network or an archive while the
+                user has not allowed that (`--allow-remote`).
         """
+        if is_remote(href):
+            try:
+                check_allowed(href)
+            except InputError as error:
+                raise SceneError(f"scene {self.id}: {error}") from None
+            return location(href)
         if Path(href).is_absolute():
             return Path(href)
         return self._below_root(href)
@@ -293,6 +314,22 @@ class Scene:
         if self.height_range_m is None:
             raise SceneError(f"scene {self.id}: found no height range, expected one made by `sattools prep`")
         return self.height_range_m
+
+
+def _root(recorded: str, document: Mapping[str, Any], folder: Path | None) -> Path:
+    """The root of a document: as recorded, or the document's own folder where that is what is meant."""
+    root = Path(recorded)
+    if folder is None or not root.is_absolute():
+        return (folder or Path.cwd()) / root
+    hrefs = [a["href"] for feature in document["features"] for a in feature["assets"].values()]
+    relative = [href for href in hrefs if not is_remote(href) and not Path(href).is_absolute()]
+    try:
+        if not root.is_dir():
+            return folder
+        # a copy of a folder whose original is still there must not work on the original
+        return folder if relative and all((folder / href).exists() for href in relative) else root
+    except OSError as error:  # a name that is too long
+        raise SceneError(f"sattools.root or an href: found {error.strerror}, expected paths of files") from None
 
 
 def _finite(value: Any) -> Any:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,8 @@ from rasterio.windows import Window
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
+from sattools.scene.memory import check_memory
+from sattools.scene.opening import opened
 
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
@@ -95,13 +96,16 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
     Raises:
         InputError: unreadable, without CRS, or not north-up with square cells.
     """
-    with _opened(path) as data:
+    with opened(path) as data:
         grid = _grid_of(data, path)
         window = None
         if within is not None:
             rows, cols = grid.window(within)
             window = Window.from_slices(rows, cols)
             grid = grid.part(rows, cols)
+        check_memory(
+            8.0 * data.count * grid.width * grid.height, f"{path}: {grid.width} x {grid.height} cells", "crop it"
+        )
         array = _read(data, path, window)
         if np.issubdtype(array.dtype, np.floating) and data.nodata is not None and np.isfinite(data.nodata):
             array = np.where(array == data.nodata, np.nan, array)
@@ -110,7 +114,7 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
 
 def raster_grid(path: Path) -> Grid:
     """The grid of a georeferenced north-up raster; raises as `read_raster` does."""
-    with _opened(path) as data:
+    with opened(path) as data:
         return _grid_of(data, path)
 
 
@@ -125,7 +129,7 @@ def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
 
 def image_shape(path: Path) -> tuple[int, int]:
     """(rows, columns) of an image. Raises InputError where it cannot be read."""
-    with _opened(path) as data:
+    with opened(path) as data:
         return data.height, data.width
 
 
@@ -141,8 +145,10 @@ def read_image(path: Path, window: tuple[slice, slice] | None = None, reduce: in
     Raises:
         InputError: missing, truncated or not an image.
     """
-    with _opened(path) as data:
+    with opened(path) as data:
         rows, cols = window or (slice(0, data.height), slice(0, data.width))
+        pixels = data.count * (rows.stop - rows.start) * (cols.stop - cols.start) // reduce**2
+        check_memory(8.0 * pixels, f"{path}: {data.width} x {data.height} pixels", "crop it, or `prep --aoi`")
         if reduce == 1:
             return _numbers(data, path, rows, cols)
         height, width = (rows.stop - rows.start) // reduce, (cols.stop - cols.start) // reduce
@@ -180,7 +186,7 @@ def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Se
         InputError: ``like`` cannot be read.
         SattoolsError: the file cannot be written.
     """
-    with _opened(like) as source:
+    with opened(like) as source:
         rpc = source.tags(ns="RPC")
     write_sensor_image(path, array.astype(np.float32), rpc, nodata=float("nan"), descriptions=descriptions)
 
@@ -232,20 +238,6 @@ def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, n
     profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate"}
     profile["predictor"] = 3 if np.issubdtype(np.dtype(dtype), np.floating) else 2
     return profile if nodata is None else profile | {"nodata": nodata}
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[rasterio.DatasetReader]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        try:
-            data = rasterio.open(path)
-        except RasterioError as error:
-            if not Path(path).exists():
-                raise InputError(f"{path}: no such file, expected an image") from error
-            raise InputError(f"{path}: found no readable image ({str(error).splitlines()[0]})") from error
-        with data:
-            yield data
 
 
 def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None) -> np.ndarray:

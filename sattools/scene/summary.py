@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sattools.errors import printable
 from sattools.scene.document import Scene
 
 
@@ -30,9 +31,10 @@ def summary(scene: Scene) -> str:
     for name, href in scene.products.items():
         lines.append(f"  product {name:16s} {href}")
     for entry in scene.history:
-        lines.append(f"  {entry['command']:10s} {entry['seconds']:8.1f} s  {entry['peak_memory_mb']:7.0f} MB")
+        seconds, memory = entry.get("seconds", 0.0), entry.get("peak_memory_mb", 0.0)
+        lines.append(f"  {entry['command']:10s} {seconds:8.1f} s  {memory:7.0f} MB")
         lines.extend(f"    {remark}" for remark in entry.get("remarks", []))
-    return "\n".join(lines)
+    return printable("\n".join(line.replace("\n", " ") for line in lines))
 
 
 __all__ = ["summary"]

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 
-import numba
+from sattools.compiled import njit
 
 LAMBERT, RPV, HAPKE = 0, 1, 2
 _TINY = 1e-9
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 
 
 @_jit

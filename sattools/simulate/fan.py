@@ -22,7 +22,7 @@ from sattools.simulate.stage import View, framed, take_all, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track
-START = datetime(2020, 1, 21, 7, 30, tzinfo=UTC)
+START = datetime(2020, 1, 21, 7, 30, tzinfo=UTC)  # where the sun asked for never stands over the place
 SECONDS_BETWEEN = 9.0
 READ_NOISE_DN = 2.0
 SHOT_NOISE_DN = 0.02  # variance per digital number: signal to noise about 120 at a reflectance of 0.1
@@ -68,6 +68,7 @@ def plan_fan(
     ahead, across = (np.array([f(heading + turn) for f in (np.sin, np.cos)]) for turn in (0.0, np.pi / 2))
     order = np.argsort(np.abs(pitches), kind="stable")
     train = set(order[: options.train].tolist())
+    start = moment(lon, lat, options.sun_azimuth, options.sun_elevation)
     views = []
     for k, pitch in enumerate(np.radians(pitches)):
         # a sensor that looks ahead stands behind
@@ -84,13 +85,32 @@ def plan_fan(
         angle, radius = rng.uniform(0, 2 * np.pi), options.bias_px * np.sqrt(rng.uniform())
         views.append(
             View(
-                f"{options.id}_{k + 1:03d}", START + timedelta(seconds=SECONDS_BETWEEN * k),
+                f"{options.id}_{k + 1:03d}", start + timedelta(seconds=SECONDS_BETWEEN * k),
                 (options.sun_azimuth, options.sun_elevation), sensor, camera, rpc, error, shape,
                 Radiometry(np.ones(3), np.zeros(3)),
                 (float(radius * np.cos(angle)), float(radius * np.sin(angle))), "train" if k in train else "test", 12,
             )
         )  # fmt: skip
     return views
+
+
+def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime:
+    """A time in 2020 when the sun stands there (degrees, azimuth from true north), to a degree; else `START`.
+
+    The sun's declination follows from the triangle of pole, zenith and sun, the day from the declination.
+    """
+    phi, a, e = np.radians([lat, azimuth, elevation])
+    declination = np.sin(phi) * np.sin(e) + np.cos(phi) * np.cos(e) * np.cos(a)
+    share = -np.degrees(np.arcsin(np.clip(declination, -1, 1))) / 23.44
+    if abs(share) > 1:
+        return START
+    day = np.arccos(share) / (2 * np.pi) * 365.25 - 10  # days since the new year; December's solstice is 10 days before
+    hour_angle = np.arctan2(-np.sin(a) * np.cos(e), np.sin(e) * np.cos(phi) - np.cos(e) * np.cos(a) * np.sin(phi))
+    b = 2 * np.pi * (day - 81) / 364
+    of_time = 9.87 * np.sin(2 * b) - 7.53 * np.cos(b) - 1.5 * np.sin(b)  # minutes by which a sundial is fast
+    hours = 12 + np.degrees(hour_angle) / 15 - lon / 15 - of_time / 60
+    noon = datetime(2020, 1, 1, tzinfo=UTC) + timedelta(days=int(np.floor(day)))
+    return (noon + timedelta(hours=float(hours))).replace(microsecond=0)
 
 
 def _take(

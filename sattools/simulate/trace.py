@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
+
+from sattools.compiled import njit
 
 TOP, WALL_X, WALL_Y = 0, 1, 2
 GAP_M = 0.02  # plates of one surface may part by this much without casting a shadow
 STOREY_M = 3.2
 WINDOW_M = 2.6
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 
 
 @_jit

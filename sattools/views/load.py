@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from sattools.errors import SceneError
 from sattools.radiometry import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.raster import image_shape, read_image
+from sattools.views.check import check_cells, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
@@ -61,12 +63,14 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
         if not {"radiance", "image"} & item.assets.keys():
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'image' or 'radiance'")
     cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
+    names = ["radiance" if "radiance" in item.assets else "image" for item in items]
+    paths = [scene.path(item.assets[name].href) for item, name in zip(items, names, strict=True)]
+    shapes = [image_shape(path) for path in paths]
+    check_scene(scene, items, cameras, shapes)
     around = _surroundings(scene, cameras)
     sources = []
-    for item, camera in zip(items, cameras, strict=True):
-        name = "radiance" if "radiance" in item.assets else "image"
-        path = scene.path(item.assets[name].href)
-        rows, cols, reduce = _needed(camera, image_shape(path), around, scene.height_range_m)
+    for item, camera, name, path, shape in zip(items, cameras, names, paths, shapes, strict=True):
+        rows, cols, reduce = _needed(camera, shape, around, scene.height_range_m)
         radiance = read_image(path, (rows, cols), reduce)
         if name == "image":
             radiance = linear_radiance(radiance, item_bits(item.properties))
@@ -78,9 +82,14 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
         linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
         given = item.properties.get(TONE_PROPERTY)
         sources.append(Source(item.id, radiance, rpc, item.sun, linear, Tone(**given) if given else None))
-    bands = {s.radiance.shape[0] for s in sources}
+    bands = Counter(s.radiance.shape[0] for s in sources)
     if len(bands) > 1:
-        raise SceneError(f"scene {scene.id}: found images of {sorted(bands)} bands, expected the same number in all")
+        usual = bands.most_common(1)[0][0]
+        odd = next(k for k, s in enumerate(sources) if s.radiance.shape[0] != usual)
+        raise SceneError(
+            f"{paths[odd]}: found {sources[odd].radiance.shape[0]} bands, expected {usual} bands as most of the other "
+            "images have"
+        )
     return sources
 
 
@@ -122,6 +131,10 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
     Raises:
         SceneError: an image shows nothing of the grid.
     """
+    if sources:
+        lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
+        pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)
+        check_cells(grid, pixel, sources[0].radiance.shape[0], len(sources))
     views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, s.sun) for s in sources]
     for view in views:
         check_seen(view.id, view.mask)

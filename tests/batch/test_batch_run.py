@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import HANGING_S
 
 pytest.importorskip("distributed", reason="needs the extra `batch`")
 
@@ -40,6 +41,16 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen:
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+def command_of(process) -> list[str]:
+    """Its command line; nothing once it has ended, which it may at any moment."""
+    import psutil
+
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
 def table(folder: Path) -> list[dict[str, str]]:
     with open(folder / "out/table.csv", newline="") as file:
         return list(csv.DictReader(file))
@@ -53,14 +64,12 @@ def attempts(folder: Path, scene: str) -> list[dict]:
 def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(folder):
     call = ("A/scene.json", "B/scene.json", "--config", "quick.toml", "--out", "out", "--workers", "1")
     running = start(folder, *call)
-    deadline = time.monotonic() + 200
     while not attempts(folder, "B"):
         assert running.poll() is None, running.communicate()
-        assert time.monotonic() < deadline
         time.sleep(0.05)
     time.sleep(0.3)  # in the middle of the fit
     os.kill(attempts(folder, "B")[0]["pid"], signal.SIGKILL)
-    out, said = running.communicate(timeout=300)
+    out, said = running.communicate(timeout=HANGING_S)
     assert running.returncode == 0, said
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["A", "B"]
     assert [len(attempts(folder, name)) for name in "AB"] == [1, 2]
@@ -72,10 +81,9 @@ def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(f
     assert (folder / "out/speed_error.png").stat().st_size > 1000
     assert '"message": "batch: 2 of 2 done' in said
 
-    before, begun = (folder / "out/table.csv").read_bytes(), time.perf_counter()
+    before = (folder / "out/table.csv").read_bytes()
     again = start(folder, *call)
-    out, said = again.communicate(timeout=60)
-    assert time.perf_counter() - begun < 5
+    out, said = again.communicate(timeout=HANGING_S)
     assert again.returncode == 0, said
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["A", "B"]
     assert [len(attempts(folder, name)) for name in "AB"] == [1, 2]
@@ -90,7 +98,7 @@ def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder):
     (folder / "C.json").write_text(broken.to_json())
     names = [str(folder / name) for name in ("C.json", "A/scene.json")]
     running = start(folder, *names, "--config", "quick.toml", "--out", "out", "--workers", "1")
-    _, said = running.communicate(timeout=60)
+    _, said = running.communicate(timeout=HANGING_S)
     assert running.returncode == 3, said
     assert [row["status"] for row in table(folder)] == ["failed", "done"]
     assert "images/nowhere.tif: cannot be read" in table(folder)[0]["error"]
@@ -116,15 +124,14 @@ def test_an_interrupted_batch_leaves_no_process(folder):
 
     running = start(folder, "A/scene.json", "--config", "quick.toml", "--out", "stopped", "--workers", "1")
     seen = psutil.Process(running.pid)
-    deadline = time.monotonic() + 60
-    while not any("fit" in process.cmdline() for process in seen.children(recursive=True)):
-        assert time.monotonic() < deadline
+    while not any("fit" in command_of(process) for process in seen.children(recursive=True)):
+        assert running.poll() is None
         time.sleep(0.05)
     family = seen.children(recursive=True)
     running.terminate()
-    running.communicate(timeout=30)
+    running.communicate(timeout=HANGING_S)
     assert running.returncode == 143
-    _, left = psutil.wait_procs(family, timeout=10)
+    _, left = psutil.wait_procs(family, timeout=HANGING_S)
     assert left == []
     assert not (folder / "stopped/runs/quick/A/task.json").exists()
 
@@ -136,7 +143,7 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     )
     call = ("A/scene.json", "--config", "tiled.toml", "--out", "cut", "--workers", "2")
     running = start(folder, *call)
-    run, deadline = folder / "cut/runs/tiled/A", time.monotonic() + 200
+    run = folder / "cut/runs/tiled/A"
 
     def begun() -> list[dict]:
         found = [path.read_text().splitlines()[-1] for path in run.glob("fit/tiles/*/attempts.jsonl")]
@@ -144,11 +151,10 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
 
     while not begun():
         assert running.poll() is None, running.communicate()
-        assert time.monotonic() < deadline
         time.sleep(0.05)
     time.sleep(0.3)
     os.kill(begun()[0]["pid"], signal.SIGKILL)
-    out, said = running.communicate(timeout=300)
+    out, said = running.communicate(timeout=HANGING_S)
     assert running.returncode == 0, said
     assert [json.loads(line)["id"] for line in out.splitlines()] == ["A"]
     names = ("r0c0", "r0c1", "r1c0", "r1c1")
@@ -168,7 +174,7 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     # another way of scoring needs the run, but neither the split nor a tile
     with open(folder / "tiled.toml", "a") as file:
         file.write("[compare]\nregister = 'z'\n")
-    _, said = start(folder, *call).communicate(timeout=300)
+    _, said = start(folder, *call).communicate(timeout=HANGING_S)
     assert tries == {n: len((run / f"fit/tiles/{n}/attempts.jsonl").read_text().splitlines()) for n in names}
     assert len((run / "attempts.jsonl").read_text().splitlines()) == 3  # split, run, run
     with open(folder / "cut/table.csv", newline="") as file:

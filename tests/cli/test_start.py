@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -16,21 +15,11 @@ ROOT = Path(__file__).parents[2]
 PRESENT = main.list_commands(None)
 
 
-def test_help_answers_in_less_than_a_third_of_a_second():
-    seconds = []
-    for _ in range(5):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "sattools", "--help"], check=True, stdout=subprocess.DEVNULL)
-        seconds.append(time.perf_counter() - start)
-    # the best of several: other programs may hold the machine
-    assert min(seconds) < 0.3, seconds
-
-
 @pytest.mark.parametrize("name", ["", *PRESENT])
 def test_help_loads_no_heavy_library(name):
     code = (
         "import sys; from sattools.cli import main; main(sys.argv[1:], standalone_mode=False); "
-        "heavy = {'torch', 'geopandas', 'matplotlib', 'numba', 'cv2', 'skimage', 'pvlib'}; "
+        "heavy = {'torch', 'numpy', 'rasterio', 'shapely', 'geopandas', 'matplotlib', 'numba', 'cv2', 'pvlib'}; "
         "print('loaded', sorted(heavy & set(sys.modules)))"
     )
     arguments = [name, "--help"] if name else ["--help"]

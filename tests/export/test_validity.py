@@ -157,5 +157,5 @@ def test_a_model_that_is_no_data_everywhere_is_an_error_not_a_crash(fitted):
     tensors["height"][:] = float("nan")
     save(fitted.root / "fit/model.safetensors", tensors, meta)
     fitted.history.clear()
-    with pytest.raises(Exception, match=r"fit/model\.safetensors: found no height at all"):
+    with pytest.raises(Exception, match=r"fit/model\.safetensors: found no finite height"):
         export(fitted, ExportOptions())

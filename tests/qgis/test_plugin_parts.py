@@ -90,10 +90,8 @@ def test_cancelling_ends_the_whole_process_group(tmp_path):
         f"open({str(marker)!r}, 'w').write(str(child.pid))\n"
         "time.sleep(60)\n",
     )
-    start = time.monotonic()
     with pytest.raises(runner.Cancelled):
         run(path, lambda: marker.exists() and marker.read_text() != "")
-    assert time.monotonic() - start < 20
     child = int(marker.read_text())
     for _ in range(50):  # a killed orphan stays in the table until init has read its status
         state = subprocess.run(["ps", "-o", "stat=", "-p", str(child)], capture_output=True, text=True).stdout.strip()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from patience import HANGING_S
 
 from sattools.batch.table import write_tables
 from sattools.cli import main
@@ -38,7 +39,7 @@ def opened(tmp_path_factory):
     def call(page: Path) -> tuple[str, list[str]]:
         profile = tmp_path_factory.mktemp("profile")
         command = [browser, *FLAGS, f"--user-data-dir={profile}", page.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=HANGING_S)
         # what pages say goes to the log as INFO:CONSOLE; the browser's own troubles on a bare machine do not
         return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 

@@ -134,9 +134,12 @@ def test_absolute_paths_are_read_but_never_written(tmp_path):
         (lambda d: d.update(id="../a"), "found id '../a'"),
         (lambda d: d.update(id=None), "found id None"),
         (lambda d: d["features"][0].update(id="a/b"), "found id 'a/b'"),
-        (lambda d: d["features"][0].pop("properties"), "without id, properties or assets"),
+        (lambda d: d["features"][0].pop("properties"), "found no 'properties', expected id, properties, assets"),
         (lambda d: d["features"][0].update(id="a_002"), "item id 'a_002' more than once"),
-        (lambda d: d["sattools"].update(height_range_m=["low", 3]), "malformed scene member"),
+        (
+            lambda d: d["sattools"].update(height_range_m=["low", 3]),
+            r"sattools.height_range_m\[0\]: found 'low', expected",
+        ),
         (lambda d: d["sattools"].update(grid={"crs": 1}), "expected crs, left, top"),
     ],
 )
@@ -158,7 +161,7 @@ def test_text_that_is_no_document_is_refused(text):
 def test_a_file_that_is_not_text_is_refused(tmp_path):
     path = tmp_path / "scene.json"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SceneError, match="cannot be read"):
+    with pytest.raises(SceneError, match="found text that is not UTF-16"):
         Scene.from_file(path)
 
 

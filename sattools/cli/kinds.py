@@ -1,0 +1,76 @@
+"""What values options take: click's types, but with finite numbers only, and nothing silently turned into another."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from sattools.errors import InputError
+from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec
+
+
+class Finite(click.FloatRange):
+    """A finite number within limits: NaN passes every comparison that asks whether it lies outside."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        found = float(click.FLOAT.convert(value, param, ctx))
+        if not abs(found) <= LARGEST:  # neither NaN nor infinity is
+            self.fail(f"found {str(value)[:40]}, expected a finite number of at most {LARGEST:g}.", param, ctx)
+        return super().convert(found, param, ctx)
+
+    def _describe_range(self) -> str:
+        return super()._describe_range() if self.min is not None or self.max is not None else ""
+
+
+class Whole(click.IntRange):
+    """A whole number within limits; 1.7 of a configuration file is none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        if isinstance(value, str) and len(value) > 40:  # Python refuses to read some thousand digits
+            self.fail(f"found a number of {len(value)} digits, expected a smaller one.", param, ctx)
+        found = super().convert(value, param, ctx)
+        if abs(found) > LARGEST_COUNT:
+            self.fail(f"found {found}, expected at most {LARGEST_COUNT}.", param, ctx)
+        return found
+
+    def _describe_range(self) -> str:
+        return super()._describe_range() if self.min is not None or self.max is not None else ""
+
+
+def kind_of(spec: OptionSpec) -> Any:
+    """click's type of an option; None where click finds it by itself."""
+    if spec.choices:
+        return click.Choice(spec.choices)
+    if spec.kind is float:
+        return Finite(min=spec.minimum, max=spec.maximum)
+    if spec.kind is int:
+        low, high = (None if limit is None else int(limit) for limit in (spec.minimum, spec.maximum))
+        return Whole(min=low, max=high)
+    return None if spec.kind is bool else spec.kind
+
+
+def check_value(option: click.Option, value: Any) -> None:
+    """Raise InputError where a value of a configuration file is of another type than its option."""
+    from sattools.scene.schema import Items, Maybe, Number, Text
+
+    if option.is_flag or isinstance(option.type, click.types.BoolParamType):
+        from sattools.scene.schema import Flag
+
+        Flag().check(value, "value")
+        return
+    kind: Any = Text(empty=True)
+    if isinstance(option.type, click.types.IntParamType):
+        kind = Number(whole=True)
+    elif isinstance(option.type, click.types.FloatParamType):
+        kind = Number()
+    several = option.multiple or option.nargs != 1
+    try:
+        Maybe(Items(kind, option.nargs if option.nargs > 1 else 0) if several else kind).check(value, "value")
+    except InputError as error:
+        raise InputError(str(error).removeprefix("value: ")) from None
+
+
+__all__ = ["Finite", "Whole", "check_value", "kind_of"]

@@ -1,0 +1,130 @@
+"""What stands between the user and a traceback: the last resort for everything that no command has foreseen."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import sys
+import traceback
+from contextlib import suppress
+from typing import Any
+
+import click
+
+from sattools.errors import SattoolsError, printable
+
+LONGEST_ARGUMENT = 100_000
+
+
+class LastResort(click.Group):
+    """A group whose commands end with one line on stderr and a status, whatever happens."""
+
+    running = ""
+
+    def main(self, args: Any = None, prog_name: str | None = None, *rest: Any, **extra: Any) -> Any:
+        """See `click.Group.main`. The traceback of an unexpected error is shown with -vv only."""
+        if not extra.get("standalone_mode", True):
+            return super().main(args, prog_name, *rest, **extra)
+        self.running = ""
+        given = list(sys.argv[1:] if args is None else args)
+        try:
+            try:
+                check_arguments(given)
+                super().main(given, prog_name, *rest, **extra)
+            except SystemExit:
+                sys.stdout.flush()  # here, where a full disk can still be told
+                raise
+        except SystemExit:
+            raise
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt):
+                sys.exit(130)
+            sys.exit(self.failed(error))
+        return None
+
+    def failed(self, error: BaseException) -> int:
+        """Say what went wrong; the status to end with."""
+        name = f"sattools {self.running}".strip()
+        if isinstance(error, OSError) and _is_stdout(error):
+            quiet_stdout()
+            if error.errno != errno.EPIPE:  # nobody reads any more: stop quietly
+                complain(f"sattools: error: stdout: cannot be written ({error.strerror})")
+            return 1
+        if logging.getLogger("sattools").level == logging.DEBUG or os.environ.get("SATTOOLS_DEBUG"):
+            traceback.print_exception(error, file=sys.stderr)
+        complain(f"{name}: error: {explain(error)}")
+        return 2 if isinstance(error, click.UsageError) else 1
+
+
+def explain(error: BaseException) -> str:
+    """An unexpected error in one line."""
+    if isinstance(error, SattoolsError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"found too little memory ({_short(error) or 'all is taken'}), expected a smaller area or coarser cells"
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{_name(error.filename)}: " if error.filename is not None else ""
+        return f"{where}found {error.strerror}, expected a file or folder that can be used"
+    return f"internal error ({type(error).__name__}: {_short(error)}); run with -vv for the traceback"
+
+
+def check_arguments(arguments: list[str]) -> None:
+    """Refuse what is no text: names that are not UTF-8 cannot be written into a document."""
+    for argument in arguments:
+        shown = _name(argument)
+        if len(argument) > LONGEST_ARGUMENT:
+            raise SattoolsError(f"{shown}: found an argument of {len(argument)} characters, expected a shorter one")
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            raise SattoolsError(f"{shown}: found a name that is not UTF-8, expected one (rename the file)") from None
+
+
+def check_folder() -> None:
+    """Raise SattoolsError where the folder that relative paths begin in has been deleted."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise SattoolsError("found no working folder (it was deleted), expected to be started in one") from None
+
+
+class PlainFormatter(logging.Formatter):
+    """Messages without control characters, in one line each."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """See `logging.Formatter.format`."""
+        text = printable(super().format(record))
+        return text if record.exc_info else text.replace("\n", " ")
+
+
+def complain(line: str) -> None:
+    """One line on stderr, without what could steer a terminal, if anybody is there to read it."""
+    text = printable(" ".join(line.split()))
+    with suppress(OSError, ValueError):
+        click.echo(text.encode(errors="backslashreplace").decode(), err=True)
+
+
+def quiet_stdout() -> None:
+    """Keep Python from complaining once more when it flushes stdout at exit."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _is_stdout(error: OSError) -> bool:
+    """A write to stdout failed: it has no file name, as those of all files have."""
+    return error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EBADF)
+
+
+def _name(value: object) -> str:
+    text = os.fsdecode(value) if isinstance(value, bytes) else str(value)
+    text = text.encode(errors="backslashreplace").decode()
+    return text if len(text) <= 200 else text[:160] + "..." + text[-30:]
+
+
+def _short(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if len(text) <= 300 else text[:300] + "..."
+
+
+__all__ = ["LastResort", "PlainFormatter", "check_arguments", "check_folder", "complain", "quiet_stdout"]

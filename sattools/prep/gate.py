@@ -1,0 +1,242 @@
+"""Do images, cameras and metadata go together? What is surely wrong stops; what may be meant is a warning.
+
+Every check compares two things that were found independently of each other, as one file by itself is seldom absurd.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.camera import RPC
+from sattools.camera.adjust import Adjustment
+from sattools.camera.ground import ground_sample_distance, view_direction
+from sattools.camera.sun import sun_position
+from sattools.errors import InputError
+from sattools.prep.images import Source
+from sattools.scene.members import HEIGHT_LIMITS_M
+
+Array = NDArray[np.float64]
+
+_SUN_TOLERANCE_DEG = 5.0  # between metadata and time with place: more than refraction, rounding and a minute's drift
+_SUN_FAR_DEG = 12.0  # an hour of local instead of universal time
+_CAMERA_TOLERANCE_PX = 40.0  # vendors' cameras are good to some metres; the worst of the contest is off by 36 px
+_CAMERA_SHARE = 0.2  # of an image's shorter side
+_VIEW_TOLERANCE_DEG = 2.0
+_PIXEL_M = (0.005, 2000.0)
+_LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
+_FIRST_YEAR = 1960  # before the first photographs from orbit
+_FEW_LEVELS = 8
+_LARGEST_NUMBER = 1e9
+
+
+def check_sources(sources: Sequence[Source]) -> None:
+    """Pixels and dates: what each image says, and whether all say the same. Raises InputError; adds warnings."""
+    for source in sources:
+        _check_bands(source)
+        _check_time(source)
+        _check_camera(source)
+    counts = Counter(s.bands for s in sources)
+    if len(counts) > 1:
+        usual = counts.most_common(1)[0][0]
+        odd = next(s for s in sources if s.bands != usual)
+        raise InputError(f"{odd.path}: found {odd.bands} bands, expected {usual} as most of the other images have")
+    types = Counter(s.dtype for s in sources)
+    if len(types) > 1:
+        usual_type = types.most_common(1)[0][0]
+        for source in sources:
+            if source.dtype != usual_type:
+                source.warn(f"its pixels are {source.dtype}, those of most others {usual_type}: one quantity in all?")
+
+
+def _check_bands(source: Source) -> None:
+    for number, meaning in enumerate(source.meanings, 1):
+        if meaning == "palette":
+            raise InputError(
+                f"{source.path}: found a palette (numbers of colours) in band {number}, expected brightness "
+                "(gdal_translate -expand rgb writes it)"
+            )
+        if meaning == "alpha":
+            if source.mask_like:
+                keep = " ".join(f"-b {b}" for b in range(1, source.bands + 1) if b != number)
+                raise InputError(
+                    f"{source.path}: found a transparency mask in band {number}, expected spectral bands only "
+                    f"(gdal_translate {keep} leaves it out)"
+                )
+            source.warn(f"band {number} is marked as transparency and taken for a spectral band")
+    if source.masked:
+        source.warn("its mask is not read: give no-data pixels a no-data number")
+
+
+def _check_time(source: Source) -> None:
+    time = source.metadata.time
+    if time is None:
+        return
+    if time.year < _FIRST_YEAR:
+        raise InputError(f"{source.path}: found the date {time:%Y-%m-%d}, expected one since {_FIRST_YEAR}")
+    if time > datetime.now(UTC) + timedelta(days=2):
+        source.warn(f"taken on {time:%Y-%m-%d}, which is still to come: is the date right?")
+
+
+def _check_camera(source: Source) -> None:
+    """The camera against another one that the image brings along."""
+    rpc, (height, width) = source.rpc, source.size
+    lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, rpc.alt_offset)
+    if not (math.isfinite(lon) and math.isfinite(lat)):
+        return  # told where footprints are compared
+    with np.errstate(all="ignore"):
+        size = ground_sample_distance(rpc, lon, lat, rpc.alt_offset)
+        up = float(view_direction(rpc, lon, lat, rpc.alt_offset)[2])
+    if not (_PIXEL_M[0] <= size <= _PIXEL_M[1] and up >= _LEAST_UP):
+        seen = f"pixels of {size:.3g} m seen {math.degrees(math.asin(min(1.0, up))):.0f} degrees above the horizon"
+        raise InputError(
+            f"{source.path}: found a camera with {seen if math.isfinite(size + up) else 'no image of the ground'}, "
+            f"expected the RPC of a satellite image (from {source.metadata.rpc_source})"
+        )
+    other = source.tags_rpc
+    if other is None or other is rpc:
+        return
+    col, row = other.projection(lon, lat, rpc.alt_offset)
+    away = math.hypot(col - (width - 1) / 2, row - (height - 1) / 2)
+    with np.errstate(all="ignore"):
+        a, b = view_direction(rpc, lon, lat, rpc.alt_offset), view_direction(other, lon, lat, rpc.alt_offset)
+    turned = math.degrees(math.acos(max(-1.0, min(1.0, float(a @ b)))))
+    if not away <= _limit_px(source.size) or turned > _VIEW_TOLERANCE_DEG:
+        what = f"{away:.0f} px and {turned:.1f} degrees" if math.isfinite(away) else "altogether"
+        source.warn(f"its own RPC tags differ from {source.metadata.rpc_source} by {what}: metadata of another image?")
+
+
+def _limit_px(size: tuple[int, int]) -> float:
+    return min(_CAMERA_TOLERANCE_PX, max(10.0, _CAMERA_SHARE * min(size)))
+
+
+def mirrored(rpc: RPC, lon: float, lat: float) -> bool:
+    """The camera sees the ground from below, or its longitude and latitude are exchanged."""
+    jac = rpc.jacobian(lon, lat, rpc.alt_offset)[:, :2]
+    return bool(np.linalg.det(jac) > 0)
+
+
+def check_places_and_suns(sources: Sequence[Source]) -> list[str]:
+    """Suns of the metadata against those of time and place; remarks on all images together.
+
+    Raises: InputError where the sun is below the horizon, or cameras and suns both say that the place is wrong.
+    """
+    off: list[tuple[Source, float]] = []
+    compared, flipped = 0, 0
+    for source in sources:
+        height, width = source.size
+        lon, lat = source.rpc.localization((width - 1) / 2, (height - 1) / 2, source.rpc.alt_offset)
+        if not (math.isfinite(lon) and -90 <= lat <= 90):
+            continue
+        flipped += mirrored(source.rpc, lon, lat)
+        sun, time = source.metadata.sun, source.metadata.time
+        if sun is not None and sun[1] <= 0:
+            raise InputError(
+                f"{source.path}: found a sun {sun[1]:g} degrees above the horizon in its metadata, expected an image "
+                "taken by day"
+            )
+        if sun is None or time is None:
+            continue
+        compared += 1
+        apart = _apart(sun, sun_position(time, lon, lat, source.rpc.alt_offset))
+        if apart > _SUN_TOLERANCE_DEG:
+            off.append((source, apart))
+    remarks = []
+    mirror = 2 * flipped > len(sources)
+    if off and mirror and 2 * len(off) > compared:
+        raise InputError(
+            f"{off[0][0].path}: found mirrored cameras and suns {off[0][1]:.0f} degrees from where time and place put "
+            "them, expected longitudes and latitudes that are not exchanged"
+        )
+    if mirror:
+        remarks.append("the cameras see the ground mirrored: are longitude and latitude exchanged?")
+    if compared > 1 and len(off) == compared and min(apart for _, apart in off) > _SUN_FAR_DEG:
+        least = min(apart for _, apart in off)
+        remarks.append(
+            f"the suns of all images stand {least:.0f} degrees or more from where time and place put them: is the "
+            "place right (sign of the latitude), and are the times UTC?"
+        )
+        return remarks
+    for source, apart in off:
+        source.warn(f"its sun stands {apart:.0f} degrees from where time and place put it: is the metadata its own?")
+    return remarks
+
+
+def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Angle in degrees between two directions (azimuth, elevation)."""
+    (az_a, el_a), (az_b, el_b) = (tuple(map(math.radians, angles)) for angles in (a, b))
+    cosine = math.sin(el_a) * math.sin(el_b) + math.cos(el_a) * math.cos(el_b) * math.cos(az_a - az_b)
+    return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
+
+
+def check_pixels(sources: Sequence[Source], grays: Sequence[NDArray[np.float32]]) -> None:
+    """Raise InputError where two images are one and the same, or numbers are absurd; warns of few grey levels."""
+    seen: dict[str, Source] = {}
+    for source, gray in zip(sources, grays, strict=True):
+        digest = hashlib.sha256(repr(gray.shape).encode() + gray.tobytes()).hexdigest()
+        other = seen.setdefault(digest, source)
+        if other is not source:
+            raise InputError(f"{source.path}: found the same pixels as in {other.path}, expected another image")
+        known = gray[np.isfinite(gray)]
+        if np.abs(known).max() > _LARGEST_NUMBER:
+            raise InputError(
+                f"{source.path}: found numbers of up to {np.abs(known).max():.2g}, expected digital numbers, radiance "
+                f"or reflectance below {_LARGEST_NUMBER:g}"
+            )
+        some = known[:: max(1, known.size // 100_000)]
+        levels = np.unique(some).size
+        if levels < _FEW_LEVELS:
+            source.warn(f"it has {levels} grey levels only")
+
+
+def check_corrections(result: Adjustment, sources: Sequence[Source]) -> list[str]:
+    """Warn of cameras that were off by more than vendors' are; remarks on all of them."""
+    remarks = []
+    for view, source in zip(result.views, sources, strict=True):
+        length = math.hypot(*view.shift_px)
+        if not view.weak and length > _limit_px((source.window[3], source.window[2])):
+            whose = "; whose camera it is cannot be told from so few" if len(sources) < 4 else ""
+            remarks.append(
+                f"{source.id}: its camera and those of the others are {length:.0f} px apart{whose}: the RPC of this "
+                "image and of this part of it?"
+            )
+    return remarks
+
+
+def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> list[str]:
+    """Raise InputError for heights that are not of the Earth or not of this place; remarks where they may be meant."""
+    if not low < high:
+        raise InputError(f"heights: found lowest {low:g} m and highest {high:g} m, expected lowest < highest")
+    if low < HEIGHT_LIMITS_M[0] or high > HEIGHT_LIMITS_M[1]:
+        raise InputError(
+            f"heights: found {low:g} to {high:g} m, expected some of the Earth, {HEIGHT_LIMITS_M[0]:g} to "
+            f"{HEIGHT_LIMITS_M[1]:g} m"
+        )
+    if not given or not tie_heights.size:
+        return []
+    within = float(((tie_heights >= low) & (tie_heights <= high)).mean())
+    bulk = np.percentile(tie_heights, [5, 95])
+    where = f"{100 * within:.0f} % of the tie points, which lie from {bulk[0]:.0f} to {bulk[1]:.0f} m"
+    if within < 0.02:
+        raise InputError(
+            f"heights: found {low:g} to {high:g} m with {where}, expected metres above the WGS84 ellipsoid"
+        )
+    if within < 0.5:
+        return [f"heights {low:g} to {high:g} m hold {where}: are they metres above the WGS84 ellipsoid?"]
+    return []
+
+
+__all__ = [
+    "check_corrections",
+    "check_heights",
+    "check_pixels",
+    "check_places_and_suns",
+    "check_sources",
+    "mirrored",
+]

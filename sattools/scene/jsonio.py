@@ -1,0 +1,143 @@
+"""Reading of text, JSON and TOML that anybody may have written: the one place where the suite does so.
+
+What is read has a largest size, depth and length of numbers, so that no file can exhaust memory or stack, neither here
+nor in the code that walks through the result.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from sattools.errors import InputError
+
+TEXT_LIMIT = 64 << 20  # bytes; no document or metadata file of the suite is larger
+CONFIG_LIMIT = 1 << 20
+_DEPTH = 64  # of nesting; STAC, GeoJSON and vendors' metadata need 10
+_BITS = 64  # of an integer; larger ones overflow where they become floating point numbers
+
+
+def read_bytes(path: Path | str, limit: int = TEXT_LIMIT) -> bytes:
+    """Bytes of a file of at most `limit`. Devices that never end are read up to that only.
+
+    Raises: InputError (cannot be read, or larger).
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(limit + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise InputError(f"{path}: found {reason(error)}, expected a readable file") from None
+    if len(data) > limit:
+        raise InputError(f"{path}: found more than {limit >> 20} MiB, expected a text file of less")
+    return data
+
+
+def reason(error: BaseException) -> str:
+    """What went wrong, in words of the system where it has some."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split()) or type(error).__name__
+
+
+def decode(data: bytes, source: str, *, strict: bool = True) -> str:
+    """Text of UTF-8, with or without byte order mark, or of UTF-16 or UTF-32 with one; else InputError.
+
+    With `strict` off, bytes of another encoding are taken for Latin-1, as vendors' metadata may have them.
+    """
+    marks = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+    encoding = next((name for mark, name in marks if data.startswith(mark)), "utf-8-sig")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        if strict or encoding != "utf-8-sig":
+            raise InputError(
+                f"{source}: found text that is not {encoding[:6].upper()} (byte {error.start}), expected UTF-8"
+            ) from None
+        text = data.decode("latin-1")
+    return text
+
+
+def read_text(path: Path | str, limit: int = TEXT_LIMIT, *, strict: bool = True) -> str:
+    """Text of a file with plain line ends; see `read_bytes` and `decode` for what is refused."""
+    text = decode(read_bytes(path, limit), str(path), strict=strict)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
+    """The value that a JSON text stands for.
+
+    Raises: InputError, naming `source`: no JSON, too deeply nested, or with numbers or text that cannot be kept.
+    """
+
+    def parse() -> Any:
+        return json.loads(text.removeprefix("\ufeff"))
+
+    return _checked(parse, source, "JSON", expected)
+
+
+def read_json(path: Path | str, expected: str = "a JSON object") -> dict[str, Any]:
+    """A JSON object from a file. Raises InputError when it is not one; see `parse_json`."""
+    found = parse_json(read_text(path, strict=False), str(path), expected)
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: found a JSON {type(found).__name__}, expected {expected}")
+    return found
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """A TOML file's tables. Raises InputError as `read_json` does."""
+    text = read_text(path, CONFIG_LIMIT)
+    return dict(_checked(lambda: tomllib.loads(text), str(path), "TOML", "TOML"))
+
+
+def _checked(parse: Callable[[], Any], source: str, kind: str, expected: str) -> Any:
+    try:
+        value = parse()
+    except RecursionError:
+        raise InputError(f"{source}: found {kind} nested too deeply, expected at most {_DEPTH} levels") from None
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise InputError(
+            f"{source}: found text that is not JSON ({error.msg} at {where}), expected {expected}"
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: found no valid TOML ({error}), expected TOML") from None
+    except ValueError:  # Python refuses integers of more than some thousand digits
+        raise InputError(f"{source}: found a number of thousands of digits, expected one of ordinary size") from None
+    _check_values(value, source, kind)
+    return value
+
+
+def _check_values(value: Any, source: str, kind: str) -> None:
+    """Walk through everything, without recursion, and refuse what would break the code behind."""
+    level = [value]
+    for _ in range(_DEPTH + 1):
+        deeper: list[Any] = []
+        for node in level:
+            if isinstance(node, dict):
+                deeper += node.keys()
+                deeper += node.values()
+            elif isinstance(node, list):
+                deeper += node
+            elif isinstance(node, str):
+                if not node.isascii() and any("\ud800" <= c <= "\udfff" for c in node):
+                    raise InputError(f"{source}: found half a character (a lone surrogate), expected Unicode text")
+            elif isinstance(node, int) and node.bit_length() > _BITS:
+                raise InputError(f"{source}: found a number of {node.bit_length()} bits, expected at most {_BITS}")
+        if not deeper:
+            return
+        level = deeper
+    raise InputError(f"{source}: found {kind} nested too deeply, expected at most {_DEPTH} levels")
+
+
+__all__ = [
+    "CONFIG_LIMIT",
+    "TEXT_LIMIT",
+    "decode",
+    "parse_json",
+    "read_bytes",
+    "read_json",
+    "read_text",
+    "read_toml",
+    "reason",
+]

@@ -1,0 +1,113 @@
+"""Where files lie: paths, and addresses that GDAL reads through its virtual file systems.
+
+`pathlib` folds the `//` of an address, so what the user gives goes through `location` once and keeps its spelling.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PosixPath
+
+from sattools.errors import InputError
+
+_SCHEMES = {
+    "http": "/vsicurl/http://",
+    "https": "/vsicurl/https://",
+    "ftp": "/vsicurl/ftp://",
+    "s3": "/vsis3/",
+    "gs": "/vsigs/",
+    "az": "/vsiaz/",
+}
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):/")
+_NETWORK = re.compile(r"/vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)|[a-z0-9+.-]+://", re.IGNORECASE)
+_SWITCH = "SATTOOLS_ALLOW_REMOTE"
+
+
+class RemotePath(PosixPath):
+    """A file that GDAL reads through a virtual file system; its name, stem and suffix are those of a path."""
+
+    text: str
+
+    def __new__(cls, *parts: str) -> RemotePath:
+        made = super().__new__(cls, *parts)
+        made.text = str(parts[0]) if len(parts) == 1 else "/".join(map(str, parts))
+        return made
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __fspath__(self) -> str:
+        return self.text
+
+    @property
+    def parent(self) -> RemotePath:
+        """The folder above, in the same spelling."""
+        return RemotePath(self.text.rpartition("/")[0])
+
+    def __reduce__(self) -> tuple[type[RemotePath], tuple[str]]:
+        return RemotePath, (self.text,)
+
+
+def is_remote(text: str | Path) -> bool:
+    """The text is an address or a path of a virtual file system, not a file of this machine."""
+    text = str(text)
+    return text.lower().startswith("/vsi") or _ADDRESS.match(text) is not None
+
+
+def needs_network(text: str | Path) -> bool:
+    """Reading it sends requests to other machines; an archive on this one needs none."""
+    return _NETWORK.search(str(text)) is not None
+
+
+def location(text: str | Path) -> Path:
+    """The file that the user names: a path, or a `RemotePath` in the form that GDAL reads.
+
+    Raises: InputError (an address of a kind that is not known).
+    """
+    if isinstance(text, RemotePath):
+        return text
+    text = str(text)
+    if not is_remote(text):
+        return Path(text)
+    if text.lower().startswith("/vsi"):
+        return RemotePath(text)
+    scheme, _, rest = text.partition(":")
+    prefix = _SCHEMES.get(scheme.lower())
+    if scheme.lower() == "file":
+        return Path("/" + rest.lstrip("/"))
+    if prefix is None:
+        known = ", ".join(f"{name}://" for name in _SCHEMES)
+        raise InputError(f"{text}: found an address that begins with {scheme}:, expected {known} or /vsi...")
+    return RemotePath(prefix + rest.lstrip("/"))
+
+
+@contextmanager
+def remote_allowed() -> Iterator[None]:
+    """Let documents name files on other machines and in archives, as the user has said that they may.
+
+    It is a variable of the environment, so that threads and the processes of a batch see it too.
+    """
+    before = os.environ.get(_SWITCH)
+    os.environ[_SWITCH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(_SWITCH, None)
+        else:
+            os.environ[_SWITCH] = before
+
+
+def check_allowed(text: str) -> None:
+    """Raise InputError unless documents may name remote files. Nothing may be sent because a file said so."""
+    if os.environ.get(_SWITCH) != "1":
+        raise InputError(
+            f"found the remote or archived file {text[:200]!r}, expected a path below the scene's root or an absolute "
+            "one (--allow-remote lets documents name others)"
+        )
+
+
+__all__ = ["RemotePath", "check_allowed", "is_remote", "location", "needs_network", "remote_allowed"]
