@@ -105,7 +105,9 @@ def start(
     try:
         for number, (name, flags) in enumerate((("in", os.O_RDONLY), ("out", _NEW), ("err", _NEW))):
             os.dup2(os.open(folder / name, flags, 0o600), number)
-        sys.stdin, sys.stdout, sys.stderr = (os.fdopen(n, m, closefd=False) for n, m in ((0, "r"), (1, "w"), (2, "w")))
+        # as Python opens them for a process of its own
+        sys.stdin, sys.stdout = os.fdopen(0, "r", closefd=False), os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", errors="backslashreplace", closefd=False)
         sys.__stderr__ = sys.stderr
         if cwd is not None:
             os.chdir(cwd)

@@ -105,7 +105,24 @@ def njit(*arguments: Any, **options: Any) -> Callable[..., Any]:
     if options.get("cache") and not _KEPT:
         options["cache"] = False
     compiled: Callable[..., Any] = numba.njit(*arguments, **options)
-    return compiled
+    if arguments and callable(arguments[0]):
+        return _forgiving(compiled)
+    return lambda function: _forgiving(compiled(function))
+
+
+def _forgiving(kernel: Any) -> Any:
+    """A kernel that runs although it cannot be kept, as on a full disk."""
+    cache = kernel._cache
+    save = cache.save_overload
+
+    def try_to_save(signature: Any, data: Any) -> None:
+        try:
+            save(signature, data)
+        except OSError as error:
+            log.info("%s: compiled, but cannot be kept (%s)", kernel.__name__, error.strerror)
+
+    cache.save_overload = try_to_save
+    return kernel
 
 
 __all__ = ["FASTMATH", "cache_folder", "njit", "prange", "writable"]

@@ -275,3 +275,17 @@ def test_a_large_file_is_known_by_samples_of_it(tmp_path, monkeypatch):
 def test_bytes_of_any_buffer_are_written(tmp_path):
     write_bytes(tmp_path / "a", np.arange(4, dtype=np.uint16).data)
     assert (tmp_path / "a").read_bytes() == b"\0\0\1\0\2\0\3\0"
+
+
+def test_a_kernel_that_cannot_be_kept_runs_all_the_same(tmp_path, monkeypatch):
+    from sattools import compiled
+
+    @compiled.njit(cache=True)
+    def twice(x):
+        return 2 * x
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(type(twice._cache._cache_file), "save", full)
+    assert twice(21) == 42
