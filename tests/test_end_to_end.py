@@ -45,12 +45,16 @@ def scene(folder) -> Scene:
     return Scene.from_file(folder / "scene.json")
 
 
-def test_the_surface_has_no_holes_and_lies_in_the_height_range(scene):
+def test_the_surface_has_holes_only_where_no_two_images_look_and_lies_in_the_height_range(scene):
     dsm, grid = read_raster(scene.path(scene.products["dsm"]))
-    assert np.isfinite(dsm).all()
+    validity, own = read_raster(scene.path(scene.products["validity"]))
+    assert grid == own
     assert grid.cell_size == 1.0
+    assert np.array_equal(np.isfinite(dsm), validity > 0)
+    # the images overlap in the middle of what any of them shows
+    assert np.isfinite(dsm[0, 16:-16, 16:-16]).all()
     low, high = scene.height_range_m
-    assert low <= dsm.min() < dsm.max() <= high
+    assert low <= np.nanmin(dsm) < np.nanmax(dsm) <= high
 
 
 def test_the_surface_is_better_than_a_plane(folder):
@@ -98,5 +102,6 @@ def test_shadow_masks_are_maps_on_the_ground_grid(scene):
     for item in scene.items:
         mask, own = read_raster(scene.path(item.assets["shadow"].href))
         assert own == grid
-        assert set(np.unique(mask)) == {0, 1}
+        assert set(np.unique(mask)) == {0, 1, 255}
+        assert np.array_equal(mask == 255, np.isnan(dsm))
         assert dsm.shape == mask.shape
