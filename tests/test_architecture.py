@@ -13,7 +13,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A room may import rooms of a lower floor and itself, nothing else. Rooms of one floor do not know each other, except
 # where ALSO says so.
 FLOORS = [
-    {"compiled", "errors", "progress", "settings"},
+    {"callable_module", "compiled", "errors", "progress", "settings"},
     {"scene"},
     {"camera", "radiometry", "reflectance"},
     {"field", "views"},
@@ -21,7 +21,7 @@ FLOORS = [
     {"prep", "prior", "fit", "export", "compare", "simulate"},
     {"batch"},
     {"report"},
-    {"cli"},
+    {"api", "cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 # `radiometry` reads vendors' metadata with the camera's readers;

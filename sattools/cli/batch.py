@@ -12,8 +12,8 @@ import click
 from sattools.batch.options import BatchOptions
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import documents, parse, report_error
-from sattools.cli.progress import make_progress
 from sattools.errors import SattoolsError
+from sattools.progress import make_progress
 
 if TYPE_CHECKING:
     from sattools.batch.plan import Configuration

@@ -6,10 +6,7 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 
 from __future__ import annotations
 
-import contextlib
-import resource
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sattools import __version__
 from sattools.cli.options import print_config
-from sattools.cli.progress import make_progress
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.errors import InputError, SattoolsError, SceneError
-from sattools.progress import Progress
-from sattools.settings import as_dict
+from sattools.progress import Progress, make_progress
 
 if TYPE_CHECKING:  # the document pulls in numpy, which --help can do without
     from sattools.scene import Scene
+    from sattools.scene.runner import Step
 
 Work = Callable[["Scene", Progress], dict[str, Any] | None]
 
@@ -117,13 +112,9 @@ def run_source(
             check()
             click.echo(f"sattools {run.command}: would make {label}", err=True)
             return
-        from sattools.scene.files import all_or_nothing
+        from sattools.scene.runner import run_first
 
-        start = time.perf_counter()
-        with all_or_nothing(run.inputs, run.overwrite):
-            scene, extra = make(_progress(run.command, label))
-            _finish(run, scene, start, extra)
-        _print_line(scene.to_json())
+        _print_line(run_first(_step(run, label), make, run.inputs).to_json())
     except SattoolsError as error:
         report_error(run.command, error)
         sys.exit(1)
@@ -135,77 +126,16 @@ def report_error(command: str, error: SattoolsError) -> None:
 
 
 def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
-    """Work on a scene while no other process does; the scene and its new history entry.
+    """Run a stage on a scene; the scene and its new history entry."""
+    from sattools.scene.runner import run_on
 
-    The scene's folder is what counts: what another command has added to its document since this one was read is kept.
-    """
-    from sattools.scene import Scene
-    from sattools.scene.files import all_or_nothing, locked
-
-    with locked(scene.root):
-        if scene.origin is not None:
-            scene = Scene.from_file(scene.origin)
-        there = _document_of(scene, run.overwrite)
-        if there is not None and there.history[: len(scene.history)] == scene.history:
-            scene.history = there.history
-        start = time.perf_counter()
-        with all_or_nothing() if run.at_once else contextlib.nullcontext():
-            extra = work(scene, _progress(run.command, scene.id))
-            entry = _finish(run, scene, start, extra)
-        scene.origin = None  # from here on the scene knows more than that file
-        return scene, entry
+    return run_on(scene, _step(run, scene.id), work)
 
 
-def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
-    """The document in the scene's folder, None where there is none; SceneError where it is of something else."""
-    from sattools.scene import Scene
+def _step(run: Run, label: str) -> Step:
+    from sattools.scene.runner import Step
 
-    path = scene.path("scene.json")
-    if not path.exists():
-        return None
-    try:
-        found = Scene.from_file(path)
-    except SceneError as error:
-        if overwrite:
-            return None
-        raise SceneError(f"{error}; it would be replaced: give --overwrite, or another root") from error
-    if found.id != scene.id and not overwrite:
-        raise SceneError(
-            f"{path}: found scene {found.id}, expected {scene.id}; give --overwrite to replace its document"
-        )
-    return found if found.id == scene.id else None
-
-
-def _finish(run: Run, scene: Scene, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
-    entry = {
-        "command": run.command,
-        "options": _plain(as_dict(run.options)) if run.options is not None else {},
-        "seconds": round(time.perf_counter() - start, 3),
-        # the kernel's high-water mark of the process, in KiB on Linux
-        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
-        "versions": _versions(),
-        **(extra or {}),
-    }
-    scene.history.append(entry)
-    scene.write()
-    return entry
-
-
-def _versions() -> dict[str, str]:
-    found = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
-    for name in ("numpy", "torch", "rasterio"):
-        # only what the command really used: importing torch for its version costs seconds
-        if name in sys.modules:
-            found[name] = str(sys.modules[name].__version__)
-    return found
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return str(value) if isinstance(value, Path) else value
+    return Step(run.command, run.options, run.overwrite, _progress(run.command, label), run.at_once)
 
 
 def _progress(command: str, label: str) -> Progress:

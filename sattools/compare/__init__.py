@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from sattools.callable_module import make_callable
+
 if TYPE_CHECKING:
     from sattools.compare.metrics import height_errors, image_errors, map_errors
     from sattools.compare.options import CompareOptions
@@ -19,6 +21,8 @@ _HOMES = {
     "stage": ("Comparison", "compare", "compare_dsm", "compare_file", "read_truth", "table"),
     "truth": ("Truth", "read_dfc2019", "read_reference"),
 }
+
+make_callable(__name__)
 
 
 def __getattr__(name: str) -> Any:

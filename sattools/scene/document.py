@@ -12,13 +12,16 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sattools.errors import InputError, SceneError
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import parse_json, read_text
 from sattools.scene.location import check_allowed, is_remote, location
 from sattools.scene.members import check_members
+
+if TYPE_CHECKING:
+    import xarray
 
 FORMAT_VERSION = 1
 FIT_ROLE = "sattools:fit_role"  # of an image that the last fit held out, whatever its role is
@@ -298,6 +301,25 @@ class Scene:
         if not path.resolve().is_relative_to(self.root.resolve()):
             raise SceneError(f"{relative}: leads outside the scene's root {self.root}, expected a path below it")
         return path
+
+    def product(self, name: str) -> xarray.DataArray:
+        """A product (`dsm`, `albedo`, `w`, `validity`, ...) as ``xarray.DataArray`` in rioxarray's convention.
+
+        Raises:
+            SceneError: the scene has no such product.
+            SattoolsError: xarray is not installed.
+        """
+        from sattools.scene.xarrays import data_array
+
+        if name not in self.products:
+            raise SceneError(
+                f"scene {self.id}: found no product {name!r}, expected one of {', '.join(self.products) or 'none yet'}"
+            )
+        return data_array(self.path(self.products[name]), name)
+
+    def dsm(self) -> xarray.DataArray:
+        """The surface model ``(y, x)`` [m]; see `product`."""
+        return self.product("dsm")
 
     def train_items(self) -> list[Item]:
         """Items that are not held out."""

@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from sattools.cli.progress import make_progress
-from sattools.progress import part
+from sattools.progress import make_progress, part
 
 
 def test_json_lines_are_records_with_the_share_held_in_0_to_1(capsys):

@@ -1,0 +1,189 @@
+"""The suite from Python: one function a command, all alike.
+
+    import sattools
+
+    scene = sattools.prepare(images)
+    scene = sattools.export(sattools.fit(scene))
+    scene.dsm().plot()
+
+Every function takes a scene (a `Scene`, or the path of a `scene.json`) and the stage's options (its dataclass, or the
+options as a dict; None = the defaults), does what the command of that name does, history and files included, and
+returns the scene. ``progress=True`` shows a bar; any function of (share done, message) is told instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sattools.compare.options import CompareOptions
+from sattools.errors import InputError
+from sattools.export.options import ExportOptions
+from sattools.fit.options import FitOptions
+from sattools.prep.options import PrepOptions
+from sattools.prior.options import PriorOptions
+from sattools.progress import Progress, make_progress, silent
+from sattools.radiometry.options import NormaliseOptions
+from sattools.scene import Scene
+from sattools.scene.runner import Step, run_first, run_on
+from sattools.settings import specs
+from sattools.simulate.options import SimulateOptions
+
+T = TypeVar("T")
+SceneLike = Scene | str | Path
+Told = Progress | bool | None
+
+
+def prepare(
+    images: Sequence[str | Path],
+    options: PrepOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """Images with RPC cameras become a scene with adjusted cameras, as `sattools prep` does.
+
+    Args:
+        images: paths or addresses of images of one place.
+        options: see `sattools.prep.options.PrepOptions`.
+        overwrite: replace outputs that are there; inputs are never replaced.
+        progress: True = a bar, or a function of (share done, message).
+
+    Raises:
+        InputError: images that cannot be used.
+        OutputExistsError: outputs are there and ``overwrite`` is False.
+    """
+    from sattools.prep.stage import prepare as stage
+
+    own = _options(PrepOptions, options)
+    step = Step("prep", own, overwrite, _progress(progress, "prep"))
+    return run_first(step, lambda told: stage([Path(p) for p in images], own, told, overwrite))
+
+
+def simulate(
+    options: SimulateOptions | Mapping[str, Any] | None = None, *, overwrite: bool = False, progress: Told = None
+) -> Scene:
+    """A ray-traced scene with known truth, as `sattools simulate` makes it; arguments as of `prepare`."""
+    from sattools.simulate.stage import simulate as stage
+
+    own = _options(SimulateOptions, options)
+    step = Step("simulate", own, overwrite, _progress(progress, "simulate"))
+    return run_first(step, lambda told: (stage(own, Path(own.out) / own.id, told, overwrite), None))
+
+
+def normalise(
+    scene: SceneLike,
+    options: NormaliseOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """Digital numbers become linear radiance, as by `sattools normalise`; arguments as of `fit`."""
+    from sattools.radiometry.stage import normalise as stage
+
+    own = _options(NormaliseOptions, options)
+    step = Step("normalise", own, overwrite, _progress(progress, "normalise"))
+    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+
+
+def match(
+    scene: SceneLike,
+    options: PriorOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """A rough surface by matching, as by `sattools prior`; arguments as of `fit`."""
+    from sattools.prior.stage import prior as stage
+
+    own = _options(PriorOptions, options)
+    step = Step("prior", own, overwrite, _progress(progress, "prior"))
+    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+
+
+def fit(
+    scene: SceneLike,
+    options: FitOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """Fit a surface or a volume by differentiable rendering, as `sattools fit` does.
+
+    Args:
+        scene: a scene, or the path of its document.
+        options: see `sattools.fit.options.FitOptions`; a ``preset`` in a dict brings its values along.
+        overwrite: replace a model that is there.
+        progress: True = a bar, or a function of (share done, message).
+
+    Raises:
+        SceneError, InputError, OutputExistsError: as the command says in one line.
+    """
+    from sattools.fit.presets import with_preset
+    from sattools.fit.stage import fit as stage
+
+    if isinstance(options, Mapping) and "preset" in options:
+        options = {**with_preset(str(options["preset"])), **options}
+    own = _options(FitOptions, options)
+    step = Step("fit", own, overwrite, _progress(progress, "fit"), at_once=False)
+    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+
+
+def export(
+    scene: SceneLike,
+    options: ExportOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """Georeferenced files of a fitted scene, as by `sattools export`; arguments as of `fit`."""
+    from sattools.export.stage import export as stage
+
+    own = _options(ExportOptions, options)
+    step = Step("export", own, overwrite, _progress(progress, "export"))
+    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+
+
+def compare(
+    scene: SceneLike,
+    options: CompareOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """Score a scene's surface, as `sattools compare` does; the figures are in ``scene.history[-1]["errors"]``.
+
+    Arguments as of `fit`.
+    """
+    from sattools.compare.stage import compare as stage
+
+    own = _options(CompareOptions, options)
+    step = Step("compare", own, overwrite, _progress(progress, "compare"))
+    return run_on(_scene(scene), step, lambda s, told: {"errors": stage(own, s, told, overwrite)})[0]
+
+
+def _scene(scene: SceneLike) -> Scene:
+    return scene if isinstance(scene, Scene) else Scene.from_file(scene)
+
+
+def _progress(told: Told, label: str) -> Progress:
+    if told is None or told is False:
+        return silent
+    return make_progress("bar", label) if told is True else told
+
+
+def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
+    """The options dataclass. Raises InputError for names that it does not have."""
+    if given is None:
+        return cls()
+    if not isinstance(given, Mapping):
+        return given
+    known = {spec.name for spec in specs(cls)} | set(cls.__dataclass_fields__)  # type: ignore[attr-defined]
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {', '.join(sorted(known))}")
+    return cls(**given)
+
+
+__all__ = ["compare", "export", "fit", "match", "normalise", "prepare", "simulate"]

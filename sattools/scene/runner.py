@@ -1,0 +1,129 @@
+"""How a stage is run on a scene, from the command line and from Python alike: alone in the scene, all files of it
+together, with an entry in the history."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sattools import __version__
+from sattools.errors import SceneError
+from sattools.progress import Progress, silent
+from sattools.scene.document import Scene
+from sattools.scene.files import all_or_nothing, locked
+from sattools.settings import as_dict
+
+Work = Callable[[Scene, Progress], dict[str, Any] | None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is run.
+
+    Attributes:
+        command: its name in the history.
+        options: of the stage, a dataclass; None = none.
+        overwrite: whether outputs may replace what is there.
+        progress: told the share done.
+        at_once: whether all files appear together; False where the stage reads what it has written.
+    """
+
+    command: str
+    options: Any = None
+    overwrite: bool = False
+    progress: Progress = silent
+    at_once: bool = True
+
+
+def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, dict[str, Any]]:
+    """Work on a scene while no other process does; the scene and its new history entry.
+
+    The scene's folder is what counts: what another command has added to its document since this one was read is kept.
+
+    Raises:
+        SceneError: the scene's folder is not there, or holds the document of something else.
+    """
+    if not scene.root.is_dir():
+        raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
+    with locked(scene.root):
+        if scene.origin is not None:
+            scene = Scene.from_file(scene.origin)
+        there = _document_of(scene, step.overwrite)
+        if there is not None and there.history[: len(scene.history)] == scene.history:
+            scene.history = there.history
+        start = time.perf_counter()
+        with all_or_nothing() if step.at_once else contextlib.nullcontext():
+            entry = _note(scene, step, start, work(scene, step.progress))
+        scene.origin = None  # from here on the scene knows more than that file
+        return scene, entry
+
+
+def run_first(
+    step: Step, make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]], inputs: Iterable[Path] = ()
+) -> Scene:
+    """Make a scene; ``inputs`` are files that it must not write onto."""
+    start = time.perf_counter()
+    with all_or_nothing(inputs, step.overwrite):
+        scene, extra = make(step.progress)
+        _note(scene, step, start, extra)
+    return scene
+
+
+def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
+    """The document in the scene's folder, None where there is none; SceneError where it is of something else."""
+    path = scene.path("scene.json")
+    if not path.exists():
+        return None
+    try:
+        found = Scene.from_file(path)
+    except SceneError as error:
+        if overwrite:
+            return None
+        raise SceneError(f"{error}; it would be replaced: give --overwrite, or another root") from error
+    if found.id != scene.id and not overwrite:
+        raise SceneError(
+            f"{path}: found scene {found.id}, expected {scene.id}; give --overwrite to replace its document"
+        )
+    return found if found.id == scene.id else None
+
+
+def _note(scene: Scene, step: Step, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
+    """Add the history entry and write the document."""
+    entry = {
+        "command": step.command,
+        "options": _plain(as_dict(step.options)) if step.options is not None else {},
+        "seconds": round(time.perf_counter() - start, 3),
+        # the kernel's high-water mark of the process, in KiB on Linux
+        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+        "versions": _versions(),
+        **(extra or {}),
+    }
+    scene.history.append(entry)
+    scene.write()
+    return entry
+
+
+def _versions() -> dict[str, str]:
+    found = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
+    for name in ("numpy", "torch", "rasterio"):
+        # only what the command really used: importing torch for its version costs seconds
+        if name in sys.modules:
+            found[name] = str(sys.modules[name].__version__)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+__all__ = ["Step", "Work", "run_first", "run_on"]

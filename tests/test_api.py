@@ -1,0 +1,123 @@
+"""The suite from Python does what its commands do, history included."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import sattools
+from sattools.errors import InputError, OutputExistsError, SattoolsError, SceneError
+from sattools.reflectance import hapke, lambert, rpv
+
+QUICK = {"resolution": 2.0, "coarsest": 2.0, "epochs": [2], "prior_weight": 0.0}
+HEAVY = ("torch", "numba", "rasterio", "numpy", "scipy", "matplotlib", "geopandas", "cv2")
+
+
+def test_importing_the_suite_imports_nothing_heavy():
+    code = f"import sys, sattools; print([name for name in {HEAVY} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_everything_that_is_promised_is_there():
+    for name in ("Scene", "Grid", "RPC", "prepare", "normalise", "match", "fit", "export", "compare", "simulate"):
+        assert callable(getattr(sattools, name)), name
+        assert name in dir(sattools)
+        assert name in sattools.__all__
+    with pytest.raises(AttributeError, match="no attribute 'fitt'"):
+        _ = sattools.fitt
+
+
+def test_a_stage_is_a_package_and_a_function_whatever_was_imported_before():
+    code = "import sattools.fit.stage, sattools; print(callable(sattools.fit), sattools.fit.stage.MODEL)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "fit/model.safetensors"]
+
+
+def test_python_does_what_the_commands_do(make_town):
+    town = make_town()
+    told = []
+    scene = sattools.fit(town.root / "scene.json", QUICK, progress=lambda share, message: told.append(share))
+    scene = sattools.compare(sattools.export(scene), {"register": "none"})
+    assert told[-1] == 1.0
+    document = json.loads((town.root / "scene.json").read_text())["sattools"]
+    assert [entry["command"] for entry in document["history"]] == ["fit", "export", "compare"]
+    assert document["history"][0]["options"]["epochs"] == [2]
+    assert document["history"] == scene.history
+    assert scene.history[-1]["errors"]["mae"] > 0
+    with pytest.raises(OutputExistsError):
+        sattools.fit(scene, QUICK)
+    assert sattools.fit(scene, QUICK, overwrite=True).products.keys().isdisjoint({"dsm", "errors"})
+
+
+def test_images_become_a_scene(make_town, tmp_path):
+    town = make_town()
+    images = sorted((town.root / "images").glob("*.tif"))
+    options = {"metadata": str(town.root / "metadata"), "out": str(tmp_path / "out"), "id": "NEW"}
+    scene = sattools.prepare(images, options)
+    assert (tmp_path / "out/NEW/scene.json").exists()
+    assert len(scene.items) == 6
+    with pytest.raises(OutputExistsError):
+        sattools.prepare(images, options)
+
+
+def test_an_option_that_is_not_there_is_named():
+    with pytest.raises(InputError, match="FitOptions: found option 'epoch', expected some of"):
+        sattools.fit("scene.json", {"epoch": 3})
+
+
+def test_progress_is_a_bar_on_request(make_town, capsys):
+    sattools.fit(make_town(), QUICK, progress=True)
+    assert "fit [" in capsys.readouterr().err
+
+
+def test_products_are_data_arrays_as_rioxarray_knows_them(make_town):
+    pytest.importorskip("xarray")
+    rioxarray = pytest.importorskip("rioxarray")
+    scene = sattools.export(sattools.fit(make_town(), QUICK))
+    dsm = scene.dsm()
+    path = scene.path(scene.products["dsm"])
+    with rioxarray.open_rasterio(path, masked=True) as other:
+        np.testing.assert_array_equal(dsm.values, other.values[0])
+        np.testing.assert_allclose(dsm.x, other.x)
+        np.testing.assert_allclose(dsm.y, other.y)
+        assert dsm.rio.crs == other.rio.crs
+        assert dsm.rio.transform() == other.rio.transform()
+    albedo = scene.product("albedo")
+    assert albedo.dims == ("band", "y", "x")
+    with pytest.raises(SceneError, match="found no product 'theta', expected one of"):
+        scene.product("theta")
+
+
+def test_without_xarray_the_extra_is_named(make_town, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    town = make_town()
+    with pytest.raises(SattoolsError, match="sattools\\[notebook\\]"):
+        town.product("truth_dsm")
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_reflectance_of_arrays_is_an_array_of_their_type(dtype):
+    up = np.array([0.0, 0.0, 1.0], dtype)
+    sun = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]], dtype)
+    found = hapke(up, sun, up, 0.5, 0.2, 0.4, 15.0)
+    assert isinstance(found, np.ndarray)
+    assert (found.dtype, found.shape) == (dtype, (2,))
+    tensors = [torch.from_numpy(v) for v in (up, sun, up)]
+    assert torch.equal(torch.from_numpy(found), hapke(*tensors, 0.5, 0.2, 0.4, 15.0))
+    assert isinstance(rpv(up, sun, up, rho0=np.array([0.1, 0.2], dtype), k=1.0, theta=0.0, rhoc=1.0), np.ndarray)
+    assert isinstance(hapke(torch.from_numpy(up), sun, up, 0.5, 0.2, 0.4, 15.0), torch.Tensor)
+
+
+def test_integers_are_numbers_too():
+    up = np.array([0, 0, 1])
+    assert lambert(up, up, up, np.array([1])) == pytest.approx([1.0])
+
+
+def test_paths_may_be_texts():
+    with pytest.raises(SceneError, match=r"nowhere\.json"):
+        sattools.export(str(Path("nowhere.json")))
