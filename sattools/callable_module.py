@@ -6,6 +6,7 @@ would come and go. A package whose module can be called is the same thing at all
 
 from __future__ import annotations
 
+import importlib
 import sys
 from types import ModuleType
 from typing import Any
@@ -16,8 +17,7 @@ class CallableModule(ModuleType):
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """Call ``sattools.api.NAME``; see its documentation."""
-        from sattools import api
-
+        api = importlib.import_module("sattools.api")
         return getattr(api, self.__name__.rpartition(".")[2])(*arguments, **options)
 
 

@@ -14,30 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sattools.camera.rpc_formats import read_rpc_fields
+from sattools.camera.rpc_names import SCALARS, VECTORS
 from sattools.errors import InputError
 from sattools.scene.files import write_text
 from sattools.scene.location import location
 
 Array = NDArray[np.float64]
-
-SCALARS = {
-    "LINE_OFF": "row_offset",
-    "SAMP_OFF": "col_offset",
-    "LAT_OFF": "lat_offset",
-    "LONG_OFF": "lon_offset",
-    "HEIGHT_OFF": "alt_offset",
-    "LINE_SCALE": "row_scale",
-    "SAMP_SCALE": "col_scale",
-    "LAT_SCALE": "lat_scale",
-    "LONG_SCALE": "lon_scale",
-    "HEIGHT_SCALE": "alt_scale",
-}
-VECTORS = {
-    "LINE_NUM_COEFF": "row_num",
-    "LINE_DEN_COEFF": "row_den",
-    "SAMP_NUM_COEFF": "col_num",
-    "SAMP_DEN_COEFF": "col_den",
-}
 
 # magnitudes that no camera over the Earth has; beyond them polynomials overflow
 _LARGEST = {
@@ -112,8 +95,6 @@ class RPC:
         content, not by name.
         Raises InputError when the file is missing, unreadable, holds no RPC or an incomplete one.
         """
-        from sattools.camera.rpc_formats import read_rpc_fields
-
         return cls.from_tags(read_rpc_fields(location(path)), source=str(path))
 
     @classmethod

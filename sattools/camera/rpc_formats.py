@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from sattools.camera.rpc import SCALARS, VECTORS
+from sattools.camera.rpc_names import SCALARS, VECTORS
 from sattools.errors import InputError
 from sattools.scene import jsonio
 from sattools.scene.jsonio import read_json

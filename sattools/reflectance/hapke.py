@@ -40,11 +40,8 @@ from torch.autograd.function import once_differentiable
 from sattools.reflectance import roughness
 from sattools.reflectance.angles import Angles, Pair, as_tensors, measure, pair, pull_back
 from sattools.reflectance.blocks import Blocks
+from sattools.reflectance.hapke_limits import B_MAX, THETA_MAX, THETA_MIN, W_MAX
 
-W_MAX = 1 - 1e-6
-B_MAX = 0.999
-THETA_MIN = 5e-5
-THETA_MAX = 80.0
 _DEGREE = math.pi / 180
 
 
@@ -323,8 +320,6 @@ def hapke(
     operands, needed = _operands(normal, sun, view, w, b, c, theta_deg, b0, h)
     facets, shape = _shapes(operands)
     if facets == shape and all(o is None or o.device.type == "cpu" for o in operands):
-        from sattools.reflectance.hapke_kernel import CompiledHapke
-
         return CompiledHapke.apply(needed, shape, *operands)
     return _Hapke.apply(needed, *operands)
 

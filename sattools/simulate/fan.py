@@ -18,7 +18,7 @@ from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_na
 from sattools.simulate.natural_trace import render_natural
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
-from sattools.simulate.stage import View, framed, take_all, write_view
+from sattools.simulate.views import View, framed, take_all, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.rpc import RPC, SCALARS, VECTORS
+from sattools.camera.rpc import RPC
+from sattools.camera.rpc_names import SCALARS, VECTORS
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid

@@ -2,63 +2,33 @@
 
 from __future__ import annotations
 
-import contextvars
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sattools.camera.ground import check_projected, from_geographic, grid_direction, to_geographic, utm_crs
-from sattools.camera.rpc import RPC
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
-from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
-from sattools.scene.files import check_outputs, write_text
+from sattools.scene.document import Item, Scene
+from sattools.scene.files import check_outputs
 from sattools.scene.grid import Grid
-from sattools.scene.raster import read_raster, write_sensor_image
+from sattools.scene.raster import read_raster
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
-from sattools.simulate.files import sat_nerf_metadata, write_json, write_truth
+from sattools.simulate.fan import simulate_natural
+from sattools.simulate.files import write_truth
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
+from sattools.simulate.views import View, framed, take_all, write_view
 from sattools.simulate.world import World
 
-BORDER_PX = 8
 SKY_STRIDE = 8
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
 CAR_KEY = 1000
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
-
-
-@dataclass(frozen=True)
-class View:
-    """One image to be taken.
-
-    Attributes:
-        id: name; time: UTC; bits: of 16-bit numbers; sun, sensor: (azimuth from true north, elevation) in degrees.
-        camera: exact; rpc: fitted to it; rpc_error_px: largest error of the fit.
-        shape: (rows, columns); radiometry: of its date; bias: (columns, rows) error of the delivered RPC.
-    """
-
-    id: str
-    time: datetime
-    sun: tuple[float, float]
-    sensor: tuple[float, float]
-    camera: Pushbroom
-    rpc: RPC
-    rpc_error_px: float
-    shape: tuple[int, int]
-    radiometry: Radiometry
-    bias: tuple[float, float]
-    role: str
-    bits: int = 11
 
 
 def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, overwrite: bool = False) -> Scene:
@@ -71,8 +41,6 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     scene = Scene(options.id, Path(root))
     check_outputs([scene.output("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
     if options.terrain == "natural":
-        from sattools.simulate.fan import simulate_natural
-
         return simulate_natural(scene, options, progress)
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
@@ -94,25 +62,6 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
 
     take_all(scene, views, seeds[2], take, progress)
     return scene
-
-
-def take_all(
-    scene: Scene,
-    views: Sequence[View],
-    seed: np.random.SeedSequence,
-    take: Callable[[int, View, np.random.SeedSequence], Item],
-    progress: Progress,
-) -> None:
-    """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise."""
-    with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
-        # files that are held back until the scene is whole are so in every thread
-        jobs = [
-            pool.submit(contextvars.copy_context().run, take, number, view, own)
-            for number, (view, own) in enumerate(zip(views, seed.spawn(len(views)), strict=True))
-        ]
-        for number, job in enumerate(jobs, 1):
-            scene.items.append(job.result())
-            progress(0.1 + 0.9 * number / len(views), f"view {number} of {len(views)}")
 
 
 def plan_views(
@@ -204,16 +153,6 @@ def _on_the_day(options: SimulateOptions, world: World, number: int) -> World:
     return with_cars(world, options.cars, options.size / 2, rng)
 
 
-def framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int, int]]:
-    """The camera with its first pixel moved so that the image just holds the corners [N, 3], and the image's shape."""
-    from dataclasses import replace
-
-    col, row = camera.project(corners)
-    left, top = np.floor(col.min()) - BORDER_PX, np.floor(row.min()) - BORDER_PX
-    shape = int(np.ceil(row.max()) - top) + BORDER_PX, int(np.ceil(col.max()) - left) + BORDER_PX
-    return replace(camera, col0=camera.col0 - left, row0=camera.row0 - top), shape
-
-
 def _take(
     scene: Scene, options: SimulateOptions, world: World, sky: np.ndarray, view: View, seed: np.random.SeedSequence
 ) -> Item:
@@ -234,88 +173,6 @@ def _take(
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
     return write_view(scene, view, image, lit, height, sun, options.gsd)
-
-
-def write_view(
-    scene: Scene, view: View, image: np.ndarray, lit: np.ndarray, height: np.ndarray, sun: np.ndarray, gsd: float
-) -> Item:
-    """Write the files of one view: image [B, H, W], share of sunlit ground and heights [H, W]; its item."""
-    assert scene.grid is not None  # set before the views are taken
-    delivered = view.rpc.shifted(*view.bias)
-    date = view.time.strftime("%Y-%m-%dT%H:%M:%SZ")
-    files = {
-        "image": f"images/{view.id}.tif",
-        "rpc": f"rpc/{view.id}_RPC.TXT",
-        "metadata": f"metadata/{view.id}.json",
-        "truth_lit": f"truth/views/{view.id}_LIT.tif",
-        "truth_height": f"truth/views/{view.id}_HEIGHT.tif",
-    }
-    taken = {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
-    write_sensor_image(scene.output(files["image"]), image, delivered.to_tags(), tags=taken)
-    write_text(scene.output(files["rpc"]), view.rpc.to_rpc_txt())
-    corners = _footprint(view, float(np.median(height)))
-    metadata = sat_nerf_metadata(
-        f"{view.id}.tif", delivered, view.shape, view.sun, view.time.strftime("%Y%m%d%H%M%S"), corners
-    )
-    write_json(scene.output(files["metadata"]), metadata)
-    write_sensor_image(scene.output(files["truth_lit"]), lit[None].astype(np.float32))
-    write_sensor_image(scene.output(files["truth_height"]), height[None])
-    properties: dict[str, Any] = {
-        "datetime": date,
-        "platform": "simulated",
-        "gsd": gsd,
-        "proj:code": scene.grid.crs,
-        "proj:shape": list(view.shape),
-        "view:sun_azimuth": round(view.sun[0], 4),
-        "view:sun_elevation": round(view.sun[1], 4),
-        "view:azimuth": round(view.sensor[0], 4),
-        "view:off_nadir": round(90 - view.sensor[1], 4),
-        "view:incidence_angle": round(90 - view.sensor[1], 4),  # the made-up Earth is flat: both are one
-        "sattools:view_direction": (-view.camera.look).round(8).tolist(),
-        "sattools:sun": "time and place",
-        "sattools:sun_direction": sun.round(8).tolist(),
-        "sattools:bits": 8 if image.dtype == np.uint8 else view.bits,
-        "sattools:dtype": str(image.dtype),
-        "sattools:bands": 3,
-        "sattools:value_range": [float(image.min()), float(image.max())],
-        "sattools:role": view.role,
-        "sattools:simulated": {
-            "gain": view.radiometry.gain.round(6).tolist(),
-            "haze": view.radiometry.haze.round(6).tolist(),
-            "rpc_bias_px": [round(v, 6) for v in view.bias],
-            "rpc_fit_error_px": view.rpc_error_px,
-        },
-    }
-    assets = {
-        "image": Asset(files["image"], GEOTIFF_TYPE, ["data"]),
-        "rpc": Asset(files["rpc"], "text/plain", ["metadata"]),
-        "metadata": Asset(files["metadata"], "application/json", ["metadata"]),
-        "truth_lit": Asset(files["truth_lit"], GEOTIFF_TYPE, ["truth"]),
-        "truth_height": Asset(files["truth_height"], GEOTIFF_TYPE, ["truth"]),
-    }
-    lons, lats = [c[0] for c in corners], [c[1] for c in corners]
-    ring = [*corners, corners[0]]
-    return Item(
-        view.id,
-        {"type": "Polygon", "coordinates": [ring]},
-        [min(lons), min(lats), max(lons), max(lats)],
-        properties,
-        assets,
-    )
-
-
-def _footprint(view: View, height: float) -> list[list[float]]:
-    """[lon, lat] of the image's corners at a height, anticlockwise as GeoJSON wants it."""
-    rows, columns = view.shape
-    col = np.array([-0.5, -0.5, columns - 0.5, columns - 0.5])
-    row = np.array([-0.5, rows - 0.5, rows - 0.5, -0.5])
-    lon, lat = view.rpc.localization(col, row, height)
-    return [[float(a), float(b)] for a, b in zip(lon, lat, strict=True)]
-
-
-def threads() -> int:
-    asked = os.environ.get("NUMBA_NUM_THREADS", "")
-    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
 
 
 __all__ = ["SimulateOptions", "View", "plan_views", "simulate"]
