@@ -320,6 +320,8 @@ def hapke(
     operands, needed = _operands(normal, sun, view, w, b, c, theta_deg, b0, h)
     facets, shape = _shapes(operands)
     if facets == shape and all(o is None or o.device.type == "cpu" for o in operands):
+        from sattools.reflectance.hapke_kernel import CompiledHapke
+
         return CompiledHapke.apply(needed, shape, *operands)
     return _Hapke.apply(needed, *operands)
 
