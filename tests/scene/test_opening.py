@@ -1,0 +1,202 @@
+"""Which files are opened, and that nothing is sent anywhere because a file said so."""
+
+import functools
+import http.server
+import json
+import shutil
+import threading
+import zipfile
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.errors import InputError, SceneError
+from sattools.prep.area import bounds_from_geojson
+from sattools.scene import Scene
+from sattools.scene.location import RemotePath, is_remote, location, needs_network, remote_allowed
+from sattools.scene.opening import opened
+from sattools.scene.raster import read_image
+
+
+@pytest.fixture
+def server(town_source):
+    """A web server of the town's folder on the loopback address: its address, and what was asked for."""
+    asked = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, format, *arguments):
+            asked.append(self.path)
+
+    handler = functools.partial(Handler, directory=str(town_source.root))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
+        thread = threading.Thread(target=running.serve_forever, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{running.server_address[1]}", asked
+        running.shutdown()
+        thread.join()
+
+
+def run(*arguments, text=""):
+    return CliRunner().invoke(main, [*map(str, arguments)], input=text)
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        ("http://a.org/x//y.tif", "/vsicurl/http://a.org/x//y.tif"),
+        ("https://a.org/y.tif?k=v", "/vsicurl/https://a.org/y.tif?k=v"),
+        ("s3://bucket/y.tif", "/vsis3/bucket/y.tif"),
+        ("/vsizip/a.zip/y.tif", "/vsizip/a.zip/y.tif"),
+        ("/vsicurl/http://a.org/y.tif", "/vsicurl/http://a.org/y.tif"),
+    ],
+)
+def test_addresses_keep_their_spelling(given, read):
+    path = location(given)
+    assert isinstance(path, RemotePath)
+    assert str(path) == read
+    assert location(path) is path
+    assert path.stem == "y"
+    assert is_remote(read)
+    assert needs_network(read) == ("zip" not in read)
+
+
+def test_paths_stay_paths(tmp_path):
+    assert not isinstance(location(str(tmp_path)), RemotePath)
+    assert not is_remote("a:b/c.tif") or location("images/x.tif").name == "x.tif"
+    assert str(location("file:///a/b.tif")) == "/a/b.tif"
+    with pytest.raises(InputError, match="begins with gopher:"):
+        location("gopher://x/y.tif")
+
+
+HOSTILE = {
+    "vrt": '<VRTDataset rasterXSize="9" rasterYSize="9"><VRTRasterBand dataType="Byte" band="1"><SimpleSource>'
+    "<SourceFilename>{href}</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>",
+    "wms": '<GDAL_WMS><Service name="TMS"><ServerUrl>{href}</ServerUrl></Service></GDAL_WMS>',
+    "wcs": "<WCS_GDAL><ServiceURL>{href}</ServiceURL></WCS_GDAL>",
+    "wmts": "WMTS:{href}",
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_descriptions_of_other_files_are_no_images_whatever_their_name(tmp_path, server, town_source, kind):
+    address, asked = server
+    image = tmp_path / "image.tif"
+    image.write_text(HOSTILE[kind].format(href=f"/vsicurl/{address}/images/TOWN_001.tif"))
+    with pytest.raises(InputError, match="not of a format that is read"):
+        read_image(image)
+    other = town_source.root / "images/TOWN_001.tif"
+    result = run("prep", image, other, "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert asked == []
+
+
+def test_a_sidecar_sends_no_requests(tmp_path, server, town_source):
+    address, asked = server
+    image = tmp_path / "image.tif"
+    shutil.copy(town_source.root / "images/TOWN_001.tif", image)
+    (tmp_path / "image.tif.aux.xml").write_text(
+        f'<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">/vsicurl/{address}/images/TOWN_002.tif'
+        "</MDI></Metadata></PAMDataset>"
+    )
+    with opened(image) as data:
+        data.overviews(1)
+        data.read(1, out_shape=(20, 20))
+    assert asked == []
+
+
+@pytest.mark.parametrize("href", ["/vsicurl/{}/images/TOWN_001.tif", "{}/images/TOWN_001.tif", "/vsizip/a.zip/x.tif"])
+def test_documents_name_remote_files_only_where_the_user_allows_it(make_town, server, href):
+    address, asked = server
+    scene = make_town()
+    scene.items[0].assets["image"].href = href.format(address)
+    result = run("prior", text=scene.to_json())
+    assert result.exit_code == 1
+    assert "--allow-remote" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert asked == []
+    with pytest.raises(SceneError, match="remote"):
+        scene.path(scene.items[0].assets["image"].href)
+    with remote_allowed():
+        assert isinstance(scene.path(scene.items[0].assets["image"].href), RemotePath)
+
+
+def test_with_allow_remote_a_document_reads_from_there(make_town, server):
+    address, asked = server
+    scene = make_town()
+    scene.items[0].assets["image"].href = f"{address}/images/TOWN_001.tif"
+    arguments = ["--resolution", "2", "--rough-passes", "0"]
+    result = run("prior", *arguments, "--allow-remote", text=scene.to_json())
+    assert result.exit_code == 0, result.output
+    assert "/images/TOWN_001.tif" in asked
+    # and the next call does not inherit it
+    assert run("prior", *arguments, "--overwrite", text=scene.to_json()).exit_code == 1
+
+
+def test_images_and_areas_are_read_from_the_web_and_from_archives(tmp_path, server, town_source):
+    address, _ = server
+    archive = tmp_path / "town.zip"
+    with zipfile.ZipFile(archive, "w") as file:
+        for path in sorted((town_source.root / "images").glob("*.tif")):
+            file.write(path, path.name)
+    west, south, east, north = town_source.items[0].bbox
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    (town_source.root / "area.geojson").write_text(
+        json.dumps(
+            {
+                "type": "FeatureCollection",
+                "features": [
+                    {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+                ],
+            }
+        )
+    )
+    images = [f"/vsizip/{archive}/TOWN_001.tif", f"{address}/images/TOWN_002.tif"]
+    images.append(f"/vsicurl/{address}/images/TOWN_003.tif")
+    result = run("prep", *images, "--aoi", f"{address}/area.geojson", "--out", tmp_path, "--id", "WEB")
+    assert result.exit_code == 0, result.output
+    scene = Scene.from_file(tmp_path / "WEB/scene.json")
+    assert [item.id for item in scene.items] == ["TOWN_001", "TOWN_002", "TOWN_003"]
+    assert scene.items[1].properties["sattools:source"] == f"/vsicurl/{address}/images/TOWN_002.tif"
+    near = bounds_from_geojson(town_source.root / "area.geojson", "EPSG:32617")
+    assert bounds_from_geojson(location(f"{address}/area.geojson"), "EPSG:32617") == pytest.approx(near, abs=1e-3)
+
+
+def test_what_is_not_there_on_the_web_is_named(server):
+    address, _ = server
+    with pytest.raises(InputError, match=r"none\.tif: cannot be opened"), opened(f"{address}/none.tif"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("none.tif", "no such file"), (".", "found a folder"), ("x" * 300, "too long"), ("a\udcff.tif", "no such file")],
+)
+def test_what_is_no_image_is_named(tmp_path, name, words):
+    with pytest.raises(InputError, match=words), opened(f"{tmp_path}/{name}"):
+        pass
+
+
+def test_a_device_is_no_image():
+    with pytest.raises(InputError, match="no regular file"), opened("/dev/zero"):
+        pass
+
+
+def test_a_few_bytes_that_claim_to_be_gigabytes_are_refused(tmp_path):
+    path = tmp_path / "bomb.tif"
+    profile = {"driver": "GTiff", "width": 100_000, "height": 100_000, "count": 1, "dtype": "uint8", "tiled": True}
+    with rasterio.open(path, "w", sparse_ok=True, **profile):
+        pass
+    with pytest.raises(InputError, match="100000 x 100000 pixels in a file of"), opened(path):
+        pass
+
+
+def test_an_empty_image_that_compresses_well_is_one(tmp_path):
+    path = tmp_path / "empty.tif"
+    profile = {"driver": "GTiff", "width": 2000, "height": 2000, "count": 1, "dtype": "uint8", "compress": "deflate"}
+    with rasterio.open(path, "w", **profile) as data:
+        data.write(np.zeros((1, 2000, 2000), np.uint8))
+    assert read_image(path).shape == (1, 2000, 2000)
