@@ -13,8 +13,8 @@ import torch
 from sattools.errors import SceneError
 from sattools.fit import checkpoint
 from sattools.fit.coarse import COLOURS, sampled
-from sattools.fit.stage import MODEL, TRACE, save_fit
-from sattools.fit.tiles import COARSE, COMMON, FOLDER, Plan
+from sattools.fit.files import MODEL, TRACE, save_fit
+from sattools.fit.tile_plan import COARSE, COMMON, FOLDER, Plan
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid

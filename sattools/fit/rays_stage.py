@@ -15,6 +15,7 @@ from sattools.field.networks import NETWORKS
 from sattools.field.protocol import Box, Field
 from sattools.field.voxel import VoxelField
 from sattools.fit import checkpoint
+from sattools.fit.files import CHECKPOINT
 from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint
 from sattools.fit.options import FitOptions
 from sattools.fit.rays import RaySet, RayTrainer, join
@@ -214,8 +215,6 @@ def _train(
     grid: Grid,
     z_range: tuple[float, float],
 ) -> list[str]:
-    from sattools.fit.stage import CHECKPOINT
-
     path, print_ = scene.output(CHECKPOINT), fingerprint(scene, options, sources, prior)
     start = 0
     if options.resume and path.exists():

@@ -9,50 +9,20 @@ but for what is shared. The maps are then joined with weights that fade where ti
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
-import math
-import shutil
-import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
-import torch
-from torch import Tensor
-
-from sattools import __version__
-from sattools.errors import InputError, SceneError
-from sattools.fit import checkpoint
-from sattools.fit.coarse import COLOURS, PRODUCT
-from sattools.fit.inputs import OTHER_FIT
+from sattools.errors import SceneError
+from sattools.fit.join import join
 from sattools.fit.options import FitOptions
-from sattools.fit.schedule import schedule
-from sattools.fit.stage import CHECKPOINT, MODEL, STATE, fit
+from sattools.fit.tile_plan import WHOLE, Plan, saying
+from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, part, silent
-from sattools.scene import Grid, Scene
-from sattools.scene.copies import absolute_copy
+from sattools.scene import Scene
 from sattools.scene.files import write_text
-from sattools.scene.jsonio import read_json
-from sattools.scene.raster import raster_grid
-from sattools.scene.schema import Items, Maybe, Number, Table, Text
-from sattools.scene.tiles import Tile, common_cell, cut
-from sattools.views import TONE_PROPERTY, Source, Tone, load_sources, views_on
 
 log = logging.getLogger(__name__)
-FOLDER, COARSE = "fit/tiles", "coarse"
-COMMON = "fit/tiles/common.safetensors"
-WHOLE = "fit/tiles/scene.json"  # the document of the whole as it was cut
-FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
-LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
-PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
-_STATE = Table(
-    {"key": Text(), "tiles": Maybe(Items(Text())), "remarks": Items(Text()), "seconds": Number(0)},
-    ("key", "tiles", "remarks"),
-)
-# of an option, what does not change the result
-_HOUSEKEEPING = ("resume", "part", "device")
 
 
 def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) -> dict[str, Any]:
@@ -73,18 +43,16 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
             plan.begin([])
             write_text(scene.output(WHOLE), scene.to_json() + "\n")
             return {"tiles": []}
-        return fit(scene, replace(options, tile=None, part="all"), progress)
+        return fit_whole(scene, replace(options, tile=None, part="all"), progress)
     steps = len(plan.tiles) + 1
     if options.part in ("all", "split"):
         remarks = plan.split(part(progress, 0.0, 1 / steps if options.part == "all" else 1.0))
     if options.part == "all":
         for k, tile in enumerate(plan.tiles):
             some = part(progress, (k + 1) / steps, (k + 2) / steps)
-            remarks += plan.fit(tile, _saying(some, f"tile {k + 1} of {len(plan.tiles)}: "))
+            remarks += plan.fit(tile, saying(some, f"tile {k + 1} of {len(plan.tiles)}: "))
     if options.part == "split":
         return {"remarks": remarks, "tiles": plan.names()}
-    from sattools.fit.join import join
-
     return join(plan, remarks if options.part == "all" else [], progress)
 
 
@@ -102,264 +70,4 @@ def check(options: FitOptions) -> None:
             raise SceneError(f"--tile: found --{name} {found}, expected {expected}: {why}")
 
 
-@dataclass
-class Plan:
-    """A scene with its tiles.
-
-    Attributes:
-        scene: the whole.
-        options: of the fit.
-        tiles: row by row.
-        finest: cell of the fitted surface [m].
-        factor: cells of the coarse fit per cell of a tile's, along an axis.
-    """
-
-    scene: Scene
-    options: FitOptions
-    tiles: list[Tile]
-    finest: float
-    factor: int
-
-    @classmethod
-    def make(cls, scene: Scene, options: FitOptions) -> Plan:
-        """Cut a scene. Raises SceneError where no tiles of that size can be cut."""
-        grid = scene.need_grid()
-        stages = schedule(options, grid.cell_size, scene.need_height_range(), options.prior_weight > 0)
-        cells = [grid.cell_size, stages[0].cell_size, stages[-1].cell_size]
-        if PRIOR[0] in scene.products and options.prior_weight > 0:
-            cells.append(raster_grid(scene.path(scene.products[PRIOR[0]])).cell_size)
-        assert options.tile is not None
-        tiles = cut(grid, options.tile, options.overlap, common_cell(cells))
-        most = max(tile.grid.width * tile.grid.height for tile in tiles)
-        factor = max(1, math.ceil(math.sqrt(grid.width * grid.height / most)))
-        return cls(scene, options, tiles, stages[-1].cell_size, factor)
-
-    def root(self, name: str) -> Path:
-        """Folder of a tile's scene."""
-        return self.scene.root / FOLDER / name
-
-    def names(self) -> list[str]:
-        """Tiles that enough images show; SceneError before `split` has found them."""
-        names = (self._state() or {}).get("tiles")
-        if names is None:
-            raise SceneError(f"{self.scene.root / STATE}: found no finished --part split, expected one before join")
-        return list(names)
-
-    def part_scene(self, name: str) -> Scene:
-        """The scene of a tile, as `split` left it."""
-        return Scene.from_file(self.root(name) / "scene.json")
-
-    # ---- steps ------------------------------------------------------------------------------------------
-
-    def split(self, progress: Progress) -> list[str]:
-        """Settle what the tiles share and write their scenes; remarks."""
-        started = time.perf_counter()
-        state = self._state()
-        if self.options.resume and state is not None:
-            self.check_state(state)
-            if state["tiles"] is not None:
-                return list(state["remarks"])
-        else:
-            self.begin(None)
-        whole = self.scene.need_grid()
-        coarse = self._scene(COARSE, whole.resized(whole.cell_size * self.factor))
-        options = replace(self._own_options(coarse), tile=None, resolution=self.finest * self.factor)
-        if options.coarsest:
-            options = replace(options, coarsest=options.coarsest * self.factor)
-        with_pilots = self.factor > FINE_ENOUGH
-        found = fit(coarse, options, _saying(part(progress, 0, 0.4 if with_pilots else 1.0), "whole area, coarsely: "))
-        # what is only coarse about the coarse fit is not worth a remark
-        remarks = [text for text in found["remarks"] if "lines of sight" not in text]
-        sources = load_sources(coarse, coarse.train_items())
-        unseen = self._unseen(coarse, sources)
-        tensors, meta = checkpoint.load(coarse.root / MODEL)
-        pilots: list[Scene] = []
-        if with_pilots:
-            pilots, told = self._pilots(unseen, meta["items"], part(progress, 0.4, 1.0))
-            remarks += told
-        if pilots:
-            settle(tensors, meta, pilots)
-        checkpoint.save(self.scene.output(COMMON), tensors, meta)
-        makes_prior = self.options.prior_weight > 0 and PRIOR[0] not in self.scene.products
-        tones = self._tones(coarse, sources, pilots) if makes_prior else {}
-        names = []
-        for tile in self.tiles:
-            shown = [item.id for item in self.scene.train_items() if item.id not in unseen[tile.name]]
-            if len(shown) < 2:
-                remarks.append(f"tile {tile.name}: {len(shown)} images show it, its surface is the coarse one")
-                log.warning(remarks[-1])
-                continue
-            one = self._tile_scene(tile, tile.name, unseen)
-            one.products[PRODUCT] = str(self.scene.root / COMMON)
-            for item in one.items:
-                if item.id in tones:
-                    item.properties[TONE_PROPERTY] = asdict(tones[item.id])
-            one.write()
-            names.append(tile.name)
-        write_text(self.scene.output(WHOLE), self.scene.to_json() + "\n")
-        self._write_state(names, remarks, time.perf_counter() - started)
-        return remarks
-
-    def fit(self, tile: Tile, progress: Progress) -> list[str]:
-        """Fit one tile unless that is done; remarks."""
-        if tile.name not in self.names() or (self.root(tile.name) / MODEL).exists():
-            return []
-        scene = self.part_scene(tile.name)
-        found = fit(scene, self._own_options(scene), progress)
-        return [f"tile {tile.name}: {text}" for text in found["remarks"]]
-
-    # ---- state ------------------------------------------------------------------------------------------
-
-    def begin(self, names: list[str] | None) -> None:
-        """Forget the tiles of an earlier fit."""
-        shutil.rmtree(self.scene.root / FOLDER, ignore_errors=True)
-        self._write_state(names, [])
-
-    def spent(self) -> dict[str, Any]:
-        """Seconds of `split` and of the tiles, and the most memory one of them took, where they were fitted by
-        commands of their own."""
-        entries = [entry for name in self.names() for entry in self.part_scene(name).history]
-        if not entries:
-            return {}
-        split = float((self._state() or {}).get("seconds", 0.0))
-        return {
-            "tiles": len(self.names()),
-            "seconds": round(split + sum(entry["seconds"] for entry in entries), 3),
-            "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
-        }
-
-    def check_state(self, state: dict[str, Any]) -> None:
-        """Raise SceneError where the tiles on disk belong to another fit."""
-        if state["key"] != self._key():
-            raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
-
-    def _state(self) -> dict[str, Any] | None:
-        path = self.scene.root / STATE
-        try:
-            state = read_json(path) if path.exists() else None
-            if state is not None:
-                _STATE.check(state, str(path))
-            return state
-        except InputError as error:
-            raise SceneError(f"{error} (a list of tiles of `fit --tile`)") from error
-
-    def _write_state(self, names: list[str] | None, remarks: list[str], seconds: float = 0.0) -> None:
-        state = {"key": self._key(), "tiles": names, "remarks": remarks, "seconds": round(seconds, 3)}
-        write_text(self.scene.output(STATE), json.dumps(state, indent=1) + "\n")
-
-    def _key(self) -> str:
-        """Hash of everything that the tiles depend on."""
-        options = {name: value for name, value in asdict(self.options).items() if name not in _HOUSEKEEPING}
-        scene = self.scene
-        items = scene.train_items()
-        paths = [scene.path(item.assets[name].href) for item in items for name in _used(item.assets)]
-        paths += [scene.path(scene.products[name]) for name in PRIOR if name in scene.products]
-        digests = []
-        for path in paths:
-            try:
-                with open(path, "rb") as file:
-                    digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-            except OSError as error:
-                raise SceneError(f"{path}: cannot be read ({error.strerror}), expected a file of the scene") from error
-        what: list[Any] = [__version__, options, scene.need_grid().to_dict(), scene.height_range_m, digests]
-        what += [[item.id, item.properties] for item in items]
-        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
-
-    # ---- parts ------------------------------------------------------------------------------------------
-
-    def _scene(self, name: str, grid: Grid) -> Scene:
-        one = absolute_copy(self.scene, self.root(name))
-        one.id, one.grid = f"{self.scene.id[:100]}.{name}", grid
-        one.products, one.history = {}, []
-        return one
-
-    def _tile_scene(self, tile: Tile, name: str, unseen: dict[str, set[str]]) -> Scene:
-        one = self._scene(name, tile.grid)
-        for item in one.items:
-            if item.id in unseen[tile.name]:
-                item.properties["sattools:role"] = "test"
-        if self.options.prior_weight > 0:
-            given = [product for product in PRIOR if product in self.scene.products]
-            one.products = {product: str(self.scene.path(self.scene.products[product])) for product in given}
-        return one
-
-    def _own_options(self, scene: Scene) -> FitOptions:
-        resume = (scene.root / CHECKPOINT).exists()
-        return replace(self.options, resume=resume, holdout=[], views="all", part="all")
-
-    def _unseen(self, coarse: Scene, sources: list[Source]) -> dict[str, set[str]]:
-        """Images that show less than `LEAST_SHOWN` of a tile, by its name."""
-        _, meta = checkpoint.load(coarse.root / MODEL)
-        grid = Grid.from_dict(meta["grid"])
-        views = views_on(sources, grid, meta["z_ref"], coarse.need_height_range())
-        found = {}
-        for tile in self.tiles:
-            rows, cols = grid.window(tile.grid)
-            found[tile.name] = {view.id for view in views if view.mask[rows, cols].mean() < LEAST_SHOWN}
-        return found
-
-    def _pilots(self, unseen: dict[str, set[str]], ids: list[str], progress: Progress) -> tuple[list[Scene], list[str]]:
-        """Fit one tile of every quarter of the area by itself: that which most images show, next to the middle.
-
-        Only tiles that show the first image, whose colours are the scale of all others, can tell.
-        """
-        grid = self.scene.need_grid()
-        chosen: dict[tuple[bool, bool], tuple[int, float, Tile]] = {}
-        for tile in self.tiles:
-            row, col = (tile.rows.start + tile.rows.stop) / 2, (tile.cols.start + tile.cols.stop) / 2
-            off = math.hypot(abs(row / grid.height - 0.5) - 0.25, abs(col / grid.width - 0.5) - 0.25)
-            quarter = (2 * row < grid.height, 2 * col < grid.width)
-            best = chosen.get(quarter)
-            rank = (len(unseen[tile.name]), off)
-            if ids[0] not in unseen[tile.name] and (best is None or rank < best[:2]):
-                chosen[quarter] = (*rank, tile)
-        scenes, remarks = [], []
-        for k, (missing, _, tile) in enumerate(chosen.values()):
-            if len(ids) - missing < 2:
-                continue
-            one = self._tile_scene(tile, f"pilot.{tile.name}", unseen)
-            if not (one.root / MODEL).exists():
-                some = part(progress, k / len(chosen), (k + 1) / len(chosen))
-                options = replace(self._own_options(one), tile=None)
-                told = fit(one, options, _saying(some, f"pilot tile {k + 1} of {len(chosen)}: "))["remarks"]
-                remarks += [f"pilot tile {tile.name}: {text}" for text in told]
-            scenes.append(one)
-        return scenes, remarks
-
-    def _tones(self, coarse: Scene, sources: list[Source], pilots: list[Scene]) -> dict[str, Tone]:
-        """How the images are matched for the priors of the tiles, by item; contrast as it is in tiles."""
-        from sattools.prior.options import PriorOptions
-        from sattools.prior.stage import common_tones, make_frame
-
-        def tones(scene: Scene, own: list[Source]) -> list[Tone]:
-            _, views = make_frame(own, scene.need_grid(), scene.need_height_range(), PriorOptions().window)
-            return common_tones(own, views)
-
-        found = tones(coarse, sources)
-        if pilots:
-            fine = [tones(one, load_sources(one, one.train_items()))[0].contrast for one in pilots]
-            found = [replace(tone, contrast=sum(fine) / len(fine)) for tone in found]
-        return dict(zip((s.id for s in sources), found, strict=True))
-
-
-def settle(tensors: dict[str, Tensor], meta: dict[str, Any], pilots: list[Scene]) -> None:
-    """Replace colours and poses of a coarse fit by the medians of the pilots' where they show an image."""
-    found = [checkpoint.load(one.root / MODEL) for one in pilots]
-    meta |= {name: found[0][1][name] for name in ("shadow", "transient")}
-    for k, name in enumerate(meta["items"]):
-        own = [(model, info["items"].index(name)) for model, info in found if name in info["items"]]
-        for what in COLOURS if own else ():
-            tensors[what][k] = torch.stack([model[what][i] for model, i in own]).median(dim=0).values
-        if not own:
-            tensors["pose"][k] = 0.0  # cells of the whole are too large to tell
-
-
-def _used(assets: dict[str, Any]) -> list[str]:
-    return ["rpc", "radiance" if "radiance" in assets else "image"]
-
-
-def _saying(progress: Progress, before: str) -> Progress:
-    return lambda fraction, message: progress(fraction, before + message)
-
-
-__all__ = ["COARSE", "COMMON", "FOLDER", "Plan", "check", "fit_tiled"]
+__all__ = ["check", "fit_tiled"]

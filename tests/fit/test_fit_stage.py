@@ -13,7 +13,8 @@ from sattools.fit.checkpoint import load
 from sattools.fit.illumination import exposed
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import remove_gauge
-from sattools.fit.stage import choose_device, fit, resample_map
+from sattools.fit.resample import resample_map
+from sattools.fit.stage import choose_device, fit
 from sattools.scene import Grid
 from sattools.views import load_sources
 
@@ -111,7 +112,7 @@ def test_the_unit_of_linear_radiance_does_not_matter(make_town, monkeypatch):
     def darker(scene, items):
         return [replace(source, radiance=source.radiance / 2) for source in load_sources(scene, items)]
 
-    monkeypatch.setattr("sattools.fit.stage.load_sources", darker)
+    monkeypatch.setattr("sattools.fit.whole.load_sources", darker)
     fit(dim, QUICK)
     bright, dark = (load(scene.path("fit/model.safetensors"))[0] for scene in (whole, dim))
     assert torch.equal(bright["height"], dark["height"])

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
 from sattools.errors import SceneError
-from sattools.fit import tiles
+from sattools.fit import tile_plan
 from sattools.fit.checkpoint import load
 from sattools.fit.coarse import Coarse, sampled
 from sattools.fit.options import FitOptions
@@ -128,7 +128,7 @@ def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town):
 
 
 def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town, monkeypatch):
-    monkeypatch.setattr(tiles, "FINE_ENOUGH", 1)
+    monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
     scene = make_town("PILOTS")
     fit(scene, replace(TILED, part="split", epochs=[2]))
     pilots = sorted(path.name for path in (scene.root / "fit/tiles").glob("pilot.*"))

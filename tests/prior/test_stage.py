@@ -10,8 +10,8 @@ import rasterio
 
 from sattools.compare import compare_dsm, read_reference
 from sattools.errors import OutputExistsError, SceneError
+from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
-from sattools.fit.stage import load_prior
 from sattools.prior import PriorOptions
 from sattools.prior.stage import prior
 from sattools.progress import silent

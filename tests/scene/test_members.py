@@ -129,7 +129,7 @@ def test_any_value_at_any_place_is_read_or_refused(town_source, data):
     try:
         scene = Scene.from_json(text)
     except SceneError as error:
-        assert "\n" not in str(error).replace("\\n", "")
+        assert "\n" not in str(error).replace("\\n", "")  # noqa: PT017
         return
     from sattools.scene.summary import summary
 
@@ -139,7 +139,9 @@ def test_any_value_at_any_place_is_read_or_refused(town_source, data):
 
 
 def test_a_schema_names_the_place_and_what_was_meant():
-    kind = Table({"name": Text(("red", "green")), "size": Maybe(Items(Number(0, 5, whole=True), 2, 2))}, ("name",), None)
+    kind = Table(
+        {"name": Text(("red", "green")), "size": Maybe(Items(Number(0, 5, whole=True), 2, 2))}, ("name",), None
+    )
     kind.check({"name": "red", "size": [1, 2.0]}, "x")
     kind.check({"name": "red", "size": None}, "x")
     for value, words in (
