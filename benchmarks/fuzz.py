@@ -364,7 +364,7 @@ def structure(data: bytes, rng: random.Random) -> tuple[str, bytes]:
     """One member of a JSON document is replaced, removed, renamed, doubled or nested."""
     try:
         document = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return flip(data, rng)
     places: list[tuple[Any, Any]] = []
 

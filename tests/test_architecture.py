@@ -145,3 +145,35 @@ def test_command_modules_start_with_the_frame_only():
     for path in (PACKAGE / "cli").glob("*.py"):
         heavy = {"torch", "geopandas", "matplotlib", "numba", "cv2", "skimage", "pvlib", "shapely"}
         assert top_level_imports(path) & heavy == set(), path
+
+
+def modules_used(path: Path, known: dict[str, Path]) -> set[str]:
+    """Modules of the package that a file imports, also inside functions; what only types need does not count."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if id(node) in typing_only:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found.add(full if full in known else node.module)
+    return found & known.keys()
+
+
+def test_no_module_imports_itself_through_others_not_even_inside_a_function():
+    known = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in FILES}
+    graph = {module: modules_used(path, known) - {module} for module, path in known.items()}
+    while leaves := [module for module, used in graph.items() if not used & graph.keys()]:
+        for module in leaves:
+            del graph[module]
+    # what is left lies on a circle or leads to one
+    assert sorted(graph) == []

@@ -1,0 +1,26 @@
+"""The example notebook runs from its first cell to its last."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+NOTEBOOK = Path(__file__).parents[1] / "examples/notebook.ipynb"
+
+
+def test_the_notebook_runs_and_leaves_what_it_shows(tmp_path, monkeypatch):
+    pytest.importorskip("xarray")
+    import matplotlib
+
+    matplotlib.use("agg")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    names: dict = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), str(NOTEBOOK), "exec"), names)  # noqa: S102
+    scene = names["scene"]
+    assert {"dsm", "w", "theta", "relit", "errors"} <= set(scene.products)
+    assert (tmp_path / "notebook/hill.png").stat().st_size > 10_000
+    assert names["w"].dims == ("band", "y", "x")
+    assert scene.history[-1]["errors"]["completeness"] > 0.9
