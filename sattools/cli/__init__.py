@@ -14,22 +14,9 @@ from typing import Any
 import click
 
 from sattools import __version__
+from sattools.cli.commands import COMMANDS
 from sattools.cli.options import configure_logging, run_options
 from sattools.cli.safety import LastResort, PlainFormatter, check_folder
-
-# name -> first line of help; a command's module is imported only when it is called, so that --help stays fast
-COMMANDS = {
-    "prep": "Images with RPC cameras -> scene with bundle-adjusted RPCs.",
-    "normalise": "Digital numbers -> linear radiance in [0, 1].",
-    "prior": "Multi-view matching -> rough surface, confidence, normals.",
-    "fit": "Fit a volumetric scene by differentiable rendering.",
-    "export": "Fitted scene -> DSM, albedo, shadows as georeferenced files.",
-    "compare": "Compare a DSM with lidar and print the error table.",
-    "simulate": "Make a ray-traced scene with known truth.",
-    "batch": "Many scenes in many configurations -> one table, error against seconds.",
-    "report": "Scene or batch -> one self-contained HTML page.",
-    "info": "Print a summary of a scene.",
-}
 
 
 class LazyGroup(LastResort):
@@ -153,4 +140,4 @@ def _terminate(signum: int, frame: object) -> None:
     raise SystemExit(128 + signum)
 
 
-__all__ = ["main"]
+__all__ = ["COMMANDS", "main"]

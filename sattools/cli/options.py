@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from sattools.cli.commands import COMMANDS
 from sattools.cli.kinds import check_value, kind_of
 from sattools.errors import InputError
 from sattools.settings import OptionSpec, as_dict, specs
@@ -107,7 +108,6 @@ def _click_option(spec: OptionSpec) -> Callable[[F], F]:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file's tables; an unreadable one, or one with a table of no command, is wrong usage of --config."""
-    from sattools.cli import COMMANDS
     from sattools.scene.jsonio import read_toml as read
 
     try:

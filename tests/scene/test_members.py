@@ -62,7 +62,7 @@ NONSENSE = {
     "grid half": (lambda d: ours(d)["grid"].update(width=10.5), "grid.width: found 10.5"),
     "grid text": (lambda d: ours(d).update(grid="EPSG:4326"), "grid: found 'EPSG:4326'"),
     "grid huge": (lambda d: ours(d)["grid"].update(width=10**6, height=10**6), "cells, expected at most"),
-    "grid name": (lambda d: ours(d)["grid"].update(widht=3), "did you mean 'width'"),
+    "grid name": (lambda d: ours(d)["grid"].update(widthh=3), "did you mean 'width'"),
     "member name": (lambda d: ours(d).update(hieght_range_m=[1, 2]), "did you mean 'height_range_m'"),
     "product": (lambda d: ours(d)["products"].update(dsm=["x"]), "products.dsm"),
     "products": (lambda d: ours(d).update(products=["x"]), "products: found"),
@@ -149,7 +149,7 @@ def test_a_schema_names_the_place_and_what_was_meant():
         ({"name": "gren"}, "did you mean 'green'"),
         ({"name": "red", "size": [1, 9]}, r"x.size\[1\]: found 9, expected a whole number from 0 to 5"),
         ({"name": "red", "size": [1]}, "x.size: found .1., expected a list of 2 values"),
-        ({"name": "red", "siez": None}, "did you mean 'size'"),
+        ({"name": "red", "sizze": None}, "did you mean 'size'"),
         ([], "x: found .., expected an object"),
         ({"name": True}, "x.name: found true"),
     ):

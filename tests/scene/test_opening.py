@@ -1,10 +1,9 @@
 """Which files are opened, and that nothing is sent anywhere because a file said so."""
 
-import functools
-import http.server
 import json
 import shutil
-import threading
+import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -20,25 +19,44 @@ from sattools.scene.location import RemotePath, is_remote, location, needs_netwo
 from sattools.scene.opening import opened
 from sattools.scene.raster import read_image
 
+SERVER = """
+import functools, http.server, sys
+
+class Handler(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, form, *arguments):
+        with open(sys.argv[2], "a") as log:
+            log.write(self.path + "\\n")
+
+handler = functools.partial(Handler, directory=sys.argv[1])
+with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
+    print(running.server_address[1], flush=True)
+    running.serve_forever()
+"""
+
+
+class Asked:
+    """What a server was asked for so far."""
+
+    def __init__(self, log):
+        self.log = log
+
+    def __call__(self):
+        return self.log.read_text().split() if self.log.exists() else []
+
 
 @pytest.fixture
-def server(town_source):
-    """A web server of the town's folder on the loopback address: its address, and what was asked for."""
-    # rasterio holds the interpreter's lock while it opens a file: a server in a thread of this process never answers
-    pytest.skip("the server has to run in a process of its own")
-    asked = []
+def server(town_source, tmp_path_factory):
+    """A web server of the town's folder on the loopback address: its address, and what it is asked for.
 
-    class Handler(http.server.SimpleHTTPRequestHandler):
-        def log_message(self, format, *arguments):
-            asked.append(self.path)
-
-    handler = functools.partial(Handler, directory=str(town_source.root))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
-        thread = threading.Thread(target=running.serve_forever, daemon=True)
-        thread.start()
-        yield f"http://127.0.0.1:{running.server_address[1]}", asked
-        running.shutdown()
-        thread.join()
+    It has a process of its own: rasterio holds the interpreter's lock while it opens a file.
+    """
+    log = tmp_path_factory.mktemp("server") / "asked"
+    command = [sys.executable, "-c", SERVER, str(town_source.root), str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+        try:
+            yield f"http://127.0.0.1:{int(running.stdout.readline())}", Asked(log)
+        finally:
+            running.terminate()
 
 
 def run(*arguments, text=""):
@@ -93,7 +111,7 @@ def test_descriptions_of_other_files_are_no_images_whatever_their_name(tmp_path,
     result = run("prep", image, other, "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
-    assert asked == []
+    assert asked() == []
 
 
 def test_a_sidecar_sends_no_requests(tmp_path, server, town_source):
@@ -107,7 +125,7 @@ def test_a_sidecar_sends_no_requests(tmp_path, server, town_source):
     with opened(image) as data:
         data.overviews(1)
         data.read(1, out_shape=(20, 20))
-    assert asked == []
+    assert asked() == []
 
 
 @pytest.mark.parametrize("href", ["/vsicurl/{}/images/TOWN_001.tif", "{}/images/TOWN_001.tif", "/vsizip/a.zip/x.tif"])
@@ -119,7 +137,7 @@ def test_documents_name_remote_files_only_where_the_user_allows_it(make_town, se
     assert result.exit_code == 1
     assert "--allow-remote" in result.stderr
     assert result.stderr.count("\n") == 1
-    assert asked == []
+    assert asked() == []
     with pytest.raises(SceneError, match="remote"):
         scene.path(scene.items[0].assets["image"].href)
     with remote_allowed():
@@ -133,7 +151,7 @@ def test_with_allow_remote_a_document_reads_from_there(make_town, server):
     arguments = ["--resolution", "2", "--rough-passes", "0"]
     result = run("prior", *arguments, "--allow-remote", text=scene.to_json())
     assert result.exit_code == 0, result.output
-    assert "/images/TOWN_001.tif" in asked
+    assert "/images/TOWN_001.tif" in asked()
     # and the next call does not inherit it
     assert run("prior", *arguments, "--overwrite", text=scene.to_json()).exit_code == 1
 
