@@ -75,6 +75,7 @@ def test_progress_is_a_bar_on_request(make_town, capsys):
     assert "fit [" in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray's own
 def test_products_are_data_arrays_as_rioxarray_knows_them(make_town):
     pytest.importorskip("xarray")
     rioxarray = pytest.importorskip("rioxarray")
@@ -86,7 +87,7 @@ def test_products_are_data_arrays_as_rioxarray_knows_them(make_town):
         np.testing.assert_allclose(dsm.x, other.x)
         np.testing.assert_allclose(dsm.y, other.y)
         assert dsm.rio.crs == other.rio.crs
-        assert dsm.rio.transform() == other.rio.transform()
+        assert tuple(dsm.rio.transform()) == tuple(other.rio.transform())
     albedo = scene.product("albedo")
     assert albedo.dims == ("band", "y", "x")
     with pytest.raises(SceneError, match="found no product 'theta', expected one of"):

@@ -77,7 +77,7 @@ def test_products_need_overwrite(scene):
 
 def test_a_model_of_another_kind_is_refused(scene):
     save(scene.root / "model", {"weights": torch.zeros(3)}, {"field": "other"})
-    with pytest.raises(InputError, match="expected a surface model"):
+    with pytest.raises(InputError, match="found no 'grid', expected grid, items, suns, shadow"):
         export(scene, ExportOptions())
     assert not (scene.root / "export").exists()
 

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 import torch
 
+from sattools.camera import RPC
 from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
@@ -111,12 +113,22 @@ def test_resuming_with_other_options_is_refused(make_town):
         fit(scene, replace(SHORT, resume=True, seed=3))
 
 
+def shift_camera(scene: Scene) -> None:
+    path = scene.path(scene.items[0].assets["rpc"].href)
+    RPC.from_file(path).shifted(0.5, 0.0).write(path)
+
+
+def darken(scene: Scene) -> None:
+    with rasterio.open(scene.path(scene.items[0].assets["image"].href), "r+") as data:
+        data.write((data.read() * 0.9).astype(data.dtypes[0]))
+
+
 @pytest.mark.parametrize(
     "change",
     [
         lambda scene: scene.items[0].properties.update({"view:sun_azimuth": 99.0}),
-        lambda scene: scene.items[0].assets.update(rpc=scene.items[1].assets["rpc"]),
-        lambda scene: scene.items[0].assets.update(image=scene.items[1].assets["image"]),
+        shift_camera,
+        darken,
         lambda scene: setattr(scene, "height_range_m", (-40.0, 60.0)),
     ],
 )
@@ -143,7 +155,7 @@ def test_resuming_on_another_prior_is_refused(make_town):
 
 
 def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole, make_town):
-    scene = make_town()
+    scene = make_town("AGAIN")
     fit(scene, SHORT)
     with pytest.raises(OutputExistsError, match=r"found a finished fit, expected an interrupted one for --resume"):
         fit(scene, replace(SHORT, resume=True), overwrite=False)
@@ -153,7 +165,7 @@ def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole, make_to
 
 def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole, make_town):
     """Killed between the model and the scene's document, which then names no model."""
-    scene = make_town()
+    scene = make_town("AGAIN")
     fit(make_town("OTHER"), SHORT)
     shutil.copytree(scene.root.parent / "OTHER/fit", scene.root / "fit")
     with pytest.raises(OutputExistsError):
