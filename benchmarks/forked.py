@@ -6,6 +6,7 @@ goes to files, and it can be sent signals at any moment.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -71,11 +72,21 @@ def preload() -> None:
     """Import what commands import, so that children need not."""
     import importlib
 
+    # children may go on with kernels that the parent has run; the other layers do not survive a fork
+    os.environ["NUMBA_THREADING_LAYER"] = "workqueue"
     from sattools.cli import COMMANDS, set_threads
 
     set_threads(1)
     for name in [*MODULES.split(), *(f"sattools.cli.{command}" for command in COMMANDS)]:
         importlib.import_module(name)
+
+
+def warm(arguments: Sequence[str]) -> None:
+    """Run a command in this process, so that children find its kernels and fonts loaded; it must succeed."""
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
+        status = _main(list(arguments))
+    if status:
+        sys.exit(f"{arguments} failed: status {status}")
 
 
 def start(

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from forked import Result, preload, run
+from forked import Result, preload, run, warm
 
 MEMORY_MB = 2048
 FIT = ["--resolution", "4", "--coarsest", "4", "--epochs", "1", "--prior-weight", "0"]
@@ -153,6 +153,12 @@ class Fuzz:
         self.must(["batch", "--workers", "1", "--config", str(self.base / "config.toml"), "--out",
                    str(self.base / "batch"), str(self.base / "scene.json")])  # fmt: skip
         shutil.rmtree(self.base / "batch/runs")
+        root = self.out / "warm"
+        shutil.copytree(self.base, root)
+        for command in ([*PREP], on("prior", "--overwrite", "--resolution", "4"), on("normalise"),
+                        on("fit", *WITH_PRIOR, "--overwrite"), on("export", "--overwrite", "--view", "TINY_002"),
+                        on("compare", "--overwrite"), on("report"), on("info")):  # fmt: skip
+            warm(["--threads", "1", "-q", *self.filled(command, root)])
 
     def _vendor(self) -> None:
         """The same cameras in two vendors' formats."""
@@ -228,7 +234,9 @@ class Fuzz:
             return f"{done.peak_mb:.0f} MB"
         if left := [path.name for path in root.rglob(".*tmp-sattools*")]:
             return f"left {left[0]}"
-        if done.status in (1, 2) and not re.search(r"^(sattools [a-z]+: )?error: |^Error: ", done.stderr, re.I | re.M):
+        if done.status in (1, 2) and not re.search(
+            r"^(sattools( [a-z]+)?: )?error: |^Error: ", done.stderr, re.I | re.M
+        ):
             return "failed without a word"
         # click repeats what somebody typed
         long = [line for line in done.stderr.splitlines() if len(line) > 1500]
