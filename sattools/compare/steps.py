@@ -1,0 +1,101 @@
+"""Errors beside height steps and away from them, about the median. Pure functions of arrays, no I/O.
+
+The mean height difference is removed before a surface is scored, so errors beside steps that do not balance are paid by
+every other cell, and errors that happen to balance look like accuracy. These figures tell the two apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, MutableMapping
+from typing import Any
+
+import numpy as np
+
+from sattools.compare.metrics import CLASSES
+
+STEP_M = 3.0  # difference between neighbouring cells from which there is a step
+NEAR_M = 2.0  # distance from a cell on a step within which a cell is beside it
+CAP_M = 5.0  # largest error that counts in the capped mean
+
+
+def beside_steps(reference: np.ndarray, cell_size: float) -> np.ndarray:
+    """Cells `[H, W]` bool within 2 m of a step of more than 3 m between two neighbouring cells, rows or columns.
+
+    The distance [m] is taken between centres of cells; both cells of a step are on it. `reference` [H, W] in metres,
+    NaN = not known, which makes no step; `cell_size` in metres.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    on_step = np.zeros(reference.shape, bool)
+    with np.errstate(invalid="ignore"):
+        down = np.abs(np.diff(reference, axis=0)) > STEP_M
+        right = np.abs(np.diff(reference, axis=1)) > STEP_M
+    on_step[:-1] |= down
+    on_step[1:] |= down
+    on_step[:, :-1] |= right
+    on_step[:, 1:] |= right
+    if not on_step.any():
+        return on_step
+    away = distance_transform_edt(~on_step, sampling=cell_size)
+    near: np.ndarray = away <= NEAR_M + 1e-9 * cell_size
+    return near
+
+
+def step_errors(centred: np.ndarray, near: np.ndarray) -> dict[str, Any]:
+    """Figures of errors about the median `centred` [N] in metres, of which `near` [N] bool lie beside a step.
+
+    `signed` and `absolute` are means in metres, None without cells; `share` is that of the cells.
+    """
+    absolute = np.abs(centred)
+
+    def part(member: np.ndarray) -> dict[str, float | None]:
+        if not member.any():
+            return {"signed": None, "absolute": None, "share": 0.0 if member.size else None}
+        return {
+            "signed": float(centred[member].mean()),
+            "absolute": float(absolute[member].mean()),
+            "share": float(member.mean()),
+        }
+
+    return {
+        "mae_centred": float(absolute.mean()) if absolute.size else None,
+        "mae_capped_5m": float(np.minimum(absolute, CAP_M).mean()) if absolute.size else None,
+        "near_steps": part(near),
+        "away_from_steps": part(~near),
+    }
+
+
+def add_step_errors(
+    figures: MutableMapping[str, Any],
+    difference: np.ndarray,
+    reference: np.ndarray,
+    classes: np.ndarray | None,
+    cell_size: float,
+) -> None:
+    """Add the figures of `step_errors` to an error table and to its classes.
+
+    `difference` [H, W] is prediction minus reference in metres, NaN = not scored; `reference` [H, W] in metres;
+    `classes` [H, W] codes or None; `cell_size` in metres. Errors of a class are about the median of all cells.
+    """
+    scored = np.isfinite(difference)
+    centred = difference.astype(np.float64) - np.median(difference[scored])
+    near = beside_steps(reference, cell_size)
+    figures |= step_errors(centred[scored], near[scored])
+    for name, own in figures.get("classes", {}).items():
+        if classes is not None:
+            member = scored & np.isin(classes, CLASSES[name])
+            own |= step_errors(centred[member], near[member])
+
+
+def step_text(figures: Mapping[str, Any]) -> str:
+    """The figures for people, one line."""
+    near, away = figures["near_steps"], figures["away_from_steps"]
+    text = f"about the median: MAE {figures['mae_centred']:.3f} m   each at most 5 m {figures['mae_capped_5m']:.3f} m"
+    if near["share"]:
+        text += f"   beside steps ({100 * near['share']:.0f} %) {near['signed']:+.3f}, |{near['absolute']:.3f}| m"
+    if away["share"]:
+        text += f"   away from them {away['signed']:+.3f}, |{away['absolute']:.3f}| m"
+    return text
+
+
+__all__ = ["add_step_errors", "beside_steps", "step_errors", "step_text"]
