@@ -13,31 +13,27 @@ import numpy as np
 
 from sattools.compare.metrics import CLASSES
 
-STEP_M = 3.0  # difference between neighbouring cells from which there is a step
+STEP_M = 3.0  # height range of 3 x 3 cells from which there is a step
 NEAR_M = 2.0  # distance from a cell on a step within which a cell is beside it
 CAP_M = 5.0  # largest error that counts in the capped mean
 
 
 def beside_steps(reference: np.ndarray, cell_size: float) -> np.ndarray:
-    """Cells `[H, W]` bool within 2 m of a step of more than 3 m between two neighbouring cells, rows or columns.
+    """Cells `[H, W]` bool within 2 m, along rows and columns, of a cell on a step of more than 3 m.
 
-    The distance [m] is taken between centres of cells; both cells of a step are on it. `reference` [H, W] in metres,
-    NaN = not known, which makes no step; `cell_size` in metres.
+    On a step is a cell whose 3 x 3 neighbours differ by more than that. `reference` [H, W] in metres, NaN = not known,
+    which makes no step; `cell_size` in metres.
     """
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import distance_transform_cdt, maximum_filter, minimum_filter
 
-    on_step = np.zeros(reference.shape, bool)
-    with np.errstate(invalid="ignore"):
-        down = np.abs(np.diff(reference, axis=0)) > STEP_M
-        right = np.abs(np.diff(reference, axis=1)) > STEP_M
-    on_step[:-1] |= down
-    on_step[1:] |= down
-    on_step[:, :-1] |= right
-    on_step[:, 1:] |= right
+    known = np.isfinite(reference)
+    high = maximum_filter(np.where(known, reference, -np.inf), 3, mode="nearest")
+    low = minimum_filter(np.where(known, reference, np.inf), 3, mode="nearest")
+    on_step: np.ndarray = known & (high - low > STEP_M)
     if not on_step.any():
         return on_step
-    away = distance_transform_edt(~on_step, sampling=cell_size)
-    near: np.ndarray = away <= NEAR_M + 1e-9 * cell_size
+    cells = distance_transform_cdt(~on_step, metric="taxicab")
+    near: np.ndarray = cells * cell_size <= NEAR_M * (1 + 1e-9)
     return near
 
 

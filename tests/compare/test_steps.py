@@ -25,11 +25,21 @@ def test_the_distance_is_in_metres():
 
 
 @pytest.mark.parametrize("rise", [3.0, -3.0])
-def test_a_step_has_more_than_three_metres_in_rows_or_columns(rise):
+def test_a_step_has_more_than_three_metres(rise):
     reference = np.zeros((6, 6))
     reference[3:] = rise
     assert not beside_steps(reference, 1.0).any()
     assert beside_steps(reference * 1.01, 1.0).all()
+
+
+def test_the_distance_goes_along_rows_and_columns():
+    reference = np.zeros((9, 9))
+    reference[4, 4] = 5.0
+    near = beside_steps(reference, 1.0)
+    # 3 x 3 cells are on the step, and from its corner (3, 3) it is 2 m to (2, 2) but 3 m to (1, 2)
+    assert near[2, 2]
+    assert not near[1, 2]
+    assert near[1, 3]
 
 
 def test_the_border_of_what_is_known_is_no_step():
