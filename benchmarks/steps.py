@@ -6,7 +6,8 @@
 Scenes come from `sattools prep`; a reference is anything that `sattools compare --dsm` takes, `X_CLS.tif` beside
 `X_DSM.tif` is its class map. Variants are options of `sattools prior`, such as `--variant 'flat: rough_passes=0'`;
 the defaults are always the first. Columns: mean absolute error by the protocol; the same about the median; each at most
-5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU seconds of matching (NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread).
+5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU seconds of matching
+(NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ def add_step_errors(
     scored = np.isfinite(difference)
     centred = difference.astype(np.float64) - np.median(difference[scored])
     near = beside_steps(reference, cell_size)
-    figures |= step_errors(centred[scored], near[scored])
+    figures.update(step_errors(centred[scored], near[scored]))
     for name, own in figures.get("classes", {}).items():
         if classes is not None:
             member = scored & np.isin(classes, CLASSES[name])

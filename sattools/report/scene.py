@@ -163,8 +163,8 @@ def _step_table(found: dict[str, Any]) -> Table:
     rows = []
     for name, own in {"all": found, **(found.get("classes") or {})}.items():
         near, away = own.get("near_steps") or {}, own.get("away_from_steps") or {}
-        shown = (own.get("mae_centred"), own.get("mae_capped_5m"), near.get("share"), near.get("signed"))
-        shown += (near.get("absolute"), away.get("signed"), away.get("absolute"))
+        shown = [own.get("mae_centred"), own.get("mae_capped_5m"), near.get("share"), near.get("signed")]
+        shown += [near.get("absolute"), away.get("signed"), away.get("absolute")]
         if own.get("mae_centred") is not None:
             rows.append([name, *(_number(value, 3) for value in shown)])
     names = ["cells", "MAE [m]", "each at most 5 m [m]", "share beside steps", "signed there [m]", "absolute there [m]"]
