@@ -15,6 +15,7 @@ from sattools.compare.metrics import clip_to_reference, fill_holes, height_error
 from sattools.compare.options import CompareOptions
 from sattools.compare.registration import Registration, register, search_margin, shifted
 from sattools.compare.resample import moved, padded, resampled
+from sattools.compare.steps import add_step_errors, step_text
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
@@ -83,6 +84,7 @@ def compare_dsm(
         known = np.isfinite(shifted(only, found.columns, found.rows, margin))
     figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
+    add_step_errors(figures, difference, reference, truth.classes, truth.grid.cell_size)
     figures |= {
         "shift_m": [round(value, 4) for value in found.metres(truth.grid.cell_size)],
         "registration": {"method": found.method, "correlation": found.correlation},
@@ -279,6 +281,7 @@ def table(figures: Mapping[str, Any]) -> str:
         f"within 1 m {100 * figures['within_1m']:.1f} %   within 2.5 m {100 * figures['within_2_5m']:.1f} %   "
         f"of {figures['cells']} cells",
         f"  shift {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up ({figures['registration']['method']})",
+        f"  {step_text(figures)}",
         f"  scored: {figures['mask']}",
     ]
     for name, errors in figures.get("classes", {}).items():

@@ -21,6 +21,7 @@ SAME_M = 1.0  # heights this near belong to the same side
 CAP = 9.0  # squared standard deviations at which a stray pixel stops counting
 BIAS = 1.0  # by how much the other side has to be more likely (log-likelihood ratio, mean over the views)
 FEWEST_VIEWS = 2
+MOST = 0.75  # share of the views that can tell which have to agree
 
 
 def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float, noise: float) -> np.ndarray:
@@ -29,7 +30,8 @@ def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
     high one window too wide, most of all where a dark strip of shaded ground follows. But the strip does not look like
     the roof: near a step every cell is assigned to the side, high or low, whose cells at that height it resembles
-    more in the views that see it (a Gaussian likelihood per view, from the cells surely on that side).
+    more (a Gaussian likelihood per view, from the cells surely on that side). Only views that can judge both sides
+    count, and three in four of them have to agree: one date's facade, glare or shadow moves no wall.
 
     Args:
         frame: the views.
@@ -120,24 +122,31 @@ def choose_sides(height, sure, images, masks, slopes, z_ref, margin, hits, toler
             above = _level(height, sure, row, col, middle, np.inf)
             if not above - below >= STEP_M:
                 continue
-            likeness = np.zeros(2)
-            for side in range(2):
-                z = below if side == 0 else above
-                dz = z - z_ref
-                total = 0.0
-                count = 0
-                for v in range(views):
-                    r, c = row + margin + slopes[v, 0] * dz, col + margin + slopes[v, 1] * dz
-                    strange = _strangeness(
-                        height, sure, images[v], masks[v], hits[v], row, col, z, r, c, z + tolerance, noise
-                    )
-                    if strange >= 0:
-                        total += strange
-                        count += 1
-                likeness[side] = -total / count if count >= FEWEST_VIEWS else np.nan
-            if here >= middle and likeness[0] - likeness[1] > BIAS:
+            # views that can judge both sides: others would compare different images
+            gain = 0.0
+            count = votes = 0
+            low_dz, high_dz = below - z_ref, above - z_ref
+            for v in range(views):
+                r, c = row + margin + slopes[v, 0] * low_dz, col + margin + slopes[v, 1] * low_dz
+                strange_low = _strangeness(
+                    height, sure, images[v], masks[v], hits[v], row, col, below, r, c, below + tolerance, noise
+                )
+                if strange_low < 0:
+                    continue
+                r, c = row + margin + slopes[v, 0] * high_dz, col + margin + slopes[v, 1] * high_dz
+                strange_high = _strangeness(
+                    height, sure, images[v], masks[v], hits[v], row, col, above, r, c, above + tolerance, noise
+                )
+                if strange_high >= 0:
+                    gain += strange_high - strange_low
+                    votes += 1 if strange_high > strange_low else 0
+                    count += 1
+            if count < FEWEST_VIEWS:
+                continue
+            gain /= count
+            if here >= middle and gain > BIAS and votes >= MOST * count:
                 moved[row, col] = below
-            elif here < middle and likeness[1] - likeness[0] > BIAS:
+            elif here < middle and -gain > BIAS and count - votes >= MOST * count:
                 moved[row, col] = above
 
 

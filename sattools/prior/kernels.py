@@ -15,6 +15,7 @@ import numpy as np
 from sattools.compiled import FASTMATH, njit, prange
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
+SIXTH = np.float32(1 / 6)
 NO_SHADE = np.float32(-1e9)
 TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
 
@@ -92,11 +93,13 @@ def _moments(moved, radius, mean, variance, sums, squares, line):
 @njit(cache=True, fastmath=FASTMATH)
 def _add_pair(
     a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, dark_a, dark_b,
-    radius, noise, shadow_noise, brightness, sums, line, total, weight,
+    radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
 ):  # fmt: skip
-    """Add a pair's squared agreement to ``total`` and 1 to ``weight`` where both see the point in the same light.
+    """Add a power of a pair's agreement to ``total`` and the pair's weight to ``weight``.
 
-    seen_a, seen_b: 1 = seen in the sun, -1 = seen in shadow, 0 = not seen. Where both are in shadow and as dark as
+    seen_a, seen_b: weight of the view there, negative in shadow: 1 = seen, 0 = beyond the image. A pair has the product
+    of its views' weights, times ``mixed`` where one shows the point in the sun and the other in shadow. ``power``: 1 =
+    second, 3 = sixth. Where both are in shadow and as dark as
     shadows (dark_a, dark_b) are, brightness counts from there, and structure only above the noise of the dark.
     """
     rows, cols = total.shape
@@ -119,13 +122,15 @@ def _add_pair(
         ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
         sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
         for j in range(cols):
-            both = max(sa[j] * sb[j], np.float32(0))
-            dark = sa[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
+            both = sa[j] * sb[j]
+            both = max(both, -mixed * both)
+            dark = sa[j] < 0 and sb[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
             floor = dark_floor if dark else lit_floor
             structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
             apart = ma[j] - mb[j] - (veil if dark else np.float32(0))
             score = max(structure, np.float32(0)) / (one + apart * apart * steep)
-            ti[j] += both * score * score
+            square = score * score
+            ti[j] += both * (square if power == 1 else square * square * square)
             wi[j] += both
         for j in range(sums.shape[0]):
             sums[j] -= leave_a[j] * leave_b[j]
@@ -162,10 +167,13 @@ def correlate(
     brightness,
     margin,
     unseen,
+    power,
+    weak,
+    mixed,
     volume,
 ):
-    """Agreement of the views at every (cell, height): root mean square over the pairs that both see the point, either
-    both in the sun or both in shadow.
+    """Agreement of the views at every (cell, height): power mean over the pairs, weighted by whether both see it,
+    either both in the sun or both in shadow.
 
     A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness,
     1 / (1 + (difference of means / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form.
@@ -192,6 +200,10 @@ def correlate(
         brightness: difference of two windows' means at which their agreement is halved.
         margin: cells between the border of the frame and that of the grid.
         unseen: score where no pair sees the point, but never above the best one that is seen in the cell.
+        power: half the exponent of the mean over the pairs, 1 or 3.
+        weak: weight of a view from which the surface hides the point; above 0, a place that no image can contradict
+            is worth what the images show there, not a constant.
+        mixed: factor of the weight of pairs in different light.
         volume: ``[H, W, D]`` float32, filled with agreements in [0, 1].
     """
     views = images.shape[0]
@@ -223,7 +235,7 @@ def correlate(
                             nc = margin + j + round(slopes[v, 1] * (z - z_ref))
                             lit = np.float32(1) if z >= shades[v, r0 + i, j] else np.float32(-1)
                             near = hits[v, nr, nc] <= z + tolerance
-                            seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) if near else np.float32(0)
+                            seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) * (np.float32(1) if near else weak)
                     _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
                     continue
                 dr, dc = slopes[v, 0] * dz, slopes[v, 1] * dz
@@ -234,7 +246,7 @@ def correlate(
                     shade, target = shades[v, r0 + i], seen[v, i]
                     for j in range(width):
                         lit = np.float32(1) if heights[k] >= shade[j] else np.float32(-1)
-                        target[j] = lit * np.float32(mask[j]) if hit[j] <= lowest_hit else np.float32(0)
+                        target[j] = lit * np.float32(mask[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
                 _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
             total[:] = 0
             weight[:] = 0
@@ -242,12 +254,15 @@ def correlate(
                 a, b = pairs[p, 0], pairs[p, 1]
                 _add_pair(
                     moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
-                    radius, noise, shadow_noise, brightness, sums, line, total, weight,
+                    radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
                 )  # fmt: skip
             for i in range(rows):
                 for j in range(width):
                     n = weight[i, j]
-                    volume[r0 + i, j, k] = math.sqrt(total[i, j] / n) if n > 0 else np.float32(-1)
+                    mean_power = total[i, j] / n if n > 0 else np.float32(-1)
+                    if n > 0:
+                        mean_power = math.sqrt(mean_power) if power == 1 else mean_power**SIXTH
+                    volume[r0 + i, j, k] = mean_power
         for i in range(rows):
             for j in range(width):
                 _fill_unseen(volume[r0 + i, j], unseen)

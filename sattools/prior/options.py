@@ -37,6 +37,18 @@ class PriorOptions:
         minimum=0,
         maximum=1,
     )
+    weak: float = option(
+        0.05,
+        "Weight of an image from which the surface hides a point, in place of --unseen; with 30 pairs or more.",
+        minimum=0,
+        maximum=1,
+    )
+    mixed: float = option(
+        0.1,
+        "Factor of a pair's weight where one image shows sun and the other shadow; with 30 pairs or more.",
+        minimum=0,
+        maximum=1,
+    )
     small_jump: float = option(0.2, "Semi-global penalty for a height change of one plane (an agreement).", minimum=0)
     large_jump: float = option(
         0.5,

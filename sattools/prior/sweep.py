@@ -14,6 +14,7 @@ from sattools.prior.rays import Rays, follow
 from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
+ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 STRAY = 30  # cells that may be wrong about it at either end
@@ -158,9 +159,20 @@ def agreement(
     correlate(
         frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
         options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
-        np.float32(options.unseen), volume,
+        np.float32(options.unseen), *trust_in(len(pairs), options), volume,
     )  # fmt: skip
     return volume
+
+
+def trust_in(pairs: int, options: PriorOptions) -> tuple[int, np.float32, np.float32]:
+    """Half the exponent of the mean over so many pairs, weight of hidden views, and of pairs in different light.
+
+    Many pairs outvote what the surface of an earlier pass got wrong; among few, the one that agrees best by chance or
+    the hidden one would decide, so there the mean is a root mean square of what is surely seen.
+    """
+    if pairs < ROBUST_PAIRS:
+        return 1, np.float32(0), np.float32(0)
+    return 3, np.float32(options.weak), np.float32(options.mixed)
 
 
 def scarcity(pairs: int) -> float:
@@ -168,4 +180,4 @@ def scarcity(pairs: int) -> float:
     return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
 
 
-__all__ = ["agreement", "in_blocks", "narrow", "planes", "scarcity", "sweep"]
+__all__ = ["agreement", "in_blocks", "narrow", "planes", "scarcity", "sweep", "trust_in"]

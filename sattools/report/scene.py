@@ -197,7 +197,23 @@ def _errors(scene: Scene) -> Section:
         f"Completeness {100 * found['completeness']:.2f} %, within 1 m {100 * found['within_1m']:.1f} %."
     )
     section.parts.append(Table(["cells", "MAE [m]", "median [m]", "RMSE [m]", "NMAD [m]", "n"], rows, caption))
+    if "near_steps" in found:
+        section.parts.append(_step_table(found))
     return section
+
+
+def _step_table(found: dict[str, Any]) -> Table:
+    """Errors beside height steps and away from them."""
+    rows = []
+    for name, own in {"all": found, **(found.get("classes") or {})}.items():
+        near, away = own.get("near_steps") or {}, own.get("away_from_steps") or {}
+        shown = [own.get("mae_centred"), own.get("mae_capped_5m"), near.get("share"), near.get("signed")]
+        shown += [near.get("absolute"), away.get("signed"), away.get("absolute")]
+        if own.get("mae_centred") is not None:
+            rows.append([name, *(_number(value, 3) for value in shown)])
+    names = ["cells", "MAE [m]", "each at most 5 m [m]", "share beside steps", "signed there [m]", "absolute there [m]"]
+    caption = "Errors about the median; beside steps: within 2 m of a step of more than 3 m in the reference."
+    return Table([*names, "signed elsewhere [m]", "absolute elsewhere [m]"], rows, caption)
 
 
 def _maps(scene: Scene) -> Section:

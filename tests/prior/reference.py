@@ -23,7 +23,7 @@ def agreement(a, b, noise, brightness):
 
 def correlate(
     images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs,
-    radius, noise, shadow_noise, brightness, margin, unseen, base=None,
+    radius, noise, shadow_noise, brightness, margin, unseen, power=1, weak=0.0, mixed=0.0, base=None,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
     views, rows, cols = images.shape
@@ -45,15 +45,17 @@ def correlate(
 
         windows = [window(v) for v in range(views)]
         nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
-        seen = [masks[n] > 0 and hits[n] <= z[0, 0] + tolerance for n in nearest]
+        valid = [masks[n] > 0 for n in nearest]
+        weights = [ok * (1.0 if hits[n] <= z[0, 0] + tolerance else weak) for ok, n in zip(valid, nearest, strict=True)]
         lit = [shades[v, row, col] <= z[0, 0] for v in range(views)]
-        usable = [(a, b) for a, b in pairs if seen[a] and seen[b] and lit[a] == lit[b]]
-        squares = []
-        for a, b in usable:
-            both_dark = not lit[a] and all(windows[v].mean() < dark[v] + brightness for v in (a, b))
+        powers = weight = 0.0
+        for a, b in pairs:
+            own = weights[a] * weights[b] * (1.0 if lit[a] == lit[b] else mixed)
+            both_dark = not lit[a] and not lit[b] and all(windows[v].mean() < dark[v] + brightness for v in (a, b))
             floor, veil = (shadow_noise, dark[a] - dark[b]) if both_dark else (noise, 0.0)
-            squares.append(agreement(windows[a] - veil, windows[b], floor, brightness) ** 2)
-        volume[row, col, k] = np.sqrt(np.mean(squares)) if squares else -1
+            powers += own * agreement(windows[a] - veil, windows[b], floor, brightness) ** (2 * power)
+            weight += own
+        volume[row, col, k] = (powers / weight) ** (1 / (2 * power)) if weight > 0 else -1
     best = np.maximum(volume.max(axis=2, keepdims=True), 0)
     return np.where(volume < 0, np.minimum(unseen, 0.9 * best), volume)
 

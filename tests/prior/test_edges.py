@@ -67,6 +67,18 @@ def test_views_that_do_not_see_a_cell_have_no_say(roof):
     assert (sharpen(frame, blocked, wide, 2.0, NOISE) != wide).sum() <= 4
 
 
+@pytest.mark.parametrize(("disagreeing", "moves"), [(1, True), (2, False)])
+def test_three_views_in_four_have_to_agree(roof, disagreeing, moves):
+    image, true = roof
+    wide = true.copy()
+    wide[8:32, 8:32] = 10.0
+    frame = a_frame(image, views=4)
+    # from these the rim looks as the roof does, and the ground around does not
+    frame.images[:disagreeing, 8:32, 8:32] = 0.8
+    found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
+    assert ((found != wide).sum() > 100) == moves
+
+
 def test_slopes_and_low_steps_are_left_alone():
     slope = np.tile(np.linspace(0, 12, 40, dtype=np.float32), (40, 1))
     kerb = np.zeros((40, 40), np.float32)

@@ -9,6 +9,7 @@ from sattools.prior.sgm import aggregate, lowest, rival
 from sattools.prior.sweep import PLANES
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
+ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
 LOW = -1e9
 
 
@@ -35,10 +36,11 @@ def run_correlate(
     base=PLANES,
     **changed,
 ):
-    s = SETTINGS | changed
+    s = SETTINGS | ROOT_MEAN_SQUARE | changed
     m = s["margin"]
     volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
     order = (s["radius"], s["noise"], s["shadow_noise"], s["brightness"], m, np.float32(s["unseen"]))
+    order += (s["power"], np.float32(s["weak"]), np.float32(s["mixed"]))
     if shades is None:
         shades = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
     if dark is None:
@@ -61,6 +63,41 @@ def test_correlation_is_that_of_the_plain_twin(radius):
     assert (slow == 0.3).any(), "the case must contain points that no pair sees"
     # single precision, running sums
     np.testing.assert_allclose(fast, slow, atol=2e-4)
+
+
+@pytest.mark.parametrize("power", [1, 3])
+def test_a_weighted_power_mean_is_that_of_the_plain_twin(power):
+    images, masks, slopes, hits = a_frame()
+    pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
+    shades = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
+    dark = np.full(4, LOW, np.float32)
+    robust = {"power": power, "weak": 0.05, "mixed": 0.1}
+    fast = run_correlate(images, masks, slopes, hits, pairs, heights, shades=shades, **robust)
+    settings = SETTINGS | robust
+    slow = reference.correlate(
+        images.astype(float), masks, slopes, heights, 1.0, hits, shades, dark, 0.5, pairs, **settings
+    )
+    np.testing.assert_allclose(fast, slow, atol=5e-4)
+
+
+def test_what_no_image_can_contradict_is_worth_what_the_hidden_images_show():
+    images, masks, slopes, hits = a_frame()
+    hits[:] = 3.0  # nothing below 3 m is seen
+    masks[:] = 1
+    images[1:] = -images[:1]  # and there the images disagree
+    arguments = (images, masks, slopes * 0, hits, np.array([(0, 1)]), np.array([0.0]))
+    seen = run_correlate(images, masks, slopes * 0, hits, np.array([(0, 1)]), np.array([4.0]))
+    np.testing.assert_allclose(run_correlate(*arguments, weak=0.05), seen, atol=1e-5)
+
+
+def test_with_the_sixth_power_pairs_that_agree_outvote_those_that_are_disturbed():
+    images, masks, slopes, hits = a_frame()
+    masks[:], hits[:], images[1] = 1, LOW, images[0]  # views 0 and 1 are equal, 2 and 3 are not like them
+    pairs = np.array([(0, 1), (0, 2), (0, 3), (2, 3)])
+    square = run_correlate(images, masks, slopes * 0, hits, pairs, np.array([0.0]))
+    sixth = run_correlate(images, masks, slopes * 0, hits, pairs, np.array([0.0]), power=3)
+    assert sixth.min() > 0.25 ** (1 / 6) - 1e-3  # one pair in four agrees fully
+    assert (sixth >= square - 1e-5).all()
 
 
 def test_correlation_along_a_surface_is_that_of_the_plain_twin():

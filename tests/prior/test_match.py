@@ -12,7 +12,7 @@ from sattools.prior.kernels import correlate
 from sattools.prior.match import match
 from sattools.prior.options import PriorOptions
 from sattools.prior.rays import filled
-from sattools.prior.sweep import BLOCK, _blocks
+from sattools.prior.sweep import BLOCK, ROBUST_PAIRS, _blocks, trust_in
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +145,9 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypat
     match(frame, ALL, RANGE, PriorOptions(step=4.0, rough_passes=1))
     assert len(seen) == 3
     assert min(seen) >= 0
+
+
+def test_few_pairs_count_only_what_is_surely_seen():
+    options = PriorOptions()
+    assert trust_in(ROBUST_PAIRS - 1, options) == (1, 0.0, 0.0)
+    assert trust_in(ROBUST_PAIRS, options) == pytest.approx((3, 0.05, 0.1))

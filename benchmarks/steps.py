@@ -1,0 +1,142 @@
+"""What does a choice of the prior do beside height steps? Variants on several scenes, every measure for each.
+
+    python benchmarks/steps.py SCENE/scene.json=REFERENCE.tif[@REGION] ... [--variant 'NAME: OPTION=VALUE ...'] ...
+        [--average METRES] [--fit] [--out FILE.json]
+
+Scenes come from `sattools prep`; a reference is anything that `sattools compare --dsm` takes, `X_CLS.tif` beside
+`X_DSM.tif` is its class map. Variants are options of `sattools prior`, such as `--variant 'flat: rough_passes=0'`;
+the defaults are always the first. Columns: mean absolute error by the protocol; the same about the median; each at most
+5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU seconds of matching
+(NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from sattools.compare import Truth, compare_dsm, read_reference
+from sattools.prior import PriorOptions
+from sattools.prior.confidence import confidence
+from sattools.prior.match import Match, match
+from sattools.prior.pairs import choose_pairs
+from sattools.prior.stage import crop, make_frame, write_maps
+from sattools.scene import Grid, Scene
+from sattools.scene.copies import absolute_copy
+from sattools.scene.files import write_text
+from sattools.scene.raster import read_raster
+from sattools.views import load_sources
+
+HEADER = f"{'':34s} {'MAE':>6s} {'cent.':>6s} {'capped':>6s} {'near':>6s} {'|near|':>6s} {'|away|':>6s} {'median':>6s}"
+
+
+def variant(text: str) -> tuple[str, dict[str, Any]]:
+    """Name and changed options of 'NAME: OPTION=VALUE ...'."""
+    name, _, rest = text.partition(":")
+    kinds = {f.name: type(f.default) for f in fields(PriorOptions)}
+    changed = {}
+    for key, value in re.findall(r"(\w+)=(\S+)", rest):
+        kind = kinds[key] if kinds[key] in (int, str) else float
+        changed[key] = value == "True" if kinds[key] is bool else kind(value)
+    return name.strip(), changed
+
+
+def reference(text: str) -> Truth:
+    """Truth of FILE[@REGION]."""
+    name, _, region = text.partition("@")
+    path = Path(name)
+    beside = path.with_name(path.name.replace("_DSM", "_CLS"))
+    truth = read_reference(path, beside if beside != path and beside.exists() and not is_contest(path) else None)
+    return truth.within(region) if region else truth
+
+
+def is_contest(path: Path) -> bool:
+    """A tile without georeference of its own; its class map is found by itself."""
+    return path.with_suffix(".txt").exists()
+
+
+def matched(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
+    """What `sattools prior` finds, its grid, CPU seconds of the matching."""
+    whole, z_range = scene.need_grid(), scene.need_height_range()
+    grid = whole.resized(options.resolution or whole.cell_size)
+    frame, views = make_frame(load_sources(scene, scene.train_items()), grid, z_range, options.window)
+    limits = (options.min_angle, options.max_angle)
+    pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
+    start = time.process_time()
+    found = match(frame, pairs, z_range, options)
+    seconds = time.process_time() - start
+    return Match(**{name: crop(array, grid.shape) for name, array in vars(found).items()}), grid, seconds
+
+
+def averaged(height: np.ndarray, grid: Grid, cell: float) -> tuple[np.ndarray, Grid]:
+    """Means of square blocks of cells; what does not fill a block at the lower and right border is left out."""
+    n = max(1, round(cell / grid.cell_size))
+    rows, cols = height.shape[0] // n, height.shape[1] // n
+    mean = height[: rows * n, : cols * n].reshape(rows, n, cols, n).mean(axis=(1, 3), dtype=np.float64)
+    return mean.astype(np.float32), Grid(grid.crs, grid.left, grid.top, grid.cell_size * n, cols, rows)
+
+
+def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, Grid]:
+    """The surface that `sattools fit` makes of this prior, with its defaults."""
+    from sattools.export.options import ExportOptions
+    from sattools.export.stage import export
+    from sattools.fit.options import FitOptions
+    from sattools.fit.stage import fit
+
+    with TemporaryDirectory() as folder:
+        copy = absolute_copy(scene, Path(folder))
+        write_maps(copy, found.height, confidence(found), grid)
+        fit(copy, FitOptions())
+        export(copy, ExportOptions())
+        height, own = read_raster(copy.path(copy.products["dsm"]))
+    return height[0], own
+
+
+def row(name: str, height: np.ndarray, grid: Grid, truth: Truth, seconds: float | None = None) -> dict[str, Any]:
+    """Score, print, return."""
+    figures = compare_dsm(height, truth, grid).figures
+    near, away = figures["near_steps"], figures["away_from_steps"]
+    values = [figures["mae"], figures["mae_centred"], figures["mae_capped_5m"]]
+    text = " ".join(f"{value:6.3f}" for value in values)
+    text += f" {near['signed']:+6.2f} {near['absolute']:6.3f} {away['absolute']:6.3f} {figures['median']:6.3f}"
+    print(f"{name:34s} {text}" + (f" {seconds:6.1f} s" if seconds is not None else ""), flush=True)
+    return {"name": name, "seconds": seconds, **figures}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="+", metavar="SCENE=REFERENCE[@REGION]")
+    parser.add_argument("--variant", action="append", default=[], metavar="'NAME: OPTION=VALUE ...'")
+    parser.add_argument("--average", type=float, help="also score the prior averaged to these cells [m]")
+    parser.add_argument("--fit", action="store_true", help="also score the fit that starts from it")
+    parser.add_argument("--out", type=Path, help="all figures as JSON")
+    options = parser.parse_args()
+    variants = [variant("as it is"), *map(variant, options.variant)]
+    print(HEADER)
+    table: dict[str, list[dict[str, Any]]] = {}
+    for text in options.scenes:
+        path, _, against = text.partition("=")
+        scene, truth = Scene.from_file(Path(path)), reference(against)
+        print(scene.id)
+        rows = table.setdefault(scene.id, [])
+        for name, changed in variants:
+            found, grid, seconds = matched(scene, replace(PriorOptions(), **changed))
+            rows.append(row(f"  {name}", found.height, grid, truth, seconds))
+            if options.average:
+                rows.append(row("    averaged", *averaged(found.height, grid, options.average), truth))
+            if options.fit:
+                rows.append(row("    fitted", *fitted(scene, found, grid), truth))
+    if options.out:
+        write_text(options.out, json.dumps(table, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
