@@ -98,6 +98,24 @@ class PlainFormatter(logging.Formatter):
         return text if record.exc_info else text.replace("\n", " ")
 
 
+class Stderr(logging.Handler):
+    """Messages on stderr, whatever that is when they come: a program may call the suite again with another one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler.emit`; nobody reading is no reason to stop."""
+        with suppress(OSError, ValueError, AttributeError):
+            print(self.format(record).encode(errors="backslashreplace").decode(), file=sys.stderr, flush=True)
+
+
+def configure_handler() -> None:
+    """Have messages of all libraries on stderr, once."""
+    root = logging.getLogger()
+    if not any(isinstance(handler, Stderr) for handler in root.handlers):
+        handler = Stderr()
+        handler.setFormatter(PlainFormatter("sattools: %(message)s"))
+        root.addHandler(handler)
+
+
 def complain(line: str) -> None:
     """One line on stderr, without what could steer a terminal, if anybody is there to read it."""
     text = printable(" ".join(line.split()))
@@ -127,4 +145,12 @@ def _short(error: BaseException) -> str:
     return text if len(text) <= 300 else text[:300] + "..."
 
 
-__all__ = ["LastResort", "PlainFormatter", "check_arguments", "check_folder", "complain", "quiet_stdout"]
+__all__ = [
+    "LastResort",
+    "PlainFormatter",
+    "check_arguments",
+    "check_folder",
+    "complain",
+    "configure_handler",
+    "quiet_stdout",
+]

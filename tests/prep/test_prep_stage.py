@@ -188,9 +188,10 @@ def test_a_truncated_image_is_refused(images, options):
 
 
 def test_a_band_without_data_is_refused(images, options, pixels):
-    write(images[1], np.stack([pixels[1], np.zeros_like(pixels[1])]), parallel_rpc(RUNS[1]))
+    for path, values, run in zip(images, pixels, RUNS, strict=True):
+        write(path, np.stack([values, values * (path != images[1])]), parallel_rpc(run))
     refused(images, options, r"city_1\.tif: found band 2 to be 0 everywhere")
-    write(images[1], np.full(pixels[1].shape, np.nan, np.float32), parallel_rpc(RUNS[1]))
+    write(images[1], np.full((2, *pixels[1].shape), np.nan, np.float32), parallel_rpc(RUNS[1]))
     refused(images, options, "no-data or NaN everywhere")
 
 
@@ -209,7 +210,7 @@ def test_unreadable_json_is_refused(images, options, tmp_path, where):
     folder.mkdir()
     target = images[1].with_suffix(".json") if where == "beside the image" else folder / "city_1.json"
     target.write_text('{"rpc": ')
-    refused(images, replace(options, metadata=str(folder)), r"city_1\.json: found unreadable JSON")
+    refused(images, replace(options, metadata=str(folder)), r"city_1\.json: found text that is not JSON")
 
 
 def test_metadata_of_another_crop_are_refused(images, options):
