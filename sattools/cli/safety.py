@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import re
 import sys
 import traceback
 from contextlib import suppress
@@ -15,6 +16,7 @@ import click
 from sattools.errors import SattoolsError, printable
 
 LONGEST_ARGUMENT = 100_000
+_LONG = re.compile(r"(\S{160})\S{200,}(\S{30})")  # a name that nobody would read to its end
 
 
 class LastResort(click.Group):
@@ -118,7 +120,7 @@ def configure_handler() -> None:
 
 def complain(line: str) -> None:
     """One line on stderr, without what could steer a terminal, if anybody is there to read it."""
-    text = printable(" ".join(line.split()))
+    text = printable(" ".join(_LONG.sub(r"\1...\2", line).split()))
     with suppress(OSError, ValueError):
         click.echo(text.encode(errors="backslashreplace").decode(), err=True)
 

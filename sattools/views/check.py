@@ -10,7 +10,7 @@ import numpy as np
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, to_geographic, view_direction
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
-from sattools.radiometry import item_bits
+from sattools.radiometry.linear import item_bits
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.members import FINEST, LEAST_CELLS
 from sattools.scene.memory import check_memory
