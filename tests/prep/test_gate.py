@@ -15,10 +15,12 @@ from rasterio.enums import ColorInterp
 
 from sattools.camera import RPC
 from sattools.cli import main
-from sattools.prep.gate import check_cells, check_heights, mirrored
+from sattools.prep.gate import check_cells, check_heights, check_pixels, mirrored
+from sattools.prep.images import read_gray
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import survey
 from sattools.scene import Grid, Scene
+from sattools.simulate import SimulateOptions, simulate
 
 TERMS = "1 L P H LP LH PH LL PP HH LPH LLL LPP LHH LLP PPP PHH LLH PPH HHH"
 
@@ -410,7 +412,28 @@ def test_a_dry_run_fails_where_the_run_would(tmp_path):
     assert "a.tif: no such file" in result.stderr
 
 
-# ---- real scenes ----------------------------------------------------------------------------------------
+# ---- valid scenes ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"hdr": True, "cars": 20},
+        {"bits": 8, "bias_px": 2.0},
+        {"lat": -33.0, "lon": 151.0},
+        {"terrain": "natural", "size": 96.0, "views": 5, "train": 3},
+        {"terrain": "natural", "size": 96.0, "views": 5, "train": 3, "sun_elevation": 20.0, "sun_azimuth": 220.0},
+    ],
+    ids=["hdr", "8 bit", "southern", "natural", "natural with a low sun"],
+)
+def test_simulated_scenes_get_no_false_error_and_no_warning(tmp_path, caplog, kind):
+    scene = simulate(SimulateOptions(**{"id": "S", "size": 48.0, "views": 4, "dates": 2, "seed": 5} | kind), tmp_path)
+    paths = sorted((scene.root / "images").glob("*.tif"))
+    remarks = []
+    sources, _, _ = survey(paths, [p.stem for p in paths], PrepOptions(metadata=str(scene.root / "metadata")), remarks)
+    check_pixels(sources, [read_gray(source) for source in sources])
+    assert remarks == []
+    assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING" and "compiling" not in r.msg] == []
 
 
 @pytest.mark.parametrize(
