@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from sattools.cli.commands import COMMANDS
 from sattools.errors import SattoolsError, printable
 
 LONGEST_ARGUMENT = 100_000
@@ -28,8 +29,8 @@ class LastResort(click.Group):
         """See `click.Group.main`. The traceback of an unexpected error is shown with -vv only."""
         if not extra.get("standalone_mode", True):
             return super().main(args, prog_name, *rest, **extra)
-        self.running = ""
         given = list(sys.argv[1:] if args is None else args)
+        self.running = next((name for name in given if name in COMMANDS), "")  # until the arguments are understood
         try:
             try:
                 check_arguments(given)

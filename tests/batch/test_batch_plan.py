@@ -121,7 +121,7 @@ def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path, mak
     [
         ("[fit]\nsede = 3", "found option 'sede', which `sattools fit` does not have"),
         ("[fit]\nseed = -3", "-3 is not in the range x>=0"),
-        ("[train]\nseed = 3", "found 'train', expected the tables [prep], [normalise]"),
+        ("[train]\nseed = 3", "found the table [train], expected one named like a command"),
         ("seed = 3", "found 'seed', expected the tables"),
         ("[fit", "found no valid TOML"),
     ],
