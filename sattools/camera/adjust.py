@@ -163,7 +163,8 @@ def adjust(
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
     counts = np.bincount(block.tracks.view, minlength=len(rpcs))
-    weak = counts < options.min_points
+    matched = np.bincount(tracks.view, minlength=len(rpcs))
+    weak = _weak(counts, matched, options.min_points)
     if weak.any():
         block, points = block.kept(~weak[block.tracks.view], points)
     if block.tracks.n_points < options.min_points:
@@ -250,6 +251,20 @@ def _inliers(block: Block, solution: Solution, max_residual: float) -> NDArray[n
     # Rayleigh-distributed lengths: median = 1.177 sigma; 4 sigma keeps all but 3 in 10000 true ones.
     limit = min(max_residual, max(1.0, 4.0 * float(np.median(norm)) / 1.177))
     return norm < limit
+
+
+def _weak(counts: NDArray[np.intp], matched: NDArray[np.intp], least: int) -> NDArray[np.bool_]:
+    """Views whose tie points may all be false: few, or a fraction of the others' and rejected more often than theirs.
+
+    A mirrored image, or one of another place, has a dozen matches by chance. One that shows a corner of the area has
+    few as well, but as many of them agree as elsewhere.
+    """
+    weak = counts < least
+    if weak.all():
+        return weak
+    share = counts / np.maximum(matched, 1)
+    few = counts < 0.15 * np.median(counts[~weak])
+    return np.asarray(weak | (few & (share < 0.8 * np.median(share[~weak]))))
 
 
 def _affine_gains(block: Block, start: Solution, options: AdjustOptions, remarks: list[str]) -> bool:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import logging
 import os
 import signal
-import sys
 import threading
 from typing import Any
 
@@ -16,7 +14,7 @@ import click
 from sattools import __version__
 from sattools.cli.commands import COMMANDS
 from sattools.cli.options import configure_logging, run_options
-from sattools.cli.safety import LastResort, PlainFormatter, check_folder
+from sattools.cli.safety import LastResort, check_folder, configure_handler
 
 
 class LazyGroup(LastResort):
@@ -87,10 +85,7 @@ def main(ctx: click.Context, **values: Any) -> None:
         sattools prep *.tif --out work | sattools fit | sattools export
     """
     check_folder()
-    logging.basicConfig(stream=sys.stderr)
-    for handler in logging.getLogger().handlers:
-        if type(handler) is logging.StreamHandler:
-            handler.setFormatter(PlainFormatter("sattools: %(message)s"))
+    configure_handler()
     _apply(ctx)
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, signal.SIGINT):

@@ -54,14 +54,11 @@ def kind_of(spec: OptionSpec) -> Any:
 
 def check_value(option: click.Option, value: Any) -> None:
     """Raise InputError where a value of a configuration file is of another type than its option."""
-    from sattools.scene.schema import Items, Maybe, Number, Text
+    from sattools.scene.schema import Flag, Items, Maybe, Number, Text
 
-    if option.is_flag or isinstance(option.type, click.types.BoolParamType):
-        from sattools.scene.schema import Flag
-
-        Flag().check(value, "value")
-        return
     kind: Any = Text(empty=True)
+    if option.is_flag or isinstance(option.type, click.types.BoolParamType):
+        kind = Flag()
     if isinstance(option.type, click.types.IntParamType):
         kind = Number(whole=True)
     elif isinstance(option.type, click.types.FloatParamType):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import re
 import sys
 import traceback
 from contextlib import suppress
@@ -12,9 +13,11 @@ from typing import Any
 
 import click
 
+from sattools.cli.commands import COMMANDS
 from sattools.errors import SattoolsError, printable
 
 LONGEST_ARGUMENT = 100_000
+_LONG = re.compile(r"(\S{160})\S{200,}(\S{30})")  # a name that nobody would read to its end
 
 
 class LastResort(click.Group):
@@ -26,8 +29,8 @@ class LastResort(click.Group):
         """See `click.Group.main`. The traceback of an unexpected error is shown with -vv only."""
         if not extra.get("standalone_mode", True):
             return super().main(args, prog_name, *rest, **extra)
-        self.running = ""
         given = list(sys.argv[1:] if args is None else args)
+        self.running = next((name for name in given if name in COMMANDS), "")  # until the arguments are understood
         try:
             try:
                 check_arguments(given)
@@ -98,9 +101,27 @@ class PlainFormatter(logging.Formatter):
         return text if record.exc_info else text.replace("\n", " ")
 
 
+class Stderr(logging.Handler):
+    """Messages on stderr, whatever that is when they come: a program may call the suite again with another one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler.emit`; nobody reading is no reason to stop."""
+        with suppress(OSError, ValueError, AttributeError):
+            print(self.format(record).encode(errors="backslashreplace").decode(), file=sys.stderr, flush=True)
+
+
+def configure_handler() -> None:
+    """Have messages of all libraries on stderr, once."""
+    root = logging.getLogger()
+    if not any(isinstance(handler, Stderr) for handler in root.handlers):
+        handler = Stderr()
+        handler.setFormatter(PlainFormatter("sattools: %(message)s"))
+        root.addHandler(handler)
+
+
 def complain(line: str) -> None:
     """One line on stderr, without what could steer a terminal, if anybody is there to read it."""
-    text = printable(" ".join(line.split()))
+    text = printable(" ".join(_LONG.sub(r"\1...\2", line).split()))
     with suppress(OSError, ValueError):
         click.echo(text.encode(errors="backslashreplace").decode(), err=True)
 
@@ -127,4 +148,12 @@ def _short(error: BaseException) -> str:
     return text if len(text) <= 300 else text[:300] + "..."
 
 
-__all__ = ["LastResort", "PlainFormatter", "check_arguments", "check_folder", "complain", "quiet_stdout"]
+__all__ = [
+    "LastResort",
+    "PlainFormatter",
+    "check_arguments",
+    "check_folder",
+    "complain",
+    "configure_handler",
+    "quiet_stdout",
+]

@@ -203,7 +203,7 @@ def compare_views(scene: Scene) -> dict[str, Any]:
 
 
 def _radiance(scene: Scene, item: Item) -> np.ndarray:
-    from sattools.radiometry import item_bits, linear_radiance
+    from sattools.radiometry.linear import item_bits, linear_radiance
 
     if "radiance" in item.assets:
         return read_image(scene.path(item.assets["radiance"].href))

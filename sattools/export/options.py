@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from sattools.errors import InputError
 from sattools.settings import option
 
 
@@ -22,6 +23,16 @@ class ExportOptions:
     fill: bool = option(
         False, "Keep the heights and maps of ground that fewer than two images reach; product validity marks them."
     )
+
+    def __post_init__(self) -> None:
+        if self.sun is None:
+            return
+        azimuth, elevation = self.sun
+        if not (-360 <= azimuth <= 360 and 0 < elevation <= 90):
+            raise InputError(
+                f"--sun: found azimuth {azimuth:g} and elevation {elevation:g}, expected -360 to 360 degrees and a sun "
+                "above the horizon, up to 90"
+            )
 
 
 __all__ = ["ExportOptions"]

@@ -20,7 +20,8 @@ from sattools.camera.ground import ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.images import Source
-from sattools.scene.members import HEIGHT_LIMITS_M
+from sattools.scene.grid import Grid
+from sattools.scene.members import FINEST, HEIGHT_LIMITS_M, LEAST_CELLS, MAX_CELLS
 
 Array = NDArray[np.float64]
 
@@ -198,8 +199,10 @@ def check_pixels(sources: Sequence[Source], grays: Sequence[NDArray[np.float32]]
 def check_corrections(result: Adjustment, sources: Sequence[Source]) -> list[str]:
     """Warn of cameras that were off by more than vendors' are; remarks on all of them."""
     remarks = []
-    for view, source in zip(result.views, sources, strict=True):
-        length = math.hypot(*view.shift_px)
+    lengths = [math.hypot(*view.shift_px) for view in result.views]
+    if len(lengths) == 2:  # each of them has got half of what they are apart
+        lengths = [sum(lengths), 0.0]
+    for view, source, length in zip(result.views, sources, lengths, strict=True):
         if not view.weak and length > _limit_px((source.window[3], source.window[2])):
             whose = "; whose camera it is cannot be told from so few" if len(sources) < 4 else ""
             remarks.append(
@@ -207,6 +210,24 @@ def check_corrections(result: Adjustment, sources: Sequence[Source]) -> list[str
                 "image and of this part of it?"
             )
     return remarks
+
+
+def check_cells(grid: Grid, pixel_m: float) -> None:
+    """Raise InputError for cells that are no choice between speed and detail any more."""
+    if min(grid.shape) < LEAST_CELLS:
+        raise InputError(
+            f"cell size: found {grid.cell_size:g} m, {grid.width} x {grid.height} cells for the whole area, expected "
+            f"at least {LEAST_CELLS} along each side"
+        )
+    if grid.width * grid.height > MAX_CELLS:
+        raise InputError(
+            f"area: found {grid.width} x {grid.height} cells of {grid.cell_size:g} m, expected at most {MAX_CELLS:.0e}"
+        )
+    if grid.cell_size < FINEST * pixel_m:
+        raise InputError(
+            f"cell size: found {grid.cell_size:g} m for pixels of {pixel_m:.2g} m, expected at least "
+            f"{FINEST * pixel_m:.2g} m"
+        )
 
 
 def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> list[str]:
@@ -233,6 +254,7 @@ def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> l
 
 
 __all__ = [
+    "check_cells",
     "check_corrections",
     "check_heights",
     "check_pixels",

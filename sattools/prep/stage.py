@@ -21,6 +21,7 @@ from sattools.camera.tiepoints import View, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
 from sattools.prep.gate import (
+    check_cells,
     check_corrections,
     check_heights,
     check_pixels,
@@ -344,13 +345,16 @@ def _grid(
     for rpc, (_, _, width, height) in zip(rpcs, windows, strict=True):
         lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, middle)
         sizes.append(ground_sample_distance(rpc, lon, lat, middle))
-    cell = options.cell_size or default_cell_size(float(np.median(sizes)))
-    if asked is not None:
-        return Grid.from_bounds(crs, asked, cell)
-    # A rim, so that the surface still covers the area when it is moved by some metres onto a reference.
-    west, south, east, north = covered
-    rim = 0.02 * max(east - west, north - south)
-    return Grid.from_bounds(crs, (west - rim, south - rim, east + rim, north + rim), cell)
+    pixel = float(np.median(sizes))
+    cell = options.cell_size or default_cell_size(pixel)
+    if asked is None:
+        # A rim, so that the surface still covers the area when it is moved by some metres onto a reference.
+        west, south, east, north = covered
+        rim = 0.02 * max(east - west, north - south)
+        asked = (west - rim, south - rim, east + rim, north + rim)
+    grid = Grid.from_bounds(crs, asked, cell)
+    check_cells(grid, pixel)
+    return grid
 
 
 def _write_reports(scene: Scene, result: Adjustment) -> None:

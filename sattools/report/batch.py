@@ -32,8 +32,9 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         rows = list(csv.DictReader(io.StringIO(read_text(path))))
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read ({error}), expected the table of a batch") from error
-    if not rows or not {"scene", "configuration", "seconds", "mae_m"} <= rows[0].keys():
-        raise InputError(f"{path}: found no rows of a batch, expected columns scene, configuration, seconds, mae_m")
+    needed = ("scene", "configuration", "status", "seconds", "mae_m")
+    if not rows or not set(needed) <= rows[0].keys():
+        raise InputError(f"{path}: found no rows of a batch, expected columns {', '.join(needed)}")
     if any(None in row or None in row.values() for row in rows):
         raise InputError(f"{path}: found a row with more or fewer cells than columns, expected the table of a batch")
     for row in rows:  # they become folder names below

@@ -12,6 +12,8 @@ from sattools.scene.schema import Anything, Items, Maybe, Number, Table, Text, m
 ROLES = ("train", "test", "unused")
 HEIGHT_LIMITS_M = (-12_000.0, 12_000.0)  # of any ground or water surface on Earth, with room
 MAX_CELLS = 4_000_000_000
+LEAST_CELLS = 8  # of a grid along each side
+FINEST = 1 / 32  # cell over pixel
 
 _ANGLE = Number(-360, 360, unit="degrees")
 _HREF = Text()
@@ -183,4 +185,15 @@ def _differ_little(a: str, b: str) -> bool:
     return abs(len(a) - len(b)) <= 2 and len(set(a) ^ set(b)) <= 2 and a[:6] == b[:6] and a[-1:] == b[-1:]
 
 
-__all__ = ["GRID", "HEIGHT_LIMITS_M", "ITEM", "OURS", "PROPERTIES", "ROLES", "check_members"]
+__all__ = [
+    "FINEST",
+    "GRID",
+    "HEIGHT_LIMITS_M",
+    "ITEM",
+    "LEAST_CELLS",
+    "MAX_CELLS",
+    "OURS",
+    "PROPERTIES",
+    "ROLES",
+    "check_members",
+]

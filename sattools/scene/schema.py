@@ -51,10 +51,12 @@ class Number:
 
 @dataclass(frozen=True)
 class NumberText:
-    """A number, or text that is one, as in vendors' metadata."""
+    """A number, or text that is one, as in vendors' metadata; no text at all where it is not known."""
 
     def check(self, value: Any, where: str) -> None:
         """See `Kind`."""
+        if isinstance(value, str) and not value.strip():
+            return
         try:
             right = not isinstance(value, bool | list | Mapping) and math.isfinite(float(value))
         except (TypeError, ValueError, OverflowError):
@@ -178,8 +180,9 @@ def shown(value: Any) -> str:
 
 def meant(found: Any, known: Iterable[str], closeness: float = 0.6) -> str:
     """` (did you mean 'x'?)` where a known name is close to the one found, else nothing."""
-    close = difflib.get_close_matches(str(found)[:100].lower(), list(known), 1, closeness)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+    names = {str(name).lower(): name for name in known}
+    close = difflib.get_close_matches(str(found)[:100].lower(), list(names), 1, closeness)
+    return f" (did you mean {names[close[0]]!r}?)" if close else ""
 
 
 __all__ = ["Anything", "Flag", "Items", "Kind", "Maybe", "Number", "NumberText", "Table", "Text", "meant", "shown"]

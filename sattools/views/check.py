@@ -10,15 +10,14 @@ import numpy as np
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, to_geographic, view_direction
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
-from sattools.radiometry import item_bits
+from sattools.radiometry.linear import item_bits
 from sattools.scene import Grid, Item, Scene
+from sattools.scene.members import FINEST, LEAST_CELLS
 from sattools.scene.memory import check_memory
 
 _HEIGHTS_APART_M = 1000.0  # of a scene from those that a camera was made for
 _TURNED_DEG = 3.0  # a camera from what the document says of it
 _GRID_SHARE = 100.0  # area of the grid over that of the images together
-_LEAST_CELLS = 8
-_FINEST = 1 / 32  # cell over pixel
 _COPIES = 3  # of an image's array that work holds at a time
 
 
@@ -41,9 +40,9 @@ def check_scene(scene: Scene, items: Sequence[Item], cameras: Sequence[RPC], sha
         check_scale(grid.crs, lon, lat)
     except InputError as error:
         raise SceneError(f"scene {scene.id}: grid: {error}") from None
-    if min(grid.shape) < _LEAST_CELLS:
+    if min(grid.shape) < LEAST_CELLS:
         raise SceneError(
-            f"scene {scene.id}: found a grid of {grid.width} x {grid.height} cells, expected at least {_LEAST_CELLS} "
+            f"scene {scene.id}: found a grid of {grid.width} x {grid.height} cells, expected at least {LEAST_CELLS} "
             "along each side"
         )
     shown = 0.0
@@ -104,10 +103,10 @@ def _check_direction(scene: Scene, item: Item, rpc: RPC, lon: float, lat: float,
 
 def check_cells(grid: Grid, pixel_m: float, bands: int, images: int) -> None:
     """Raise SattoolsError where images resampled to a grid have absurdly many cells, or more than memory holds."""
-    if math.isfinite(pixel_m) and grid.cell_size < _FINEST * pixel_m:
+    if math.isfinite(pixel_m) and grid.cell_size < FINEST * pixel_m:
         raise SceneError(
             f"grid: found cells of {grid.cell_size:g} m for pixels of {pixel_m:.2g} m, expected at least "
-            f"{_FINEST * pixel_m:.2g} m"
+            f"{FINEST * pixel_m:.2g} m"
         )
     cells = grid.width * grid.height
     check_memory(

@@ -13,7 +13,7 @@ import numpy as np
 from sattools.camera.ground import ground_sample_distance, project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
-from sattools.radiometry import item_bits, linear_radiance
+from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.raster import image_shape, read_image
 from sattools.views.check import check_cells, check_scene

@@ -188,12 +188,10 @@ def test_a_truncated_image_is_refused(images, options):
 
 
 def test_a_band_without_data_is_refused(images, options, pixels):
-    for k in range(3):
-        write(images[k], np.stack([pixels[k], pixels[k] * (k != 1)]), parallel_rpc(RUNS[k]))
+    for path, values, run in zip(images, pixels, RUNS, strict=True):
+        write(path, np.stack([values, values * (path != images[1])]), parallel_rpc(run))
     refused(images, options, r"city_1\.tif: found band 2 to be 0 everywhere")
-    for k in (0, 2):
-        write(images[k], pixels[k], parallel_rpc(RUNS[k]))
-    write(images[1], np.full(pixels[1].shape, np.nan, np.float32), parallel_rpc(RUNS[1]))
+    write(images[1], np.full((2, *pixels[1].shape), np.nan, np.float32), parallel_rpc(RUNS[1]))
     refused(images, options, "no-data or NaN everywhere")
 
 

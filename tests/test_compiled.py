@@ -1,0 +1,118 @@
+"""Where compiled kernels are kept: also in containers without a home and with a read-only installation."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+import sattools
+from sattools import compiled
+
+PACKAGE = Path(sattools.__file__).parent
+
+
+@pytest.fixture
+def bare(tmp_path, monkeypatch):
+    """Nothing but the temporary folder can be written."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(compiled, "writable", lambda folder: False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_a_folder_is_writable_when_files_can_be_made_below_it(tmp_path):
+    assert compiled.writable(tmp_path)
+    assert compiled.writable(tmp_path / "not/yet/there")
+    (tmp_path / "file").write_text("")
+    assert not compiled.writable(tmp_path / "file/below")
+    assert not compiled.writable(Path("/proc/none/below"))  # where root cannot write either
+
+
+def test_numba_finds_a_place_by_itself_where_there_is_one(monkeypatch, tmp_path):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    assert compiled.cache_folder(tmp_path) is None
+    monkeypatch.setattr(compiled, "writable", lambda folder: False)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert compiled.cache_folder(tmp_path) is None
+
+
+def test_otherwise_there_is_a_temporary_folder_of_this_user_alone(bare):
+    folder = compiled.cache_folder()
+    assert folder == bare / f"sattools-cache-{os.getuid()}"
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert compiled.cache_folder() == folder
+
+
+@pytest.mark.parametrize("trap", ["link", "open to all", "file"])
+def test_a_folder_that_somebody_else_may_have_prepared_is_not_used(bare, trap):
+    name = bare / f"sattools-cache-{os.getuid()}"
+    if trap == "link":
+        (bare / "theirs").mkdir()
+        name.symlink_to(bare / "theirs")
+    elif trap == "file":
+        name.write_text("")
+    else:
+        name.mkdir()
+        name.chmod(0o777)
+    folder = compiled.cache_folder()
+    assert folder != name
+    assert folder.parent == bare
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+# Root may write where it has no right to, so files stand where the folders of caches would be, and the home is in
+# /proc, where nobody can make any.
+
+
+@pytest.fixture
+def container(tmp_path):
+    """The package without compiled kernels, none of whose folders takes a file, and an environment without a home."""
+    site = tmp_path / "site"
+    shutil.copytree(PACKAGE, site / "sattools", ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in [site / "sattools", *(p for p in (site / "sattools").rglob("*") if p.is_dir())]:
+        (folder / "__pycache__").write_text("")  # a file: no folder of that name can be made
+    (tmp_path / "tmp").mkdir()
+    names = ("PATH", "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_WAIT_POLICY")
+    kept = {name: os.environ[name] for name in names if name in os.environ}
+    return {
+        **kept,
+        "PYTHONPATH": str(site),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "HOME": "/proc/none",
+        "TMPDIR": str(tmp_path / "tmp"),
+    }
+
+
+def test_without_a_home_and_with_a_read_only_installation(container):
+    site = Path(container["PYTHONPATH"])
+    (site / "sattools/tiny.py").write_text(
+        "from sattools.compiled import njit\n\n\n@njit(cache=True)\ndef more(x):\n    return x + 1\n"
+    )
+    program = "from sattools.cli.safety import configure_handler as c; c(); from sattools.tiny import more; "
+    said = []
+    for _ in range(2):
+        call = [sys.executable, "-c", program + "print(more(1), more(1.5))"]
+        done = subprocess.run(call, env=container, cwd=site, capture_output=True, text=True)
+        assert (done.returncode, done.stdout) == (0, "2 2.5\n"), done.stderr
+        said.append(done.stderr)
+    # once, though two kernels were compiled; and what was compiled is kept
+    assert said == ["sattools: compiling, first run: this takes up to a minute, once\n", ""]
+    assert [p.name for p in Path(container["TMPDIR"]).iterdir()] == [f"sattools-cache-{os.getuid()}"]
+
+
+def test_without_any_folder_kernels_are_compiled_for_this_run(container):
+    site = Path(container["PYTHONPATH"])
+    (site / "sattools/tiny.py").write_text(
+        "from sattools.compiled import njit\n\n\n@njit(cache=True)\ndef more(x):\n    return x + 1\n"
+    )
+    call = [
+        sys.executable,
+        "-c",
+        "import tempfile; tempfile.tempdir = '/proc/none'; import sattools.tiny as t; t.more(1)",
+    ]
+    assert subprocess.run(call, env=container, cwd=site, capture_output=True).returncode == 0
