@@ -47,7 +47,9 @@ _ADJUSTMENT = Members(
     },
     ("observations", "ground_points", "median_before_px", "median_after_px", "model"),
 )
-_FIGURES = dict.fromkeys(("mae", "median", "rmse", "nmad", "completeness", "within_1m", "n"), _LENGTH)
+_PLACE = Maybe(Members(dict.fromkeys(("signed", "absolute", "share"), _LENGTH)))
+_FIGURES: dict[str, Any] = dict.fromkeys(("mae", "median", "rmse", "nmad", "completeness", "within_1m", "n"), _LENGTH)
+_FIGURES |= {"mae_centred": _LENGTH, "mae_capped_5m": _LENGTH, "near_steps": _PLACE, "away_from_steps": _PLACE}
 _ERRORS = Members(
     {
         **_FIGURES,

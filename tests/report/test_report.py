@@ -14,6 +14,7 @@ from patience import HANGING_S
 
 from sattools.batch.table import write_tables
 from sattools.cli import main
+from sattools.errors import InputError
 from sattools.report.commands import command_line, pipeline
 from sattools.report.page import Section, render
 from sattools.scene.raster import write_cog
@@ -225,3 +226,34 @@ def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path, opened):
     path.write_text(page)
     _, said = opened(path)
     assert any("Content Security Policy" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d["near_steps"].update(signed="x"), "signed"),
+        (lambda d: d.update(mae_centred=[1]), "mae_centred"),
+        (lambda d: d["classes"]["ground"].update(near_steps=3), "near_steps"),
+    ],
+)
+def test_a_score_that_is_no_number_is_named(tmp_path, change, words):
+    from sattools.report.scene import _ERRORS
+
+    place = {"signed": 0.1, "absolute": 0.2, "share": 0.3}
+    figures = {"near_steps": place, "away_from_steps": place, "mae_centred": 0.3, "mae_capped_5m": 0.2}
+    found = {**figures, "classes": {"ground": dict(figures)}, "shift_m": [0, 0, 0], "protocol": "dsm", "reference": "R",
+             "mask": "", "completeness": 1.0, "within_1m": 1.0}  # fmt: skip
+    _ERRORS.check(found, "errors.json")
+    found = json.loads(json.dumps(found))
+    change(found)
+    with pytest.raises(InputError, match=words):
+        _ERRORS.check(found, "errors.json")
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_a_batch_table_of_no_numbers_is_refused(tmp_path, value):
+    from sattools.report.batch import read_rows
+
+    (tmp_path / "table.csv").write_text(f"scene,configuration,status,seconds,mae_m\nA,b,done,{value},1.0\n")
+    with pytest.raises(InputError, match=r"table\.csv: found seconds -?(nan|inf) of A, expected a finite number"):
+        read_rows(tmp_path / "table.csv")
