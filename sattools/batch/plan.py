@@ -14,7 +14,7 @@ from sattools.errors import InputError
 from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
-from sattools.scene.files import write_text
+from sattools.scene.files import remove_orphans, write_text
 from sattools.scene.jsonio import read_json
 from sattools.scene.schema import Anything, Items, Table, Text
 
@@ -84,6 +84,7 @@ class Task:
         """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
         folder = Path(self.folder)
         folder.mkdir(parents=True, exist_ok=True)
+        remove_orphans(folder)
         self.record.unlink(missing_ok=True)
         write_text(folder / "config.toml", self.config)
         if self.source is not None:

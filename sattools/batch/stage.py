@@ -28,7 +28,7 @@ from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene
-from sattools.scene.files import check_outputs, write_text
+from sattools.scene.files import check_outputs, remove_orphans, write_text
 
 log = logging.getLogger(__name__)
 FIGURE, DIGESTS = "speed_error.png", "digests.json"
@@ -158,8 +158,12 @@ def batch(
         told(task.name, 1.0, result["status"])
         return []
 
-    if plan.jobs:
-        run(plan.jobs, options, shares(options, cores), finished, told)
+    try:
+        if plan.jobs:
+            run(plan.jobs, options, shares(options, cores), finished, told)
+    finally:
+        # commands die with their workers, in the middle of whatever they write
+        remove_orphans(out)
     rows = plan.table()
     write_tables(rows, out)
     draw(rows, out / FIGURE)
