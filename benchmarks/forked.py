@@ -85,6 +85,8 @@ def warm(arguments: Sequence[str]) -> None:
     """Run a command in this process, so that children find its kernels and fonts loaded; it must succeed."""
     with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
         status = _main(list(arguments))
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a program that has ended ignores signals
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if status:
         sys.exit(f"{arguments} failed: status {status}")
 
@@ -147,11 +149,12 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 def _main(arguments: list[str]) -> int:
     import logging
 
-    from sattools.cli import main
+    from sattools.cli import entry
 
     logging.getLogger().handlers.clear()
+    sys.argv = ["sattools", *arguments]
     try:
-        main(arguments, prog_name="sattools")
+        entry()
     except SystemExit as error:
         return error.code if isinstance(error.code, int) else int(error.code is not None)
     return 0

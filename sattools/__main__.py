@@ -1,6 +1,6 @@
 """`python -m sattools`."""
 
-from sattools.cli import main
+from sattools.cli import entry
 
 if __name__ == "__main__":
-    main(prog_name="sattools")
+    entry()

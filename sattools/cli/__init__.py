@@ -135,4 +135,15 @@ def _terminate(signum: int, frame: object) -> None:
     raise SystemExit(128 + signum)
 
 
-__all__ = ["COMMANDS", "main"]
+def entry() -> None:
+    """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _terminate)
+    try:
+        main(prog_name="sattools")
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+
+
+__all__ = ["COMMANDS", "entry", "main"]

@@ -47,3 +47,14 @@ def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting, n
     assert all(set(r) == {"progress", "message"} and 0 <= r["progress"] <= 1 for r in records)
     assert [r["progress"] for r in records] == sorted(r["progress"] for r in records)
     assert records[-1]["message"].startswith("fit TOWN: ")
+
+
+def test_a_signal_while_the_interpreter_shuts_down_does_not_undo_what_is_done():
+    """The work is done and told: its status stays 0."""
+    code = (
+        "import atexit, os, signal, sys; sys.argv = ['sattools', '--version'];"
+        "atexit.register(lambda: [os.kill(os.getpid(), n) for n in (signal.SIGTERM, signal.SIGINT)]);"
+        "from sattools.cli import entry; entry()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
