@@ -13,7 +13,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV
 from sattools.simulate.materials import grain
-from sattools.simulate.terrain import window
+from sattools.simulate.terrain import check_heights, window
 from sattools.simulate.world import World
 
 GROUND = 2
@@ -124,6 +124,7 @@ def _relief_of(dsm: str, size_m: float, gsd: float, cell: float) -> tuple[Grid, 
 
     heights, whole = read_raster(Path(dsm))
     check_projected(whole.crs)
+    check_heights(str(dsm), heights)
     own, wide, (rows, columns) = window(whole, size_m, MARGIN_M)
     part = heights[0][np.ix_(rows, columns)].astype(np.float64)
     if not np.isfinite(part).all():

@@ -8,6 +8,7 @@ import numpy as np
 
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
+from sattools.scene.members import HEIGHT_LIMITS_M
 from sattools.simulate.city import BUILDING, GROUND, TREES, WATER
 from sattools.simulate.materials import albedo_map, code, grain
 from sattools.simulate.world import World
@@ -101,6 +102,14 @@ def _materials(classes: np.ndarray, stepped: np.ndarray, rng: np.random.Generato
     tints = rng.uniform(0.8, 1.25, count + 1).astype(np.float32)
     codes[roof], tint[roof] = roofs[buildings[roof]], tints[buildings[roof]]
     return codes, tint
+
+
+def check_heights(path: str, heights: np.ndarray) -> None:
+    """Raise InputError for heights that no surface of the Earth has: rays would be followed for ever."""
+    known = heights[np.isfinite(heights)]
+    low, high = HEIGHT_LIMITS_M
+    if known.size and (known.min() < low or known.max() > high):
+        raise InputError(f"{path}: found heights from {known.min():g} to {known.max():g} m, expected some of the Earth")
 
 
 def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tuple[np.ndarray, np.ndarray]]:

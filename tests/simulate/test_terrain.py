@@ -93,3 +93,13 @@ def test_real_terrain_makes_a_scene(data_dir, tmp_path):
     assert low < truth.min() < truth.max() < high
     lit = read_image(scene.path(scene.items[0].assets["truth_lit"].href))
     assert lit.mean() > 0.5
+
+
+@pytest.mark.parametrize("terrain", ["city", "natural"])
+def test_heights_that_are_not_of_the_earth_are_refused(tmp_path, terrain):
+    heights = np.zeros((120, 120), np.float32)
+    heights[60, 60] = 1e30
+    write_cog(tmp_path / "dsm.tif", heights, Grid("EPSG:32617", 436000.0, 3357000.0, 1.0, 120, 120))
+    options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2)
+    with pytest.raises(InputError, match=r"dsm\.tif: found heights from 0 to 1e\+30 m, expected some of the Earth"):
+        simulate(options, tmp_path / "out")
