@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,9 @@ from sattools.progress import Progress, part, silent
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
 from sattools.views import Source, load_sources
+
+# tensors and description of the model, what happened, remarks
+Fitted = tuple[dict[str, torch.Tensor], dict[str, Any], Trace, list[str]]
 
 
 @dataclass(frozen=True)
@@ -63,35 +65,25 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         prior, made = load_prior(scene, settled.options, part(progress, 0.0, 0.2), may)
         told = part(progress, 0.2 if prior else 0.0, 1.0)
         fitted = _fit_surface if options.field == "surface" else _fit_rays
-        return fitted(scene, settled, sources, prior, made, path, told)
+        tensors, meta, trace, more = fitted(scene, settled, sources, prior, told)
+        return save_fit(scene, path, tensors, meta, trace, settled.remarks + more, made)
 
 
 def _fit_rays(
-    scene: Scene,
-    settled: Settled,
-    sources: list[Source],
-    prior: PriorMaps | None,
-    made: dict[str, Any],
-    path: Path,
-    progress: Progress,
-) -> dict[str, Any]:
+    scene: Scene, settled: Settled, sources: list[Source], prior: PriorMaps | None, progress: Progress
+) -> Fitted:
     from sattools.fit.rays_stage import fit_rays
 
     trace = Trace()
     tensors, meta, more = fit_rays(scene, sources, settled.options, prior, settled.device, trace, progress)
-    return save_fit(scene, path, tensors, meta, trace, settled.remarks + more, made)
+    return tensors, meta, trace, more
 
 
 def _fit_surface(
-    scene: Scene,
-    settled: Settled,
-    sources: list[Source],
-    prior: PriorMaps | None,
-    made: dict[str, Any],
-    path: Path,
-    progress: Progress,
-) -> dict[str, Any]:
-    options, radiance, remarks = settled.options, settled.radiance, list(settled.remarks)
+    scene: Scene, settled: Settled, sources: list[Source], prior: PriorMaps | None, progress: Progress
+) -> Fitted:
+    options, radiance = settled.options, settled.radiance
+    remarks: list[str] = []
     grid, z_range = scene.need_grid(), scene.need_height_range()
     # amounts of a reflectance model and what tiles share have the unit of the images
     plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
@@ -126,7 +118,7 @@ def _fit_surface(
         "radiance": radiance,
         "brdf": options.brdf,
     }
-    return save_fit(scene, path, tensors, meta, job.trace, remarks + more, made)
+    return tensors, meta, job.trace, remarks + more
 
 
 def choose_device(name: str) -> torch.device:

@@ -292,10 +292,6 @@ class Scene:
             raise SceneError(f"{path.parent}: cannot be made ({error.strerror}), expected a writable root") from error
         return path
 
-    def href(self, path: Path) -> str:
-        """The relative href of a file below the root."""
-        return Path(path).resolve().relative_to(self.root.resolve()).as_posix()
-
     def _below_root(self, relative: str) -> Path:
         path = self.root / relative
         if not path.resolve().is_relative_to(self.root.resolve()):
