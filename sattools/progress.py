@@ -18,7 +18,7 @@ def silent(fraction: float, message: str) -> None:
     """Report nothing."""
 
 
-def part(progress: Progress, start: float, end: float) -> Progress:
+def subprogress(progress: Progress, start: float, end: float) -> Progress:
     """The callback of a step that makes up [start, end] of the whole."""
 
     def call(fraction: float, message: str) -> None:
@@ -66,4 +66,4 @@ def _bar(label: str, width: int = 24, interval: float = 0.1) -> Progress:
     return call
 
 
-__all__ = ["Progress", "make_progress", "part", "silent"]
+__all__ = ["Progress", "make_progress", "silent", "subprogress"]

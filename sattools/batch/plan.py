@@ -74,11 +74,11 @@ class Task:
     def result(self) -> dict[str, Any] | None:
         """What an earlier run of the very same task left, or None."""
         try:
-            found = read_json(self.record)
-            _RECORD.check(found, str(self.record))
+            record = read_json(self.record)
+            _RECORD.check(record, str(self.record))
         except InputError:  # missing, or not what a batch has written: it is done again
             return None
-        return found if found["key"] == self.key and Path(found["scene_json"]).is_file() else None
+        return record if record["key"] == self.key and Path(record["scene_json"]).is_file() else None
 
     def start(self) -> Path:
         """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
@@ -218,8 +218,8 @@ def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
 def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[list[Task], Task]:
     """The tasks of the tiles that a finished split has left, and the run that joins them."""
     folder = Path(run.folder) / TILES
-    found = read_json(folder / "tiles.json")
-    Table({"tiles": Items(Text())}, ("tiles",)).check(found, str(folder / "tiles.json"))
+    listing = read_json(folder / "tiles.json")
+    Table({"tiles": Items(Text())}, ("tiles",)).check(listing, str(folder / "tiles.json"))
     steps = ["prior", "fit"] if "prior" in configuration.tables else ["fit"]
     commands = [[step, "{scene}", "--overwrite"] for step in steps]
     tiles = [
@@ -227,12 +227,12 @@ def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[li
             run, name=f"{run.name}: tile {name}", folder=str(folder / name), key=key_of("tile", split.key, name),
             commands=commands, source=str(folder / name / "scene.json"), kind="tile",
         )
-        for name in found["tiles"]
+        for name in listing["tiles"]
     ]  # fmt: skip
     # an area of one tile is fitted at once, by the run
     done = OPTIONAL if tiles else ("normalise",)
     rest = [command for command in run.commands if command[0] not in done]
-    joined = [[*command, "--part", "join"] if command[0] == "fit" else command for command in rest]
+    joined = [[*command, "--part", "mosaic"] if command[0] == "fit" else command for command in rest]
     return tiles, replace(run, commands=joined, source=str(folder / "scene.json"))
 
 

@@ -114,8 +114,8 @@ def _progress(line: str) -> tuple[float, str] | None:
     if not line.startswith('{"progress"'):
         return None
     try:
-        found = json.loads(line)
-        return float(found["progress"]), str(found["message"])
+        message = json.loads(line)
+        return float(message["progress"]), str(message["message"])
     except (ValueError, KeyError, TypeError):
         return None
 

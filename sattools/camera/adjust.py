@@ -49,7 +49,7 @@ class ViewAdjustment:
     median_after_px: float
     rms_after_px: float
     outlier: bool
-    remark: str = ""
+    note: str = ""
     weak: bool = False  # too few tie points: the camera is what the vendor says, right or wrong
 
 
@@ -71,7 +71,7 @@ class Adjustment:
     median_after_px: float
     rms_after_px: float
     rejected: int  # observations dropped as false matches
-    remarks: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def heights(self) -> Array:
         """Heights of the ground points seen by three views or more (of all, where there are too few of these), [m]."""
@@ -92,7 +92,7 @@ class Adjustment:
                 "median_after_px": v.median_after_px,
                 "rms_after_px": v.rms_after_px,
                 "outlier": v.outlier,
-                "remark": v.remark,
+                "note": v.note,
             }
             for v in self.views
         ]
@@ -104,7 +104,7 @@ class Adjustment:
             "median_before_px": self.median_before_px,
             "median_after_px": self.median_after_px,
             "rms_after_px": self.rms_after_px,
-            "remarks": self.remarks,
+            "notes": self.notes,
             "views": views,
         }
 
@@ -122,13 +122,13 @@ class Adjustment:
             f"{'rms before':>10s} {'after':>6s}",
         ]
         for v in self.views:
-            note = ("  OUTLIER VIEW" if v.outlier else "") + (f"  {v.remark}" if v.remark else "")
+            note = ("  OUTLIER VIEW" if v.outlier else "") + (f"  {v.note}" if v.note else "")
             lines.append(
                 f"{v.name:24s} {v.tie_points:6d} {v.shift_px[0]:9.2f} {v.shift_px[1]:8.2f} "
                 f"{v.median_before_px:10.2f} {v.median_after_px:6.2f} "
                 f"{v.rms_before_px:10.2f} {v.rms_after_px:6.2f}{note}"
             )
-        return "\n".join([*lines, *(f"note: {r}" for r in self.remarks)]) + "\n"
+        return "\n".join([*lines, *(f"note: {r}" for r in self.notes)]) + "\n"
 
 
 def adjust(
@@ -174,9 +174,9 @@ def adjust(
         )
     progress(0.4, "adjusting shifts again")
     solution = solve(block, False, Solution(points, solution.parameters))
-    remarks: list[str] = []
+    notes: list[str] = []
     model = "shift"
-    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, remarks)):
+    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, notes)):
         progress(0.7, "adjusting affine corrections")
         model = "affine"
         solution = solve(block, True, solution)
@@ -200,17 +200,17 @@ def adjust(
         domain = block.domain(v)
         camera, misfit = rpc.with_affine(matrices[v], domain)
         if misfit > 0.01:
-            remarks.append(f"{name}: its affine correction is met by the RPC to {misfit:.3f} px only")
+            notes.append(f"{name}: its affine correction is met by the RPC to {misfit:.3f} px only")
         corrected.append(camera)
         seen = block.tracks.view == v
-        remark = ""
+        note = ""
         if weak[v]:
-            remark = f"too few tie points ({counts[v]} agree with the others): camera left as it is"
-            remarks.append(f"{name}: {remark}")
+            note = f"too few tie points ({counts[v]} agree with the others): camera left as it is"
+            notes.append(f"{name}: {note}")
         outlier = bool(length[v] > limit)
         if outlier:
             usual = float(np.median(length))
-            remarks.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {usual:.1f} px); corrected")
+            notes.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {usual:.1f} px); corrected")
         first, second = ((float(a), float(b), float(c)) for a, b, c in matrices[v])
         views.append(
             ViewAdjustment(
@@ -223,13 +223,13 @@ def adjust(
                 _median(after[seen]),
                 _rms(after[seen]),
                 outlier,
-                remark,
+                note,
                 bool(weak[v]),
             )
         )
     parts = block.components(~weak)
     if parts > 1:
-        remarks.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
+        notes.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
     progress(1.0, "adjusted")
     return Adjustment(
         corrected,
@@ -242,7 +242,7 @@ def adjust(
         _median(after),
         _rms(after),
         rejected,
-        remarks,
+        notes,
     )
 
 
@@ -267,7 +267,7 @@ def _weak(counts: NDArray[np.intp], matched: NDArray[np.intp], least: int) -> ND
     return np.asarray(weak | (few & (share < 0.8 * np.median(share[~weak]))))
 
 
-def _affine_gains(block: Block, start: Solution, options: AdjustOptions, remarks: list[str]) -> bool:
+def _affine_gains(block: Block, start: Solution, options: AdjustOptions, notes: list[str]) -> bool:
     """Whether affine corrections fitted on four fifths of the points predict the other fifth clearly better."""
     sizes = block.tracks.sizes()
     if int((sizes >= 3).sum()) < 20 * len(block.rpcs):
@@ -288,7 +288,7 @@ def _affine_gains(block: Block, start: Solution, options: AdjustOptions, remarks
         scores.append(float(per_view[per_view > 0].mean()))
     gain = 1.0 - scores[1] / max(scores[0], 1e-12)
     chosen = gain >= options.min_gain
-    remarks.append(
+    notes.append(
         f"affine corrections change the mean squared residual of held-out tie points by {-100 * gain:+.1f} % "
         f"({scores[0]:.3f} to {scores[1]:.3f} px²): {'used' if chosen else 'not used'}"
     )

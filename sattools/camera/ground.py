@@ -102,9 +102,9 @@ def check_scale(crs: str, lon: float, lat: float) -> None:
         scale = math.hypot(x[1] - x[0], y[1] - y[0]) / step, math.hypot(x[2] - x[0], y[2] - y[0]) / step
     worst = max(scale, key=lambda s: abs(s - 1) if math.isfinite(s) else math.inf)
     if not abs(worst - 1) <= _SCALE_TOLERANCE:
-        found = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
+        symptom = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
         raise InputError(
-            f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {found}, expected a CRS of this region such as "
+            f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {symptom}, expected a CRS of this region such as "
             f"{utm_crs(lon, lat)}"
         )
 

@@ -81,10 +81,10 @@ def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple
         return low, high
     chance = float(np.quantile(counts[outside], 0.9))
     needed = max(chance + 5.0 * np.sqrt(chance + 1.0), counts.sum() / 2000.0)
-    found = planes[outside & (counts >= needed)]
-    if found.size == 0:
+    supported = planes[outside & (counts >= needed)]
+    if supported.size == 0:
         return low, high
-    return min(low, float(found.min())), max(high, float(found.max()))
+    return min(low, float(supported.min())), max(high, float(supported.max()))
 
 
 def sweep_histogram(

@@ -42,7 +42,7 @@ class TiePointOptions:
 
 
 @dataclass(frozen=True)
-class View:
+class TiePointImage:
     """What tie points need of an image: grey values `[H, W]` (NaN = no data) and its camera."""
 
     name: str
@@ -85,7 +85,7 @@ def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArra
     return np.asarray(np.where(valid, np.clip(scaled, 0, 255), 128), np.uint8), valid
 
 
-def extract_features(view: View, crs: str, z_ref: float, options: TiePointOptions) -> Features:
+def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePointOptions) -> Features:
     """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself."""
     import cv2
 
@@ -155,7 +155,7 @@ def choose_pairs(tangents: Array, max_pairs: int) -> list[tuple[int, int]]:
 
 
 def find_tie_points(
-    views: Sequence[View], crs: str, options: TiePointOptions | None = None, progress: Progress = silent
+    views: Sequence[TiePointImage], crs: str, options: TiePointOptions | None = None, progress: Progress = silent
 ) -> Tracks:
     """Tie points of overlapping images.
 
@@ -185,7 +185,7 @@ def find_tie_points(
     for k, (a, b) in enumerate(coarse):
         progress(0.5 + 0.25 * k / len(coarse), "coarse matching")
         fa, fb = features[a], features[b]
-        found = free_matches(
+        matched = free_matches(
             fa.ground[: options.coarse_features],
             fa.descriptor[: options.coarse_features],
             fb.ground[: options.coarse_features],
@@ -194,18 +194,18 @@ def find_tie_points(
             options.max_height_m,
             2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
         )
-        seen.append(found)
-        shifts.append(vote(fa.ground[found[:, 0]], fb.ground[found[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
+        seen.append(matched)
+        shifts.append(vote(fa.ground[matched[:, 0]], fb.ground[matched[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
     bias = coarse_bias(coarse, shifts, tangents)
 
     heights = []
-    for (a, b), found in zip(coarse, seen, strict=True):
+    for (a, b), matched in zip(coarse, seen, strict=True):
         fa, fb = features[a], features[b]
         run = fb.tangent - fa.tangent
         length = float(np.hypot(*run))
-        if length < 0.05 or len(found) == 0:
+        if length < 0.05 or len(matched) == 0:
             continue
-        apart = (fb.ground[found[:, 1]] - bias[b]) - (fa.ground[found[:, 0]] - bias[a])
+        apart = (fb.ground[matched[:, 1]] - bias[b]) - (fa.ground[matched[:, 0]] - bias[a])
         along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
         good = np.abs(across) < options.corridor_px * pixel_m[a]
         heights.append(z_ref - along[good] / length)
@@ -220,7 +220,7 @@ def find_tie_points(
         progress(0.75 + 0.25 * k / len(pairs), "fine matching")
         fa, fb = features[a], features[b]
         half = options.corridor_px * max(pixel_m[a], pixel_m[b])
-        found, score = corridor_matches(
+        matched, score = corridor_matches(
             fa.ground - bias[a],
             fa.descriptor,
             fb.ground - bias[b],
@@ -229,7 +229,7 @@ def find_tie_points(
             0.5 * (high - low),
             half,
         )
-        matches.append((a, b, found, score))
+        matches.append((a, b, matched, score))
     progress(1.0, "tie points")
     return build_tracks([f.pixel for f in features], matches)
 
@@ -275,7 +275,7 @@ def _height_window(heights: Array, z_ref: float, options: TiePointOptions) -> tu
     return float(low - margin), float(high + margin)
 
 
-def _pixel_size(view: View, crs: str, z: float) -> float:
+def _pixel_size(view: TiePointImage, crs: str, z: float) -> float:
     row, col = (np.array(view.gray.shape) - 1) / 2
     x, y = localize(view.rpc, crs, [col, col + 1, col], [row, row, row + 1], z)
     return float(np.sqrt(abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]))))
@@ -297,4 +297,4 @@ def _north_up(rpc: RPC, crs: str, width: int, height: int, z: float, max_px: int
     return solution.T.astype(np.float64), n_cols, n_rows
 
 
-__all__ = ["Features", "TiePointOptions", "View", "coarse_bias", "find_tie_points"]
+__all__ = ["Features", "TiePointImage", "TiePointOptions", "coarse_bias", "find_tie_points"]

@@ -97,7 +97,7 @@ main.params[:0] = run_options()
 
 
 def _apply(root: click.Context) -> None:
-    """Settle how the program runs from the options given so far."""
+    """Set how the program runs from the options given so far."""
     values = root.params
     configure_logging(values["verbose"], values["quiet"])
     progress = values["progress"] or "auto"
@@ -119,7 +119,7 @@ def _json_usage(ctx: click.Context, wanted: bool) -> None:
 
 
 def set_threads(threads: int | None) -> None:
-    """Settle the number of threads before any numerical library starts its pool.
+    """Set the number of threads before any numerical library starts its pool.
 
     Waiting threads must sleep: spinning ones were measured to slow a shared machine down fifteen-fold.
     """

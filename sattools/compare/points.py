@@ -139,9 +139,9 @@ def compare_points(
             col = int(np.floor((east - shift[0] - grid.left) / grid.cell_size))
             line = int(np.floor((grid.top - (north - shift[1])) / grid.cell_size))
             inside = 0 <= col < grid.width and 0 <= line < grid.height
-            found = float(array[band, line, col]) if inside and np.isfinite(array[band, line, col]) else None
-            difference = None if found is None else found - sample
-            row["values"][key] = {"map": found, "sample": sample, "difference": difference}
+            map_value = float(array[band, line, col]) if inside and np.isfinite(array[band, line, col]) else None
+            difference = None if map_value is None else map_value - sample
+            row["values"][key] = {"map": map_value, "sample": sample, "difference": difference}
         table.append(row)
     return table
 

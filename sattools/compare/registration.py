@@ -233,11 +233,11 @@ def _search(
         scores.append((count, -np.inf if flat else covariance / np.sqrt(var_r * var_p)))
     # a small overlap correlates by chance: it needs half the cells of the largest one to count
     enough = 0.5 * max(count for count, _ in scores)
-    best, found = -np.inf, (rows, columns)
+    best, place = -np.inf, (rows, columns)
     for (dr, dc), (count, score) in zip(trials, scores, strict=True):
         if count >= enough and score > best + 1e-12:
-            best, found = score, (rows + dr, columns + dc)
-    return *found, min(float(best), 1.0) if np.isfinite(best) else 0.0
+            best, place = score, (rows + dr, columns + dc)
+    return *place, min(float(best), 1.0) if np.isfinite(best) else 0.0
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -75,24 +75,24 @@ def compare_dsm(
     wide = resampled(heights, grid, padded(truth.grid, margin))
     if not np.isfinite(wide).any():
         raise InputError(f"prediction: found no height within {truth.name}, expected overlap")
-    found = register(wide, reference, method, margin)
-    registered = shifted(wide, found.columns, found.rows, margin) + found.up
-    filled = shifted(fill_holes(wide), found.columns, found.rows, margin) + found.up
+    shift = register(wide, reference, method, margin)
+    registered = shifted(wide, shift.columns, shift.rows, margin) + shift.up
+    filled = shifted(fill_holes(wide), shift.columns, shift.rows, margin) + shift.up
     known = None
     if measured is not None:
         only = resampled(np.where(measured, heights, np.float32(np.nan)), grid, padded(truth.grid, margin))
-        known = np.isfinite(shifted(only, found.columns, found.rows, margin))
+        known = np.isfinite(shifted(only, shift.columns, shift.rows, margin))
     figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
     add_step_errors(figures, difference, reference, truth.classes, truth.grid.cell_size)
     figures |= {
-        "shift_m": [round(value, 4) for value in found.metres(truth.grid.cell_size)],
-        "registration": {"method": found.method, "correlation": found.correlation},
+        "shift_m": [round(value, 4) for value in shift.metres(truth.grid.cell_size)],
+        "registration": {"method": shift.method, "correlation": shift.correlation},
         "protocol": truth.protocol,
         "reference": truth.name,
         "mask": truth.mask_text(),
     }
-    return Comparison(figures, difference, truth.grid, found)
+    return Comparison(figures, difference, truth.grid, shift)
 
 
 def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.fit.material import AMOUNT, SHAPE
+from sattools.fit.material import AMPLITUDE, SHAPE
 from sattools.fit.material_std import SLOPE_STD
 from sattools.fit.reflective import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
 from sattools.scene import Grid, Scene
@@ -23,8 +23,8 @@ def material_maps(surface: ReflectiveScene, tensors: dict[str, Tensor]) -> dict[
 
     ``normal_std`` is in degrees about either axis: 86 % of the normals are within twice as much.
     """
-    amount, shape = surface.values()
-    maps = {AMOUNT[surface.kind].name: amount.permute(2, 0, 1)}
+    amplitude, shape = surface.values()
+    maps = {AMPLITUDE[surface.kind].name: amplitude.permute(2, 0, 1)}
     maps |= {p.name: value[None] for p, value in zip(SHAPE[surface.kind], shape, strict=True)}
     for name in list(maps):
         if f"{name}_std" in tensors:
@@ -39,7 +39,7 @@ def material_maps(surface: ReflectiveScene, tensors: dict[str, Tensor]) -> dict[
 
 def material_names(kind: str, tensors: dict[str, Tensor]) -> list[str]:
     """Names of the `material_maps` of a reflectance model."""
-    names = [AMOUNT[kind].name, *(p.name for p in SHAPE[kind])]  # type: ignore[index]
+    names = [AMPLITUDE[kind].name, *(p.name for p in SHAPE[kind])]  # type: ignore[index]
     stds = [f"{name}_std" for name in names if f"{name}_std" in tensors]
     return [*names, *stds, "normal", "normal_std", "reflectance"]
 
@@ -53,7 +53,7 @@ def write_material(
         href = f"export/{name}.tif"
         own = dict(tags)
         stem = name.removesuffix("_std")
-        if stem in (AMOUNT[surface.kind].name, "reflectance"):
+        if stem in (AMPLITUDE[surface.kind].name, "reflectance"):
             own["SCALE"] = ABSOLUTE if surface.absolute else RELATIVE
         if name == "reflectance":
             own["GEOMETRY"] = f"level ground, nadir view, sun {STANDARD_SUN_DEG:g} degrees from the vertical"

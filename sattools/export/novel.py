@@ -12,11 +12,11 @@ from sattools.camera.ground import from_geographic, grid_direction, to_geographi
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.fit.illumination import light_scale
-from sattools.fit.material import line_to
+from sattools.fit.material import view_vector
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.surface import SurfaceScene
 from sattools.fit.train import make_quadrature
-from sattools.render import Rays, render, sun_visibility
+from sattools.render import ParallelRays, render, sun_visibility
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog, write_image_like
@@ -35,8 +35,9 @@ def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
 
 
 @torch.no_grad()
-def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, line: Vector) -> Tensor:
-    """Light ``[H, W, C]`` of every cell towards ``line``: pi L / E of a reflectance model, else in units of the albedo.
+def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, towards: Vector) -> Tensor:
+    """Light ``[H, W, C]`` of every cell in the direction ``towards``: pi L / E of a reflectance model, else in units
+    of the albedo.
 
     Shade has the mean ambient light of the images.
     """
@@ -45,8 +46,8 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
     if isinstance(surface, ReflectiveScene):
         if sun is None:
             raise SceneError("export: found no sun for a reflectance model, expected sun angles or --sun")
-        sun_at, line_at = (surface.height.new_tensor(v) for v in (sun, line))
-        return surface.light(sun_at, line_at, visibility, ambient)
+        sun_at, towards_at = (surface.height.new_tensor(v) for v in (sun, towards))
+        return surface.light(sun_at, towards_at, visibility, ambient)
     if visibility is None:
         return surface.albedo
     v = visibility[..., None]
@@ -70,18 +71,18 @@ def render_item(
     if not items:
         raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
     (source,) = load_sources(scene, items)
-    z_range = scene.need_height_range()
+    z_range = scene.require_height_range()
     z_ref = float(meta["z_ref"])
     (view,) = views_on([source], grid, z_ref, z_range)
     sun = grid_sun(grid, *sun_angles) if sun_angles else view.sun
-    light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, line_to(view.slope))
+    light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, view_vector(view.slope))
     known = meta["items"].index(item_id) if item_id in meta["items"] else None
     radiance = meta.get("radiance", "relative")
     if known is not None:
         light = surface.gain[known] * light + surface.offset[known]
     pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
     light = light * light_scale(radiance, sun) if isinstance(surface, ReflectiveScene) else light
-    rays = Rays(view.slope, view.z_ref, (pose[0], pose[1]))
+    rays = ParallelRays(view.slope, view.z_ref, (pose[0], pose[1]))
     # the fit needs a soft surface for its gradients, a picture does not
     quadrature = make_quadrature(float(meta["softness"]) / 2, z_range)
     rgb, depth, opacity = render(surface.height, light.contiguous(), rays, quadrature, grid.cell_size)

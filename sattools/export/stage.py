@@ -14,7 +14,7 @@ from sattools.export.datum import to_datum
 from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
 from sattools.export.validity import FILLED, MEANING, MEASURED, UNSEEN, validity_of
-from sattools.progress import Progress, part, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.raster import write_cog
@@ -93,7 +93,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     about = ["standard deviation of the height"]
     write_cog(scene.output(STD), model.shown(std.numpy()), grid, units="m", tags=method, descriptions=about)
     write_picture(dsm, grid, f"{scene.id}: DSM, {grid.cell_size:g} m", scene.output(PICTURE))
-    shares = None if validity is None else _write_validity(scene, validity, grid)
+    fractions = None if validity is None else _write_validity(scene, validity, grid)
     progress(0.3, "albedo")
     bands = [f"albedo {b + 1}" for b in range(albedo.shape[-1])]
     scale = "relative: radiance of the first training image in full sun"
@@ -109,9 +109,9 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         if name in tensors:
             _image_maps(scene, model, name, description)
     if _needs_surface(options, meta):
-        _views(scene, options, model, part(progress, 0.6, 1.0))
+        _views(scene, options, model, subprogress(progress, 0.6, 1.0))
     progress(1.0, "exported")
-    return {"vertical_datum": datum, "validity": shares, MADE: record(scene, "export")}
+    return {"vertical_datum": datum, "validity": fractions, MADE: record(scene, "export")}
 
 
 def _write_validity(scene: Scene, validity: np.ndarray, grid: Grid) -> dict[str, float]:
@@ -129,15 +129,15 @@ def _outputs(scene: Scene, options: ExportOptions, tensors: dict[str, torch.Tens
     from sattools.export.novel import RELIT, view_href
 
     ids = {item.id for item in scene.items}
-    found = [DSM, STD, ALBEDO, PICTURE, VALIDITY]
-    found += [view_href("shadow", name) for name, _ in _suns(meta) if name in ids]
-    found += [view_href(m, n) for m in IMAGE_MAPS if m in tensors for n in meta["items"] if n in ids]
-    found += [view_href("rendered", name) for name in options.view]
+    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY]
+    hrefs += [view_href("shadow", name) for name, _ in _suns(meta) if name in ids]
+    hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in tensors for n in meta["items"] if n in ids]
+    hrefs += [view_href("rendered", name) for name in options.view]
     if meta.get("brdf", "lambert") != "lambert":
-        found += [f"export/{name}.tif" for name in material_names(meta["brdf"], tensors)]
+        hrefs += [f"export/{name}.tif" for name in material_names(meta["brdf"], tensors)]
     if options.sun is not None:
-        found += [RELIT, *(view_href("relit", name) for name in options.view)]
-    return found
+        hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]
+    return hrefs
 
 
 def _suns(meta: dict[str, Any]) -> list[tuple[str, list[float]]]:

@@ -86,17 +86,17 @@ class MlpField:
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
         """See `Field.look`."""
         given = {"features": features, "sun": sun, "embedding": embedding}
-        found: dict[str, Tensor] = {}
+        outputs: dict[str, Tensor] = {}
         for name, head in self.network.heads.items():
             parts = [given[i] for i in head.inputs]
             if any(part is None for part in parts):
                 continue
             answer = self._answer(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
             if head.activation == "tau and beta":
-                found |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}
+                outputs |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}
             else:
-                found[name] = answer
-        return found
+                outputs[name] = answer
+        return outputs
 
     def _answer(self, head: Head, layers: list[nn.Linear], x: Tensor) -> Tensor:
         for layer in layers[:-1]:

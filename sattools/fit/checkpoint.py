@@ -13,7 +13,13 @@ from sattools.errors import InputError
 from sattools.scene.files import write_bytes
 
 # one key, with the checksum inside: safetensors writes several in any order, and the same fit gives the same file
-KEY, CHECKSUM = "sattools", "sha256"
+KEY, CHECKSUM, VERSION = "sattools", "sha256", "version"
+FORMAT_VERSION = 2
+# what tensors and members of the description were called in version 1, which had no number
+_FORMERLY = {
+    "amount": "amplitude", "members": "endmembers", "shares": "abundances", "lines": "view_vectors",
+    "light": "illumination", "settled": "illumination_options",
+}  # fmt: skip
 
 
 def save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
@@ -25,7 +31,7 @@ def save(path: Path, tensors: dict[str, Tensor], meta: dict[str, Any]) -> None:
     from safetensors.torch import save as to_bytes
 
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    meta = json.loads(json.dumps(meta))
+    meta = json.loads(json.dumps({VERSION: FORMAT_VERSION, **meta}))
     text = json.dumps({**meta, CHECKSUM: _checksum(tensors, meta)})
     write_bytes(path, to_bytes(tensors, metadata={KEY: text}))
 
@@ -53,7 +59,15 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     expected = meta.pop(CHECKSUM, None)
     if expected is not None and expected != _checksum(tensors, meta):
         raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
+    if meta.pop(VERSION, None) is None:
+        tensors = {_present(name): tensor for name, tensor in tensors.items()}
+        meta = {_FORMERLY.get(name, name): value for name, value in meta.items()}
     return tensors, meta
+
+
+def _present(name: str) -> str:
+    """The name of a tensor in the present version; a field's own tensors kept theirs."""
+    return name if name.startswith("field.") else ".".join(_FORMERLY.get(word, word) for word in name.split("."))
 
 
 def _checksum(tensors: dict[str, Tensor], meta: dict[str, Any]) -> str:

@@ -31,13 +31,13 @@ class Coarse:
 
     Attributes:
         colours: gain, offset and ambient ``[V, C]`` and pose ``[V, 2]`` of the tile's images.
-        settled: how the light is modelled.
+        illumination_options: how the light is modelled.
         height: ``[H, W]`` heights of the whole area [m]; grid: theirs.
         tile: the tile's grid; no shadow is looked for further away than its edge.
     """
 
     colours: dict[str, Tensor]
-    settled: dict[str, Any]
+    illumination_options: dict[str, Any]
     height: Tensor
     grid: Grid
     tile: Grid
@@ -77,10 +77,10 @@ def sampled(array: Tensor, source: Grid, target: Grid, outside: float | None = N
     x = (torch.from_numpy(target.x()) - source.left) / (source.width * source.cell_size) * 2 - 1
     y = (source.top - torch.from_numpy(target.y())) / (source.height * source.cell_size) * 2 - 1
     where = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)[None].float()
-    found = grid_sample(maps[None].float(), where, padding_mode="border", align_corners=False)[0]
+    values = grid_sample(maps[None].float(), where, padding_mode="border", align_corners=False)[0]
     if outside is not None:
-        found[:, (where[0].abs() > 1).any(dim=-1)] = outside
-    return found[0] if array.ndim == 2 else found.permute(1, 2, 0).contiguous()
+        values[:, (where[0].abs() > 1).any(dim=-1)] = outside
+    return values[0] if array.ndim == 2 else values.permute(1, 2, 0).contiguous()
 
 
 def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
@@ -98,9 +98,9 @@ def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
     if unknown:
         raise SceneError(f"{path}: found no image {unknown[0]!r}, expected those of scene {scene.id}")
     which = [meta["items"].index(name) for name in ids]
-    settled = {"shadow": meta["shadow"], "transient": meta["transient"]}
+    illumination_options = {"shadow": meta["shadow"], "transient": meta["transient"]}
     colours = {name: tensors[name][which] for name in COLOURS}
-    return Coarse(colours, settled, tensors["height"], Grid.from_dict(meta["grid"]), scene.need_grid())
+    return Coarse(colours, illumination_options, tensors["height"], Grid.from_dict(meta["grid"]), scene.require_grid())
 
 
 __all__ = ["COLOURS", "PRODUCT", "Coarse", "read_coarse", "sampled"]

@@ -23,7 +23,7 @@ def save_fit(
     tensors: dict[str, Tensor],
     meta: dict[str, Any],
     trace: Trace,
-    remarks: list[str],
+    notes: list[str],
     made: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write model and trace; figures for the history, with what was made from what (``made``: the prior's record)."""
@@ -34,7 +34,7 @@ def save_fit(
     scene.products.update(model=MODEL, trace=TRACE)
     used = [item for item in scene.items if item.id in meta["items"]]
     return {
-        "remarks": remarks,
+        "notes": notes,
         "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)},
         MADE: {**(made or {}), **record(scene, "fit", used)},
     }

@@ -45,10 +45,10 @@ def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[No
     out: list[str] = []
     try:
         for ids in (holdout, views):
-            found = views_left_out(scene, ids) if isinstance(ids, str) else list(ids)
-            out += found
+            named = views_left_out(scene, ids) if isinstance(ids, str) else list(ids)
+            out += named
             for item in scene.items:
-                if item.id in found:
+                if item.id in named:
                     item.properties["sattools:role"] = "test"
         yield
     finally:
@@ -118,7 +118,7 @@ def load_prior(
         from sattools.prior.stage import prior
 
         new = prior(scene, PriorOptions(), progress, overwrite, implicit=True)[MADE]
-    within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
+    within = scene.require_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
     return read_prior(scene, within), new
 
 
@@ -126,9 +126,9 @@ def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], pr
     """Hash of everything that a continued fit must share with the interrupted one: options, version, images with
     cameras and suns, prior, grid, heights, what tiles share."""
     plain = {name: value for name, value in asdict(options).items() if name not in _HOUSEKEEPING}
-    what: list[Any] = [__version__, plain, scene.need_grid().to_dict(), scene.need_height_range()]
+    what: list[Any] = [__version__, plain, scene.require_grid().to_dict(), scene.require_height_range()]
     what += [
-        [s.id, _hash(s.radiance), s.rpc.to_rpc_txt(), s.sun, s.linear, asdict(s.tone) if s.tone else None]
+        [s.id, _hash(s.radiance), s.rpc.to_rpc_txt(), s.sun, s.linear, asdict(s.balance) if s.balance else None]
         for s in sources
     ]
     what += [[item.id, item.properties.get("sattools:radiance")] for item in scene.train_items()]

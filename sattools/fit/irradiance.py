@@ -49,7 +49,7 @@ def shadow_regularisation(net: Tensor, geometric: Tensor, only_shadowed: bool) -
     return (error * where).sum() / where.sum().clamp_min(1)
 
 
-class Light:
+class IlluminationModel:
     """Trainable light of all views over one grid.
 
     Args:
@@ -60,7 +60,7 @@ class Light:
         self.tensors = tensors
 
     @classmethod
-    def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> Light:
+    def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> IlluminationModel:
         """Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
         transients."""
         tensors: dict[str, Tensor] = {}
@@ -160,24 +160,24 @@ class Light:
     @torch.no_grad()
     def maps(self, suns: Sequence[Sequence[float] | None]) -> dict[str, Tensor]:
         """What the model file keeps: ``s_net`` ``[V, H, W]`` (NaN where a view's sun is unknown), ``tau`` the same."""
-        found = {}
+        model_maps = {}
         if self.learned:
             unknown = torch.full(self.tensors["features"].shape[:2], torch.nan)
-            found["s_net"] = torch.stack([unknown if sun is None else self.net(sun).cpu() for sun in suns])
+            model_maps["s_net"] = torch.stack([unknown if sun is None else self.net(sun).cpu() for sun in suns])
         if "transient" in self.tensors:
-            found["tau"] = 1 - self.tensors["transient"].detach().cpu()
-        return found
+            model_maps["tau"] = 1 - self.tensors["transient"].detach().cpu()
+        return model_maps
 
     @torch.no_grad()
-    def resized(self, shape: tuple[int, int], ratio: float) -> Light:
+    def resized(self, shape: tuple[int, int], ratio: float) -> IlluminationModel:
         """The light on another grid with the same upper left corner; ``ratio`` = new cell over old."""
-        found = {name: tensor.detach().clone() for name, tensor in self.tensors.items()}
+        tensors = {name: tensor.detach().clone() for name, tensor in self.tensors.items()}
         for name in ("features", "transient"):
-            if name in found:
-                maps = found[name].permute(2, 0, 1) if name == "features" else found[name]
+            if name in tensors:
+                maps = tensors[name].permute(2, 0, 1) if name == "features" else tensors[name]
                 finer = _resample(maps, shape, ratio)
-                found[name] = (finer.permute(1, 2, 0) if name == "features" else finer).contiguous()
-        return Light(found)
+                tensors[name] = (finer.permute(1, 2, 0) if name == "features" else finer).contiguous()
+        return IlluminationModel(tensors)
 
 
 def _resample(maps: Tensor, shape: tuple[int, int], ratio: float) -> Tensor:
@@ -190,4 +190,4 @@ def _resample(maps: Tensor, shape: tuple[int, int], ratio: float) -> Tensor:
     return grid_sample(maps[None], where, padding_mode="border", align_corners=False)[0]
 
 
-__all__ = ["FIRST_EPOCH", "WARM_UP_EPOCHS", "Light", "shadow_regularisation", "shadow_weight"]
+__all__ = ["FIRST_EPOCH", "WARM_UP_EPOCHS", "IlluminationModel", "shadow_regularisation", "shadow_weight"]

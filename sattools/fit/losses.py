@@ -7,8 +7,7 @@ from torch import Tensor
 
 GAMMA = 2.2
 # Predictions below this radiance get the weight they would have here: it bounds raw-log's weight by 1/(1e-3)^2 = 1e6
-# and raw-gamma's
-# by (1e-3^(1/2.2 - 1) / 2.2)^2 = 387, also where an image's offset makes a prediction zero or negative.
+# and raw-gamma's by (1e-3^(1/2.2 - 1) / 2.2)^2 = 387, also where an image's offset makes a prediction zero or negative.
 FLOOR = 1e-3
 LOG_EPSILON = 1e-6
 
@@ -46,14 +45,12 @@ def photometric(name: str, predicted: Tensor, target: Tensor, robust: float = 0.
     """Loss per pixel and band.
 
     Args:
-        name: ``mse``: (p - y)^2; ``mse-gamma``: (psi(p) - psi(y))^2; ``raw-gamma``, ``raw-log``: psi'(sg p)^2 (p -
-            y)^2 with
-            psi(x) = x^(1/2.2) or log(x + 1e-6).
+        name: ``mse``: (p - y)^2; ``mse-gamma``: (psi(p) - psi(y))^2; ``raw-gamma``, ``raw-log``: psi'(sg p)^2 (p - y)^2
+            with psi(x) = x^(1/2.2) or log(x + 1e-6).
         predicted: linear radiance, any shape.
         target: linear radiance.
         robust: scale k of a Geman-McClure weight (k^2 / (k^2 + r^2))^2 in the loss's own units of r; 0 = none. The
-            weight has
-            no gradient.
+            weight has no gradient.
 
     Returns:
         The loss in the shape of the inputs.

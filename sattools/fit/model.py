@@ -44,9 +44,9 @@ def read_model(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
             raise InputError(f"{path}: found a model without {name}, expected a surface model")
     shape = (meta["grid"]["height"], meta["grid"]["width"])
     for name in _MAPS:
-        found, dimensions = tuple(tensors[name].shape), 3 if name == "albedo" else 2
-        if len(found) != dimensions or found[:2] != shape:
-            raise InputError(f"{path}: found {name} of {_by(found)} values, expected {_by(shape)} as its grid has")
+        size, dimensions = tuple(tensors[name].shape), 3 if name == "albedo" else 2
+        if len(size) != dimensions or size[:2] != shape:
+            raise InputError(f"{path}: found {name} of {_by(size)} values, expected {_by(shape)} as its grid has")
     count = len(meta["items"])
     if len(meta["suns"]) != count:
         raise InputError(f"{path}: found {len(meta['suns'])} suns for {count} images, expected one for each")

@@ -48,7 +48,7 @@ class RaySet:
     confidence: Tensor
     normal: Tensor
     suns: Tensor
-    sights: Tensor
+    view_vectors: Tensor
     top: float
 
 
@@ -139,7 +139,7 @@ class RayTrainer:
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
         s, extra = self._sunlight(look, mean, surface, sun, known, epoch, random)
-        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.sights[view], share)
+        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.view_vectors[view], share)
         if s is None:
             lit = albedo
         elif "sky" in look:  # Sat-NeRF shades every sample
@@ -212,12 +212,14 @@ class RayTrainer:
         weights, transmittance = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
         return solar_correction(weights.detach(), transmittance.detach(), s)
 
-    def _reflected(self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, sight: Tensor, share: float) -> Tensor:
+    def _reflected(
+        self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
+    ) -> Tensor:
         """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence) / cos(zenith)."""
         brdf = self.options.brdf
         if brdf == "lambert" or share < self.options.pretrain:
             return mean["albedo"]
-        n, s, v = (x[:, None] for x in (normal, sun, sight))
+        n, s, v = (x[:, None] for x in (normal, sun, view_vector))
         cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / sun[:, 2:].clamp_min(0.05)
         if brdf == "rpv":
             return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
@@ -249,11 +251,11 @@ class RayTrainer:
 
     def state(self) -> dict[str, Tensor]:
         """Everything that a continued run needs, as flat tensors."""
-        found = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
+        tensors = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
         for name, tensor in self.tensors.items():
             for key, value in self.adam.state.get(tensor, {}).items():
-                found[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
-        return found
+                tensors[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
+        return tensors
 
     @torch.no_grad()
     def load(self, state: dict[str, Tensor]) -> None:

@@ -19,8 +19,8 @@ from sattools.fit.files import CHECKPOINT
 from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint
 from sattools.fit.options import FitOptions
 from sattools.fit.rays import RaySet, RayTrainer, join
-from sattools.progress import Progress, part
-from sattools.render import Quadrature, Rays, plate_slopes, render
+from sattools.progress import Progress, subprogress
+from sattools.render import ParallelRays, Quadrature, plate_slopes, render
 from sattools.scene import Grid, Scene
 from sattools.views import Source, View, match_colours, views_on
 
@@ -45,15 +45,15 @@ def fit_rays(
 
     Returns:
         Tensors and description of the model file (height, height_std, albedo as of the surface field, and the field's
-        own), and remarks.
+        own), and notes.
 
     Raises:
         SceneError: a combination of options that cannot work.
     """
     check(options, prior is not None, sources)
     grid, z_range = (
-        scene.need_grid().resized(options.resolution or 2 * scene.need_grid().cell_size),
-        scene.need_height_range(),
+        scene.require_grid().resized(options.resolution or 2 * scene.require_grid().cell_size),
+        scene.require_height_range(),
     )
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     views = views_on(sources, grid, z_ref, z_range)
@@ -65,8 +65,8 @@ def fit_rays(
     field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], heights)
     rates = VOXEL_RATES if options.field == "voxel" else None
     trainer = RayTrainer(field, rays, options, gain, offset, rates)
-    remarks = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
-    remarks += _train(scene, trainer, options, trace, progress, sources, prior, grid, z_range)
+    notes = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
+    notes += _train(scene, trainer, options, trace, progress, sources, prior, grid, z_range)
     maps = read_surface(trainer, grid, z_range)
     tensors = dict(zip(("height", "height_std", "albedo"), maps, strict=True))
     tensors |= {n: t.detach() for n, t in trainer.colour.items()}
@@ -84,7 +84,7 @@ def fit_rays(
         "shadow": options.shadow,
         "transient": options.transient,
     }
-    return tensors, meta, remarks
+    return tensors, meta, notes
 
 
 def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
@@ -135,8 +135,8 @@ def ray_set(
     x = ((torch.arange(cols) + 0.5) * grid.cell_size).expand(rows, cols)
     y = (-(torch.arange(rows) + 0.5) * grid.cell_size)[:, None].expand(rows, cols)
     suns = torch.tensor([v.sun or (torch.nan,) * 3 for v in views], dtype=torch.float32)
-    sights = torch.tensor([(*v.slope, 1.0) for v in views], dtype=torch.float32)
-    sights = sights / sights.norm(dim=1, keepdim=True)
+    view_vectors = torch.tensor([(*v.slope, 1.0) for v in views], dtype=torch.float32)
+    view_vectors = view_vectors / view_vectors.norm(dim=1, keepdim=True)
     parts = []
     for j, view in enumerate(views):
         slope = torch.tensor(view.slope)
@@ -150,7 +150,8 @@ def ray_set(
         parts.append(
             RaySet(
                 ends[0][seen], (ends[1] - ends[0])[seen], torch.from_numpy(view.target)[seen],
-                torch.full((int(seen.sum()),), j), depth[seen], confidence[seen], normal[seen], suns, sights, high,
+                torch.full((int(seen.sum()),), j), depth[seen], confidence[seen], normal[seen], suns, view_vectors,
+                high,
             )
         )  # fmt: skip
     return join(parts)
@@ -172,7 +173,7 @@ def _prior_along(
     shown = torch.cat([height[..., None], confidence[..., None], normal], dim=-1).contiguous()
     soft = PRIOR_SOFTNESS
     quadrature = Quadrature(soft, soft / 1.5, high + 6 * soft, low - 10 * soft)
-    maps, _, opacity = render(height, shown, Rays(view.slope, view.z_ref), quadrature, grid.cell_size)
+    maps, _, opacity = render(height, shown, ParallelRays(view.slope, view.z_ref), quadrature, grid.cell_size)
     maps = maps / opacity.clamp_min(1e-3)[..., None]
     share = ((high - maps[..., 0]) / (high - low)).clamp(0, 1)
     normal = maps[..., 2:] / maps[..., 2:].norm(dim=-1, keepdim=True).clamp_min(1e-6)
@@ -227,7 +228,7 @@ def _train(
         log.warning("%s: no checkpoint, the fit starts anew", path)
     note = max(1, min(options.steps // NOTES, 500))
     total, count = 0.0, 0
-    watch = part(progress, 0.0, 0.95)
+    watch = subprogress(progress, 0.0, 0.95)
     for number in range(start, options.steps):
         begun = trace.seconds()
         total, count = total + trainer.step(number), count + 1
@@ -258,9 +259,9 @@ def _score(
 
     pause = time.perf_counter()
     height, _, _ = read_surface(trainer, grid, z_range)
-    found = float(compare_dsm(height.numpy(), read_reference(options.reference), grid).figures["mae"])
+    error = float(compare_dsm(height.numpy(), read_reference(options.reference), grid).figures["mae"])
     trace.started += time.perf_counter() - pause  # watching must not count as fitting
-    return {"mae_m": found}
+    return {"mae_m": error}
 
 
 __all__ = ["fit_rays", "make_field", "ray_set", "read_surface"]

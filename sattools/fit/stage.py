@@ -9,7 +9,7 @@ from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE
 from sattools.fit.inputs import holding_out, may_write
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles import fit_tiled
-from sattools.fit.whole import choose_device, fit_whole, settle
+from sattools.fit.whole import choose_device, fit_whole, set_up
 from sattools.progress import Progress, silent
 from sattools.scene import Scene
 from sattools.scene.dependencies import begin
@@ -29,8 +29,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         return fit_whole(scene, options, progress, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite, (CHECKPOINT, STATE)))
     with holding_out(scene, options.holdout, options.views):
-        settled = settle(scene, options)
-        return fit_tiled(scene, settled.options, progress)
+        setup = set_up(scene, options)
+        return fit_tiled(scene, setup.options, progress)
 
 
 __all__ = ["choose_device", "fit"]

@@ -18,8 +18,7 @@ class SurfaceScene:
     """Everything the fit learns.
 
     The radiance of a cell towards image j is gain_j * (l * albedo) + offset_j with irradiance l = v + (1 - v) *
-    ambient_j and sun
-    visibility v (the EO-NeRF form, with the whole light of a sunlit cell as unit).
+    ambient_j and sun visibility v (the EO-NeRF form, with the whole light of a sunlit cell as unit).
 
     Attributes:
         height: ``[H, W]`` ellipsoidal height [m].
@@ -50,11 +49,11 @@ class SurfaceScene:
 
     def trainable(self) -> dict[str, Tensor]:
         """Tensors that gradient descent changes."""
-        found = {"height": self.height, "albedo": self.albedo}
+        leaves = {"height": self.height, "albedo": self.albedo}
         if self.held:
-            return found
-        found["ambient"] = self.ambient
-        return found if self.absolute else {**found, "gain": self.gain, "offset": self.offset}
+            return leaves
+        leaves["ambient"] = self.ambient
+        return leaves if self.absolute else {**leaves, "gain": self.gain, "offset": self.offset}
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors, for saving."""
@@ -75,9 +74,9 @@ class SurfaceScene:
     def to(self, device: torch.device) -> SurfaceScene:
         """The scene on a device."""
         moved: dict[str, Any] = {name: tensor.to(device) for name, tensor in self.tensors().items()}
-        found = replace(self, **moved)
-        found.held = self.held
-        return found
+        moved_scene = replace(self, **moved)
+        moved_scene.held = self.held
+        return moved_scene
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
         """The scene on another grid with the same upper left corner.
@@ -93,7 +92,7 @@ class SurfaceScene:
         x = ((torch.arange(cols) + 0.5) * extent[1]) / old_cols * 2 - 1
         where = torch.stack([x.expand(rows, cols), y[:, None].expand(rows, cols)], dim=-1)[None].to(maps)
         finer = torch.nn.functional.grid_sample(maps, where, padding_mode="border", align_corners=False)[0]
-        found = SurfaceScene(
+        resampled = SurfaceScene(
             finer[0].contiguous(),
             finer[1:].permute(1, 2, 0).contiguous(),
             self.gain.detach().clone(),
@@ -102,8 +101,8 @@ class SurfaceScene:
             self.pose.clone(),
             self.absolute,
         )
-        found.held = self.held
-        return found
+        resampled.held = self.held
+        return resampled
 
 
 def start_scene(

@@ -18,9 +18,9 @@ from sattools.fit import checkpoint
 from sattools.fit.auto import Choice, choose_model, draw
 from sattools.fit.coarse import Coarse
 from sattools.fit.files import CHECKPOINT
-from sattools.fit.illumination import Radiance, light_scale, material_remarks, prior_normals
+from sattools.fit.illumination import Radiance, light_scale, material_notes, prior_normals
 from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint
-from sattools.fit.irradiance import Light
+from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene, reflective, restored
@@ -54,38 +54,40 @@ class SurfaceJob:
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
     parameter_std: dict[str, Tensor] = field(default_factory=dict)
-    light: Light = field(default_factory=lambda: Light({}))
-    settled: dict[str, Any] = field(default_factory=dict)
+    light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
+    illumination_options: dict[str, Any] = field(default_factory=dict)
     coarse: Coarse | None = None
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
-        remarks: list[str] = []
+        notes: list[str] = []
         saved = self._resume() if self.options.resume else None
         score = self._scorer()
         total = sum(s.epochs / s.cell_size**2 for s in self.stages)
         surface: SurfaceScene | None = None
-        grid = self.scene.need_grid()
+        grid = self.scene.require_grid()
         for k, stage in enumerate(self.stages):
-            grid = self.scene.need_grid().resized(stage.cell_size)
+            grid = self.scene.require_grid().resized(stage.cell_size)
             self.last_softness = stage.softness[1]
             if saved and k < saved[1]["stage"]:
                 continue
             self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
-            self._warn_spread(stage.cell_size, remarks)
+            self._warn_spread(stage.cell_size, notes)
             if surface is None:
                 surface = self._start(grid)
-                remarks += self._choose_light(surface, stage.cell_size, saved)
-                self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
-                if self.light.learned and self.prior is not None and self.options.shadow_start == "geometric":
+                notes += self._choose_light(surface, stage.cell_size, saved)
+                self.illumination = IlluminationModel.start(self.resolved, grid.shape, len(self.views), self.device)
+                if self.illumination.learned and self.prior is not None and self.options.shadow_start == "geometric":
                     self._follow(surface, stage.cell_size)
             elif surface.height.shape != grid.shape:
                 ratio = stage.cell_size / self.stages[k - 1].cell_size
                 surface = surface.resized(grid.shape, (ratio, ratio))
-                self.light = self.light.resized(grid.shape, ratio)
+                self.illumination = self.illumination.resized(grid.shape, ratio)
             if stage.reflective:
                 surface = self._reflective(surface, grid, saved[0] if saved else None)
             cast = self.coarse.cast if self.coarse else sun_visibility
-            trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light, cast)
+            trainer = StageTrainer(
+                surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.illumination, cast
+            )
             start = 0
             if saved:
                 start = saved[1]["epoch"]
@@ -93,27 +95,30 @@ class SurfaceJob:
                 saved = None
             before = sum(s.epochs / s.cell_size**2 for s in self.stages[:k])
             if not trainer.run(start, self._after_epoch(trainer, stage, k, before, total, grid, score, progress)):
-                remarks.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
+                notes.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
                 break
         assert surface is not None
         self.height_std = trainer.height_std()
         if isinstance(surface, ReflectiveScene):
-            remarks += self._finish(surface, trainer, grid)
+            notes += self._finish(surface, trainer, grid)
         progress(1.0, "fitted")
-        return surface, grid, remarks
+        return surface, grid, notes
 
     @property
     def resolved(self) -> FitOptions:
-        """The options with everything that was `auto` settled."""
-        return replace(self.options, **self.settled)
+        """The options with everything that was `auto` chosen."""
+        return replace(self.options, **self.illumination_options)
 
     def _choose_light(self, surface: SurfaceScene, cell: float, saved: tuple[Any, dict[str, Any]] | None) -> list[str]:
-        """Settle the model of the light, as an interrupted fit did; says why."""
-        if saved or self.coarse:
-            self.settled = self.coarse.settled if self.coarse else saved[1]["settled"]  # type: ignore[index]
+        """Choose the illumination model, or take that of the interrupted fit; the reasons."""
+        if self.coarse:
+            self.illumination_options = self.coarse.illumination_options
+            return []
+        if saved:
+            self.illumination_options = saved[1]["illumination_options"]
             return []
         chosen, why = choose_light(surface, self.views, cell, self.options)
-        self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
+        self.illumination_options = {"shadow": chosen.shadow, "transient": chosen.transient}
         return why
 
     def _follow(self, surface: SurfaceScene, cell: float) -> None:
@@ -122,8 +127,8 @@ class SurfaceJob:
         suns = [view.sun for view in self.views if view.sun]
         if suns:
             with torch.no_grad():
-                found = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
-            self.light.follow(suns, [found[sun] for sun in suns], self.options.seed)
+                visibility = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
+            self.illumination.follow(suns, [visibility[sun] for sun in suns], self.options.seed)
 
     def _start(self, grid: Grid) -> SurfaceScene:
         """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""
@@ -152,25 +157,25 @@ class SurfaceJob:
         assert options.brdf in ("rpv", "hapke")  # the schedule asks for a model only then
         if saved is not None:
             own = {name.removeprefix("scene."): t for name, t in saved.items() if name.startswith("scene.")}
-            found = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
-            return found.to(self.device)  # type: ignore[return-value]
+            modelled = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
+            return modelled.to(self.device)  # type: ignore[return-value]
         frozen = None
         if options.normals == "prior":
             frozen = prior_normals(self.prior, grid).to(self.device)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
-        found, _ = reflective(
+        modelled, _ = reflective(
             surface, options.brdf, self.views, scale, grid.cell_size, frozen, options.materials,
             options.material_smooth, options.seed,
         )  # fmt: skip
-        return found
+        return modelled
 
     def choose_brdf(self, stage: StageSettings) -> Choice:
-        """Settle ``--brdf auto`` on the prior's surface.
+        """Choose the model for ``--brdf auto`` on the prior's surface.
 
         Raises:
             SceneError: there is no prior, or a sun is unknown.
         """
-        grid = self.scene.need_grid().resized(stage.cell_size)
+        grid = self.scene.require_grid().resized(stage.cell_size)
         self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
         surface, lit = reflective(
@@ -183,7 +188,7 @@ class SurfaceJob:
     def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
         """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""
         self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
-        return material_remarks(surface, self.parameter_std)
+        return material_notes(surface, self.parameter_std)
 
     def _prior_on(self, grid: Grid) -> Prior | None:
         if self.prior is None:
@@ -227,18 +232,18 @@ class SurfaceJob:
         def call(height: Tensor, grid: Grid) -> float:
             # watching must not count as fitting
             pause = time.perf_counter()
-            found = float(compare_dsm(height.detach().cpu().numpy(), truth, grid).figures["mae"])
+            error = float(compare_dsm(height.detach().cpu().numpy(), truth, grid).figures["mae"])
             self.trace.started += time.perf_counter() - pause
-            return found
+            return error
 
         return call
 
-    def _warn_spread(self, cell: float, remarks: list[str]) -> None:
-        worst = max(self.views, key=lambda v: v.spread_m)
-        if worst.spread_m > 0.5 * cell:
-            text = f"{worst.id}: lines of sight are parallel only to {worst.spread_m:.2f} m over this area"
+    def _warn_spread(self, cell: float, notes: list[str]) -> None:
+        worst = max(self.views, key=lambda v: v.parallel_ray_error_m)
+        if worst.parallel_ray_error_m > 0.5 * cell:
+            text = f"{worst.id}: lines of sight are parallel only to {worst.parallel_ray_error_m:.2f} m over this area"
             log.warning(text)
-            remarks.append(text)
+            notes.append(text)
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 
@@ -248,7 +253,7 @@ class SurfaceJob:
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
         meta = {"stage": stage, "epoch": epoch, "fingerprint": self._print, "rows": self.trace.rows}
-        meta["settled"] = self.settled
+        meta["illumination_options"] = self.illumination_options
         checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
 
     def _resume(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:

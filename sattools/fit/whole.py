@@ -17,17 +17,17 @@ from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface_job import SurfaceJob
 from sattools.fit.trace import Trace
-from sattools.progress import Progress, part, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
 from sattools.views import Source, load_sources
 
-# tensors and description of the model, what happened, remarks
+# tensors and description of the model, what happened, notes
 Fitted = tuple[dict[str, torch.Tensor], dict[str, Any], Trace, list[str]]
 
 
 @dataclass(frozen=True)
-class Settled:
+class FitSetup:
     """What is known of a fit before an image is read.
 
     Attributes:
@@ -35,24 +35,24 @@ class Settled:
         radiance: what their numbers are.
         options: with the weights that go with it.
         device: to compute on.
-        remarks: for the history.
+        notes: for the history.
     """
 
     items: list[Item]
     radiance: Radiance
     options: FitOptions
     device: torch.device
-    remarks: list[str]
+    notes: list[str]
 
 
-def settle(scene: Scene, options: FitOptions) -> Settled:
+def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     """Raises SceneError: fewer than two training images, or options that do not go with them."""
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     radiance = radiance_kind(scene, items)
-    remarks = check_light(scene, items, radiance, options.brdf)
-    return Settled(items, radiance, calibrated(options, radiance), choose_device(options.device), remarks)
+    notes = check_light(scene, items, radiance, options.brdf)
+    return FitSetup(items, radiance, calibrated(options, radiance), choose_device(options.device), notes)
 
 
 def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
@@ -60,41 +60,41 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
     may = may_write(scene, options, overwrite, (CHECKPOINT, STATE))
     path = begin(scene, "fit", [MODEL, TRACE], may)[MODEL]
     with holding_out(scene, options.holdout, options.views):
-        settled = settle(scene, options)
-        sources = load_sources(scene, settled.items)
-        prior, made = load_prior(scene, settled.options, part(progress, 0.0, 0.2), may)
-        told = part(progress, 0.2 if prior else 0.0, 1.0)
+        setup = set_up(scene, options)
+        sources = load_sources(scene, setup.items)
+        prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may)
+        told = subprogress(progress, 0.2 if prior else 0.0, 1.0)
         fitted = _fit_surface if options.field == "surface" else _fit_rays
-        tensors, meta, trace, more = fitted(scene, settled, sources, prior, told)
-        return save_fit(scene, path, tensors, meta, trace, settled.remarks + more, made)
+        tensors, meta, trace, more = fitted(scene, setup, sources, prior, told)
+        return save_fit(scene, path, tensors, meta, trace, setup.notes + more, made)
 
 
 def _fit_rays(
-    scene: Scene, settled: Settled, sources: list[Source], prior: PriorMaps | None, progress: Progress
+    scene: Scene, setup: FitSetup, sources: list[Source], prior: PriorMaps | None, progress: Progress
 ) -> Fitted:
     from sattools.fit.rays_stage import fit_rays
 
     trace = Trace()
-    tensors, meta, more = fit_rays(scene, sources, settled.options, prior, settled.device, trace, progress)
+    tensors, meta, more = fit_rays(scene, sources, setup.options, prior, setup.device, trace, progress)
     return tensors, meta, trace, more
 
 
 def _fit_surface(
-    scene: Scene, settled: Settled, sources: list[Source], prior: PriorMaps | None, progress: Progress
+    scene: Scene, setup: FitSetup, sources: list[Source], prior: PriorMaps | None, progress: Progress
 ) -> Fitted:
-    options, radiance = settled.options, settled.radiance
-    remarks: list[str] = []
-    grid, z_range = scene.need_grid(), scene.need_height_range()
-    # amounts of a reflectance model and what tiles share have the unit of the images
+    options, radiance = setup.options, setup.radiance
+    notes: list[str] = []
+    grid, z_range = scene.require_grid(), scene.require_height_range()
+    # amplitudes of a reflectance model and what tiles share have the unit of the images
     plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
     z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
-    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, settled.device, radiance)
+    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance)
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
-        remarks += choice.remarks
+        notes += choice.notes
         options = job.options = replace(options, brdf=choice.model)
         job.stages = schedule(options, grid.cell_size, z_range, prior is not None)
     surface, finest, more = job.run(progress)
@@ -104,7 +104,7 @@ def _fit_surface(
         tensors[name] = tensors[name] / exposure
     tensors["height_std"] = job.height_std.cpu()
     tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
-    tensors |= job.light.maps([v.sun for v in job.views])
+    tensors |= job.illumination.maps([v.sun for v in job.views])
     meta = {
         "field": "surface",
         "grid": finest.to_dict(),
@@ -118,7 +118,7 @@ def _fit_surface(
         "radiance": radiance,
         "brdf": options.brdf,
     }
-    return tensors, meta, job.trace, remarks + more
+    return tensors, meta, job.trace, notes + more
 
 
 def choose_device(name: str) -> torch.device:
@@ -130,4 +130,4 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-__all__ = ["Settled", "choose_device", "fit_whole", "settle"]
+__all__ = ["FitSetup", "choose_device", "fit_whole", "set_up"]

@@ -43,7 +43,7 @@ def ground_polygon(rpc: RPC, window: Window, height: float, crs: str) -> Polygon
 
 def groups(polygons: Sequence[Polygon]) -> list[list[int]]:
     """Indices of polygons that overlap, directly or through others; the largest group first."""
-    left, found = set(range(len(polygons))), []
+    left, result = set(range(len(polygons))), []
     while left:
         seed = min(left)
         group, border = {seed}, [seed]
@@ -53,8 +53,8 @@ def groups(polygons: Sequence[Polygon]) -> list[list[int]]:
             group |= touching
             border += sorted(touching)
         left -= group
-        found.append(sorted(group))
-    return sorted(found, key=lambda g: (-len(g), g))
+        result.append(sorted(group))
+    return sorted(result, key=lambda g: (-len(g), g))
 
 
 def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 400) -> Bounds | None:

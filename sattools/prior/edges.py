@@ -24,7 +24,9 @@ FEWEST_VIEWS = 2
 MOST = 0.75  # share of the views that can tell which have to agree
 
 
-def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float, noise: float) -> np.ndarray:
+def snap_edges(
+    frame: Frame, first_hit_height: np.ndarray, height: np.ndarray, tolerance: float, noise: float
+) -> np.ndarray:
     """Move height steps to where the images change.
 
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
@@ -35,7 +37,7 @@ def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float
 
     Args:
         frame: the views.
-        hits: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
+        first_hit_height: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
         height: ``[H, W]`` float32 [m].
         tolerance: depth below the visible surface that still counts as seen [m].
         noise: standard deviation of brightness on one material.
@@ -43,17 +45,27 @@ def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float
     Returns:
         ``[H, W]`` float32 heights [m].
     """
-    sure = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
-    sure = minimum_filter(sure, 3, mode="nearest")
+    off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
+    off_step = minimum_filter(off_step, 3, mode="nearest")
     moved = np.empty_like(height)
     choose_sides(
-        height, sure, frame.images, frame.masks, frame.slopes, frame.z_ref, frame.margin, hits, tolerance, noise, moved
+        height,
+        off_step,
+        frame.images,
+        frame.masks,
+        frame.slopes,
+        frame.z_ref,
+        frame.margin,
+        first_hit_height,
+        tolerance,
+        noise,
+        moved,
     )
     return median_filter(moved, 3, mode="nearest")
 
 
 @njit(cache=True)
-def _level(height, sure, row, col, low, high):
+def _level(height, off_step, row, col, low, high):
     """Weighted mean of the sure heights in [low, high) around a cell, NaN if there are too few."""
     rows, cols = height.shape
     total = 0.0
@@ -61,7 +73,7 @@ def _level(height, sure, row, col, low, high):
     for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
         for j in range(max(0, col - REACH), min(cols, col + REACH + 1)):
             z = height[i, j]
-            if sure[i, j] and low <= z < high:
+            if off_step[i, j] and low <= z < high:
                 w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * FALL * FALL))
                 total += w * z
                 weight += w
@@ -69,7 +81,7 @@ def _level(height, sure, row, col, low, high):
 
 
 @njit(cache=True)
-def _strangeness(height, sure, image, mask, hit, row, col, z, at_row, at_col, limit, noise):
+def _misfit(height, off_step, image, mask, hit, row, col, z, at_row, at_col, limit, noise):
     """Minus twice the log-likelihood (up to a constant) that a pixel belongs to its neighbours at height z in a view.
 
     at_row, at_col: frame position of the cell at that height; limit: highest first hit at which a point is seen.
@@ -84,7 +96,7 @@ def _strangeness(height, sure, image, mask, hit, row, col, z, at_row, at_col, li
     weight = 0.0
     for i in range(row - LOOK, row + LOOK + 1, 2):
         for j in range(col - LOOK, col + LOOK + 1, 2):
-            if not (0 <= i < rows and 0 <= j < cols) or not sure[i, j] or abs(height[i, j] - z) > SAME_M:
+            if not (0 <= i < rows and 0 <= j < cols) or not off_step[i, j] or abs(height[i, j] - z) > SAME_M:
                 continue
             r, c = round(at_row + i - row), round(at_col + j - col)
             if hit[r, c] > limit:
@@ -103,8 +115,8 @@ def _strangeness(height, sure, image, mask, hit, row, col, z, at_row, at_col, li
 
 
 @njit(parallel=True, cache=True)
-def choose_sides(height, sure, images, masks, slopes, z_ref, margin, hits, tolerance, noise, moved):
-    """See `sharpen`; ``sure`` is ``[H, W]`` bool, ``moved`` ``[H, W]`` float32 is filled."""
+def choose_sides(height, off_step, images, masks, slopes, z_ref, margin, first_hit_height, tolerance, noise, moved):
+    """See `snap_edges`; ``off_step`` is ``[H, W]`` bool, ``moved`` ``[H, W]`` float32 is filled."""
     rows, cols = height.shape
     views = images.shape[0]
     for row in prange(rows):
@@ -118,8 +130,8 @@ def choose_sides(height, sure, images, masks, slopes, z_ref, margin, hits, toler
             if high - low < STEP_M:
                 continue
             middle = 0.5 * (low + high)
-            below = _level(height, sure, row, col, -np.inf, middle)
-            above = _level(height, sure, row, col, middle, np.inf)
+            below = _level(height, off_step, row, col, -np.inf, middle)
+            above = _level(height, off_step, row, col, middle, np.inf)
             if not above - below >= STEP_M:
                 continue
             # views that can judge both sides: others would compare different images
@@ -128,18 +140,40 @@ def choose_sides(height, sure, images, masks, slopes, z_ref, margin, hits, toler
             low_dz, high_dz = below - z_ref, above - z_ref
             for v in range(views):
                 r, c = row + margin + slopes[v, 0] * low_dz, col + margin + slopes[v, 1] * low_dz
-                strange_low = _strangeness(
-                    height, sure, images[v], masks[v], hits[v], row, col, below, r, c, below + tolerance, noise
+                misfit_low = _misfit(
+                    height,
+                    off_step,
+                    images[v],
+                    masks[v],
+                    first_hit_height[v],
+                    row,
+                    col,
+                    below,
+                    r,
+                    c,
+                    below + tolerance,
+                    noise,
                 )
-                if strange_low < 0:
+                if misfit_low < 0:
                     continue
                 r, c = row + margin + slopes[v, 0] * high_dz, col + margin + slopes[v, 1] * high_dz
-                strange_high = _strangeness(
-                    height, sure, images[v], masks[v], hits[v], row, col, above, r, c, above + tolerance, noise
+                misfit_high = _misfit(
+                    height,
+                    off_step,
+                    images[v],
+                    masks[v],
+                    first_hit_height[v],
+                    row,
+                    col,
+                    above,
+                    r,
+                    c,
+                    above + tolerance,
+                    noise,
                 )
-                if strange_high >= 0:
-                    gain += strange_high - strange_low
-                    votes += 1 if strange_high > strange_low else 0
+                if misfit_high >= 0:
+                    gain += misfit_high - misfit_low
+                    votes += 1 if misfit_high > misfit_low else 0
                     count += 1
             if count < FEWEST_VIEWS:
                 continue
@@ -150,4 +184,4 @@ def choose_sides(height, sure, images, masks, slopes, z_ref, margin, hits, toler
                 moved[row, col] = above
 
 
-__all__ = ["choose_sides", "sharpen"]
+__all__ = ["choose_sides", "snap_edges"]

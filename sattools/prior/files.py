@@ -45,7 +45,7 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
         if name == "prior_confidence":
             right, what = known.min() >= 0 and known.max() <= 1, "0 to 1"
         else:
-            low, high = scene.need_height_range()
+            low, high = scene.require_height_range()
             span = high - low
             middle = float(np.median(known))
             right, what = low - span <= middle <= high + span, f"heights around {low:g} to {high:g} m"

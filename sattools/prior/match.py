@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter, minimum_filter
 
-from sattools.prior.courts import open_courts
-from sattools.prior.edges import sharpen
+from sattools.prior.consistency import RayMinima, consistent_views, filled
+from sattools.prior.courtyards import open_courtyards
+from sattools.prior.edges import snap_edges
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import UNKNOWN, at_surface, hide, measure_dark, nothing_hidden, thinned
 from sattools.prior.options import PriorOptions
-from sattools.prior.rays import Rays, filled, witnesses
-from sattools.prior.settle import settle
-from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, in_blocks, narrow
-from sattools.progress import Progress, part, silent
+from sattools.prior.subplane import refine_subplane
+from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, narrow, sweep_blocks
+from sattools.prior.visibility import UNKNOWN, all_visible, at_surface, compute_visibility, erode, measure_dark
+from sattools.progress import Progress, silent, subprogress
 
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
-SETTLED = 0.002  # share of cells that may still change when the rough passes stop
-OPENING_PASSES = 1  # rough passes after which roofs of courts are looked for
+CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
+OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
 
 
@@ -31,16 +31,17 @@ class Match:
     Attributes:
         height: ``[H, W]`` float32 [m].
         score: ``[H, W]`` float32 agreement of the images there, in [0, 1].
-        rival: ``[H, W]`` float32 aggregated cost, per path, by which the best height two planes away or more is dearer.
+        uniqueness: ``[H, W]`` float32 aggregated cost, per path, by which the best height two planes away or more is
+            dearer.
         views: ``[H, W]`` uint8 number of images that see the surface there.
-        witnesses: ``[H, W]`` uint8 number of these whose rays have their best place there (see `rays`).
+        consistent_views: ``[H, W]`` uint8 number of these whose rays have their best place there (see `minima`).
     """
 
     height: np.ndarray
     score: np.ndarray
-    rival: np.ndarray
+    uniqueness: np.ndarray
     views: np.ndarray
-    witnesses: np.ndarray
+    consistent_views: np.ndarray
 
 
 def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
@@ -53,7 +54,7 @@ def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], w
 def match(
     frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions, progress: Progress = silent
 ) -> Match:
-    """Find the surface: rough passes settle what hides what, a last one the heights.
+    """Find the surface: rough passes find the occlusions, a last one the heights.
 
     Args:
         frame: the views; at least two.
@@ -73,43 +74,52 @@ def match(
     beyond = 2 * BEYOND_PLANES * step
     reached = (z_range[0] - beyond, z_range[1] + beyond)
     fine = fine.widened(margin_for(fine.slopes, fine.z_ref, reached, options.window))
-    hidden = nothing_hidden(fine)
+    visibility = all_visible(fine)
     guide = ceiling = None
     if options.rough_passes:
         rough = fine.halved()
-        seen = nothing_hidden(rough)
+        seen = all_visible(rough)
         before = None
         for k in range(options.rough_passes):
             progress(0.4 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
-            surface, score, _ = in_blocks(rough, seen, pairs, z_range, 2 * step, options, silent, before, ceiling)
+            surface, score, _ = sweep_blocks(rough, seen, pairs, z_range, 2 * step, options, silent, before, ceiling)
             surface = median_filter(surface, 3, mode="nearest")
             if k == 0:
                 z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step, 2 * step)
-            thin = thinned(surface, options.erode / rough.cell)
-            hide(rough, thin, z_range, options.tolerance, seen)
+            eroded = erode(surface, options.erode / rough.cell)
+            compute_visibility(rough, eroded, z_range, options.tolerance, seen)
             measure_dark(rough, surface, options.tolerance, seen)
             if k < OPENING_PASSES:
-                surface, ceiling = open_courts(rough, surface, thin, score, pairs, z_range, 2 * step, options, seen)
-            if before is not None and np.mean(np.abs(surface - before) > step) < SETTLED:
+                surface, ceiling = open_courtyards(
+                    rough, surface, eroded, score, pairs, z_range, 2 * step, options, seen
+                )
+            if before is not None and np.mean(np.abs(surface - before) > step) < CONVERGED:
                 break
             before = surface
-        hidden = seen.doubled()
+        visibility = seen.doubled()
         guide = surface.repeat(2, axis=0).repeat(2, axis=1)
         if ceiling is not None:
             ceiling = ceiling.repeat(2, axis=0).repeat(2, axis=1)
-    last = part(progress, 0.4, 1.0)
-    rays = Rays.unknown(fine)
-    height, score, rival = in_blocks(fine, hidden, pairs, z_range, step, options, last, guide, ceiling, rays)
+    last = subprogress(progress, 0.4, 1.0)
+    minima = RayMinima.unknown(fine)
+    height, score, uniqueness = sweep_blocks(
+        fine, visibility, pairs, z_range, step, options, last, guide, ceiling, minima
+    )
     height = median_filter(height, SMOOTH, mode="nearest")
-    agreeing, views = witnesses(fine, hidden.hits, rays, height, options.tolerance, step)
+    agreeing, views = consistent_views(fine, visibility.first_hit_height, minima, height, options.tolerance, step)
     # beyond the images nothing is known that could be on the lower side of anything
     everything_seen = np.broadcast_to(np.float32(UNKNOWN), fine.images.shape)
     beyond_images = ~at_surface(fine, everything_seen, height, options.tolerance)[1].any(axis=0)
     height = filled(height, (2 * agreeing > views) | beyond_images, fine.cell)
-    height = median_filter(settle(fine, hidden, pairs, height, step, options), SMOOTH, mode="nearest")
+    height = median_filter(refine_subplane(fine, visibility, pairs, height, step, options), SMOOTH, mode="nearest")
     if options.edges:
-        height = sharpen(fine, hidden.hits, height, options.tolerance, options.edges)
-    return Match(height, score, rival, *witnesses(fine, hidden.hits, rays, height, options.tolerance, step)[::-1])
+        height = snap_edges(fine, visibility.first_hit_height, height, options.tolerance, options.edges)
+    return Match(
+        height,
+        score,
+        uniqueness,
+        *consistent_views(fine, visibility.first_hit_height, minima, height, options.tolerance, step)[::-1],
+    )
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sattools.prior.consistency import RayMinima, update_minima
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import Hidden, dark_noise
 from sattools.prior.options import PriorOptions
-from sattools.prior.rays import Rays, follow
+from sattools.prior.visibility import Visibility, dark_noise
 from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
@@ -69,9 +69,9 @@ def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: boo
     ]
 
 
-def in_blocks(
+def sweep_blocks(
     frame: Frame,
-    hidden: Hidden,
+    visibility: Visibility,
     pairs: np.ndarray,
     z_range: tuple[float, float],
     step: float,
@@ -79,19 +79,19 @@ def in_blocks(
     progress: Progress = silent,
     guide: np.ndarray | None = None,
     ceiling: np.ndarray | None = None,
-    rays: Rays | None = None,
+    minima: RayMinima | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One pass over the whole grid: height, score and rival ``[H, W]``.
+    """One pass over the whole grid: height, score and uniqueness ``[H, W]``.
 
     Args:
         guide: ``[H, W]`` heights of an earlier pass [m]; blocks of a hilly area look only near them.
         ceiling: ``[H, W]`` heights above which nothing is looked for [m].
-        rays: filled in, if given, with the best place on every ray.
+        minima: filled in, if given, with the best place on every ray.
     """
     wanted = len(planes(z_range, step))
     # two volumes of single precision live at a time
     blocks = _blocks(frame.shape, int(options.memory * 1e6 / 8), wanted, guide is not None)
-    found: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
+    maps: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
     for k, (rows, cols) in enumerate(blocks):
         progress(k / len(blocks), f"matching {len(pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
         top, left = max(0, rows.start - OVERLAP), max(0, cols.start - OVERLAP)
@@ -101,22 +101,24 @@ def in_blocks(
             near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step, step)
         window = (slice(None), slice(top, bottom + 2 * frame.margin), slice(left, right + 2 * frame.margin))
         piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
-        inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right], hidden.dark)
+        inside = Visibility(
+            visibility.first_hit_height[window], visibility.shadow_height[:, top:bottom, left:right], visibility.dark
+        )
         lid = None if ceiling is None else ceiling[top:bottom, left:right]
         heights = planes(near, step)
         *new, total = sweep(piece, inside, pairs, heights, options, lid)
         inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
-        for whole, part_found in zip(found, new, strict=True):
+        for whole, part_found in zip(maps, new, strict=True):
             whole[rows, cols] = part_found[inner]
-        if rays is not None:
+        if minima is not None:
             corner = (frame.margin + rows.start, frame.margin + cols.start)
-            follow(total[inner], frame.slopes, heights, frame.z_ref, *corner, rays.cost, rays.height)
-    return found[0], found[1], found[2]
+            update_minima(total[inner], frame.slopes, heights, frame.z_ref, *corner, minima.cost, minima.height)
+    return maps[0], maps[1], maps[2]
 
 
 def sweep(
     frame: Frame,
-    hidden: Hidden,
+    visibility: Visibility,
     pairs: np.ndarray,
     heights: np.ndarray,
     options: PriorOptions,
@@ -125,11 +127,11 @@ def sweep(
     """Correlate at all heights, aggregate, choose.
 
     Returns:
-        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
+        height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
     """
-    from sattools.prior.sgm import aggregate, lowest, rival
+    from sattools.prior.sgm import aggregate, lowest, second_best_margin
 
-    volume = agreement(frame, hidden, pairs, heights, options)
+    volume = agreement(frame, visibility, pairs, heights, options)
     if ceiling is not None:
         volume[heights > ceiling[..., None]] = 0
     total = np.empty_like(volume)
@@ -139,13 +141,13 @@ def sweep(
     lowest(total, heights, height, index)
     score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
     gap = np.empty(frame.shape, np.float32)
-    rival(total, index, gap)
+    second_best_margin(total, index, gap)
     return height, np.clip(score, 0, 1), gap / 8, total
 
 
 def agreement(
     frame: Frame,
-    hidden: Hidden,
+    visibility: Visibility,
     pairs: np.ndarray,
     heights: np.ndarray,
     options: PriorOptions,
@@ -154,17 +156,18 @@ def agreement(
     """Agreement of the views at every cell and height, ``[H, W, D]`` float32 (see `kernels.correlate`)."""
     from sattools.prior.kernels import correlate
 
-    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
+    shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)
     volume = np.empty((*frame.shape, len(heights)), np.float32)
     correlate(
-        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
-        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
-        np.float32(options.unseen), *trust_in(len(pairs), options), volume,
+        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, visibility.first_hit_height,
+        visibility.shadow_height, visibility.dark, options.tolerance, pairs, options.window, options.noise,
+        shadow_noise, options.brightness, frame.margin,
+        np.float32(options.unseen), *pair_weights(len(pairs), options), volume,
     )  # fmt: skip
     return volume
 
 
-def trust_in(pairs: int, options: PriorOptions) -> tuple[int, np.float32, np.float32]:
+def pair_weights(pairs: int, options: PriorOptions) -> tuple[int, np.float32, np.float32]:
     """Half the exponent of the mean over so many pairs, weight of hidden views, and of pairs in different light.
 
     Many pairs outvote what the surface of an earlier pass got wrong; among few, the one that agrees best by chance or
@@ -180,4 +183,4 @@ def scarcity(pairs: int) -> float:
     return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
 
 
-__all__ = ["agreement", "in_blocks", "narrow", "planes", "scarcity", "sweep", "trust_in"]
+__all__ = ["agreement", "narrow", "pair_weights", "planes", "scarcity", "sweep", "sweep_blocks"]

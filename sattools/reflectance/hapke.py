@@ -175,15 +175,15 @@ class _Hapke(torch.autograd.Function):
             state = kept[number * each : (number + 1) * each]
             grad = blocks.cut(grads[0], block)
             parts = _cut(blocks, block, operands)
-            found: list[Tensor | None]
+            gradients: list[Tensor | None]
             if ctx.direct:
-                found = [
+                gradients = [
                     None if rate is None else rate * (grad if index > 2 else grad[..., None])
                     for index, rate in enumerate(state)
                 ]
             else:
-                found = _reverse(parts, known, _unpack(state), grad, needed)
-            for index, gradient in enumerate(found):
+                gradients = _reverse(parts, known, _unpack(state), grad, needed)
+            for index, gradient in enumerate(gradients):
                 if gradient is not None and needed[index]:
                     _collect(total, index, gradient.sum_to_size(parts[index].shape), operands[index], blocks, block)
         return (None, *total)
@@ -227,7 +227,7 @@ def _reverse(
     t, facet, o, m, inner = state
     geometry = any(needed[:3])
     directions = needed[1] or needed[2]
-    found: list[Tensor | None] = [None] * 9
+    gradients: list[Tensor | None] = [None] * 9
 
     base = 0.25 * facet.lit if grad is None else grad * (0.25 * facet.lit)
     scaled = base * facet.k
@@ -242,9 +242,9 @@ def _reverse(
         g_boost = g_p * o.p
         g_p = (g_p * o.boost).sum_to_size(o.p.shape)
         damp = h * o.plus * o.rate
-        found[7] = g_boost * damp if needed[7] else None
+        gradients[7] = g_boost * damp if needed[7] else None
         slope = g_boost * b0 * o.rate * o.rate
-        found[8] = slope * o.plus * o.minus if needed[8] else None
+        gradients[8] = slope * o.plus * o.minus if needed[8] else None
         if directions:
             g_minus2 = -0.5 * slope * h * o.plus / o.minus
             g_plus2 = 0.5 * slope * h * o.minus / o.plus
@@ -252,14 +252,14 @@ def _reverse(
         front2, back2 = o.front * o.front, o.back * o.back
         front3, back3 = front2 * o.front, back2 * o.back
         weighted = g_p * o.width
-        found[5] = weighted * (back3 - front3) if needed[5] else None
+        gradients[5] = weighted * (back3 - front3) if needed[5] else None
         if needed[4] or directions:
             a, z = (1 - c) * front3, c * back3
             fall_a, fall_z = -1.5 * weighted * a * front2, -1.5 * weighted * z * back2
             gap = 2 * (o.b - 1)
             g_b = fall_a * (gap + known.plus2) + fall_z * (gap + known.minus2) - 2 * g_p * o.b * (a + z)
             if needed[4]:
-                found[4] = _stop(g_b, b, -B_MAX, B_MAX)
+                gradients[4] = _stop(g_b, b, -B_MAX, B_MAX)
             if directions:
                 g_plus2 = _add(fall_a * o.b, g_plus2)
                 g_minus2 = _add(fall_z * o.b, g_minus2)
@@ -268,21 +268,21 @@ def _reverse(
     x_lo, w_lo = _h_rates(m, m.xlo, m.log_lo, m.hlo, g_inner * m.hhi)
     x_hi, w_hi = _h_rates(m, m.xhi, m.log_hi, m.hhi, g_inner * m.hlo)
     if needed[3]:
-        found[3] = _stop(g_w + w_lo + w_hi, w, -math.inf, W_MAX)
+        gradients[3] = _stop(g_w + w_lo + w_hi, w, -math.inf, W_MAX)
     if not geometry and not needed[6]:
-        return found
+        return gradients
     x_lo, x_hi = x_lo.sum_to_size(facet.a_lo.shape), x_hi.sum_to_size(facet.a_hi.shape)
     g_t, g_angles = roughness.reverse(facet, t, x_lo * m.shrink, x_hi * m.shrink, g_k, geometry)
     tt = t * t
     # shrink = (1 + pi t^2)^(-1/2)
     g_t = g_t - math.pi * t * m.shrink * m.shrink * (x_lo * m.xlo + x_hi * m.xhi)
     if needed[6]:
-        found[6] = _stop(g_t * (_DEGREE + _DEGREE * tt), theta, THETA_MIN, THETA_MAX)
+        gradients[6] = _stop(g_t * (_DEGREE + _DEGREE * tt), theta, THETA_MIN, THETA_MAX)
     if g_angles is not None:
         if directions:
             g_angles = g_angles._replace(minus2=_add(g_angles.minus2, g_minus2), plus2=_add(g_angles.plus2, g_plus2))
-        found[:3] = pull_back(n, s, v, known, g_angles, needed)
-    return found
+        gradients[:3] = pull_back(n, s, v, known, g_angles, needed)
+    return gradients
 
 
 def _add(a: Tensor, b: Tensor | None) -> Tensor:

@@ -47,8 +47,8 @@ class Sampling(NamedTuple):
 
 def coefficients(function: Callable[[np.ndarray], np.ndarray], degree: int, domain: tuple[float, float]) -> tuple:
     """Of a polynomial close to the function on the domain, as float32, the constant one first."""
-    found = np.polynomial.Chebyshev.interpolate(function, degree, domain)
-    return tuple(np.float32(c) for c in found.convert(kind=np.polynomial.Polynomial).coef)
+    series = np.polynomial.Chebyshev.interpolate(function, degree, domain)
+    return tuple(np.float32(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
 
 
 @lru_cache(maxsize=64)

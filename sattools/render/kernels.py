@@ -3,9 +3,9 @@
 Positions are in cells of the height grid (column = east, row = south), heights in metres. Rays of one view are
 parallel: the ray of output cell (row, col) passes `(col + offset_x + slope_x * (z - z_ref), row + offset_y + slope_y *
 (z - z_ref))` at height z. All samples lie on common height planes, so that on one plane neighbouring rays read
-neighbouring cells with the same bilinear weights. The kernels therefore lead `LANES` neighbouring rays of a row down
-together, plane by plane: every loop over lanes reads and writes contiguous numbers without a branch, and the compiler
-turns it into vector instructions. `sattools.render.blocks` lays out the maps for that.
+neighbouring cells with the same bilinear weights. The kernels therefore march packets of `LANES` neighbouring rays of a
+row in lockstep, plane by plane: every loop over lanes reads and writes contiguous numbers without a branch, and the
+compiler turns it into vector instructions. `sattools.render.blocks` lays out the maps for that.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _alpha(p, a):
 
 
 @njit(fastmath=FASTMATH, error_model="numpy")
-def _look(s, maps, at, k, z, v, largest):
+def _skip_empty_space(s, maps, at, k, z, v, largest):
     """Mark the rays that are close to the surface on plane k, and send the others to where they must look again;
     returns the number of the close ones."""
     limit = z - np.float32(EMPTY) * v.softness
@@ -102,11 +102,11 @@ def _look(s, maps, at, k, z, v, largest):
 @njit(fastmath=FASTMATH)
 def _next(s, planes):
     """The plane on which the first ray must look again; `planes` where no light is left."""
-    found = np.float32(planes)
+    plane = np.float32(planes)
     for j in range(np.uint64(LANES)):
         mine = s[_NEXT + j] if s[_T + j] > np.float32(MIN_TRANSMITTANCE) else np.float32(planes)
-        found = mine if mine < found else found
-    return int(found)
+        plane = mine if mine < plane else plane
+    return int(plane)
 
 
 @njit(fastmath=FASTMATH, error_model="numpy")
@@ -129,7 +129,7 @@ def _weigh(s, maps, upper, lower, z, fx, fy, softness, absorb):
 
 
 @njit(fastmath=FASTMATH)
-def _shine(s, maps, upper, lower, fx, fy, weight, to):
+def _accumulate_colour(s, maps, upper, lower, fx, fy, weight, to):
     """Add one colour of the samples of a plane, times what is at `weight`, to what is at `to`."""
     one = np.float32(1.0)
     w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
@@ -169,7 +169,7 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
                     z, r0, r1, x, fx, fy = _plane(v, k, row, rows, col, cols)
                     upper = np.uint64(r0 * maps.shape[1] * width + x)
                     lower = np.uint64(r1 * maps.shape[1] * width + x)
-                    close = _look(s, flat, upper + np.uint64(CEILING * width), k, z, v, largest)
+                    close = _skip_empty_space(s, flat, upper + np.uint64(CEILING * width), k, z, v, largest)
                     count += close
                     if close == 0:
                         k = _next(s, v.planes)
@@ -178,7 +178,9 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
                         first, last = min(first, k), k + 1
                         for c in range(bands):
                             channel = np.uint64((COLOUR + c) * width)
-                            _shine(s, flat, upper + channel, lower + channel, fx, fy, _W, _RGB + np.uint64(c * LANES))
+                            _accumulate_colour(
+                                s, flat, upper + channel, lower + channel, fx, fy, _W, _RGB + np.uint64(c * LANES)
+                            )
                     k += 1
                 spans[row, block, 0], spans[row, block, 1] = first, last
                 for j in range(inside):
@@ -212,7 +214,7 @@ def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
 
 
 @njit(fastmath=FASTMATH)
-def _pass(s):
+def _transmit(s):
     """Lead the rays through a plane; leaves what a sample changes behind it, per sigma * step, at _BEHIND."""
     for j in range(np.uint64(LANES)):
         left = s[_LEFT + j] - s[_WEIGHT + j] * s[_VALUE + j]
@@ -306,8 +308,8 @@ def march_backward(
                     to_upper, to_lower = np.uint64(begin + r0 * own + x), np.uint64(begin + r1 * own + x)
                     for b in range(bands):
                         channel, grad = np.uint64((COLOUR + b) * width), _GRAD_RGB + np.uint64(b * LANES)
-                        _shine(s, flat, upper + channel, lower + channel, fx, fy, grad, _VALUE)
-                    _pass(s)
+                        _accumulate_colour(s, flat, upper + channel, lower + channel, fx, fy, grad, _VALUE)
+                    _transmit(s)
                     for b in range(bands):
                         to, grad = np.uint64((1 + b) * width), _GRAD_RGB + np.uint64(b * LANES)
                         _scatter(s, grads, to_upper + to, fx, one - fy, _WEIGHT, grad)

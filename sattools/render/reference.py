@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from sattools.render.view import Quadrature, Rays
+from sattools.render.view import ParallelRays, Quadrature
 
 
 def render_planes(
-    height: Tensor, colour: Tensor, rays: Rays, quadrature: Quadrature, cell_size: float
+    height: Tensor, colour: Tensor, rays: ParallelRays, quadrature: Quadrature, cell_size: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Composite the surface field along parallel rays, height plane by height plane, from the top.
 

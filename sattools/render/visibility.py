@@ -30,8 +30,7 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
 
     Returns:
         ``[H, W]`` in [0, 1], 1 = lit; all 0 with the sun at or below the horizon. Gradients reach the cell (higher =
-        more light)
-        and the cell that casts the deciding shadow (higher = less).
+        more light) and the cell that casts the deciding shadow (higher = less).
     """
     east, north, up = (float(v) for v in sun)
     horizontal = math.hypot(east, north)

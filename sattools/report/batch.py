@@ -42,15 +42,15 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         check_id(row["scene"], f"{path}: scene")
         check_id(row["configuration"], f"{path}: configuration")
     try:
-        found = [{k: (float(v) if k in NUMBERS else v) if v else None for k, v in row.items()} for row in rows]
+        parsed = [{k: (float(v) if k in NUMBERS else v) if v else None for k, v in row.items()} for row in rows]
     except ValueError as error:
         raise InputError(f"{path}: found text where a number belongs ({error})") from error
-    for row in found:
+    for row in parsed:
         for name in NUMBERS & row.keys():
             value = row[name]
             if isinstance(value, float) and not math.isfinite(value):
                 raise InputError(f"{path}: found {name} {value} of {row['scene']}, expected a finite number")
-    return found
+    return parsed
 
 
 def _speed(rows: list[dict[str, Any]]) -> Section:

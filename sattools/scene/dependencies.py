@@ -153,15 +153,15 @@ def check_current(scene: Scene, stage: str) -> None:
 def stale(scene: Scene, stage: str) -> str | None:
     """Why a stage's products must not be used, None where they may."""
     for name in ORDER[1 : ORDER.index(stage) + 1]:
-        found = latest(scene, name)
-        if found is None or not _has_outputs(scene, name):
+        entry = latest(scene, name)
+        if entry is None or not _has_outputs(scene, name):
             continue
         now = _outputs(scene, name)
-        changed = [n for n, hash_ in found["outputs"].items() if n in now and now[n] not in (hash_, None)]
+        changed = [n for n, hash_ in entry["outputs"].items() if n in now and now[n] not in (hash_, None)]
         again = f"expected what `sattools {name}` left (run it again with --overwrite)"
         if changed:
             return f"found another file for {changed[0]} than the history knows, {again}"
-        if _inputs(scene, name, found["items"]) != found["inputs"]:
+        if _inputs(scene, name, entry["items"]) != entry["inputs"]:
             return f"found that what {name} was made from has changed since, {again}"
     return None
 

@@ -120,8 +120,8 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrit
     taken: dict[tuple[int, int], Path] = {}
     for path in inputs:
         with suppress(OSError, ValueError):
-            found = os.stat(path)
-            taken[found.st_dev, found.st_ino] = Path(path)
+            status = os.stat(path)
+            taken[status.st_dev, status.st_ino] = Path(path)
     outputs = [Path(path) for path in outputs]
     named: set[str] = set()
     exists = None
@@ -130,17 +130,17 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrit
             raise OutputIsInputError(f"{path}: would be written twice, expected different names")
         named.add(str(path))
         try:
-            found = os.stat(path)
+            status = os.stat(path)
         except OSError:
             if path.is_symlink() and exists is None:  # it leads nowhere, but it is somebody's
                 exists = path
             _check_folder(path)
             continue
-        source = taken.get((found.st_dev, found.st_ino))
+        source = taken.get((status.st_dev, status.st_ino))
         if source is not None:
             same = "is an input too" if os.path.abspath(source) == os.path.abspath(path) else f"is the input {source}"
             raise OutputIsInputError(f"{path}: {same}, expected outputs in another place; nothing was written")
-        if stat.S_ISDIR(found.st_mode):
+        if stat.S_ISDIR(status.st_mode):
             raise SattoolsError(f"{path}: found a folder, expected a file name to write to")
         exists = exists or path
         _check_folder(path)

@@ -78,10 +78,10 @@ def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
 
 def read_json(path: Path | str, expected: str = "a JSON object") -> dict[str, Any]:
     """A JSON object from a file. Raises InputError when it is not one; see `parse_json`."""
-    found = parse_json(read_text(path, strict=False), str(path), expected)
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: found a JSON {type(found).__name__}, expected {expected}")
-    return found
+    document = parse_json(read_text(path, strict=False), str(path), expected)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: found a JSON {type(document).__name__}, expected {expected}")
+    return document
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:

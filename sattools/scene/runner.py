@@ -81,16 +81,16 @@ def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
     if not path.exists():
         return None
     try:
-        found = Scene.from_file(path)
+        existing = Scene.from_file(path)
     except SceneError as error:
         if overwrite:
             return None
         raise SceneError(f"{error}; it would be replaced: give --overwrite, or another root") from error
-    if found.id != scene.id and not overwrite:
+    if existing.id != scene.id and not overwrite:
         raise SceneError(
-            f"{path}: found scene {found.id}, expected {scene.id}; give --overwrite to replace its document"
+            f"{path}: found scene {existing.id}, expected {scene.id}; give --overwrite to replace its document"
         )
-    return found if found.id == scene.id else None
+    return existing if existing.id == scene.id else None
 
 
 def _note(scene: Scene, step: Step, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
@@ -110,12 +110,12 @@ def _note(scene: Scene, step: Step, start: float, extra: dict[str, Any] | None) 
 
 
 def _versions() -> dict[str, str]:
-    found = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
+    versions = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
     for name in ("numpy", "torch", "rasterio"):
         # only what the command really used: importing torch for its version costs seconds
         if name in sys.modules:
-            found[name] = str(sys.modules[name].__version__)
-    return found
+            versions[name] = str(sys.modules[name].__version__)
+    return versions
 
 
 def _plain(value: Any) -> Any:

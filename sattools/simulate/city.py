@@ -1,4 +1,4 @@
-"""A small city: blocks of houses, slabs, courts, a park and a tower between streets."""
+"""A small city: blocks of houses, slabs, courtyards, a park and a tower between streets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GROUND, TREES, BUILDING, WATER = 2, 5, 6, 9
 STREET_M = 13.0
 BLOCK_M = 45.0
 TOWER_M = 35.0
-NEIGHBOURS = ("park", "houses", "houses", "houses", "court", "court", "slabs", "slabs")
+NEIGHBOURS = ("park", "houses", "houses", "houses", "courtyard", "courtyard", "slabs", "slabs")
 
 
 @dataclass
@@ -180,7 +180,7 @@ def _block(canvas: _Canvas, kind: str, x: float, y: float, rng: np.random.Genera
     canvas.paint(canvas.box(x + 2.5, y + 2.5, x + BLOCK_M - 2.5, y + BLOCK_M - 2.5), "grass")
     if kind == "houses":
         _houses(canvas, x, y, rng)
-    elif kind == "court":
+    elif kind == "courtyard":
         _court(canvas, x + 4, y + 4, BLOCK_M - 8, float(rng.uniform(11, 17)), float(rng.uniform(9, 13)), rng)
     elif kind == "tower":
         _tower(canvas, x, y, rng)
@@ -216,15 +216,15 @@ def _slabs(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> Non
 
 
 def _court(
-    canvas: _Canvas, x: float, y: float, side: float, height: float, court: float, rng: np.random.Generator
+    canvas: _Canvas, x: float, y: float, side: float, height: float, courtyard: float, rng: np.random.Generator
 ) -> None:
     area = canvas.box(x, y, x + side, y + side)
     base, wall = canvas.level(area), _wall(rng)
     canvas.flat(area, base + height, "tar", wall, float(rng.uniform(1.0, 1.8)))
     canvas.flat(canvas.box(x, y, x + side, y + side * 0.3), base + height * 0.75, "gravel", wall)
     _roof_units(canvas, x + 1, y + side * 0.75, side - 2, side * 0.2, base + height, 3, rng)
-    low = (side - court) / 2
-    inner = canvas.box(x + low, y + low, x + low + court, y + low + court)
+    low = (side - courtyard) / 2
+    inner = canvas.box(x + low, y + low, x + low + courtyard, y + low + courtyard)
     canvas.height[inner] = canvas.ground[inner]
     canvas.slope_y[inner], canvas.slope_x[inner] = (g[inner] for g in np.gradient(canvas.ground, canvas.cell))
     canvas.classes[inner], canvas.windows[inner] = GROUND, 0
@@ -232,7 +232,7 @@ def _court(
 
 
 def _tower(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
-    """A tower and three wings about a court of 8 m."""
+    """A tower and three wings about a courtyard of 8 m."""
     _court(canvas, x + 4, y + 4, BLOCK_M - 8, 16.0, 8.0, rng)
     area = canvas.box(x + 5, y + 5, x + 18, y + 31)
     top = canvas.level(area) + TOWER_M

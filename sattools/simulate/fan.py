@@ -18,7 +18,7 @@ from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_na
 from sattools.simulate.natural_trace import render_natural
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
-from sattools.simulate.views import View, framed, take_all, write_view
+from sattools.simulate.views import SimulatedView, framed, take_all, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track
@@ -57,7 +57,7 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
 
 def plan_fan(
     options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
-) -> list[View]:
+) -> list[SimulatedView]:
     """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle."""
     west, south, east, north = grid.bounds
     x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
@@ -84,7 +84,7 @@ def plan_fan(
         rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
         angle, radius = rng.uniform(0, 2 * np.pi), options.bias_px * np.sqrt(rng.uniform())
         views.append(
-            View(
+            SimulatedView(
                 f"{options.id}_{k + 1:03d}", start + timedelta(seconds=SECONDS_BETWEEN * k),
                 (options.sun_azimuth, options.sun_elevation), sensor, camera, rpc, error, shape,
                 Radiometry(np.ones(3), np.zeros(3)),
@@ -114,7 +114,7 @@ def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime
 
 
 def _take(
-    scene: Scene, options: SimulateOptions, world: NaturalWorld, view: View, seed: np.random.SeedSequence
+    scene: Scene, options: SimulateOptions, world: NaturalWorld, view: SimulatedView, seed: np.random.SeedSequence
 ) -> Item:
     """Render one view and write its files."""
     assert scene.grid is not None  # set before the views are taken

@@ -25,7 +25,7 @@ BORDER_PX = 8
 
 
 @dataclass(frozen=True)
-class View:
+class SimulatedView:
     """One image to be taken.
 
     Attributes:
@@ -50,9 +50,9 @@ class View:
 
 def take_all(
     scene: Scene,
-    views: Sequence[View],
+    views: Sequence[SimulatedView],
     seed: np.random.SeedSequence,
-    take: Callable[[int, View, np.random.SeedSequence], Item],
+    take: Callable[[int, SimulatedView, np.random.SeedSequence], Item],
     progress: Progress,
 ) -> None:
     """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise."""
@@ -78,7 +78,13 @@ def framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int
 
 
 def write_view(
-    scene: Scene, view: View, image: np.ndarray, lit: np.ndarray, height: np.ndarray, sun: np.ndarray, gsd: float
+    scene: Scene,
+    view: SimulatedView,
+    image: np.ndarray,
+    lit: np.ndarray,
+    height: np.ndarray,
+    sun: np.ndarray,
+    gsd: float,
 ) -> Item:
     """Write the files of one view: image [B, H, W], share of sunlit ground and heights [H, W]; its item."""
     assert scene.grid is not None  # set before the views are taken
@@ -145,7 +151,7 @@ def write_view(
     )
 
 
-def _footprint(view: View, height: float) -> list[list[float]]:
+def _footprint(view: SimulatedView, height: float) -> list[list[float]]:
     """[lon, lat] of the image's corners at a height, anticlockwise as GeoJSON wants it."""
     rows, columns = view.shape
     col = np.array([-0.5, -0.5, columns - 0.5, columns - 0.5])
@@ -159,4 +165,4 @@ def threads() -> int:
     return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
 
 
-__all__ = ["BORDER_PX", "View", "framed", "take_all", "threads", "write_view"]
+__all__ = ["BORDER_PX", "SimulatedView", "framed", "take_all", "threads", "write_view"]

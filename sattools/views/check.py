@@ -92,8 +92,12 @@ def _check_direction(scene: Scene, item: Item, rpc: RPC, lon: float, lat: float,
     tilt, turn = math.radians(incidence), math.radians(azimuth)
     said = np.array([math.sin(tilt) * math.sin(turn), math.sin(tilt) * math.cos(turn), math.cos(tilt)])
     with np.errstate(all="ignore"):
-        found = view_direction(rpc, lon, lat, height)
-    apart = math.degrees(math.acos(max(-1.0, min(1.0, float(found @ said))))) if np.isfinite(found).all() else math.nan
+        direction = view_direction(rpc, lon, lat, height)
+    apart = (
+        math.degrees(math.acos(max(-1.0, min(1.0, float(direction @ said)))))
+        if np.isfinite(direction).all()
+        else math.nan
+    )
     if apart > _TURNED_DEG:
         raise SceneError(
             f"scene {scene.id}: item {item.id}: found a camera that looks {apart:.1f} degrees away from view:azimuth "

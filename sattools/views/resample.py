@@ -24,7 +24,8 @@ class View:
         slope: (east, north) displacement per metre of height, from the ground to the sensor.
         z_ref: reference height [m].
         sun: unit vector (east, north, up) in the grid's frame, or None if unknown.
-        spread_m: largest deviation of a true line of sight from the parallel one within the height range [m].
+        parallel_ray_error_m: largest deviation of a true line of sight from the parallel one within the height range
+            [m].
     """
 
     id: str
@@ -33,7 +34,7 @@ class View:
     slope: tuple[float, float]
     z_ref: float
     sun: tuple[float, float, float] | None
-    spread_m: float
+    parallel_ray_error_m: float
 
 
 def line_of_sight(

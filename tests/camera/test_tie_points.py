@@ -6,8 +6,8 @@ from synthetic_views import parallel_rpc, render, texture
 
 from sattools.camera.matching import corridor_matches, free_matches, vote
 from sattools.camera.tiepoints import (
+    TiePointImage,
     TiePointOptions,
-    View,
     choose_pairs,
     coarse_bias,
     find_tie_points,
@@ -138,13 +138,13 @@ def test_contrast_is_the_same_after_gain_and_offset_and_masks_nan():
 
 def test_one_view_has_no_tie_points():
     with pytest.raises(InputError, match="found 1 image"):
-        find_tie_points([View("a", np.ones((64, 64), np.float32), parallel_rpc())], "EPSG:32633")
+        find_tie_points([TiePointImage("a", np.ones((64, 64), np.float32), parallel_rpc())], "EPSG:32633")
 
 
 def test_tie_points_are_the_same_on_every_run():
     ground = texture()
     runs = [(0.3, 0.0), (-0.2, 0.2)]
-    views = [View(str(k), render(ground, r), parallel_rpc(r)) for k, r in enumerate(runs)]
+    views = [TiePointImage(str(k), render(ground, r), parallel_rpc(r)) for k, r in enumerate(runs)]
     first, second = (find_tie_points(views, "EPSG:32633", TiePointOptions(max_height_m=60)) for _ in range(2))
     assert first.n_points > 100
     assert np.array_equal(first.pixel, second.pixel)

@@ -22,7 +22,7 @@ def agreement(a, b, noise, brightness):
 
 
 def correlate(
-    images, masks, slopes, heights, z_ref, hits, shades, dark, tolerance, pairs,
+    images, masks, slopes, heights, z_ref, first_hit_height, shadow_height, dark, tolerance, pairs,
     radius, noise, shadow_noise, brightness, margin, unseen, power=1, weak=0.0, mixed=0.0, base=None,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
@@ -46,8 +46,11 @@ def correlate(
         windows = [window(v) for v in range(views)]
         nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
         valid = [masks[n] > 0 for n in nearest]
-        weights = [ok * (1.0 if hits[n] <= z[0, 0] + tolerance else weak) for ok, n in zip(valid, nearest, strict=True)]
-        lit = [shades[v, row, col] <= z[0, 0] for v in range(views)]
+        weights = [
+            ok * (1.0 if first_hit_height[n] <= z[0, 0] + tolerance else weak)
+            for ok, n in zip(valid, nearest, strict=True)
+        ]
+        lit = [shadow_height[v, row, col] <= z[0, 0] for v in range(views)]
         powers = weight = 0.0
         for a, b in pairs:
             own = weights[a] * weights[b] * (1.0 if lit[a] == lit[b] else mixed)

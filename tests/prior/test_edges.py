@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sattools.prior.edges import sharpen
+from sattools.prior.edges import snap_edges
 from sattools.prior.frame import Frame
 
 NOISE = 0.04
@@ -33,7 +33,7 @@ def test_a_rim_that_looks_like_the_ground_is_lowered(roof):
     wide = true.copy()
     wide[8:32, 8:32] = 10.0  # two cells too wide on every side
     frame = a_frame(image)
-    found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
+    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)
     # the median filter at the end may round the four corners
     assert (found != true).sum() <= 4
 
@@ -43,7 +43,7 @@ def test_a_roofs_edge_that_was_lost_is_raised(roof):
     narrow = np.zeros_like(true)
     narrow[12:28, 12:28] = 10.0
     frame = a_frame(image)
-    found = sharpen(frame, unseen(frame), narrow, 2.0, NOISE)
+    found = snap_edges(frame, unseen(frame), narrow, 2.0, NOISE)
     # of 144 cells; six at each corner have too little of the roof around them
     assert (found != true).sum() <= 24
 
@@ -53,7 +53,7 @@ def test_where_both_sides_look_alike_nothing_moves(roof):
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
     frame = a_frame(np.full(true.shape, 0.5))
-    found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
+    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)
     assert (found != wide).sum() <= 4
 
 
@@ -64,7 +64,7 @@ def test_views_that_do_not_see_a_cell_have_no_say(roof):
     frame = a_frame(image)
     blocked = unseen(frame)
     blocked[1:] = 99.0  # all but one view are blocked high above: one view alone decides nothing
-    assert (sharpen(frame, blocked, wide, 2.0, NOISE) != wide).sum() <= 4
+    assert (snap_edges(frame, blocked, wide, 2.0, NOISE) != wide).sum() <= 4
 
 
 @pytest.mark.parametrize(("disagreeing", "moves"), [(1, True), (2, False)])
@@ -75,7 +75,7 @@ def test_three_views_in_four_have_to_agree(roof, disagreeing, moves):
     frame = a_frame(image, views=4)
     # from these the rim looks as the roof does, and the ground around does not
     frame.images[:disagreeing, 8:32, 8:32] = 0.8
-    found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
+    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)
     assert ((found != wide).sum() > 100) == moves
 
 
@@ -86,4 +86,4 @@ def test_slopes_and_low_steps_are_left_alone():
     image = np.random.default_rng(1).uniform(0, 1, (40, 40))
     for height in (slope, kerb):
         frame = a_frame(image)
-        np.testing.assert_allclose(sharpen(frame, unseen(frame), height, 2.0, NOISE), height, atol=0.31)
+        np.testing.assert_allclose(snap_edges(frame, unseen(frame), height, 2.0, NOISE), height, atol=0.31)

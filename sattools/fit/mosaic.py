@@ -25,7 +25,7 @@ from sattools.scene.tiles import Tile
 MAPS, PER_IMAGE = ("height", "height_std", "albedo"), ("s_net", "tau")
 
 
-class Sheet:
+class FeatheredMosaic:
     """A map of the whole, summed up from weighted pieces.
 
     Args:
@@ -54,7 +54,7 @@ class Sheet:
         return self.total
 
 
-def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
+def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> dict[str, Any]:
     """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles`.
 
     Raises:
@@ -65,14 +65,14 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
         if not (plan.root(name) / MODEL).exists():
             raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
     progress(1.0, f"joining {len(names)} tiles")
-    whole = scene.need_grid().resized(plan.finest)
+    whole = scene.require_grid().resized(plan.finest)
     common, meta = checkpoint.load(scene.root / COMMON)
     made = {}
     if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
-        _join_priors(plan, names)
+        _mosaic_priors(plan, names)
         made = record(scene, "prior", scene.train_items(), implicit=True)
-    sheets: dict[str, Sheet] = {}
-    image_sheets: dict[str, list[Sheet]] = {}
+    mosaics: dict[str, FeatheredMosaic] = {}
+    image_mosaics: dict[str, list[FeatheredMosaic]] = {}
     softness = meta["softness"]
     for tile in plan.tiles:
         if tile.name in names:
@@ -83,21 +83,23 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
             tensors = {name: sampled(common[name], Grid.from_dict(meta["grid"]), grid) for name in MAPS}
         for name in MAPS:
             values = tensors[name].numpy()
-            if name not in sheets:
-                sheets[name] = Sheet(whole, values[..., None].shape[2])
-            sheets[name].add(tile, values, grid.cell_size)
+            if name not in mosaics:
+                mosaics[name] = FeatheredMosaic(whole, values[..., None].shape[2])
+            mosaics[name].add(tile, values, grid.cell_size)
         for name in set(PER_IMAGE) & tensors.keys():
-            layers = image_sheets.setdefault(name, [Sheet(whole, 1) for _ in meta["items"]])
+            layers = image_mosaics.setdefault(name, [FeatheredMosaic(whole, 1) for _ in meta["items"]])
             for item, values in zip(own["items"], tensors[name].numpy(), strict=True):
                 layers[meta["items"].index(item)].add(tile, values, grid.cell_size)
-    found = {name: torch.from_numpy(sheet.done()) for name, sheet in sheets.items()}
-    found |= {name: found[name][..., 0] for name in ("height", "height_std")}
-    found |= {n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_sheets.items()}
-    found |= {name: common[name] for name in COLOURS}
-    remarks = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *remarks]
+    whole_tensors = {name: torch.from_numpy(mosaic.done()) for name, mosaic in mosaics.items()}
+    whole_tensors |= {name: whole_tensors[name][..., 0] for name in ("height", "height_std")}
+    whole_tensors |= {
+        n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_mosaics.items()
+    }
+    whole_tensors |= {name: common[name] for name in COLOURS}
+    notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
     result = save_fit(
-        scene, scene.output(MODEL), found, {**meta, "grid": whole.to_dict(), "softness": softness},
-        _trace(plan, [COARSE, *names]), remarks, made,
+        scene, scene.output(MODEL), whole_tensors, {**meta, "grid": whole.to_dict(), "softness": softness},
+        _trace(plan, [COARSE, *names]), notes, made,
     )  # fmt: skip
     if spent := plan.spent():
         result["parts"] = spent
@@ -106,23 +108,23 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
     return result
 
 
-def _join_priors(plan: Plan, names: list[str]) -> None:
+def _mosaic_priors(plan: Plan, names: list[str]) -> None:
     """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
     from sattools.prior.stage import CONFIDENCE, DSM, write_maps
 
-    whole = plan.scene.need_grid()
-    height, trust = Sheet(whole, 1), Sheet(whole, 1)
+    whole = plan.scene.require_grid()
+    height, confidence = FeatheredMosaic(whole, 1), FeatheredMosaic(whole, 1)
     for tile in plan.tiles:
         if tile.name in names:
-            for sheet, href in ((height, DSM), (trust, CONFIDENCE)):
+            for mosaic, href in ((height, DSM), (confidence, CONFIDENCE)):
                 values, grid = read_raster(plan.root(tile.name) / href)
-                sheet.add(tile, values[0], grid.cell_size)
+                mosaic.add(tile, values[0], grid.cell_size)
         else:
             values, grid = read_raster(plan.root(COARSE) / DSM)
             rough = sampled(torch.from_numpy(values[0]), grid, tile.grid).numpy()
             height.add(tile, rough, tile.grid.cell_size)
-            trust.add(tile, np.zeros_like(rough), tile.grid.cell_size)
-    write_maps(plan.scene, height.done()[..., 0], trust.done()[..., 0], whole)
+            confidence.add(tile, np.zeros_like(rough), tile.grid.cell_size)
+    write_maps(plan.scene, height.done()[..., 0], confidence.done()[..., 0], whole)
 
 
 def _trace(plan: Plan, names: list[str]) -> Trace:
@@ -142,4 +144,4 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         return list(csv.DictReader(file))
 
 
-__all__ = ["join"]
+__all__ = ["mosaic_tiles"]

@@ -1,4 +1,4 @@
-"""What a surface hides from the views and from their suns, and how dark the views are where it casts a shadow."""
+"""Visibility of a surface from the views and from their suns, and how dark the views are where it casts a shadow."""
 
 from __future__ import annotations
 
@@ -19,30 +19,32 @@ NOISE_FACTOR = 1.25  # contrast, in units of that noise, below which no structur
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """What a surface hides.
+class Visibility:
+    """Occlusion and shadow that a surface causes.
 
     Attributes:
-        hits: ``[V, Hf, Wf]`` float32 height at which the ray through a frame position first meets it [m].
-        shades: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow [m].
+        first_hit_height: ``[V, Hf, Wf]`` float32 height at which the ray through a frame position first meets it [m].
+        shadow_height: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow [m].
         dark: ``[V]`` float32 radiance of things in shadow.
     """
 
-    hits: np.ndarray
-    shades: np.ndarray
+    first_hit_height: np.ndarray
+    shadow_height: np.ndarray
     dark: np.ndarray
 
-    def doubled(self) -> Hidden:
+    def doubled(self) -> Visibility:
         """The same on cells of half the size."""
-        hits, shades = (a.repeat(2, axis=1).repeat(2, axis=2) for a in (self.hits, self.shades))
-        return Hidden(hits, shades, self.dark)
+        first_hit_height, shadow_height = (
+            a.repeat(2, axis=1).repeat(2, axis=2) for a in (self.first_hit_height, self.shadow_height)
+        )
+        return Visibility(first_hit_height, shadow_height, self.dark)
 
 
-def nothing_hidden(frame: Frame) -> Hidden:
+def all_visible(frame: Frame) -> Visibility:
     """Everything is seen and lit."""
-    hits = np.full(frame.images.shape, UNKNOWN, np.float32)
-    shades = np.full((len(hits), *frame.shape), UNKNOWN, np.float32)
-    return Hidden(hits, shades, np.full(len(hits), UNKNOWN, np.float32))
+    first_hit_height = np.full(frame.images.shape, UNKNOWN, np.float32)
+    shadow_height = np.full((len(first_hit_height), *frame.shape), UNKNOWN, np.float32)
+    return Visibility(first_hit_height, shadow_height, np.full(len(first_hit_height), UNKNOWN, np.float32))
 
 
 def disk(radius: float) -> np.ndarray:
@@ -52,28 +54,32 @@ def disk(radius: float) -> np.ndarray:
     return x * x + y * y <= radius * radius
 
 
-def thinned(surface: np.ndarray, radius: float) -> np.ndarray:
-    """The surface without its rims, as matching makes them too wide; radius in cells."""
+def erode(surface: np.ndarray, radius: float) -> np.ndarray:
+    """The surface eroded by a disk, as matching makes its rims too wide; radius in cells."""
     return grey_erosion(surface, footprint=disk(radius), mode="nearest")
 
 
-def hide(frame: Frame, thin: np.ndarray, z_range: tuple[float, float], tolerance: float, hidden: Hidden) -> None:
-    """Fill in what a (thinned) surface ``[H, W]`` hides and shades.
+def compute_visibility(
+    frame: Frame, eroded: np.ndarray, z_range: tuple[float, float], tolerance: float, visibility: Visibility
+) -> None:
+    """Fill in what an eroded surface ``[H, W]`` occludes and shades.
 
     A point just below a lit surface counts as lit: what the images show there is the surface.
     """
-    from sattools.prior.kernels import first_hits, shade_heights
+    from sattools.prior.kernels import first_hit_heights, shadow_heights
 
-    wide = np.pad(thin, frame.margin, mode="edge")
-    first_hits(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, hidden.hits)
-    for sun, shade in zip(frame.suns, hidden.shades, strict=True):
+    wide = np.pad(eroded, frame.margin, mode="edge")
+    first_hit_heights(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, visibility.first_hit_height)
+    for sun, shadow in zip(frame.suns, visibility.shadow_height, strict=True):
         if sun is not None:
-            shade_heights(thin, np.array(sun), frame.cell, float(thin.max()), shade)
-            lit = shade < thin
-            shade[lit] = np.minimum(shade[lit], thin[lit] - np.float32(tolerance))
+            shadow_heights(eroded, np.array(sun), frame.cell, float(eroded.max()), shadow)
+            lit = shadow < eroded
+            shadow[lit] = np.minimum(shadow[lit], eroded[lit] - np.float32(tolerance))
 
 
-def at_surface(frame: Frame, hits: np.ndarray, surface: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+def at_surface(
+    frame: Frame, first_hit_height: np.ndarray, surface: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
     """What every view shows at the surface ``[H, W]``, and whether it sees it: ``[V, H, W]`` float32 and bool."""
     rows, cols = np.indices(frame.shape)
     value = np.empty((len(frame.images), *frame.shape), np.float32)
@@ -84,18 +90,18 @@ def at_surface(frame: Frame, hits: np.ndarray, surface: np.ndarray, tolerance: f
         r = np.clip(np.rint(rows + frame.margin + slope[0] * dz).astype(int), 0, last[0])
         c = np.clip(np.rint(cols + frame.margin + slope[1] * dz).astype(int), 0, last[1])
         value[v] = frame.images[v][r, c]
-        seen[v] = (frame.masks[v][r, c] > 0) & (hits[v][r, c] <= surface + tolerance)
+        seen[v] = (frame.masks[v][r, c] > 0) & (first_hit_height[v][r, c] <= surface + tolerance)
     return value, seen
 
 
-def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, hidden: Hidden) -> None:
+def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, visibility: Visibility) -> None:
     """Measure the radiance of shadows in every view where the surface casts them; the median of the others where too
     few cells tell. Haze and skylight differ from date to date, so shadows do not match where lit ground does."""
-    value, seen = at_surface(frame, hidden.hits, surface, tolerance)
-    deep = seen & (surface < hidden.shades - SURELY_SHADED_M)
-    found = [np.percentile(a[d], DARK_SHARE) if d.sum() > FEWEST else np.nan for a, d in zip(value, deep, strict=True)]
-    usual = np.nanmedian(found) if np.isfinite(found).any() else UNKNOWN
-    hidden.dark[:] = np.where(np.isnan(found), usual, found)
+    value, seen = at_surface(frame, visibility.first_hit_height, surface, tolerance)
+    deep = seen & (surface < visibility.shadow_height - SURELY_SHADED_M)
+    levels = [np.percentile(a[d], DARK_SHARE) if d.sum() > FEWEST else np.nan for a, d in zip(value, deep, strict=True)]
+    usual = np.nanmedian(levels) if np.isfinite(levels).any() else UNKNOWN
+    visibility.dark[:] = np.where(np.isnan(levels), usual, levels)
 
 
 def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> float:
@@ -107,24 +113,24 @@ def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> fl
         reach: distance of radiance from it that still counts as dark.
         least: smallest value returned.
     """
-    found = []
+    noises = []
     for image, mask, level in zip(frame.images, frame.masks, dark, strict=True):
         mean = uniform_filter(image, 3)
         spread = uniform_filter(image * image, 3) - mean * mean
         near = (mask > 0) & (np.abs(mean - level) < reach)
         if near.sum() > FEWEST:
-            found.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
-    return max(least, NOISE_FACTOR * float(np.median(found))) if found else least
+            noises.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
+    return max(least, NOISE_FACTOR * float(np.median(noises))) if noises else least
 
 
 __all__ = [
     "UNKNOWN",
-    "Hidden",
+    "Visibility",
+    "all_visible",
     "at_surface",
+    "compute_visibility",
     "dark_noise",
     "disk",
-    "hide",
+    "erode",
     "measure_dark",
-    "nothing_hidden",
-    "thinned",
 ]
