@@ -19,11 +19,12 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "sattools"
 LONG, LONGEST, POSITIONAL, MODULE = 60, 80, 6, 400
 ARRAY = re.compile(r"\b(np\.ndarray|NDArray|Tensor|Array)\b")
+UNIT_WORDS = """metres? degrees? radians? pixels? cells? seconds? counts? number indices index mask bool codes? weights?
+    shares? radiances? albedo BRF reflectance normals? visibility correlations? agreements? costs? colours? DN unbounded
+    unitless"""
 UNIT = re.compile(
-    r"\[(m|px|degrees|cells|1|s|m/m|MB|m²)\]|\bmetres?\b|\bdegrees?\b|\bpixels?\b|\bcells?\b|\bunit vectors?\b|\bradiances?\b|"
-    r"in \[0, 1\]|\b0 \.\.\. 1\b|\bbool\b|\bindices\b|\bseconds\b|\bcounts?\b|\bmask\b|\balbedo\b|\bBRF\b|pi L / E|\bunbounded\b|"
-    r"\bradians?\b|\bweights?\b|\bcorrelation|\bagreement|\bcosts?\b|\bnumber of\b|\bcolours?\b|\bDN\b|\bshares?\b|\bm\b|\bunitless\b|"
-    r"\bdimensionless\b|\breflectance|\bnormals?\b|\bvisibility\b|\bcodes?\b|\bmaps?\b"
+    r"\[(m|px|degrees|cells|1|s|m/m|MB)\]|\bunit vectors?\b|in \[0, 1\]|pi L / E|"
+    r"\b(" + "|".join(UNIT_WORDS.split()) + r")\b"
 )
 
 

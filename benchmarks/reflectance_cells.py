@@ -86,7 +86,7 @@ def main() -> None:
     from sattools.fit.checkpoint import load
     from sattools.fit.material import AMPLITUDE, SHAPE
     from sattools.fit.options import FitOptions
-    from sattools.fit.reflective import ReflectiveScene, restored_model
+    from sattools.fit.reflective import ReflectiveScene
     from sattools.fit.stage import fit
     from sattools.prior import PriorOptions
     from sattools.prior.stage import prior
@@ -110,8 +110,7 @@ def main() -> None:
         scene = simulate(options, folder / name)
         prior(scene, PriorOptions())
         fit(scene, FitOptions(brdf="hapke", resolution=options.gsd))
-        tensors, meta = load(scene.path(scene.products["model"]))
-        surface = restored_model(tensors, meta)
+        surface = FittedModel.load(scene.path(scene.products["model"])).surface()
         assert isinstance(surface, ReflectiveScene)
         grid = Grid.from_dict(meta["grid"])
         views = views_on(

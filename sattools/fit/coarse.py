@@ -9,20 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from sattools.errors import SceneError
-from sattools.fit.checkpoint import load
+from sattools.fit.model import COLOURS, FittedModel
+from sattools.fit.resume import IlluminationOptions
 from sattools.fit.surface import SurfaceScene
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 
 PRODUCT = "coarse"
-COLOURS = ("gain", "offset", "ambient", "pose")
 
 
 @dataclass(frozen=True)
@@ -31,13 +30,13 @@ class Coarse:
 
     Attributes:
         colours: gain, offset and ambient ``[V, C]`` and pose ``[V, 2]`` of the tile's images.
-        illumination_options: how the light is modelled.
+        illumination: how the light is modelled.
         height: ``[H, W]`` heights of the whole area [m]; grid: theirs.
         tile: the tile's grid; no shadow is looked for further away than its edge.
     """
 
     colours: dict[str, Tensor]
-    illumination_options: dict[str, Any]
+    illumination: IlluminationOptions
     height: Tensor
     grid: Grid
     tile: Grid
@@ -93,14 +92,13 @@ def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
     if PRODUCT not in scene.products:
         return None
     path = scene.path(scene.products[PRODUCT])
-    tensors, meta = load(path)
-    unknown = [name for name in ids if name not in meta["items"]]
+    model = FittedModel.load(path)
+    unknown = [name for name in ids if name not in model.items]
     if unknown:
         raise SceneError(f"{path}: found no image {unknown[0]!r}, expected those of scene {scene.id}")
-    which = [meta["items"].index(name) for name in ids]
-    illumination_options = {"shadow": meta["shadow"], "transient": meta["transient"]}
-    colours = {name: tensors[name][which] for name in COLOURS}
-    return Coarse(colours, illumination_options, tensors["height"], Grid.from_dict(meta["grid"]), scene.require_grid())
+    which = [model.items.index(name) for name in ids]
+    colours = {name: getattr(model, name)[which] for name in COLOURS}
+    return Coarse(colours, model.illumination, model.height, model.grid, scene.require_grid())
 
 
-__all__ = ["COLOURS", "PRODUCT", "Coarse", "read_coarse", "sampled"]
+__all__ = ["PRODUCT", "Coarse", "read_coarse", "sampled"]

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from sattools.errors import SceneError
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.material import SHAPE, surface_normals
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene
@@ -173,7 +174,7 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
     return ["; ".join(notes)]
 
 
-def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid) -> Tensor:
+def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:
     """Normals ``[H, W, 3]`` of the prior's surface, smoothed over `NORMAL_SMOOTHING_M`, on a grid.
 
     Raises:
@@ -183,7 +184,7 @@ def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid)
         raise SceneError("--normals prior: found no prior, expected one (--prior-weight above 0)")
     from scipy.ndimage import gaussian_filter
 
-    height, _, own = prior
+    height, own = prior.height.numpy(), prior.grid
     known = np.isfinite(height)
     sigma = NORMAL_SMOOTHING_M / own.cell_size
     weight = gaussian_filter(known.astype(np.float64), sigma, mode="nearest")

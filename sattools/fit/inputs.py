@@ -15,18 +15,18 @@ import numpy as np
 from sattools import __version__
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.coarse import PRODUCT
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
 from sattools.progress import Progress
-from sattools.scene import Grid, Scene
+from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
 from sattools.scene.document import FIT_ROLE
 from sattools.scene.files import digest
+from sattools.scene.jsonio import JsonObject
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
-OTHER_FIT = "found a checkpoint of other options, images or cameras, expected the same; drop --resume"
-PriorMaps = tuple[np.ndarray, np.ndarray, Grid]
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "budget", "reference")
 
@@ -88,11 +88,22 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool, begun: Sequenc
 
 
 def load_prior(
-    scene: Scene, options: FitOptions, progress: Progress, overwrite: bool = True
-) -> tuple[PriorMaps | None, dict[str, Any]]:
-    """Height, confidence and grid of the scene's depth prior, and a record of it if it is made here.
+    scene: Scene,
+    options: FitOptions,
+    progress: Progress,
+    overwrite: bool = True,
+    sources: list[Source] | None = None,
+) -> tuple[DepthPrior | None, JsonObject]:
+    """The scene's depth prior, and a record of it if it is made here.
 
     It is made with its defaults where it is missing, or where an earlier fit has made it of other images.
+
+    Args:
+        scene: of the fit.
+        options: of the fit.
+        progress: told the share done.
+        overwrite: replace a prior's files that are there.
+        sources: the training images, if they have been read already.
 
     Raises:
         StaleError: a prior that the user asked for is out of date.
@@ -112,17 +123,17 @@ def load_prior(
                 log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
     from sattools.prior.files import read_prior
 
-    new: dict[str, Any] = {}
+    new: JsonObject = {}
     if "prior_dsm" not in scene.products:
         from sattools.prior import PriorOptions
         from sattools.prior.stage import prior
 
-        new = prior(scene, PriorOptions(), progress, overwrite, implicit=True)[MADE]
+        new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
     within = scene.require_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
-    return read_prior(scene, within), new
+    return DepthPrior.from_arrays(*read_prior(scene, within)), new
 
 
-def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: PriorMaps | None) -> str:
+def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: DepthPrior | None) -> str:
     """Hash of everything that a continued fit must share with the interrupted one: options, version, images with
     cameras and suns, prior, grid, heights, what tiles share."""
     plain = {name: value for name, value in asdict(options).items() if name not in _HOUSEKEEPING}
@@ -132,7 +143,7 @@ def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], pr
         for s in sources
     ]
     what += [[item.id, item.properties.get("sattools:radiance")] for item in scene.train_items()]
-    what.append([_hash(prior[0]), _hash(prior[1]), prior[2].to_dict()] if prior else None)
+    what.append([_hash(prior.height.numpy()), _hash(prior.confidence.numpy()), prior.grid.to_dict()] if prior else None)
     what.append(digest(scene.path(scene.products[PRODUCT])) if PRODUCT in scene.products else None)
     return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -141,4 +152,4 @@ def _hash(array: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-__all__ = ["OTHER_FIT", "PriorMaps", "fingerprint", "holding_out", "load_prior", "may_write"]
+__all__ = ["fingerprint", "holding_out", "load_prior", "may_write"]

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import csv
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from sattools.errors import SceneError
-from sattools.fit import checkpoint
-from sattools.fit.coarse import COLOURS, sampled
-from sattools.fit.files import MODEL, TRACE, save_fit
+from sattools.fit.coarse import sampled
+from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
+from sattools.fit.model import FittedModel
 from sattools.fit.tile_plan import COARSE, COMMON, FOLDER, Plan
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
 from sattools.scene.dependencies import record
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_raster
 from sattools.scene.tiles import Tile
 
-MAPS, PER_IMAGE = ("height", "height_std", "albedo"), ("s_net", "tau")
+MAPS = ("height", "height_std", "albedo")
 
 
 class FeatheredMosaic:
@@ -54,7 +55,7 @@ class FeatheredMosaic:
         return self.total
 
 
-def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> dict[str, Any]:
+def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
     """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles`.
 
     Raises:
@@ -66,46 +67,55 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> dict[str, 
             raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
     progress(1.0, f"joining {len(names)} tiles")
     whole = scene.require_grid().resized(plan.finest)
-    common, meta = checkpoint.load(scene.root / COMMON)
+    common = FittedModel.load(scene.root / COMMON)
     made = {}
     if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
         _mosaic_priors(plan, names)
         made = record(scene, "prior", scene.train_items(), implicit=True)
     mosaics: dict[str, FeatheredMosaic] = {}
     image_mosaics: dict[str, list[FeatheredMosaic]] = {}
-    softness = meta["softness"]
+    softness = common.softness
     for tile in plan.tiles:
         if tile.name in names:
-            tensors, own = checkpoint.load(plan.root(tile.name) / MODEL)
-            grid, softness = Grid.from_dict(own["grid"]), own["softness"]
+            model = FittedModel.load(plan.root(tile.name) / MODEL)
+            softness = model.softness
         else:
-            grid = tile.grid.resized(plan.finest)
-            tensors = {name: sampled(common[name], Grid.from_dict(meta["grid"]), grid) for name in MAPS}
+            model = _resampled(common, tile.grid.resized(plan.finest))
         for name in MAPS:
-            values = tensors[name].numpy()
+            values = getattr(model, name).numpy()
             if name not in mosaics:
                 mosaics[name] = FeatheredMosaic(whole, values[..., None].shape[2])
-            mosaics[name].add(tile, values, grid.cell_size)
-        for name in set(PER_IMAGE) & tensors.keys():
-            layers = image_mosaics.setdefault(name, [FeatheredMosaic(whole, 1) for _ in meta["items"]])
-            for item, values in zip(own["items"], tensors[name].numpy(), strict=True):
-                layers[meta["items"].index(item)].add(tile, values, grid.cell_size)
-    whole_tensors = {name: torch.from_numpy(mosaic.done()) for name, mosaic in mosaics.items()}
-    whole_tensors |= {name: whole_tensors[name][..., 0] for name in ("height", "height_std")}
-    whole_tensors |= {
-        n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_mosaics.items()
-    }
-    whole_tensors |= {name: common[name] for name in COLOURS}
+            mosaics[name].add(tile, values, model.grid.cell_size)
+        for name, layers_of in model.image_maps().items():
+            layers = image_mosaics.setdefault(name, [FeatheredMosaic(whole, 1) for _ in common.items])
+            for item, values in zip(model.items, layers_of.numpy(), strict=True):
+                layers[common.items.index(item)].add(tile, values, model.grid.cell_size)
+    maps = {name: torch.from_numpy(mosaic.done()) for name, mosaic in mosaics.items()}
+    of_images = {n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_mosaics.items()}
+    model = replace(
+        common,
+        grid=whole,
+        softness=softness,
+        height=maps["height"][..., 0],
+        height_std=maps["height_std"][..., 0],
+        albedo=maps["albedo"],
+        s_net=of_images.get("s_net"),
+        tau=of_images.get("tau"),
+        extra={},
+    )
     notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
-    result = save_fit(
-        scene, scene.output(MODEL), whole_tensors, {**meta, "grid": whole.to_dict(), "softness": softness},
-        _trace(plan, [COARSE, *names]), notes, made,
-    )  # fmt: skip
+    result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made)
     if spent := plan.spent():
         result["parts"] = spent
     if plan.options.part == "all":
         shutil.rmtree(scene.root / FOLDER)
     return result
+
+
+def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
+    """The maps of a model on another grid, without those of single images."""
+    height, height_std, albedo = (sampled(getattr(model, name), model.grid, grid) for name in MAPS)
+    return replace(model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None)
 
 
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:
@@ -135,11 +145,11 @@ def _trace(plan: Plan, names: list[str]) -> Trace:
         for row in rows:
             number = {key: float(value) for key, value in row.items() if key in ("seconds", "loss")}
             trace.rows.append({"part": name, **row, **number, "seconds": round(before + number["seconds"], 3)})
-        before = trace.rows[-1]["seconds"]
+        before = float(trace.rows[-1]["seconds"])
     return trace
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
+def _rows(path: Path) -> list[dict[str, str]]:
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 

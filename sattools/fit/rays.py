@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -258,7 +258,7 @@ class RayTrainer:
         return tensors
 
     @torch.no_grad()
-    def load(self, state: dict[str, Tensor]) -> None:
+    def load(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of `state`."""
         for name, tensor in self.tensors.items():
             tensor.copy_(state[name])
@@ -294,11 +294,11 @@ def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confide
     return (confidence * (2 * (depth - prior)) ** 2 * matters).mean()
 
 
-def join(parts: Sequence[RaySet]) -> RaySet:
+def concatenated(parts: Sequence[RaySet]) -> RaySet:
     """Rays of several views as one set; suns and sights are taken from the first, which knows them all."""
     names = ("start", "path", "target", "view", "depth", "confidence", "normal")
     joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
     return replace(parts[0], **joined)
 
 
-__all__ = ["RaySet", "RayTrainer", "beta_loss", "depth_loss", "join", "solar_correction"]
+__all__ = ["RaySet", "RayTrainer", "beta_loss", "concatenated", "depth_loss", "solar_correction"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -291,14 +290,4 @@ def restored(
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
 
 
-def restored_model(tensors: Mapping[str, Tensor], meta: Mapping[str, Any]) -> SurfaceScene:
-    """The scene of a model file (tensors and description as `sattools.fit.checkpoint.load` gives them)."""
-    absolute = meta.get("radiance", "relative") != "relative"
-    kind = meta.get("brdf", "lambert")
-    if kind != "lambert":
-        return restored(tensors, kind, float(meta["grid"]["cell_size"]), 0.0, absolute)
-    names = ("height", "albedo", "gain", "offset", "ambient", "pose")
-    return SurfaceScene(**{name: tensors[name] for name in names}, absolute=absolute)
-
-
-__all__ = ["NORMAL_CELLS", "ReflectiveScene", "reflective", "restored", "restored_model", "standard_reflectance"]
+__all__ = ["NORMAL_CELLS", "ReflectiveScene", "reflective", "restored", "standard_reflectance"]

@@ -5,29 +5,27 @@ from __future__ import annotations
 import functools
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.errors import SceneError
-from sattools.fit import checkpoint
 from sattools.fit.auto import Choice, choose_model, draw
 from sattools.fit.coarse import Coarse
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT
 from sattools.fit.illumination import Radiance, light_scale, material_notes, prior_normals
-from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint
+from sattools.fit.inputs import fingerprint
 from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene, reflective, restored
-from sattools.fit.resample import resample_map
+from sattools.fit.resume import IlluminationOptions, Interrupted
 from sattools.fit.surface import SurfaceScene, start_scene
-from sattools.fit.trace import Trace
-from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
+from sattools.fit.trace import Row, Trace
+from sattools.fit.train import REFRESH, StageSettings, StageTrainer
 from sattools.progress import Progress
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
@@ -45,7 +43,7 @@ class SurfaceJob:
     sources: list[Source]
     options: FitOptions
     stages: list[StageSettings]
-    prior: PriorMaps | None
+    prior: DepthPrior | None
     z_ref: float
     device: torch.device
     radiance: Radiance = "relative"
@@ -55,7 +53,7 @@ class SurfaceJob:
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
     parameter_std: dict[str, Tensor] = field(default_factory=dict)
     light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
-    illumination_options: dict[str, Any] = field(default_factory=dict)
+    chosen: IlluminationOptions | None = None
     coarse: Coarse | None = None
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
@@ -68,7 +66,7 @@ class SurfaceJob:
         for k, stage in enumerate(self.stages):
             grid = self.scene.require_grid().resized(stage.cell_size)
             self.last_softness = stage.softness[1]
-            if saved and k < saved[1]["stage"]:
+            if saved and k < saved.stage:
                 continue
             self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
             self._warn_spread(stage.cell_size, notes)
@@ -83,15 +81,23 @@ class SurfaceJob:
                 surface = surface.resized(grid.shape, (ratio, ratio))
                 self.illumination = self.illumination.resized(grid.shape, ratio)
             if stage.reflective:
-                surface = self._reflective(surface, grid, saved[0] if saved else None)
+                surface = self._reflective(surface, grid, saved.tensors if saved else None)
             cast = self.coarse.cast if self.coarse else sun_visibility
+            prior = self.prior.on(grid, self.device) if self.prior else None
             trainer = StageTrainer(
-                surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.illumination, cast
+                surface,
+                self.views,
+                stage,
+                self.resolved,
+                prior,
+                k,
+                self.illumination,
+                cast,
             )
             start = 0
             if saved:
-                start = saved[1]["epoch"]
-                trainer.load(saved[0])
+                start = saved.epoch
+                trainer.load(saved.tensors)
                 saved = None
             before = sum(s.epochs / s.cell_size**2 for s in self.stages[:k])
             if not trainer.run(start, self._after_epoch(trainer, stage, k, before, total, grid, score, progress)):
@@ -107,18 +113,18 @@ class SurfaceJob:
     @property
     def resolved(self) -> FitOptions:
         """The options with everything that was `auto` chosen."""
-        return replace(self.options, **self.illumination_options)
+        return replace(self.options, **vars(self.chosen)) if self.chosen else self.options
 
-    def _choose_light(self, surface: SurfaceScene, cell: float, saved: tuple[Any, dict[str, Any]] | None) -> list[str]:
+    def _choose_light(self, surface: SurfaceScene, cell: float, saved: Interrupted | None) -> list[str]:
         """Choose the illumination model, or take that of the interrupted fit; the reasons."""
         if self.coarse:
-            self.illumination_options = self.coarse.illumination_options
+            self.chosen = self.coarse.illumination
             return []
         if saved:
-            self.illumination_options = saved[1]["illumination_options"]
+            self.chosen = saved.illumination
             return []
         chosen, why = choose_light(surface, self.views, cell, self.options)
-        self.illumination_options = {"shadow": chosen.shadow, "transient": chosen.transient}
+        self.chosen = IlluminationOptions(chosen.shadow, chosen.transient)
         return why
 
     def _follow(self, surface: SurfaceScene, cell: float) -> None:
@@ -135,7 +141,7 @@ class SurfaceJob:
         if self.prior is None:
             height = torch.full(grid.shape, self.z_ref)
         else:
-            height = resample_map(self.prior[0], self.prior[2], grid).nan_to_num(self.z_ref)
+            height = self.prior.on(grid).height.nan_to_num(self.z_ref)
         gain, offset = match_colours(self.views)
         if self.coarse:
             gain, offset = (self.coarse.colours[name].numpy() for name in ("gain", "offset"))
@@ -152,7 +158,7 @@ class SurfaceJob:
         scene.absolute = self.radiance != "relative"
         return (self.coarse.hold(scene) if self.coarse else scene).to(self.device)
 
-    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: dict[str, Tensor] | None) -> ReflectiveScene:
+    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: Mapping[str, Tensor] | None) -> ReflectiveScene:
         options = self.options
         assert options.brdf in ("rpv", "hapke")  # the schedule asks for a model only then
         if saved is not None:
@@ -190,12 +196,6 @@ class SurfaceJob:
         self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
         return material_notes(surface, self.parameter_std)
 
-    def _prior_on(self, grid: Grid) -> Prior | None:
-        if self.prior is None:
-            return None
-        height, confidence, own = self.prior
-        return Prior(*(resample_map(m, own, grid).to(self.device) for m in (height, confidence)))
-
     def _after_epoch(
         self,
         trainer: StageTrainer,
@@ -208,7 +208,7 @@ class SurfaceJob:
         progress: Progress,
     ) -> Callable[[int, float], bool]:
         def call(done: int, loss: float) -> bool:
-            row: dict[str, Any] = {"seconds": round(self.trace.seconds(), 3), "stage": k, "cell_m": stage.cell_size}
+            row: Row = {"seconds": round(self.trace.seconds(), 3), "stage": k, "cell_m": stage.cell_size}
             row |= {"epoch": done, "softness_m": round(trainer.quadrature.softness, 4), "loss": loss}
             error = score(trainer.scene.height, grid)
             if error is not None:
@@ -252,21 +252,14 @@ class SurfaceJob:
         return fingerprint(self.scene, self.options, self.sources, self.prior)
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
-        meta = {"stage": stage, "epoch": epoch, "fingerprint": self._print, "rows": self.trace.rows}
-        meta["illumination_options"] = self.illumination_options
-        checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
+        state = Interrupted(trainer.state(), self._print, self.trace.rows, stage, epoch, illumination=self.chosen)
+        state.save(self.scene.output(CHECKPOINT))
 
-    def _resume(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        path = self.scene.output(CHECKPOINT)
-        if not path.exists():
-            log.warning("%s: no checkpoint, the fit starts anew", path)
-            return None
-        tensors, meta = checkpoint.load(path)
-        if meta.get("fingerprint") != self._print:
-            raise SceneError(f"{path}: {OTHER_FIT}")
-        self.trace.rows = meta["rows"]
-        self.trace.offset = self.trace.rows[-1]["seconds"]
-        return tensors, meta
+    def _resume(self) -> Interrupted | None:
+        saved = Interrupted.load(self.scene.output(CHECKPOINT), self._print)
+        if saved:
+            self.trace.go_on(saved.rows)
+        return saved
 
 
 __all__ = ["SurfaceJob"]

@@ -8,27 +8,27 @@ import logging
 import math
 import shutil
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from sattools import __version__
 from sattools.errors import InputError, SceneError
-from sattools.fit import checkpoint
-from sattools.fit.coarse import COLOURS, PRODUCT
+from sattools.fit.coarse import PRODUCT
 from sattools.fit.files import CHECKPOINT, MODEL, STATE
-from sattools.fit.inputs import OTHER_FIT
+from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
+from sattools.fit.resume import OTHER_FIT
 from sattools.fit.schedule import schedule
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, subprogress
-from sattools.scene import Grid, Scene
+from sattools.scene import Asset, Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
-from sattools.scene.jsonio import read_json
+from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import raster_grid
 from sattools.scene.schema import Items, Maybe, Number, Table, Text
 from sattools.scene.tiles import Tile, common_cell, make_tiles
@@ -121,14 +121,14 @@ class Plan:
         notes = [text for text in result["notes"] if "lines of sight" not in text]
         sources = load_sources(coarse, coarse.train_items())
         unseen = self._unseen(coarse, sources)
-        tensors, meta = checkpoint.load(coarse.root / MODEL)
+        model = FittedModel.load(coarse.root / MODEL)
         pilots: list[Scene] = []
         if with_pilots:
-            pilots, told = self._pilots(unseen, meta["items"], subprogress(progress, 0.4, 1.0))
+            pilots, told = self._pilots(unseen, model.items, subprogress(progress, 0.4, 1.0))
             notes += told
         if pilots:
-            override_shared(tensors, meta, pilots)
-        checkpoint.save(self.scene.output(COMMON), tensors, meta)
+            model = override_shared(model, [FittedModel.load(one.root / MODEL) for one in pilots])
+        model.save(self.scene.output(COMMON))
         makes_prior = self.options.prior_weight > 0 and PRIOR[0] not in self.scene.products
         balances = self._balances(coarse, sources, pilots) if makes_prior else {}
         names = []
@@ -164,7 +164,7 @@ class Plan:
         shutil.rmtree(self.scene.root / FOLDER, ignore_errors=True)
         self._write_state(names, [])
 
-    def spent(self) -> dict[str, Any]:
+    def spent(self) -> JsonObject:
         """Seconds of `split` and of the tiles, and the most memory one of them took, where they were fitted by
         commands of their own."""
         entries = [entry for name in self.names() for entry in self.part_scene(name).history]
@@ -177,12 +177,12 @@ class Plan:
             "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
         }
 
-    def check_state(self, state: dict[str, Any]) -> None:
+    def check_state(self, state: JsonObject) -> None:
         """Raise SceneError where the tiles on disk belong to another fit."""
         if state["key"] != self._key():
             raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
 
-    def _state(self) -> dict[str, Any] | None:
+    def _state(self) -> JsonObject | None:
         path = self.scene.root / STATE
         try:
             state = read_json(path) if path.exists() else None
@@ -238,9 +238,9 @@ class Plan:
 
     def _unseen(self, coarse: Scene, sources: list[Source]) -> dict[str, set[str]]:
         """Images that show less than `LEAST_SHOWN` of a tile, by its name."""
-        _, meta = checkpoint.load(coarse.root / MODEL)
-        grid = Grid.from_dict(meta["grid"])
-        views = views_on(sources, grid, meta["z_ref"], coarse.require_height_range())
+        model = FittedModel.load(coarse.root / MODEL)
+        grid = model.grid
+        views = views_on(sources, grid, model.z_ref, coarse.require_height_range())
         unseen = {}
         for tile in self.tiles:
             rows, cols = grid.window(tile.grid)
@@ -291,19 +291,19 @@ class Plan:
         return dict(zip((s.id for s in sources), whole, strict=True))
 
 
-def override_shared(tensors: dict[str, Tensor], meta: dict[str, Any], pilots: list[Scene]) -> None:
-    """Replace colours and poses of a coarse fit by the medians of the pilots' where they show an image."""
-    models = [checkpoint.load(one.root / MODEL) for one in pilots]
-    meta |= {name: models[0][1][name] for name in ("shadow", "transient")}
-    for k, name in enumerate(meta["items"]):
-        own = [(model, info["items"].index(name)) for model, info in models if name in info["items"]]
+def override_shared(model: FittedModel, pilots: Sequence[FittedModel]) -> FittedModel:
+    """The coarse fit with the medians of the pilots' colours and poses where they show an image."""
+    shared = {name: getattr(model, name).clone() for name in COLOURS}
+    for k, name in enumerate(model.items):
+        own = [(pilot, pilot.items.index(name)) for pilot in pilots if name in pilot.items]
         for what in COLOURS if own else ():
-            tensors[what][k] = torch.stack([model[what][i] for model, i in own]).median(dim=0).values
+            shared[what][k] = torch.stack([getattr(pilot, what)[i] for pilot, i in own]).median(dim=0).values
         if not own:
-            tensors["pose"][k] = 0.0  # cells of the whole are too large to tell
+            shared["pose"][k] = 0.0  # cells of the whole are too large to tell
+    return replace(model, **shared, shadow=pilots[0].shadow, transient=pilots[0].transient)
 
 
-def _used(assets: dict[str, Any]) -> list[str]:
+def _used(assets: Mapping[str, Asset]) -> list[str]:
     return ["rpc", "radiance" if "radiance" in assets else "image"]
 
 

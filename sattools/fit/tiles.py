@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Any
 
 from sattools.errors import SceneError
 from sattools.fit.mosaic import mosaic_tiles
@@ -21,11 +20,12 @@ from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
 
 
-def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) -> dict[str, Any]:
+def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) -> JsonObject:
     """Fit a scene in tiles; called by `sattools.fit.stage.fit`, which has set the roles of the images.
 
     Returns:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.losses import photometric, robust_scale
 from sattools.fit.options import FitOptions
@@ -41,15 +42,7 @@ class StageSettings:
     reflective: bool = False
 
 
-@dataclass
-class Prior:
-    """Depth supervision on the stage's grid: height ``[H, W]`` [m] (NaN = none) and confidence ``[H, W]`` in [0, 1]."""
-
-    height: Tensor
-    confidence: Tensor
-
-
-def prior_loss(height: Tensor, prior: Prior, limit: float = 1.0) -> Tensor:
+def prior_loss(height: Tensor, prior: DepthPrior, limit: float = 1.0) -> Tensor:
     """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior
     lets go."""
     known = torch.isfinite(prior.height)
@@ -82,7 +75,7 @@ class StageTrainer:
         views: Sequence[View],
         settings: StageSettings,
         options: FitOptions,
-        prior: Prior | None,
+        prior: DepthPrior | None,
         index: int,
         illumination: IlluminationModel | None = None,
         cast: Callable[[Tensor, float, tuple[float, float, float]], Tensor] = sun_visibility,
@@ -274,7 +267,7 @@ class StageTrainer:
                 tensors[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
         return tensors
 
-    def load(self, state: dict[str, Tensor]) -> None:
+    def load(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of `state`."""
         with torch.no_grad():
             for name, tensor in self.scene.tensors().items():
@@ -288,4 +281,4 @@ class StageTrainer:
                 self.adam.state[p] = {k: v if k == "step" else v.to(p.device) for k, v in saved.items()}
 
 
-__all__ = ["REFRESH", "Prior", "StageSettings", "StageTrainer", "make_quadrature", "prior_loss"]
+__all__ = ["REFRESH", "StageSettings", "StageTrainer", "make_quadrature", "prior_loss"]

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
-import numpy as np
 import torch
 
 from sattools.errors import SceneError
 from sattools.fit.coarse import PRODUCT, read_coarse
-from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, save_fit
+from sattools.fit.depth_prior import DepthPrior, reference_height
+from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, Fitted, save_fit
 from sattools.fit.illumination import Radiance, calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import PriorMaps, holding_out, load_prior, may_write
+from sattools.fit.inputs import holding_out, load_prior, may_write
+from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface_job import SurfaceJob
-from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
+from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, load_sources
-
-# tensors and description of the model, what happened, notes
-Fitted = tuple[dict[str, torch.Tensor], dict[str, Any], Trace, list[str]]
 
 
 @dataclass(frozen=True)
@@ -55,32 +52,27 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     return FitSetup(items, radiance, calibrated(options, radiance), choose_device(options.device), notes)
 
 
-def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Fit the whole area of a scene, whatever `options.tile` says; see `sattools.fit.stage.fit`."""
     may = may_write(scene, options, overwrite, (CHECKPOINT, STATE))
-    path = begin(scene, "fit", [MODEL, TRACE], may)[MODEL]
+    begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
         setup = set_up(scene, options)
         sources = load_sources(scene, setup.items)
-        prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may)
+        prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
         told = subprogress(progress, 0.2 if prior else 0.0, 1.0)
-        fitted = _fit_surface if options.field == "surface" else _fit_rays
-        tensors, meta, trace, more = fitted(scene, setup, sources, prior, told)
-        return save_fit(scene, path, tensors, meta, trace, setup.notes + more, made)
+        if options.field == "surface":
+            fitted = _fit_surface(scene, setup, sources, prior, told)
+        else:
+            from sattools.fit.rays_stage import fit_rays
 
-
-def _fit_rays(
-    scene: Scene, setup: FitSetup, sources: list[Source], prior: PriorMaps | None, progress: Progress
-) -> Fitted:
-    from sattools.fit.rays_stage import fit_rays
-
-    trace = Trace()
-    tensors, meta, more = fit_rays(scene, sources, setup.options, prior, setup.device, trace, progress)
-    return tensors, meta, trace, more
+            fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told)
+        fitted.notes[:0] = setup.notes
+        return save_fit(scene, fitted, made)
 
 
 def _fit_surface(
-    scene: Scene, setup: FitSetup, sources: list[Source], prior: PriorMaps | None, progress: Progress
+    scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior | None, progress: Progress
 ) -> Fitted:
     options, radiance = setup.options, setup.radiance
     notes: list[str] = []
@@ -88,7 +80,7 @@ def _fit_surface(
     # amplitudes of a reflectance model and what tiles share have the unit of the images
     plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
-    z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
+    z_ref = reference_height(prior, z_range)
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
     job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance)
     job.coarse = read_coarse(scene, [s.id for s in sources])
@@ -102,23 +94,34 @@ def _fit_surface(
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     for name in ("albedo", "offset") if plain else ():
         tensors[name] = tensors[name] / exposure
-    tensors["height_std"] = job.height_std.cpu()
-    tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
-    tensors |= job.illumination.maps([v.sun for v in job.views])
-    meta = {
-        "field": "surface",
-        "grid": finest.to_dict(),
-        "softness": job.last_softness,
-        "items": [s.id for s in sources],
-        "suns": [v.sun for v in job.views],
-        "slopes": [v.slope for v in job.views],
-        "z_ref": z_ref,
-        "shadow": options.shadow,
-        "transient": options.transient,
-        "radiance": radiance,
-        "brdf": options.brdf,
-    }
-    return tensors, meta, job.trace, notes + more
+    assert options.brdf != "auto"  # it has been chosen
+    suns = [v.sun for v in job.views]
+    maps = job.illumination.maps(suns)
+    extra = {name: tensor for name, tensor in tensors.items() if name not in ("height", "albedo", *COLOURS)}
+    extra |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
+    model = FittedModel(
+        grid=finest,
+        items=[s.id for s in sources],
+        suns=suns,
+        height=tensors["height"],
+        height_std=job.height_std.cpu(),
+        albedo=tensors["albedo"],
+        gain=tensors["gain"],
+        offset=tensors["offset"],
+        ambient=tensors["ambient"],
+        pose=tensors["pose"],
+        slopes=[v.slope for v in job.views],
+        z_ref=z_ref,
+        softness=job.last_softness,
+        shadow=options.shadow,
+        transient=options.transient,
+        radiance=radiance,
+        brdf=options.brdf,
+        s_net=maps.get("s_net"),
+        tau=maps.get("tau"),
+        extra=extra,
+    )
+    return Fitted(model, job.trace, notes + more)
 
 
 def choose_device(name: str) -> torch.device:

@@ -40,7 +40,7 @@ class RayMinima:
         return cls(np.full(frame.images.shape, np.inf, np.float32), np.full(frame.images.shape, np.nan, np.float32))
 
 
-def consistent_views(
+def count_consistent_views(
     frame: Frame, first_hit_height: np.ndarray, minima: RayMinima, height: np.ndarray, tolerance: float, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Number of views whose rays have their best place at the surface, and number that see it: ``[H, W]`` uint8 each.
@@ -121,4 +121,4 @@ def _fill(height, stands, reach, result):
                 result[row, col] = np.sort(around[:count])[min(RANK, count - 1)]
 
 
-__all__ = ["RayMinima", "consistent_views", "filled", "update_minima"]
+__all__ = ["RayMinima", "count_consistent_views", "filled", "update_minima"]

@@ -8,13 +8,15 @@ roof lies in the sun, while what the images show in its place is as dark as shad
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, grey_closing, label, minimum_filter
 from scipy.ndimage import mean as mean_over
 
 from sattools.prior.frame import Frame
 from sattools.prior.options import PriorOptions
-from sattools.prior.sweep import sweep_blocks
+from sattools.prior.sweep import MatchTask, sweep_blocks
 from sattools.prior.visibility import UNKNOWN, Visibility, at_surface, compute_visibility
 
 POOR = 0.5  # agreement above which a cell is not doubted
@@ -31,7 +33,18 @@ GAIN = 0.08  # by how much the mean agreement of a region must rise for it to st
 def doubtful(
     frame: Frame, visibility: Visibility, surface: np.ndarray, score: np.ndarray, options: PriorOptions
 ) -> np.ndarray:
-    """Cells ``[H, W]`` bool that lie in the sun and look like shadow, while the views disagree about them."""
+    """Cells that lie in the sun and look like shadow, while the views disagree about them.
+
+    Args:
+        frame: the views.
+        visibility: of the surface.
+        surface: ``[H, W]`` heights [m].
+        score: ``[H, W]`` agreement of the views there, in [0, 1].
+        options: see `PriorOptions`.
+
+    Returns:
+        ``[H, W]`` bool.
+    """
     value, seen = at_surface(frame, visibility.first_hit_height, surface, options.tolerance)
     lit = seen & (surface >= visibility.shadow_height)
     dark = lit & (value < visibility.dark[:, None, None] + options.brightness / 2)
@@ -40,58 +53,71 @@ def doubtful(
     return binary_opening(doubt, np.ones((2, 2)))
 
 
-def open_courtyards(
-    frame: Frame,
-    surface: np.ndarray,
-    eroded: np.ndarray,
-    score: np.ndarray,
-    pairs: np.ndarray,
-    z_range: tuple[float, float],
-    step: float,
-    options: PriorOptions,
-    visibility: Visibility,
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Take away the roofs of courtyards.
+@dataclass(frozen=True)
+class RoughSurface:
+    """The surface after a rough pass, and what it causes.
+
+    Attributes:
+        height: ``[H, W]`` float32 [m].
+        score: ``[H, W]`` float32 agreement of the views there, in [0, 1].
+        eroded: ``[H, W]`` the heights without their rims, as they occlude [m].
+        visibility: of the eroded heights.
+        ceiling: ``[H, W]`` heights above which nothing must be looked for again [m] (smoothness alone would put a
+            bridged roof back), or None.
+    """
+
+    height: np.ndarray
+    score: np.ndarray
+    eroded: np.ndarray
+    visibility: Visibility
+    ceiling: np.ndarray | None = None
+
+
+def open_courtyards(task: MatchTask, surface: RoughSurface) -> RoughSurface:
+    """Take away the roofs by which the smoothness term has bridged courtyards.
 
     Every doubtful region is opened, the area is matched again without heights near the old surface there, and regions
     about which the views now agree better stay open.
 
     Args:
-        frame: the views.
-        surface: ``[H, W]`` heights [m].
-        eroded: the same without its rims, as it hides.
-        score: ``[H, W]`` their agreement.
-        pairs: ``[P, 2]`` indices of views.
-        z_range: lowest and highest height [m].
-        step: distance of the height planes [m].
-        options: see `PriorOptions`.
-        visibility: what the surface hides; changed where a region is opened.
+        task: what is matched.
+        surface: of a rough pass.
 
     Returns:
-        ``[H, W]`` heights, lower where a region has been opened, and ``[H, W]`` heights above which nothing must be
-        looked for again (smoothness alone would put the roof back); None if nothing has been opened.
+        The surface with lower heights, their visibility and a ceiling where a region has been opened; the same surface
+        without a ceiling if none has been.
     """
-    if visibility.dark.max() <= UNKNOWN:
-        return surface, None
-    low = minimum_filter(grey_closing(surface, PIT_CELLS), 2 * int(REACH_M / frame.cell) + 1, mode="nearest")
-    doubt = doubtful(frame, visibility, surface, score, options) & (surface - low > DEPTH_M)
+    frame, height, eroded = task.frame, surface.height, surface.eroded
+    unchanged = replace(surface, ceiling=None)
+    if surface.visibility.dark.max() <= UNKNOWN:
+        return unchanged
+    low = minimum_filter(grey_closing(height, PIT_CELLS), 2 * int(REACH_M / frame.cell) + 1, mode="nearest")
+    doubt = doubtful(frame, surface.visibility, height, surface.score, task.options) & (height - low > DEPTH_M)
     regions, count = label(doubt)
     if not count:
-        return surface, None
+        return unchanged
+
+    def visibility_without(region: np.ndarray) -> Visibility:
+        """As if the courtyards' floors were seen in a region."""
+        lowered = np.where(region, np.minimum(low, eroded), eroded)
+        return compute_visibility(frame, lowered, task.z_range, task.options.tolerance, surface.visibility.dark)
+
     wide = binary_dilation(doubt)
-    opened = Visibility(visibility.first_hit_height.copy(), visibility.shadow_height.copy(), visibility.dark)
-    compute_visibility(frame, np.where(wide, np.minimum(low, eroded), eroded), z_range, options.tolerance, opened)
-    ceiling = np.where(wide, surface - BELOW_M, -UNKNOWN).astype(np.float32)
-    floor, agreement, _ = sweep_blocks(frame, opened, pairs, z_range, step, options, ceiling=ceiling)
+    ceiling = np.where(wide, height - BELOW_M, -UNKNOWN).astype(np.float32)
+    floor, agreement, _ = sweep_blocks(task, visibility_without(wide), ceiling=ceiling)
     every = np.arange(1, count + 1)
     size = np.bincount(regions.ravel(), minlength=count + 1)[1:]
-    gain = mean_over(agreement - score, regions, every)
+    gain = mean_over(agreement - surface.score, regions, every)
     core = np.isin(regions, every[(gain > GAIN) & (size >= FEWEST_CELLS)])
     if not core.any():
-        return surface, None
+        return unchanged
     stays = binary_dilation(core)
-    compute_visibility(frame, np.where(stays, np.minimum(low, eroded), eroded), z_range, options.tolerance, visibility)
-    return np.where(stays, np.minimum(floor, surface), surface), np.where(core, ceiling, -UNKNOWN).astype(np.float32)
+    return replace(
+        surface,
+        height=np.where(stays, np.minimum(floor, height), height),
+        visibility=visibility_without(stays),
+        ceiling=np.where(core, ceiling, -UNKNOWN).astype(np.float32),
+    )
 
 
-__all__ = ["doubtful", "open_courtyards"]
+__all__ = ["RoughSurface", "doubtful", "open_courtyards"]

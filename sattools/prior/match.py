@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter, minimum_filter
 
-from sattools.prior.consistency import RayMinima, consistent_views, filled
-from sattools.prior.courtyards import open_courtyards
+from sattools.prior.consistency import RayMinima, count_consistent_views, filled
+from sattools.prior.courtyards import RoughSurface, open_courtyards
 from sattools.prior.edges import snap_edges
 from sattools.prior.frame import Frame
 from sattools.prior.options import PriorOptions
 from sattools.prior.subplane import refine_subplane
-from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, narrow, sweep_blocks
+from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
 from sattools.prior.visibility import UNKNOWN, all_visible, at_surface, compute_visibility, erode, measure_dark
 from sattools.progress import Progress, silent, subprogress
 
@@ -63,63 +63,80 @@ def match(
         options: see `PriorOptions`.
         progress: told the share done.
     """
+    task = _prepared(frame, pairs, z_range, options)
+    frame, step = task.frame, task.step
+    visibility = all_visible(frame)
+    guide = ceiling = None
+    if options.rough_passes:
+        z_range, surface = _rough_passes(task, progress)
+        task = replace(task, z_range=z_range)
+        visibility = surface.visibility.doubled()
+        guide = _doubled(surface.height)
+        ceiling = None if surface.ceiling is None else _doubled(surface.ceiling)
+    last = subprogress(progress, 0.4, 1.0)
+    minima = RayMinima.unknown(frame)
+    height, score, uniqueness = sweep_blocks(task, visibility, last, guide=guide, ceiling=ceiling, minima=minima)
+    height = median_filter(height, SMOOTH, mode="nearest")
+    hits, tolerance = visibility.first_hit_height, task.options.tolerance
+    agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
+    # beyond the images nothing is known that could be on the lower side of anything
+    everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
+    beyond_images = ~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0)
+    height = filled(height, (2 * agreeing > views) | beyond_images, frame.cell)
+    height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
+    if options.edges:
+        height = snap_edges(frame, hits, height, tolerance, options.edges)
+    agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
+    return Match(height, score, uniqueness, views, agreeing)
+
+
+def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:
+    """The task of the last pass: images without their mean, masks without windows that reach beyond an image, and a
+    margin from which no height of any pass leaves the frame."""
     images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
     fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin, frame.suns)
     step = options.step or plane_distance(frame, pairs)
-    # the first surface is known to the planes of the rough passes: what is nearer must not count as hidden
+    # the first surface is known to the planes of the rough passes: what is nearer must not count as occluded
     options = replace(options, tolerance=max(options.tolerance, 2 * step))
     # the kernels test no bounds: the highest and lowest planes of the roughest pass must stay within the frame
     beyond = 2 * BEYOND_PLANES * step
     reached = (z_range[0] - beyond, z_range[1] + beyond)
     fine = fine.widened(margin_for(fine.slopes, fine.z_ref, reached, options.window))
-    visibility = all_visible(fine)
-    guide = ceiling = None
-    if options.rough_passes:
-        rough = fine.halved()
-        seen = all_visible(rough)
-        before = None
-        for k in range(options.rough_passes):
-            progress(0.4 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
-            surface, score, _ = sweep_blocks(rough, seen, pairs, z_range, 2 * step, options, silent, before, ceiling)
-            surface = median_filter(surface, 3, mode="nearest")
-            if k == 0:
-                z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step, 2 * step)
-            eroded = erode(surface, options.erode / rough.cell)
-            compute_visibility(rough, eroded, z_range, options.tolerance, seen)
-            measure_dark(rough, surface, options.tolerance, seen)
-            if k < OPENING_PASSES:
-                surface, ceiling = open_courtyards(
-                    rough, surface, eroded, score, pairs, z_range, 2 * step, options, seen
-                )
-            if before is not None and np.mean(np.abs(surface - before) > step) < CONVERGED:
-                break
-            before = surface
-        visibility = seen.doubled()
-        guide = surface.repeat(2, axis=0).repeat(2, axis=1)
-        if ceiling is not None:
-            ceiling = ceiling.repeat(2, axis=0).repeat(2, axis=1)
-    last = subprogress(progress, 0.4, 1.0)
-    minima = RayMinima.unknown(fine)
-    height, score, uniqueness = sweep_blocks(
-        fine, visibility, pairs, z_range, step, options, last, guide, ceiling, minima
-    )
-    height = median_filter(height, SMOOTH, mode="nearest")
-    agreeing, views = consistent_views(fine, visibility.first_hit_height, minima, height, options.tolerance, step)
-    # beyond the images nothing is known that could be on the lower side of anything
-    everything_seen = np.broadcast_to(np.float32(UNKNOWN), fine.images.shape)
-    beyond_images = ~at_surface(fine, everything_seen, height, options.tolerance)[1].any(axis=0)
-    height = filled(height, (2 * agreeing > views) | beyond_images, fine.cell)
-    height = median_filter(refine_subplane(fine, visibility, pairs, height, step, options), SMOOTH, mode="nearest")
-    if options.edges:
-        height = snap_edges(fine, visibility.first_hit_height, height, options.tolerance, options.edges)
-    return Match(
-        height,
-        score,
-        uniqueness,
-        *consistent_views(fine, visibility.first_hit_height, minima, height, options.tolerance, step)[::-1],
-    )
+    return MatchTask(fine, pairs, z_range, step, options)
+
+
+def _rough_passes(task: MatchTask, progress: Progress) -> tuple[tuple[float, float], RoughSurface]:
+    """Match at twice the cell until the surface and its occlusions agree; the heights it lies in, and the surface."""
+    frame, options, passes = task.frame.halved(), task.options, task.options.rough_passes
+    rough = replace(task, frame=frame, step=2 * task.step)
+    visibility = all_visible(frame)
+    before = ceiling = None
+    for k in range(passes):
+        progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
+        height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling)
+        height = median_filter(height, 3, mode="nearest")
+        if k == 0:
+            rough = replace(
+                rough, z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step)
+            )
+        eroded = erode(height, options.erode / frame.cell)
+        visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
+        dark = measure_dark(frame, height, options.tolerance, visibility)
+        surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
+        if k < OPENING_PASSES:
+            surface = open_courtyards(rough, surface)
+        visibility, ceiling = surface.visibility, surface.ceiling
+        if before is not None and np.mean(np.abs(surface.height - before) > task.step) < CONVERGED:
+            break
+        before = surface.height
+    return rough.z_range, surface
+
+
+def _doubled(rough: np.ndarray) -> np.ndarray:
+    """Maps of heights [m] on cells of half the size."""
+    return rough.repeat(2, axis=0).repeat(2, axis=1)
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:

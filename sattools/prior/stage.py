@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.document import GEOTIFF_TYPE
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_cog
 from sattools.views import (
     RadiometricBalance,
@@ -46,7 +46,8 @@ def prior(
     progress: Progress = silent,
     overwrite: bool = True,
     implicit: bool = False,
-) -> dict[str, Any]:
+    sources: list[Source] | None = None,
+) -> JsonObject:
     """Match the scene's training images; writes height, confidence and normals below ``prior/`` of the root.
 
     Args:
@@ -55,9 +56,10 @@ def prior(
         progress: share done.
         overwrite: replace products that are there.
         implicit: whether another stage asks for it, which may then make it anew for other images.
+        sources: the training images, if they have been read already.
 
     Returns:
-        Remarks and figures for the history.
+        Notes and figures for the history.
 
     Raises:
         SceneError: fewer than two usable images, or none from different directions.
@@ -74,7 +76,7 @@ def prior(
     grid = whole.resized(options.resolution or whole.cell_size)
     z_range = scene.require_height_range()
     progress(0.0, "reading images")
-    sources = load_sources(scene, items)
+    sources = load_sources(scene, items) if sources is None else sources
     frame, views = make_frame(sources, grid, z_range, options.window)
     limits = (options.min_angle, options.max_angle)
     pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)

@@ -10,9 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from sattools.compiled import njit, prange
-from sattools.prior.frame import Frame
-from sattools.prior.options import PriorOptions
-from sattools.prior.sweep import agreement
+from sattools.prior.sweep import MatchTask, agreement
 from sattools.prior.visibility import Visibility
 
 PARTS = 2  # of a plane's distance
@@ -20,28 +18,24 @@ REACH = 6  # cells around, of the same surface, whose agreement counts: single c
 SAME_M = 1.0  # heights this near belong to the same surface
 
 
-def refine_subplane(
-    frame: Frame, visibility: Visibility, pairs: np.ndarray, surface: np.ndarray, step: float, options: PriorOptions
-) -> np.ndarray:
+def refine_subplane(task: MatchTask, visibility: Visibility, surface: np.ndarray) -> np.ndarray:
     """Smooth the surface's stairs and move every cell by up to one plane to where the images agree best.
 
     Args:
-        frame: the views; their margin must allow for heights one and a half planes beyond the surface.
-        visibility: what is hidden and shaded.
-        pairs: ``[P, 2]`` indices of the views to correlate.
+        task: what is matched; the frame's margin must allow for heights one and a half planes beyond the surface.
+        visibility: what is occluded and shaded.
         surface: ``[H, W]`` heights [m].
-        step: distance of the planes on which they were found [m].
-        options: see `PriorOptions`.
 
     Returns:
         ``[H, W]`` float32 heights [m].
     """
+    step, window = task.step, task.options.window
     smooth = np.empty(surface.shape, np.float32)
     local_planes(surface, smooth)
     np.clip(smooth, surface - step / 2, surface + step / 2, out=smooth)  # stairs are no higher, and the margin ends
     offsets = np.arange(-PARTS, PARTS + 1) * (step / PARTS)
-    base = np.pad(smooth, options.window, mode="edge")
-    volume = agreement(frame, visibility, pairs, offsets, options, base)
+    base = np.pad(smooth, window, mode="edge")
+    volume = agreement(task, visibility, offsets, base)
     refined = np.empty_like(smooth)
     best_nearby(volume, smooth, offsets, refined)
     return refined

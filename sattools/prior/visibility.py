@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import grey_erosion, uniform_filter
@@ -60,21 +60,30 @@ def erode(surface: np.ndarray, radius: float) -> np.ndarray:
 
 
 def compute_visibility(
-    frame: Frame, eroded: np.ndarray, z_range: tuple[float, float], tolerance: float, visibility: Visibility
-) -> None:
-    """Fill in what an eroded surface ``[H, W]`` occludes and shades.
+    frame: Frame, eroded: np.ndarray, z_range: tuple[float, float], tolerance: float, dark: np.ndarray
+) -> Visibility:
+    """Occlusion and shadow that an eroded surface causes.
 
     A point just below a lit surface counts as lit: what the images show there is the surface.
+
+    Args:
+        frame: the views.
+        eroded: ``[H, W]`` float32 heights [m].
+        z_range: lowest and highest height [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        dark: ``[V]`` float32 radiance of shadows.
     """
     from sattools.prior.kernels import first_hit_heights, shadow_heights
 
+    new = all_visible(frame)
     wide = np.pad(eroded, frame.margin, mode="edge")
-    first_hit_heights(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, visibility.first_hit_height)
-    for sun, shadow in zip(frame.suns, visibility.shadow_height, strict=True):
+    first_hit_heights(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, new.first_hit_height)
+    for sun, shadow in zip(frame.suns, new.shadow_height, strict=True):
         if sun is not None:
             shadow_heights(eroded, np.array(sun), frame.cell, float(eroded.max()), shadow)
             lit = shadow < eroded
             shadow[lit] = np.minimum(shadow[lit], eroded[lit] - np.float32(tolerance))
+    return replace(new, dark=dark)
 
 
 def at_surface(
@@ -94,14 +103,26 @@ def at_surface(
     return value, seen
 
 
-def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, visibility: Visibility) -> None:
-    """Measure the radiance of shadows in every view where the surface casts them; the median of the others where too
-    few cells tell. Haze and skylight differ from date to date, so shadows do not match where lit ground does."""
+def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, visibility: Visibility) -> np.ndarray:
+    """Radiance of shadows in every view where the surface casts them; the median of the others where too few cells
+    tell.
+
+    Haze and skylight differ from date to date, so shadows do not match where lit ground does.
+
+    Args:
+        frame: the views.
+        surface: ``[H, W]`` float32 heights [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        visibility: of the surface.
+
+    Returns:
+        ``[V]`` float32 radiance.
+    """
     value, seen = at_surface(frame, visibility.first_hit_height, surface, tolerance)
     deep = seen & (surface < visibility.shadow_height - SURELY_SHADED_M)
     levels = [np.percentile(a[d], DARK_SHARE) if d.sum() > FEWEST else np.nan for a, d in zip(value, deep, strict=True)]
-    usual = np.nanmedian(levels) if np.isfinite(levels).any() else UNKNOWN
-    visibility.dark[:] = np.where(np.isnan(levels), usual, levels)
+    typical = np.nanmedian(levels) if np.isfinite(levels).any() else UNKNOWN
+    return np.where(np.isnan(levels), typical, levels).astype(np.float32)
 
 
 def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> float:

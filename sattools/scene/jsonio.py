@@ -76,6 +76,9 @@ def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
     return _checked(parse, source, "JSON", expected)
 
 
+JsonObject = dict[str, Any]  # of JSON, TOML or an options dataclass: members by name, for a schema to check
+
+
 def read_json(path: Path | str, expected: str = "a JSON object") -> dict[str, Any]:
     """A JSON object from a file. Raises InputError when it is not one; see `parse_json`."""
     document = parse_json(read_text(path, strict=False), str(path), expected)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sattools.prior.consistency import RayMinima, consistent_views, filled, update_minima
+from sattools.prior.consistency import RayMinima, count_consistent_views, filled, update_minima
 from sattools.prior.frame import Frame
 from sattools.prior.visibility import UNKNOWN
 
@@ -28,7 +28,7 @@ def followed(cost):
 def bear_witness(minima, height, first_hit_height=None):
     f = frame()
     first_hit_height = np.full(f.images.shape, UNKNOWN, np.float32) if first_hit_height is None else first_hit_height
-    return consistent_views(f, first_hit_height, minima, np.array([height], np.float32), tolerance=0.5, step=0.5)
+    return count_consistent_views(f, first_hit_height, minima, np.array([height], np.float32), tolerance=0.5, step=0.5)
 
 
 # the second cell is a roof of 2 m, all others lie on the ground

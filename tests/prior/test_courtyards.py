@@ -1,5 +1,7 @@
 """Courtyards that the smoothness term bridges, and what tells them from roofs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -8,7 +10,8 @@ from sattools.prior import courtyards, match
 from sattools.prior.courtyards import doubtful
 from sattools.prior.frame import Frame
 from sattools.prior.options import PriorOptions
-from sattools.prior.visibility import UNKNOWN, Visibility, all_visible, compute_visibility, dark_noise, measure_dark
+from sattools.prior.sweep import MatchTask
+from sattools.prior.visibility import UNKNOWN, all_visible, compute_visibility, dark_noise, measure_dark
 
 CELL = 0.5
 HEIGHTS = (-4.0, 18.0)
@@ -78,9 +81,8 @@ def test_what_lies_in_the_sun_and_looks_like_shadow_is_doubted_if_the_views_disa
     height, frame = block
     roofed = height.astype(np.float32)
     roofed[38:54, 38:54] = 14.0
-    visibility = all_visible(frame)
-    compute_visibility(frame, roofed, HEIGHTS, 2.0, visibility)
-    measure_dark(frame, roofed, 2.0, visibility)
+    visibility = compute_visibility(frame, roofed, HEIGHTS, 2.0, all_visible(frame).dark)
+    visibility = replace(visibility, dark=measure_dark(frame, roofed, 2.0, visibility))
     poor, good = np.full(height.shape, 0.2, np.float32), np.full(height.shape, 0.8, np.float32)
     doubt = doubtful(frame, visibility, roofed, poor, PriorOptions())
     assert doubt[COURT].mean() > 0.9
@@ -90,14 +92,14 @@ def test_what_lies_in_the_sun_and_looks_like_shadow_is_doubted_if_the_views_disa
 
 def test_shadows_are_as_bright_as_each_date_s_haze_makes_them(block):
     height, frame = block
-    visibility = all_visible(frame)
-    compute_visibility(frame, height.astype(np.float32), HEIGHTS, 2.0, visibility)
-    measure_dark(frame, height.astype(np.float32), 2.0, visibility)
+    surface = height.astype(np.float32)
+    visibility = compute_visibility(frame, surface, HEIGHTS, 2.0, all_visible(frame).dark)
+    dark = measure_dark(frame, surface, 2.0, visibility)
     # 0.15 of an albedo of 0.6 and some, plus a haze of 0.01 a date; a wall is 0.1
-    assert visibility.dark == pytest.approx(0.085 + 0.01 * np.arange(8), abs=0.015)
+    assert dark == pytest.approx(0.085 + 0.01 * np.arange(8), abs=0.015)
     # noise of 0.004 and hardly any texture: 15 % of 0.1; resampled nowhere here
-    assert 0.003 < dark_noise(frame, visibility.dark, 0.05, 0.001) < 0.012
-    assert dark_noise(frame, visibility.dark, 0.05, 0.02) == 0.02
+    assert 0.003 < dark_noise(frame, dark, 0.05, 0.001) < 0.012
+    assert dark_noise(frame, dark, 0.05, 0.02) == 0.02
 
 
 def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block):
@@ -105,20 +107,17 @@ def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block):
     blind = Frame(frame.images, frame.masks, frame.slopes, 0.0, CELL, frame.margin, (None,) * 8)
     visibility = all_visible(blind)
     surface = height.astype(np.float32)
-    score = np.zeros_like(surface)
-    same, ceiling = courtyards.open_courtyards(
-        blind, surface, surface, score, PAIRS, HEIGHTS, 2.0, PriorOptions(), visibility
-    )
-    assert same is surface
-    assert ceiling is None
+    task = MatchTask(blind, PAIRS, HEIGHTS, 2.0, PriorOptions())
+    rough = courtyards.RoughSurface(surface, np.zeros_like(surface), surface, visibility)
+    same = courtyards.open_courtyards(task, rough)
+    assert same.height is surface
+    assert same.ceiling is None
     assert visibility.dark.max() == UNKNOWN
     assert dark_noise(blind, visibility.dark, 0.05, 0.01) == 0.01
 
 
 def test_a_point_just_below_a_lit_roof_is_lit_and_deep_below_it_may_be_shaded(block):
     height, frame = block
-    visibility = Visibility(*(a.copy() for a in vars(all_visible(frame)).values()))
-    surface = height.astype(np.float32)
-    compute_visibility(frame, surface, HEIGHTS, 2.0, visibility)
+    visibility = compute_visibility(frame, height.astype(np.float32), HEIGHTS, 2.0, all_visible(frame).dark)
     assert visibility.shadow_height[0, 28, 40] <= 12.0  # roof of 14 m, tolerance 2 m
     assert visibility.shadow_height[0, 46, 46] > 5.0  # floor of the courtyard

@@ -117,7 +117,8 @@ def test_existing_products_are_kept_unless_told(matched):
 def test_the_fit_makes_its_own_prior_where_there_is_none(make_town):
     scene = make_town()
     assert load_prior(scene, FitOptions(prior_weight=0), silent) == (None, {})
-    (height, confidence, grid), made = load_prior(scene, FitOptions(prior_weight=0.1), silent)
+    prior, made = load_prior(scene, FitOptions(prior_weight=0.1), silent)
+    height, confidence, grid = prior.height.numpy(), prior.confidence.numpy(), prior.grid
     assert made["prior"]["implicit"]
     assert height.shape == confidence.shape == grid.shape
     assert "prior_dsm" in scene.products

@@ -7,6 +7,7 @@ from rendered import RANGE, views_of
 from sattools.prior import match as matching
 from sattools.prior.options import PriorOptions
 from sattools.prior.subplane import best_nearby, local_planes, refine_subplane
+from sattools.prior.sweep import MatchTask
 from sattools.prior.visibility import all_visible
 
 SLOPES = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)]
@@ -27,7 +28,7 @@ def inner(error):
 def test_ground_between_two_planes_is_found_there(ramp, monkeypatch):
     height, frame = ramp
     error = inner(matching.match(frame, PAIRS, RANGE, PriorOptions()).height - height)
-    monkeypatch.setattr(matching, "refine_subplane", lambda frame, visibility, pairs, surface, *rest: surface)
+    monkeypatch.setattr(matching, "refine_subplane", lambda task, visibility, surface: surface)
     before = inner(matching.match(frame, PAIRS, RANGE, PriorOptions()).height - height)
     # views are painted in steps of 0.05 m; planes lie 1 m apart
     assert error.mean() < 0.06
@@ -37,7 +38,7 @@ def test_ground_between_two_planes_is_found_there(ramp, monkeypatch):
 def test_a_surface_off_by_half_a_plane_comes_back(ramp):
     height, frame = ramp
     off = (height + 0.5).astype(np.float32)
-    found = refine_subplane(frame, all_visible(frame), PAIRS, off, 1.0, PriorOptions())
+    found = refine_subplane(MatchTask(frame, PAIRS, (0.0, 1.0), 1.0, PriorOptions()), all_visible(frame), off)
     assert np.median(inner(found - height)) < 0.05
 
 
