@@ -258,7 +258,7 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
     for item in scene.train_items():
         rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
         lit = read_image(scene.path(item.assets["truth_lit"].href))
-        view = make_view(item.id, lit, rpc, grid, middle, scene.require_height_range(), item.sun)
+        view = make_view(item.id, lit, rpc, grid, middle, scene.require_height_range(), sun=item.sun)
         shown, seen = shown_on(view, heights, grid.cell_size)
         upwards = np.array([*view.slope, 1.0]) / np.linalg.norm([*view.slope, 1.0])
         free = sun_visibility(torch.from_numpy(heights), grid.cell_size, tuple(upwards)).numpy()

@@ -83,15 +83,14 @@ def main() -> None:
 
     from sattools.compare.metrics import image_errors, map_errors
     from sattools.export.novel import render_item
-    from sattools.fit.checkpoint import load
     from sattools.fit.material import AMPLITUDE, SHAPE
+    from sattools.fit.model import FittedModel
     from sattools.fit.options import FitOptions
     from sattools.fit.reflective import ReflectiveScene
     from sattools.fit.stage import fit
     from sattools.prior import PriorOptions
     from sattools.prior.stage import prior
     from sattools.render import sun_visibility
-    from sattools.scene import Grid
     from sattools.scene.raster import read_raster
     from sattools.simulate import SimulateOptions, simulate
     from sattools.views import load_sources, views_on
@@ -110,12 +109,10 @@ def main() -> None:
         scene = simulate(options, folder / name)
         prior(scene, PriorOptions())
         fit(scene, FitOptions(brdf="hapke", resolution=options.gsd))
-        surface = FittedModel.load(scene.path(scene.products["model"])).surface()
+        fitted = FittedModel.load(scene.path(scene.products["model"]))
+        surface, grid = fitted.surface(), fitted.grid
         assert isinstance(surface, ReflectiveScene)
-        grid = Grid.from_dict(meta["grid"])
-        views = views_on(
-            load_sources(scene, scene.train_items()), grid, float(meta["z_ref"]), scene.require_height_range()
-        )
+        views = views_on(load_sources(scene, scene.train_items()), grid, fitted.z_ref, scene.require_height_range())
         lit = sun_visibility(surface.casting(), grid.cell_size, views[0].sun)
         s = surface.samples(views, [lit] * len(views), grid.cell_size)
         truth = {n: read_raster(scene.path(scene.products[f"truth_{n}"]))[0] for n in NAMES}
@@ -136,7 +133,7 @@ def main() -> None:
             amplitude, shape = model.values()
             maps = dict(zip(NAMES, (amplitude.permute(2, 0, 1), *(p[None] for p in shape)), strict=True))
             errors = {n: map_errors(maps[n].detach().numpy(), truth[n]) for n in NAMES}
-            psnr = image_errors(render_item(scene, item.id, model, meta, None), target)["psnr"]
+            psnr = image_errors(render_item(scene, item.id, model, fitted, None), target)["psnr"]
             line = [errors[n][key] for n in NAMES for key in ("nrmse", "nrmse_constant", "correlation")]
             rows.setdefault(kind, []).append([*line, psnr])
             print(seed, text(kind, rows[kind][-1]), flush=True)

@@ -15,6 +15,7 @@ from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task
 from sattools.batch.task import perform
 from sattools.errors import InputError, SattoolsError
+from sattools.scene.jsonio import JsonObject
 
 TOPIC = "sattools-batch"
 _REPORT_EVERY_S = 0.5
@@ -102,7 +103,7 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
                 waiting.add(submit(job))
 
 
-def work(task: Task, before: list[dict[str, Any]], share: Shares) -> dict[str, Any]:
+def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
     """Runs on a worker."""
     from time import monotonic
 

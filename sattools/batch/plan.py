@@ -15,7 +15,7 @@ from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import remove_orphans, write_text
-from sattools.scene.jsonio import read_json
+from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Anything, Items, Table, Text
 
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
@@ -71,7 +71,7 @@ class Task:
         """Where the result is kept; a split shares its folder with the run."""
         return Path(self.folder) / ("split.json" if self.kind == "split" else "task.json")
 
-    def result(self) -> dict[str, Any] | None:
+    def result(self) -> JsonObject | None:
         """What an earlier run of the very same task left, or None."""
         try:
             record = read_json(self.record)
@@ -139,6 +139,7 @@ def run_task(
     source: Path,
     content: Any,
     configuration: Configuration,
+    *,
     truth: Path | None,
     digests: Digests,
 ) -> Task:
@@ -236,7 +237,7 @@ def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[li
     return tiles, replace(run, commands=joined, source=str(folder / "scene.json"))
 
 
-def task_parts(task: Task) -> dict[str, Any]:
+def task_parts(task: Task) -> JsonObject:
     """The task as plain types."""
     return asdict(task)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
+from sattools.scene.jsonio import JsonObject
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class Adjustment:
         many = sizes >= 3
         return self.points[many if many.sum() >= 30 else slice(None), 2]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Plain types for JSON."""
         views = [
             {
@@ -155,15 +155,68 @@ def adjust(
             f"tie points: found {tracks.n_points} between the images, expected at least {options.min_points} "
             "(do the images overlap and show the same place?)"
         )
-    block = Block(list(rpcs), list(sizes), tracks)
+    notes: list[str] = []
+    solved = _solve(Block(list(rpcs), list(sizes), tracks), options, notes, progress)
+    block, solution, weak = solved.block, solved.solution, solved.weak
+    raw = np.zeros_like(solution.parameters)
+    before = residual_norm(block, triangulate(block, raw, solution.points), raw)
+    final_points = triangulate(block, solution.parameters, solution.points)
+    final = block.residuals(final_points, solution.parameters)
+    after = np.hypot(final[:, 0], final[:, 1])
+    corrected, views = [], []
+    for v, rpc in enumerate(rpcs):
+        camera, misfit = rpc.with_affine(block.matrix(v, solution.parameters), block.domain(v))
+        if misfit > 0.01:
+            notes.append(f"{names[v]}: its affine correction is met by the RPC to {misfit:.3f} px only")
+        corrected.append(camera)
+        views.append(_describe(solved, v, names[v], (before, after), options.outlier_px, notes))
+    parts = block.components(~weak)
+    if parts > 1:
+        notes.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
+    progress(1.0, "adjusted")
+    return Adjustment(
+        corrected,
+        views,
+        solved.model,
+        block.tracks,
+        block.geographic(final_points),
+        final,
+        _median(before),
+        _median(after),
+        _rms(after),
+        len(tracks.point) - len(block.tracks.point),
+        notes,
+    )
 
-    # Shifts first; they decide which observations are tie points at all.
+
+@dataclass(frozen=True)
+class _Solved:
+    """Cameras that agree with their tie points.
+
+    Attributes:
+        block: with the tie points that are kept.
+        solution: of the block.
+        model: ``shift`` or ``affine``.
+        counts: ``[V]`` tie points of each view after the first pass.
+        weak: ``[V]`` bool, views with too few.
+    """
+
+    block: Block
+    solution: Solution
+    model: str
+    counts: NDArray[np.intp]
+    weak: NDArray[np.bool_]
+
+
+def _solve(block: Block, options: AdjustOptions, notes: list[str], progress: Progress) -> _Solved:
+    """Shifts first; they decide which observations are tie points at all. Then the model asked for."""
+    views, tracks = len(block.rpcs), block.tracks
     progress(0.0, "adjusting shifts")
     solution = solve(block, affine=False)
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
-    counts = np.bincount(block.tracks.view, minlength=len(rpcs))
-    matched = np.bincount(tracks.view, minlength=len(rpcs))
+    counts = np.bincount(block.tracks.view, minlength=views)
+    matched = np.bincount(tracks.view, minlength=views)
     weak = _weak(counts, matched, options.min_points)
     if weak.any():
         block, points = block.kept(~weak[block.tracks.view], points)
@@ -174,7 +227,6 @@ def adjust(
         )
     progress(0.4, "adjusting shifts again")
     solution = solve(block, False, Solution(points, solution.parameters))
-    notes: list[str] = []
     model = "shift"
     if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, notes)):
         progress(0.7, "adjusting affine corrections")
@@ -182,67 +234,41 @@ def adjust(
         solution = solve(block, True, solution)
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
-    weak |= np.bincount(block.tracks.view, minlength=len(rpcs)) == 0
-    rejected = len(tracks.point) - len(block.tracks.point)
+    weak |= np.bincount(block.tracks.view, minlength=views) == 0
+    return _Solved(block, Solution(points, solution.parameters), model, counts, weak)
 
-    raw = np.zeros_like(solution.parameters)
-    before = residual_norm(block, triangulate(block, raw, points), raw)
-    final_points = triangulate(block, solution.parameters, points)
-    final = block.residuals(final_points, solution.parameters)
-    after = np.hypot(final[:, 0], final[:, 1])
 
-    matrices = [block.matrix(v, solution.parameters) for v in range(len(rpcs))]
-    shifts = solution.parameters[:, :2]
+def _describe(
+    solved: _Solved, v: int, name: str, residuals: tuple[Array, Array], outlier_px: float, notes: list[str]
+) -> ViewAdjustment:
+    """What the adjustment has done to view ``v``: ``residuals`` of all observations before and after [px]."""
+    before, after = residuals
+    parameters, weak = solved.solution.parameters, solved.weak
+    shifts = parameters[:, :2]
     length = np.hypot(shifts[:, 0], shifts[:, 1])
-    limit = max(options.outlier_px, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
-    corrected, views = [], []
-    for v, (rpc, name) in enumerate(zip(rpcs, names, strict=True)):
-        domain = block.domain(v)
-        camera, misfit = rpc.with_affine(matrices[v], domain)
-        if misfit > 0.01:
-            notes.append(f"{name}: its affine correction is met by the RPC to {misfit:.3f} px only")
-        corrected.append(camera)
-        seen = block.tracks.view == v
-        note = ""
-        if weak[v]:
-            note = f"too few tie points ({counts[v]} agree with the others): camera left as it is"
-            notes.append(f"{name}: {note}")
-        outlier = bool(length[v] > limit)
-        if outlier:
-            usual = float(np.median(length))
-            notes.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {usual:.1f} px); corrected")
-        first, second = ((float(a), float(b), float(c)) for a, b, c in matrices[v])
-        views.append(
-            ViewAdjustment(
-                name,
-                (float(shifts[v, 0]), float(shifts[v, 1])),
-                (first, second),
-                int(seen.sum()),
-                _median(before[seen]),
-                _rms(before[seen]),
-                _median(after[seen]),
-                _rms(after[seen]),
-                outlier,
-                note,
-                bool(weak[v]),
-            )
-        )
-    parts = block.components(~weak)
-    if parts > 1:
-        notes.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
-    progress(1.0, "adjusted")
-    return Adjustment(
-        corrected,
-        views,
-        model,
-        block.tracks,
-        block.geographic(final_points),
-        final,
-        _median(before),
-        _median(after),
-        _rms(after),
-        rejected,
-        notes,
+    limit = max(outlier_px, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
+    seen = solved.block.tracks.view == v
+    note = ""
+    if weak[v]:
+        note = f"too few tie points ({solved.counts[v]} agree with the others): camera left as it is"
+        notes.append(f"{name}: {note}")
+    outlier = bool(length[v] > limit)
+    if outlier:
+        median = float(np.median(length))
+        notes.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {median:.1f} px); corrected")
+    first, second = ((float(a), float(b), float(c)) for a, b, c in solved.block.matrix(v, parameters))
+    return ViewAdjustment(
+        name,
+        (float(shifts[v, 0]), float(shifts[v, 1])),
+        (first, second),
+        int(seen.sum()),
+        _median(before[seen]),
+        _rms(before[seen]),
+        _median(after[seen]),
+        _rms(after[seen]),
+        outlier,
+        note,
+        bool(weak[v]),
     )
 
 

@@ -45,6 +45,7 @@ def estimate_height_range(
     rpcs: Sequence[RPC],
     crs: str,
     bounds: Bounds,
+    *,
     options: HeightOptions | None = None,
     progress: Progress = silent,
 ) -> tuple[float, float]:
@@ -64,7 +65,7 @@ def estimate_height_range(
     span = max(high - low, 2.0 * options.min_margin_m)
     search = (low - 0.5 * span, high + 2.0 * span)
     planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
-    counts = sweep_histogram(grays, rpcs, crs, bounds, planes, options.max_cells, progress)
+    counts = sweep_histogram(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
     low, high = extend_range(low, high, planes, counts)
     margin = max(options.margin * (high - low), options.min_margin_m)
     return low - margin, high + margin
@@ -94,6 +95,7 @@ def sweep_histogram(
     bounds: Bounds,
     planes: Array,
     max_cells: int = 40_000,
+    *,
     progress: Progress = silent,
 ) -> Array:
     """Number of ground cells `[planes]` whose best correlation lies on each plane, coherent with its neighbours.

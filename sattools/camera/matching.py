@@ -25,6 +25,7 @@ def free_matches(
     ground_b: Array,
     descriptor_b: NDArray[np.float32],
     run: Array,
+    *,
     half_height: float,
     half_bias: float,
 ) -> Matches:
@@ -52,6 +53,7 @@ def corridor_matches(
     ground_b: Array,
     descriptor_b: NDArray[np.float32],
     run: Array,
+    *,
     half_height: float,
     half_width: float,
 ) -> tuple[Matches, NDArray[np.float32]]:

@@ -21,7 +21,7 @@ from sattools.camera.matching import corridor_matches, free_matches, vote
 from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks, build_tracks
 from sattools.errors import InputError
-from sattools.progress import Progress, silent
+from sattools.progress import Progress, silent, subprogress
 
 Array = NDArray[np.float64]
 
@@ -177,39 +177,9 @@ def find_tie_points(
     tangents = np.array([f.tangent for f in features])
     pairs = choose_pairs(tangents, options.max_pairs)
     pixel_m = np.array([_pixel_size(v, crs, z_ref) for v in views])
-
-    # Coarse: strong features, whole height range, large camera errors. Its result is each view's error across the
-    # direction of height, and the range of heights.
-    shifts, seen = [], []
     coarse = choose_pairs(tangents, min(options.coarse_pairs, options.max_pairs))
-    for k, (a, b) in enumerate(coarse):
-        progress(0.5 + 0.25 * k / len(coarse), "coarse matching")
-        fa, fb = features[a], features[b]
-        matched = free_matches(
-            fa.ground[: options.coarse_features],
-            fa.descriptor[: options.coarse_features],
-            fb.ground[: options.coarse_features],
-            fb.descriptor[: options.coarse_features],
-            fb.tangent - fa.tangent,
-            options.max_height_m,
-            2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
-        )
-        seen.append(matched)
-        shifts.append(vote(fa.ground[matched[:, 0]], fb.ground[matched[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
-    bias = coarse_bias(coarse, shifts, tangents)
-
-    heights = []
-    for (a, b), matched in zip(coarse, seen, strict=True):
-        fa, fb = features[a], features[b]
-        run = fb.tangent - fa.tangent
-        length = float(np.hypot(*run))
-        if length < 0.05 or len(matched) == 0:
-            continue
-        apart = (fb.ground[matched[:, 1]] - bias[b]) - (fa.ground[matched[:, 0]] - bias[a])
-        along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
-        good = np.abs(across) < options.corridor_px * pixel_m[a]
-        heights.append(z_ref - along[good] / length)
-    low, high = _height_window(np.concatenate(heights) if heights else np.empty(0), z_ref, options)
+    bias, along = _coarse(features, coarse, pixel_m, options, subprogress(progress, 0.5, 0.75))
+    low, high = _height_window(z_ref - along, z_ref, options)
 
     # Fine: all features, narrow corridors.
     z_mid = 0.5 * (low + high)
@@ -219,19 +189,62 @@ def find_tie_points(
     for k, (a, b) in enumerate(pairs):
         progress(0.75 + 0.25 * k / len(pairs), "fine matching")
         fa, fb = features[a], features[b]
-        half = options.corridor_px * max(pixel_m[a], pixel_m[b])
         matched, score = corridor_matches(
             fa.ground - bias[a],
             fa.descriptor,
             fb.ground - bias[b],
             fb.descriptor,
             fb.tangent - fa.tangent,
-            0.5 * (high - low),
-            half,
+            half_height=0.5 * (high - low),
+            half_width=options.corridor_px * max(pixel_m[a], pixel_m[b]),
         )
         matches.append((a, b, matched, score))
     progress(1.0, "tie points")
     return build_tracks([f.pixel for f in features], matches)
+
+
+def _coarse(
+    features: Sequence[Features],
+    pairs: Sequence[tuple[int, int]],
+    pixel_m: Array,
+    options: TiePointOptions,
+    progress: Progress,
+) -> tuple[Array, Array]:
+    """Strong features, whole height range, large camera errors.
+
+    Returns:
+        Each view's error across the direction of height ``[n, 2]`` [m], and how far below the reference height matches
+        lie ``[m]`` [m].
+    """
+    shifts, seen = [], []
+    most = options.coarse_features
+    for k, (a, b) in enumerate(pairs):
+        progress(k / len(pairs), "coarse matching")
+        fa, fb = features[a], features[b]
+        matched = free_matches(
+            fa.ground[:most],
+            fa.descriptor[:most],
+            fb.ground[:most],
+            fb.descriptor[:most],
+            fb.tangent - fa.tangent,
+            half_height=options.max_height_m,
+            half_bias=2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
+        )
+        seen.append(matched)
+        shifts.append(vote(fa.ground[matched[:, 0]], fb.ground[matched[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
+    bias = coarse_bias(pairs, shifts, np.array([f.tangent for f in features]))
+    depths = []
+    for (a, b), matched in zip(pairs, seen, strict=True):
+        fa, fb = features[a], features[b]
+        run = fb.tangent - fa.tangent
+        length = float(np.hypot(*run))
+        if length < 0.05 or len(matched) == 0:
+            continue
+        apart = (fb.ground[matched[:, 1]] - bias[b]) - (fa.ground[matched[:, 0]] - bias[a])
+        along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
+        good = np.abs(across) < options.corridor_px * pixel_m[a]
+        depths.append(along[good] / length)
+    return bias, np.concatenate(depths) if depths else np.empty(0)
 
 
 def coarse_bias(

@@ -59,7 +59,7 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
         root = click.get_current_context().find_root()
         cores = root.params.get("threads") or len(os.sched_getaffinity(0))
         progress = make_progress(root.obj["progress"], "batch")
-        done = batch(options, scenes_given, configurations, cores, progress, overwrite, click.echo)
+        done = batch(options, scenes_given, configurations, cores, progress, overwrite=overwrite, emit=click.echo)
     except SattoolsError as error:
         report_error("batch", error)
         sys.exit(1)

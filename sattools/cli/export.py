@@ -10,6 +10,7 @@ from sattools.cli.options import build, common_options, dataclass_options, scene
 from sattools.cli.pipe import Run, run_scenes
 from sattools.export.options import ExportOptions
 from sattools.progress import Progress
+from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
@@ -23,7 +24,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """Write the DSM, the albedo, shadow masks and a picture as cloud-optimised GeoTIFFs and PNG."""
     options = build(ExportOptions, values)
 
-    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+    def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.export.stage import export
 
         return export(scene, options, progress, overwrite)

@@ -10,6 +10,7 @@ from sattools.cli.options import build, common_options, dataclass_options, scene
 from sattools.cli.pipe import Run, run_scenes
 from sattools.prior.options import PriorOptions
 from sattools.progress import Progress
+from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
@@ -26,7 +27,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """
     options = build(PriorOptions, values)
 
-    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+    def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.prior.stage import prior
 
         return prior(scene, options, progress, overwrite)

@@ -10,6 +10,7 @@ import click
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, run_source
 from sattools.progress import Progress
+from sattools.scene.jsonio import JsonObject
 from sattools.simulate.options import SimulateOptions
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
 
     inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)
 
-    def make(progress: Progress) -> tuple[Scene, dict[str, Any] | None]:
+    def make(progress: Progress) -> tuple[Scene, JsonObject | None]:
         from sattools.simulate.stage import simulate
 
         scene = simulate(options, Path(options.out) / options.id, progress, overwrite)

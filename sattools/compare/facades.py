@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from sattools.scene.jsonio import JsonObject
+
 TREES = 5
 STEP_M = 3.0  # a wall is at least so high between two neighbouring cells, and between its plateaus
 REACH_M = 4.0  # from the wall, along its normal, within which a crossing is looked for
@@ -88,7 +90,7 @@ def _rising(s: np.ndarray, profiles: np.ndarray, level: np.ndarray, near: np.nda
     return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def wall_figures(offsets: np.ndarray) -> dict[str, Any]:
+def wall_figures(offsets: np.ndarray) -> JsonObject:
     """Figures [m] of `wall_offsets`: median and 90th percentile of the distance, mean outward; share without a wall."""
     known = offsets[np.isfinite(offsets)]
     figures: dict[str, Any] = {"pieces": int(offsets.size), "missing": None, "median": None, "p90": None, "mean": None}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sattools.errors import InputError
+from sattools.scene.jsonio import JsonObject
 
 WATER = 9
 CLASSES: dict[str, tuple[int, ...]] = {"ground": (2,), "trees": (5,), "buildings": (6,)}
@@ -50,7 +51,7 @@ def height_errors(
     classes: np.ndarray | None = None,
     filled: np.ndarray | None = None,
     measured: np.ndarray | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Error table of a registered prediction; all arrays [H, W] in metres, NaN = no height.
 
     Reference cells that are NaN or of class 9 (water) do not count. Errors are over cells with a prediction;
@@ -100,7 +101,7 @@ def height_errors(
 _NO_ERRORS: dict[str, Any] = dict.fromkeys(("mae", "rmse", "median", "nmad", "bias"))
 
 
-def _errors(difference: np.ndarray) -> dict[str, Any]:
+def _errors(difference: np.ndarray) -> JsonObject:
     absolute = np.abs(difference.astype(np.float64))
     return {
         "mae": float(absolute.mean()),
@@ -111,7 +112,7 @@ def _errors(difference: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> dict[str, Any]:
+def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> JsonObject:
     total, n = int(member.sum()), int((seen & member).sum())
     errors: Mapping[str, Any] = _errors(difference[seen & member]) if n else _NO_ERRORS
     return {**errors, "n": n, "completeness": n / total if total else None}

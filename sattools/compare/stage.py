@@ -23,6 +23,7 @@ from sattools.scene.dependencies import begin, check_current
 from sattools.scene.document import Item, Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_image, read_raster, write_cog
 
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
@@ -114,9 +115,7 @@ def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
     return truth.within(options.region) if options.region else truth
 
 
-def compare(
-    options: CompareOptions, scene: Scene, progress: Progress = silent, overwrite: bool = False
-) -> dict[str, Any]:
+def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, overwrite: bool = False) -> JsonObject:
     """Score a scene's DSM (and maps and views where asked for); writes `compare/difference.tif`, `.png`, `errors.json`.
 
     Returns the table; raises SceneError where the scene has no DSM.
@@ -162,7 +161,7 @@ def _measured(scene: Scene, grid: Grid) -> np.ndarray | None:
     return np.asarray(validity[0] == 1)
 
 
-def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, Any]:
+def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject:
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
     truth = read_truth(options)
@@ -179,7 +178,7 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, 
     return {"predicted": options.predicted, **result.figures}
 
 
-def compare_views(scene: Scene) -> dict[str, Any]:
+def compare_views(scene: Scene) -> JsonObject:
     """Image figures of every item with a `rendered` asset against its radiance, and their means.
 
     The radiance is the asset `radiance`, else the linear numbers of `image`. Raises SceneError where there is none.
@@ -210,7 +209,7 @@ def _radiance(scene: Scene, item: Item) -> np.ndarray:
     return linear_radiance(read_image(scene.path(item.assets["image"].href)), item_bits(item.properties))
 
 
-def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[dict[str, Any]]:
+def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:
     from sattools.compare.points import compare_points, read_points
 
     points = read_points(path)
@@ -225,7 +224,7 @@ def _scatter_href(name: str) -> str:
     return f"compare/scatter_{name}.png"
 
 
-def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> JsonObject:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     predicted, predicted_grid = read_raster(scene.path(scene.products[name]))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sattools.compare.metrics import CLASSES
+from sattools.scene.jsonio import JsonObject
 
 STEP_M = 3.0  # height range of 3 x 3 cells from which there is a step
 NEAR_M = 2.0  # distance from a cell on a step within which a cell is beside it
@@ -37,7 +38,7 @@ def beside_steps(reference: np.ndarray, cell_size: float) -> np.ndarray:
     return near
 
 
-def step_errors(centred: np.ndarray, near: np.ndarray) -> dict[str, Any]:
+def step_errors(centred: np.ndarray, near: np.ndarray) -> JsonObject:
     """Figures of errors about the median `centred` [N] in metres, of which `near` [N] bool lie beside a step.
 
     `signed` and `absolute` are means in metres, None without cells; `share` is that of the cells.

@@ -17,6 +17,7 @@ from sattools.fit.reflective import restored
 from sattools.fit.resume import IlluminationOptions
 from sattools.fit.surface import SurfaceScene
 from sattools.scene import Grid
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.members import GRID, HEIGHT_LIMITS_M
 from sattools.scene.schema import Items, Maybe, Number, Table, Text
 
@@ -176,7 +177,7 @@ class FittedModel:
         _check_heights(path, self.height)
 
 
-def _typed(description: Mapping[str, Any]) -> dict[str, Any]:
+def _typed(description: Mapping[str, Any]) -> JsonObject:
     """What JSON holds as lists and tables, as the model holds it."""
     return {
         "grid": Grid.from_dict(description["grid"]),

@@ -138,7 +138,7 @@ class RayTrainer:
         mean = {name: (weights[..., None] * value).sum(dim=1) for name, value in look.items()}
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
-        s, extra = self._sunlight(look, mean, surface, sun, known, epoch, random)
+        s, extra = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
         albedo = self._reflected(mean, rays.normal[chosen], sun, rays.view_vectors[view], share)
         if s is None:
             lit = albedo
@@ -166,6 +166,7 @@ class RayTrainer:
         surface: Tensor,
         sun: Tensor,
         known: Tensor,
+        *,
         epoch: int,
         random: torch.Generator,
     ) -> tuple[Tensor | None, Tensor | float]:

@@ -56,6 +56,7 @@ def smoothness_penalty(
     height: Tensor,
     cell_size: float,
     weights: EdgeWeights | None = None,
+    *,
     first: float = 0.3,
     second: float = 1.0,
     scale: float = 0.1,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from sattools.fit.coarse import PRODUCT
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE
 from sattools.fit.inputs import holding_out, may_write
@@ -13,9 +11,10 @@ from sattools.fit.whole import choose_device, fit_whole, set_up
 from sattools.progress import Progress, silent
 from sattools.scene import Scene
 from sattools.scene.dependencies import begin
+from sattools.scene.jsonio import JsonObject
 
 
-def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Fit a surface to the scene's training images; writes the model and the trace below the root.
 
     Returns:

@@ -57,10 +57,10 @@ class SurfaceJob:
     coarse: Coarse | None = None
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
+        """Fit all stages; the surface, its grid, and notes."""
         notes: list[str] = []
         saved = self._resume() if self.options.resume else None
         score = self._scorer()
-        total = sum(s.epochs / s.cell_size**2 for s in self.stages)
         surface: SurfaceScene | None = None
         grid = self.scene.require_grid()
         for k, stage in enumerate(self.stages):
@@ -69,38 +69,15 @@ class SurfaceJob:
             if saved and k < saved.stage:
                 continue
             self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
-            self._warn_spread(stage.cell_size, notes)
-            if surface is None:
-                surface = self._start(grid)
-                notes += self._choose_light(surface, stage.cell_size, saved)
-                self.illumination = IlluminationModel.start(self.resolved, grid.shape, len(self.views), self.device)
-                if self.illumination.learned and self.prior is not None and self.options.shadow_start == "geometric":
-                    self._follow(surface, stage.cell_size)
-            elif surface.height.shape != grid.shape:
-                ratio = stage.cell_size / self.stages[k - 1].cell_size
-                surface = surface.resized(grid.shape, (ratio, ratio))
-                self.illumination = self.illumination.resized(grid.shape, ratio)
-            if stage.reflective:
-                surface = self._reflective(surface, grid, saved.tensors if saved else None)
-            cast = self.coarse.cast if self.coarse else sun_visibility
-            prior = self.prior.on(grid, self.device) if self.prior else None
-            trainer = StageTrainer(
-                surface,
-                self.views,
-                stage,
-                self.resolved,
-                prior,
-                k,
-                self.illumination,
-                cast,
-            )
+            self._warn_parallel(stage.cell_size, notes)
+            surface = self._begin_stage(surface, k, grid, saved, notes)
+            trainer = self._trainer(surface, k, grid)
             start = 0
             if saved:
                 start = saved.epoch
                 trainer.load(saved.tensors)
                 saved = None
-            before = sum(s.epochs / s.cell_size**2 for s in self.stages[:k])
-            if not trainer.run(start, self._after_epoch(trainer, stage, k, before, total, grid, score, progress)):
+            if not trainer.run(start, self._after_epoch(trainer, k, grid, score, progress)):
                 notes.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
                 break
         assert surface is not None
@@ -109,6 +86,43 @@ class SurfaceJob:
             notes += self._finish(surface, trainer, grid)
         progress(1.0, "fitted")
         return surface, grid, notes
+
+    def _begin_stage(
+        self, surface: SurfaceScene | None, k: int, grid: Grid, saved: Interrupted | None, notes: list[str]
+    ) -> SurfaceScene:
+        """The surface that stage ``k`` starts from: a new one, or the last stage's on the grid of this one."""
+        stage = self.stages[k]
+        if surface is None:
+            surface = self._start(grid)
+            notes += self._choose_light(surface, stage.cell_size, saved)
+            self.illumination = IlluminationModel.start(self.resolved, grid.shape, len(self.views), self.device)
+            if self.illumination.learned and self.prior is not None and self.options.shadow_start == "geometric":
+                self._follow(surface, stage.cell_size)
+        elif surface.height.shape != grid.shape:
+            ratio = stage.cell_size / self.stages[k - 1].cell_size
+            surface = surface.resized(grid.shape, (ratio, ratio))
+            self.illumination = self.illumination.resized(grid.shape, ratio)
+        if stage.reflective:
+            surface = self._reflective(surface, grid, saved.tensors if saved else None)
+        return surface
+
+    def _trainer(self, surface: SurfaceScene, k: int, grid: Grid) -> StageTrainer:
+        cast = self.coarse.cast if self.coarse else sun_visibility
+        prior = self.prior.on(grid, self.device) if self.prior else None
+        return StageTrainer(
+            surface,
+            self.views,
+            self.stages[k],
+            self.resolved,
+            prior,
+            k,
+            illumination=self.illumination,
+            cast=cast,
+        )
+
+    def _work(self, stages: int) -> float:
+        """Work of the first stages, in epochs times cells per square metre."""
+        return sum(s.epochs / s.cell_size**2 for s in self.stages[:stages])
 
     @property
     def resolved(self) -> FitOptions:
@@ -170,9 +184,16 @@ class SurfaceJob:
             frozen = prior_normals(self.prior, grid).to(self.device)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
         modelled, _ = reflective(
-            surface, options.brdf, self.views, scale, grid.cell_size, frozen, options.materials,
-            options.material_smooth, options.seed,
-        )  # fmt: skip
+            surface,
+            options.brdf,
+            self.views,
+            scale,
+            grid.cell_size,
+            frozen,
+            endmembers=options.materials,
+            smooth=options.material_smooth,
+            seed=options.seed,
+        )
         return modelled
 
     def choose_brdf(self, stage: StageSettings) -> Choice:
@@ -185,9 +206,17 @@ class SurfaceJob:
         self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
         surface, lit = reflective(
-            self._start(grid), "rpv", self.views, scale, grid.cell_size,
-            prior_normals(self.prior, grid).to(self.device), self.options.materials, 0.0, self.options.seed, False,
-        )  # fmt: skip
+            self._start(grid),
+            "rpv",
+            self.views,
+            scale,
+            grid.cell_size,
+            prior_normals(self.prior, grid).to(self.device),
+            endmembers=self.options.materials,
+            smooth=0.0,
+            seed=self.options.seed,
+            solve=False,
+        )
         cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
         return choose_model(cells, block, self.radiance == "relative")
 
@@ -199,14 +228,13 @@ class SurfaceJob:
     def _after_epoch(
         self,
         trainer: StageTrainer,
-        stage: StageSettings,
         k: int,
-        before: float,
-        total: float,
         grid: Grid,
         score: Callable[[Tensor, Grid], float | None],
         progress: Progress,
     ) -> Callable[[int, float], bool]:
+        stage, before, total = self.stages[k], self._work(k), self._work(len(self.stages))
+
         def call(done: int, loss: float) -> bool:
             row: Row = {"seconds": round(self.trace.seconds(), 3), "stage": k, "cell_m": stage.cell_size}
             row |= {"epoch": done, "softness_m": round(trainer.quadrature.softness, 4), "loss": loss}
@@ -238,7 +266,7 @@ class SurfaceJob:
 
         return call
 
-    def _warn_spread(self, cell: float, notes: list[str]) -> None:
+    def _warn_parallel(self, cell: float, notes: list[str]) -> None:
         worst = max(self.views, key=lambda v: v.parallel_ray_error_m)
         if worst.parallel_ray_error_m > 0.5 * cell:
             text = f"{worst.id}: lines of sight are parallel only to {worst.parallel_ray_error_m:.2f} m over this area"

@@ -77,6 +77,7 @@ class StageTrainer:
         options: FitOptions,
         prior: DepthPrior | None,
         index: int,
+        *,
         illumination: IlluminationModel | None = None,
         cast: Callable[[Tensor, float, tuple[float, float, float]], Tensor] = sun_visibility,
     ) -> None:

@@ -24,6 +24,7 @@ from sattools.prep.images import SourceImage, significant_bits, value_range
 from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
+from sattools.scene.jsonio import JsonObject
 
 
 def off_nadir_deg(incidence_deg: float, platform: str | None) -> float:
@@ -105,7 +106,7 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
     return Item(source.id, mapping_lists(polygon), list(polygon.bounds), properties, assets)
 
 
-def mapping_lists(polygon: Any) -> dict[str, Any]:
+def mapping_lists(polygon: Any) -> JsonObject:
     """GeoJSON geometry with lists, as JSON gives them back."""
     return dict(json.loads(json.dumps(mapping(polygon))))
 

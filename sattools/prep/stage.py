@@ -44,6 +44,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import begin
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
 from sattools.scene.sidecars import sidecars
@@ -61,7 +62,7 @@ _REPORTS = {
 
 def prepare(
     images: Sequence[Path], options: PrepOptions, progress: Progress = silent, overwrite: bool = False
-) -> tuple[Scene, dict[str, Any]]:
+) -> tuple[Scene, JsonObject]:
     """Make a scene of images that show one place.
 
     Below `options.out/<scene id>`: `images/<item>.tif` (same pixels, corrected RPC tags, cropped to the area asked
@@ -85,44 +86,20 @@ def prepare(
         progress(0.02 + 0.08 * k / len(sources), f"reading {source.id}")
         grays.append(read_gray(source))
     check_pixels(sources, grays)
-    cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
-    views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
-    model = "shift" if options.correction == "none" else options.correction
-    sizes = [(g.shape[0], g.shape[1]) for g in grays]
-    try:
-        tracks = find_tie_points(views, crs, progress=subprogress(progress, 0.1, 0.55))
-        names = [s.id for s in sources]
-        result = adjust(cameras, names, sizes, tracks, AdjustOptions(model=model), subprogress(progress, 0.55, 0.75))
-    except SattoolsError:
-        raise
-    except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
-        text = " ".join(str(error).split())[:200]
-        raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
+    result = _adjusted(sources, grays, crs, options, subprogress(progress, 0.1, 0.75))
     if options.correction == "none":
         notes.append("cameras were left as they are (correction none)")
-        result = replace(result, rpcs=cameras)
     notes += result.notes
     roles = _roles(options, result, sources, notes)
     _warn(check_corrections(result, sources), notes)
     heights = _height_range(options, result, grays, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
-    grid = _grid(options, sources, result.rpcs, crs, heights, asked)
-
-    scene.grid, scene.height_range_m = grid, heights
-    full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
-    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
-        progress(0.85 + 0.15 * k / len(sources), f"writing {source.id}")
-        if asked is not None:
-            source.window = crop_window(rpc, crs, grid.bounds, heights, source.size, _FINAL_MARGIN_PX)
-            if min(source.window[2:]) < 1:
-                raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
-        camera = rpc.cropped(source.window[0], source.window[1])
-        write_image(source, camera, scene.output(f"images/{source.id}.tif"))
-        write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
-        item = describe(source, camera, result.views[k], grid, heights)
+    scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked)
+    scene.height_range_m = heights
+    _write_images(scene, sources, result, asked is not None, subprogress(progress, 0.85, 1.0))
+    for item, source in zip(scene.items, sources, strict=True):
         item.properties["sattools:role"] = roles[source.id]
-        scene.items.append(item)
         notes += [f"{source.id}: {r}" for r in source.notes]
     _write_reports(scene, result)
     progress(1.0, "done")
@@ -135,6 +112,48 @@ def prepare(
             "outlier_views": [v.name for v in result.views if v.outlier],
         },
     }
+
+
+def _adjusted(
+    sources: Sequence[SourceImage],
+    grays: Sequence[NDArray[np.float32]],
+    crs: str,
+    options: PrepOptions,
+    progress: Progress,
+) -> Adjustment:
+    """Cameras of the sources' windows, corrected by tie points unless the options forbid it."""
+    cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
+    views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
+    model = "shift" if options.correction == "none" else options.correction
+    sizes = [(g.shape[0], g.shape[1]) for g in grays]
+    try:
+        tracks = find_tie_points(views, crs, progress=subprogress(progress, 0.0, 0.45 / 0.65))
+        last = subprogress(progress, 0.45 / 0.65, 1.0)
+        result = adjust(cameras, [s.id for s in sources], sizes, tracks, AdjustOptions(model=model), last)
+    except SattoolsError:
+        raise
+    except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
+        text = " ".join(str(error).split())[:200]
+        raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
+    return replace(result, rpcs=cameras) if options.correction == "none" else result
+
+
+def _write_images(
+    scene: Scene, sources: Sequence[SourceImage], result: Adjustment, crop: bool, progress: Progress
+) -> None:
+    """Write pixels and cameras, cropped to the scene's area if asked for, and add the items."""
+    grid, heights = scene.require_grid(), scene.require_height_range()
+    full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
+    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
+        progress(k / len(sources), f"writing {source.id}")
+        if crop:
+            source.window = crop_window(rpc, grid.crs, grid.bounds, heights, source.size, _FINAL_MARGIN_PX)
+            if min(source.window[2:]) < 1:
+                raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
+        camera = rpc.cropped(source.window[0], source.window[1])
+        write_image(source, camera, scene.output(f"images/{source.id}.tif"))
+        write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
+        scene.items.append(describe(source, camera, result.views[k], grid, heights))
 
 
 def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:

@@ -92,7 +92,7 @@ def prior(
     progress(0.9, "writing")
     write_maps(scene, height, confidence, grid)
     if options.per_image:
-        _per_image(scene, sources, grid, height, confidence, z_range, subprogress(progress, 0.92, 1.0))
+        _per_image(scene, sources, grid, height, confidence, z_range, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
     completeness = float((matched.views >= 2).mean())
     return {
@@ -214,6 +214,7 @@ def _per_image(
     height: np.ndarray,
     confidence: np.ndarray,
     z_range: tuple[float, float],
+    *,
     progress: Progress,
 ) -> None:
     """Write the assets `depth` and `confidence` of every matched image, pixel by pixel of the image."""

@@ -7,7 +7,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bi
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_image, write_image_like
 from sattools.scene.sidecars import sidecars
 
@@ -58,7 +58,7 @@ class _Job:
 
 def normalise(
     scene: Scene, options: NormaliseOptions, progress: Progress = silent, overwrite: bool = True
-) -> dict[str, Any]:
+) -> JsonObject:
     """Write a linear float32 `radiance` asset for every image; NaN where it has no data or is saturated.
 
     Sets per item `sattools:radiance` (``toa_reflectance``, ``reflectance_factor`` or ``relative``) and

@@ -218,24 +218,13 @@ def _known(blocks: Blocks, operands: tuple) -> Pair | None:
     return None if blocks.is_cut(sun, 1) or blocks.is_cut(view, 1) else pair(sun, view)
 
 
-def _reverse(
-    parts: list, known: Pair | None, state: tuple, grad: Tensor | None, needed: tuple[bool, ...]
-) -> list[Tensor | None]:
-    """Gradients of the nine operands of a block, before sums over broadcast axes; ``grad`` None stands for 1."""
-    n, s, v, w, b, c, theta, b0, h = parts
-    known = known or pair(s, v)
-    t, facet, o, m, inner = state
-    geometry = any(needed[:3])
+def _reverse_phase(
+    parts: list, known: Pair, o: _Lobes, g_inner: Tensor, needed: tuple[bool, ...], gradients: list[Tensor | None]
+) -> tuple[Tensor | None, Tensor | None]:
+    """Gradients of b, c, B0 and h, filled in; those of (1 -+ cos g) / 2 where a direction needs them."""
+    _, _, _, _, b, c, _, b0, h = parts
     directions = needed[1] or needed[2]
-    gradients: list[Tensor | None] = [None] * 9
-
-    base = 0.25 * facet.lit if grad is None else grad * (0.25 * facet.lit)
-    scaled = base * facet.k
-    g_inner = scaled * m.w
-    g_w = scaled * inner
-    g_k = (base * m.w * inner).sum_to_size(facet.k.shape)
-
-    # phase function; summed over bands first
+    # summed over bands first
     g_p = g_inner.sum_to_size(torch.broadcast_shapes(o.p.shape, () if o.boost is None else o.boost.shape))
     g_minus2 = g_plus2 = None
     if o.boost is not None:
@@ -263,6 +252,27 @@ def _reverse(
             if directions:
                 g_plus2 = _add(fall_a * o.b, g_plus2)
                 g_minus2 = _add(fall_z * o.b, g_minus2)
+    return g_minus2, g_plus2
+
+
+def _reverse(
+    parts: list, known: Pair | None, state: tuple, grad: Tensor | None, needed: tuple[bool, ...]
+) -> list[Tensor | None]:
+    """Gradients of the nine operands of a block, before sums over broadcast axes; ``grad`` None stands for 1."""
+    n, s, v, w, _, _, theta, _, _ = parts
+    known = known or pair(s, v)
+    t, facet, o, m, inner = state
+    geometry = any(needed[:3])
+    directions = needed[1] or needed[2]
+    gradients: list[Tensor | None] = [None] * 9
+
+    base = 0.25 * facet.lit if grad is None else grad * (0.25 * facet.lit)
+    scaled = base * facet.k
+    g_inner = scaled * m.w
+    g_w = scaled * inner
+    g_k = (base * m.w * inner).sum_to_size(facet.k.shape)
+
+    g_minus2, g_plus2 = _reverse_phase(parts, known, o, g_inner, needed, gradients)
 
     # H functions; from here on gradients have the shape of the geometry
     x_lo, w_lo = _h_rates(m, m.xlo, m.log_lo, m.hlo, g_inner * m.hhi)

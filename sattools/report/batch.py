@@ -13,7 +13,7 @@ from sattools.batch.table import SHORT
 from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.document import check_id
-from sattools.scene.jsonio import read_text
+from sattools.scene.jsonio import JsonObject, read_text
 from sattools.scene.raster import read_raster
 
 SHOWN = 24  # difference maps of more runs would make a page that no browser likes
@@ -27,7 +27,7 @@ def batch_page(folder: Path) -> str:
     return render(f"Batch {folder.resolve().name}", sections)
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
+def read_rows(path: Path) -> list[JsonObject]:
     """The rows of a batch's table, numbers as numbers, empty cells as None."""
     try:
         rows = list(csv.DictReader(io.StringIO(read_text(path))))
@@ -53,7 +53,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return parsed
 
 
-def _speed(rows: list[dict[str, Any]]) -> Section:
+def _speed(rows: list[JsonObject]) -> Section:
     section = Section("Error against time")
     figure = speed_error_figure(rows)
     if figure is not None:
@@ -65,14 +65,14 @@ def _speed(rows: list[dict[str, Any]]) -> Section:
     return section
 
 
-def _table(rows: list[dict[str, Any]]) -> Section:
+def _table(rows: list[JsonObject]) -> Section:
     shown = [name for name in SHORT if any(row.get(name) is not None for row in rows)]
     cells = [[_text(name, row.get(name)) for name in shown] for row in rows]
     caption = "Errors against the reference; time from images to surface model; table.csv has all columns."
     return Section("Results", [Table([SHORT[name] for name in shown], cells, caption)])
 
 
-def _surfaces(folder: Path, rows: list[dict[str, Any]]) -> Section:
+def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     from sattools.compare.picture import difference_figure
     from sattools.export.hillshade import picture
 
@@ -93,7 +93,7 @@ def _surfaces(folder: Path, rows: list[dict[str, Any]]) -> Section:
     return section
 
 
-def _commands(folder: Path, rows: list[dict[str, Any]]) -> Section:
+def _commands(folder: Path, rows: list[JsonObject]) -> Section:
     section = Section("How it was made")
     for name in dict.fromkeys(row["configuration"] for row in rows):
         scene = next((r["scene"] for r in rows if r["configuration"] == name and r["status"] == "done"), None)

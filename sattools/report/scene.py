@@ -16,7 +16,7 @@ from sattools.report.commands import pipeline
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
-from sattools.scene.jsonio import read_json, read_text
+from sattools.scene.jsonio import JsonObject, read_json, read_text
 from sattools.scene.raster import read_image, read_raster
 from sattools.scene.schema import Items, Maybe, Number, Text
 from sattools.scene.schema import Table as Members
@@ -205,7 +205,7 @@ def _errors(scene: Scene) -> Section:
     return section
 
 
-def _step_table(figures: dict[str, Any]) -> Table:
+def _step_table(figures: JsonObject) -> Table:
     """Errors beside height steps and away from them."""
     rows = []
     for name, own in {"all": figures, **(figures.get("classes") or {})}.items():
@@ -267,7 +267,7 @@ def _history(scene: Scene) -> Section:
     return section
 
 
-def _error_row(name: str, figures: dict[str, Any], cells: int | None) -> list[str]:
+def _error_row(name: str, figures: JsonObject, cells: int | None) -> list[str]:
     return [name, *(_number(figures.get(key), 3) for key in ("mae", "median", "rmse", "nmad")), str(cells or "")]
 
 

@@ -18,6 +18,7 @@ from sattools.errors import StaleError
 from sattools.scene.document import FIT_ROLE, Item, Scene
 from sattools.scene.files import check_outputs, digest
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import JsonObject
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def files_of(scene: Scene) -> list[Path]:
     return sorted({scene.path(href) for href in [*hrefs, *scene.products.values()]})
 
 
-def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) -> dict[str, dict[str, Any]]:
+def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) -> dict[str, JsonObject]:
     """What a stage has made from what, for `made` of the history entry.
 
     Args:
@@ -119,7 +120,7 @@ def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) ->
     return {stage: {"inputs": _inputs(scene, stage, ids), "items": ids, "outputs": _outputs(scene, stage), **more}}
 
 
-def latest(scene: Scene, stage: str) -> dict[str, Any] | None:
+def latest(scene: Scene, stage: str) -> JsonObject | None:
     """The record of what a stage has made, None where there is none or it is out of date by the history's order."""
     for entry in reversed(scene.history):
         made = entry.get(MADE) or {}
@@ -130,7 +131,7 @@ def latest(scene: Scene, stage: str) -> dict[str, Any] | None:
     return None
 
 
-def current_entry(scene: Scene, command: str) -> dict[str, Any] | None:
+def current_entry(scene: Scene, command: str) -> JsonObject | None:
     """The last history entry of a command, None where a later command has made it out of date."""
     for entry in reversed(scene.history):
         if entry.get("command") == command:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from sattools.errors import InputError, SceneError
 from sattools.scene.grid import Grid
-from sattools.scene.jsonio import parse_json, read_text
+from sattools.scene.jsonio import JsonObject, parse_json, read_text
 from sattools.scene.location import check_allowed, is_remote, location
 from sattools.scene.members import check_members
 from sattools.scene.versions import FORMAT_VERSION, READABLE, upgraded
@@ -50,7 +50,7 @@ class Asset:
     roles: list[str] = field(default_factory=lambda: ["data"])
     extra: dict[str, Any] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """STAC form."""
         return {"href": self.href, "type": self.type, "roles": self.roles, **self.extra}
 
@@ -93,7 +93,7 @@ class Item:
             return None
         return float(azimuth), float(elevation)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """STAC form."""
         return {
             "type": "Feature",
@@ -154,7 +154,7 @@ class Scene:
 
     # ---- JSON -------------------------------------------------------------------------------------------
 
-    def to_dict(self, root: str | None = None) -> dict[str, Any]:
+    def to_dict(self, root: str | None = None) -> JsonObject:
         """The document as plain JSON types; ``root`` in place of the absolute one."""
         boxes = [item.bbox for item in self.items if item.bbox]
         document: dict[str, Any] = {

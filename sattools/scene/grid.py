@@ -11,6 +11,7 @@ import numpy as np
 from affine import Affine
 
 from sattools.errors import SceneError
+from sattools.scene.jsonio import JsonObject
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class Grid:
             raise SceneError(f"grid: found bounds {other.bounds} outside {self.bounds}, expected some within")
         return slice(r0, r1), slice(c0, c1)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form."""
         return asdict(self)
 

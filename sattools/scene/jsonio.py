@@ -79,7 +79,7 @@ def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
 JsonObject = dict[str, Any]  # of JSON, TOML or an options dataclass: members by name, for a schema to check
 
 
-def read_json(path: Path | str, expected: str = "a JSON object") -> dict[str, Any]:
+def read_json(path: Path | str, expected: str = "a JSON object") -> JsonObject:
     """A JSON object from a file. Raises InputError when it is not one; see `parse_json`."""
     document = parse_json(read_text(path, strict=False), str(path), expected)
     if not isinstance(document, dict):
@@ -87,7 +87,7 @@ def read_json(path: Path | str, expected: str = "a JSON object") -> dict[str, An
     return document
 
 
-def read_toml(path: Path | str) -> dict[str, Any]:
+def read_toml(path: Path | str) -> JsonObject:
     """A TOML file's tables. Raises InputError as `read_json` does."""
     text = read_text(path, CONFIG_LIMIT)
     return dict(_checked(lambda: tomllib.loads(text), str(path), "TOML", "TOML"))

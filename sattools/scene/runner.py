@@ -17,6 +17,7 @@ from sattools.errors import SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
+from sattools.scene.jsonio import JsonObject
 from sattools.settings import as_dict
 
 Work = Callable[[Scene, Progress], dict[str, Any] | None]
@@ -41,7 +42,7 @@ class Step:
     at_once: bool = True
 
 
-def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, dict[str, Any]]:
+def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
     """Work on a scene while no other process does; the scene and its new history entry.
 
     The scene's folder is what counts: what another command has added to its document since this one was read is kept.
@@ -65,7 +66,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, dict[str, Any]]
 
 
 def run_first(
-    step: Step, make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]], inputs: Iterable[Path] = ()
+    step: Step, make: Callable[[Progress], tuple[Scene, JsonObject | None]], inputs: Iterable[Path] = ()
 ) -> Scene:
     """Make a scene; ``inputs`` are files that it must not write onto."""
     start = time.perf_counter()
@@ -93,7 +94,7 @@ def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
     return existing if existing.id == scene.id else None
 
 
-def _note(scene: Scene, step: Step, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
+def _note(scene: Scene, step: Step, start: float, extra: JsonObject | None) -> JsonObject:
     """Add the history entry and write the document."""
     entry = {
         "command": step.command,

@@ -11,13 +11,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from sattools.scene.jsonio import JsonObject
+
 FORMAT_VERSION = 2
 READABLE = (1, FORMAT_VERSION)
 _ENTRY = {"remarks": "notes", "witnessed_by_two": "consistent_in_two"}
 _PROPERTY = {"sattools:tone_match": "sattools:radiometric_balance"}
 
 
-def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
+def upgraded(document: Mapping[str, Any]) -> JsonObject:
     """A document of a readable version as one of the present version; what is damaged is left for others to report.
 
     Args:

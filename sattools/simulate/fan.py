@@ -18,7 +18,7 @@ from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_na
 from sattools.simulate.natural_trace import render_natural
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
-from sattools.simulate.views import SimulatedView, framed, take_all, write_view
+from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track
@@ -41,9 +41,15 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
     grid, world = build_natural(
-        options.size, options.gsd, options.units, options.slope, options.reflectance,
-        (options.lon, options.lat), options.dsm, np.random.default_rng(seeds[0]),
-    )  # fmt: skip
+        options.size,
+        options.gsd,
+        options.units,
+        options.slope,
+        reflectance=options.reflectance,
+        lonlat=(options.lon, options.lat),
+        dsm=options.dsm,
+        rng=np.random.default_rng(seeds[0]),
+    )
     low, high = float(world.height.min()), float(world.height.max())
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
@@ -131,7 +137,7 @@ def _take(
     sigma = options.noise * np.sqrt(READ_NOISE_DN**2 + SHOT_NOISE_DN * signal)
     noisy = signal + sigma * np.random.default_rng(seed).standard_normal(signal.shape)
     image = np.clip(np.rint(noisy), 0, full).astype(np.uint16)
-    item = write_view(scene, view, image, lit, height, sun, options.gsd)
+    item = write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
     item.properties["sattools:radiance"] = "reflectance_factor"
     return item
 

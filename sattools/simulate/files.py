@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,13 +12,14 @@ from sattools.camera.rpc_names import SCALARS, VECTORS
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_cog
 from sattools.simulate.world import World
 
 
 def sat_nerf_metadata(
     name: str, rpc: RPC, shape: tuple[int, int], sun: tuple[float, float], date: str, corners: list[list[float]]
-) -> dict[str, Any]:
+) -> JsonObject:
     """The JSON that Sat-NeRF keeps beside an image; sun = (azimuth, elevation) in degrees, corners as [lon, lat]."""
     middle = np.mean(corners, axis=0).tolist()
     members = {name: getattr(rpc, name) for name in (*SCALARS.values(), *VECTORS.values())}
@@ -52,6 +52,6 @@ def write_truth(scene: Scene, world: World, grid: Grid) -> None:
     write_text(scene.output(f"truth/{scene.id}_DSM.txt"), text)
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
+def write_json(path: Path, document: JsonObject) -> None:
     """A JSON file, one member a line."""
     write_text(path, json.dumps(document, indent=1) + "\n")

@@ -68,6 +68,7 @@ def build_natural(
     gsd: float,
     units: int,
     slope_deg: float,
+    *,
     reflectance: Literal["lambert", "rpv", "hapke"],
     lonlat: tuple[float, float],
     dsm: str | None,

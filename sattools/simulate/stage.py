@@ -21,7 +21,7 @@ from sattools.simulate.fan import simulate_natural
 from sattools.simulate.files import write_truth
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
-from sattools.simulate.views import SimulatedView, framed, take_all, write_view
+from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
 from sattools.simulate.world import World
 
 SKY_STRIDE = 8
@@ -178,7 +178,7 @@ def _take(
     rng = np.random.default_rng(seed)
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
-    return write_view(scene, view, image, lit, height, sun, options.gsd)
+    return write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
 
 
 __all__ = ["SimulateOptions", "SimulatedView", "plan_views", "simulate"]

@@ -135,7 +135,7 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
         lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
         pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)
         check_cells(grid, pixel, sources[0].radiance.shape[0], len(sources))
-    views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, s.sun) for s in sources]
+    views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, sun=s.sun) for s in sources]
     for view in views:
         check_seen(view.id, view.mask)
     return views

@@ -101,6 +101,7 @@ def make_view(
     grid: Grid,
     z_ref: float,
     z_range: tuple[float, float],
+    *,
     sun: tuple[float, float] | None,
 ) -> View:
     """Resample an image to the grid at height ``z_ref``, averaged over a cell.

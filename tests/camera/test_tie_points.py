@@ -36,8 +36,8 @@ def two_views(n=60, run=(0.0, 0.4), across=0.0, seed=0):
 def test_both_searches_find_every_true_match():
     a, d, b, e, truth = two_views()
     run = np.array([0.0, 0.4])
-    free = free_matches(a, d, b, e, run, 20.0, 10.0)
-    narrow, _ = corridor_matches(a, d, b, e, run, 15.0, 1.0)
+    free = free_matches(a, d, b, e, run, half_height=20.0, half_bias=10.0)
+    narrow, _ = corridor_matches(a, d, b, e, run, half_height=15.0, half_width=1.0)
     for found in (free, narrow):
         assert len(found) == 60
         assert (found[:, 1] == truth[found[:, 0]]).all()
@@ -45,14 +45,16 @@ def test_both_searches_find_every_true_match():
 
 def test_a_match_outside_its_corridor_is_not_found():
     a, d, b, e, _ = two_views(across=3.0)
-    found, _ = corridor_matches(a, d, b, e, np.array([0.0, 0.4]), 15.0, 1.0)
+    found, _ = corridor_matches(a, d, b, e, np.array([0.0, 0.4]), half_height=15.0, half_width=1.0)
     assert len(found) == 0
 
 
 def test_the_same_descriptor_twice_within_reach_is_no_match():
     d = unit_descriptors(1)
     b = np.array([[0.0, 0.5], [0.0, -0.5]])
-    found, _ = corridor_matches(np.zeros((1, 2)), d, b, np.repeat(d, 2, 0), np.array([0.0, 0.4]), 15.0, 1.0)
+    found, _ = corridor_matches(
+        np.zeros((1, 2)), d, b, np.repeat(d, 2, 0), np.array([0.0, 0.4]), half_height=15.0, half_width=1.0
+    )
     assert len(found) == 0
 
 
