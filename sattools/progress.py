@@ -19,7 +19,13 @@ def silent(fraction: float, message: str) -> None:
 
 
 def subprogress(progress: Progress, start: float, end: float) -> Progress:
-    """The callback of a step that makes up [start, end] of the whole."""
+    """The callback of a step that makes up [start, end] of the whole.
+
+    Args:
+        progress: of the whole.
+        start: share at its beginning.
+        end: share at its end.
+    """
 
     def call(fraction: float, message: str) -> None:
         progress(start + (end - start) * fraction, message)

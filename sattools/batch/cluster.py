@@ -67,6 +67,13 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
     with name, share and message.
 
     Raises SattoolsError where Dask is not installed or the scheduler does not answer.
+
+    Args:
+        jobs: to do.
+        options: of the batch.
+        share: cores and memory of a task.
+        finished: called with every task and its result; gives the jobs that follow.
+        told: called with a task's name, its share done and a message.
     """
     try:
         from distributed import as_completed
@@ -104,7 +111,13 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
 
 
 def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
-    """Runs on a worker."""
+    """Runs on a worker.
+
+    Args:
+        task: to do.
+        before: results of the tasks that it waits for.
+        share: cores and memory of a task.
+    """
     from time import monotonic
 
     from distributed import get_worker

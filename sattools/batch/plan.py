@@ -143,7 +143,17 @@ def run_task(
     truth: Path | None,
     digests: Digests,
 ) -> Task:
-    """The task that fits, exports and scores one scene in one configuration."""
+    """The task that fits, exports and scores one scene in one configuration.
+
+    Args:
+        out: folder of the batch.
+        scene: its id.
+        source: its document.
+        content: what the scene's inputs are, for the key.
+        configuration: the configuration.
+        truth: folder of the reference, or None.
+        digests: of files, as known so far.
+    """
     commands = []
     for name in COMMANDS[1:]:
         if name in OPTIONAL and name not in configuration.tables:
@@ -168,7 +178,16 @@ def run_task(
 def prep_task(
     out: Path, aoi: str, images: list[Path], arguments: list[str], configuration: Configuration, digests: Digests
 ) -> Task:
-    """The task that makes the scene of an area; configurations with the same options of `prep` share it."""
+    """The task that makes the scene of an area; configurations with the same options of `prep` share it.
+
+    Args:
+        out: folder of the batch.
+        aoi: name of the area.
+        images: files to read.
+        arguments: more arguments of `prep`.
+        configuration: the configuration.
+        digests: of files, as known so far.
+    """
     options = configuration.resolved.get("prep", {})
     key = key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
     folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
@@ -179,7 +198,14 @@ def prep_task(
 
 def shared_task(out: Path, run: Task, content: Any, configuration: Configuration) -> Task | None:
     """The task that makes what runs of a scene may share, `normalise` and `prior`; None where the fit makes its own
-    prior, as held-out images have no part in it, or none."""
+    prior, as held-out images have no part in it, or none.
+
+    Args:
+        out: folder of the batch.
+        run: task of the run.
+        content: what the scene's inputs are, for the key.
+        configuration: the configuration.
+    """
     fit = configuration.resolved.get("fit", {})
     apart = fit.get("holdout") or fit.get("views", "all") != "all" or fit.get("preset", "fast") != "fast"
     if apart or fit.get("tile") or not fit.get("prior_weight", 1.0):
@@ -205,7 +231,13 @@ def after_shared(run: Task, shared: Task) -> Task:
 
 
 def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
-    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`."""
+    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`.
+
+    Args:
+        run: task of the run.
+        content: what the scene's inputs are, for the key.
+        configuration: the configuration.
+    """
     before = ("normalise", "prior", "fit")
     wanted = {name: configuration.resolved.get(name) for name in before}
     given = [name for name in before if name in configuration.tables]
@@ -217,7 +249,13 @@ def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
 
 
 def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[list[Task], Task]:
-    """The tasks of the tiles that a finished split has left, and the run that joins them."""
+    """The tasks of the tiles that a finished split has left, and the run that joins them.
+
+    Args:
+        run: task of the run.
+        split: task of the split.
+        configuration: the configuration.
+    """
     folder = Path(run.folder) / TILES
     listing = read_json(folder / "tiles.json")
     Table({"tiles": Items(Text())}, ("tiles",)).check(listing, str(folder / "tiles.json"))

@@ -198,7 +198,15 @@ def make_plan(
     overwrite: bool = False,
     dry_run: bool = False,
 ) -> Batch:
-    """What there is to do, and what is done already; with ``dry_run`` nothing is written."""
+    """What there is to do, and what is done already; with ``dry_run`` nothing is written.
+
+    Args:
+        options: of the batch.
+        scenes: to use beside the areas.
+        configurations: sets of options.
+        overwrite: do finished tasks again.
+        dry_run: write nothing.
+    """
     names = [c.name for c in configurations]
     twice = {name for name in names if names.count(name) > 1}
     if twice:

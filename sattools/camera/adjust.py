@@ -144,6 +144,8 @@ def adjust(
     Args:
         rpcs, names, sizes: camera, name and (height, width) [px] of each view.
         tracks: tie points, false matches among them.
+        options: see `AdjustOptions`; None = the defaults.
+        progress: told the share done and what is being done.
 
     Raises: InputError when there are too few tie points to adjust anything.
     """

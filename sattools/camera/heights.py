@@ -59,6 +59,10 @@ def estimate_height_range(
         heights: of tie points `[n]` [m].
         grays: images `[H, W]`, NaN = no data. rpcs: their corrected cameras.
         bounds: (west, south, east, north) in `crs` [m].
+        rpcs: corrected cameras.
+        crs: projected ground CRS [m].
+        options: see `HeightOptions`; None = the defaults.
+        progress: told the share done and what is being done.
     """
     options = options or HeightOptions()
     low, high = tie_point_range(heights, options)
@@ -76,6 +80,12 @@ def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple
 
     Chance is what nine tenths of the planes outside stay below; a plane counts from five Poisson deviations above
     it and from one in two thousand cells on.
+
+    Args:
+        low: lowest height so far [m].
+        high: highest height so far [m].
+        planes: ``[D]`` heights [m].
+        counts: ``[D]`` number of cells that agree on each.
     """
     outside = (planes < low) | (planes > high)
     if not outside.any():
@@ -102,6 +112,15 @@ def sweep_histogram(
 
     The score of a cell at a height is the mean zero-mean normalised correlation of all pairs of views in a window of
     5 x 5 cells, which costs one pass over the views: (|sum z|^2 - sum |z|^2) / (n (n - 1)).
+
+    Args:
+        grays: grey images ``[H, W]``; NaN = no data.
+        rpcs: their cameras.
+        crs: projected ground CRS [m].
+        bounds: (west, south, east, north) [m].
+        planes: ``[D]`` heights [m].
+        max_cells: number of ground cells, at most.
+        progress: told the share done and what is being done.
     """
     import cv2
 

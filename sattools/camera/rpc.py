@@ -39,7 +39,13 @@ _STEP_DEG = 1e-11  # Newton converges quadratically, so the error left after suc
 
 
 def monomials(lon: Array, lat: Array, alt: Array) -> Array:
-    """The 20 cubic monomials of normalised coordinates in RPC00B order (STDI-0002, app. E), `[20, n]`."""
+    """The 20 cubic monomials of normalised coordinates in RPC00B order (STDI-0002, app. E), `[20, n]`.
+
+    Args:
+        lon: ``[n]`` normalised longitude.
+        lat: ``[n]`` normalised latitude.
+        alt: ``[n]`` normalised height.
+    """
     m = np.empty((20, lon.size))
     lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
     m[0] = 1.0
@@ -54,7 +60,13 @@ def monomials(lon: Array, lat: Array, alt: Array) -> Array:
 
 
 def monomial_derivatives(lon: Array, lat: Array, alt: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`."""
+    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`.
+
+    Args:
+        lon: ``[n]`` normalised longitude.
+        lat: ``[n]`` normalised latitude.
+        alt: ``[n]`` normalised height.
+    """
     dlon, dlat, dalt = np.zeros((3, 20, lon.size))
     lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
     dlon[1] = dlat[2] = dalt[3] = 1.0
@@ -126,7 +138,13 @@ class RPC:
     # -- ground to pixel ------------------------------------------------------------------------------------------
 
     def projection(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> tuple[Any, Any]:
-        """Pixel (col, row) of ground points; the arguments broadcast. Scalars in, scalars out."""
+        """Pixel (col, row) of ground points; the arguments broadcast. Scalars in, scalars out.
+
+        Args:
+            lon: longitude [degrees].
+            lat: latitude [degrees].
+            h: height above the ellipsoid [m].
+        """
         (x, y, z), shape = self._normalised(lon, lat, h)
         col, row = np.empty(x.size), np.empty(x.size)
         coefficients = self._coefficients()
@@ -142,11 +160,23 @@ class RPC:
         return _shaped(col, shape), _shaped(row, shape)
 
     def jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> Array:
-        """Derivatives of (col, row) by (lon, lat, h), `[..., 2, 3]`, in pixels per degree and pixels per metre."""
+        """Derivatives of (col, row) by (lon, lat, h), `[..., 2, 3]`, in pixels per degree and pixels per metre.
+
+        Args:
+            lon: longitude [degrees].
+            lat: latitude [degrees].
+            h: height above the ellipsoid [m].
+        """
         return self.projection_and_jacobian(lon, lat, h)[1]
 
     def projection_and_jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> tuple[Array, Array]:
-        """Pixels `[..., 2]` (col, row) and their derivatives `[..., 2, 3]` by (lon, lat, h) in one evaluation."""
+        """Pixels `[..., 2]` (col, row) and their derivatives `[..., 2, 3]` by (lon, lat, h) in one evaluation.
+
+        Args:
+            lon: longitude [degrees].
+            lat: latitude [degrees].
+            h: height above the ellipsoid [m].
+        """
         (x, y, z), shape = self._normalised(lon, lat, h)
         col, row, jac = self._normalised_jacobian(x, y, z)
         pixel = np.stack([col * self.col_scale + self.col_offset, row * self.row_scale + self.row_offset], axis=-1)
@@ -161,6 +191,11 @@ class RPC:
 
         Newton's method on the projection itself, so `localization` inverts `projection` to rounding (<= 1e-9 degrees).
         Points where it finds no solution (far outside the camera's validity) become NaN.
+
+        Args:
+            col: columns [px].
+            row: rows [px].
+            h: height above the ellipsoid [m].
         """
         cols, rows, heights = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (col, row, h)))
         shape = cols.shape
@@ -238,6 +273,11 @@ class RPC:
         an n³ grid over `domain` (west, south, east, north, lowest, highest; default: the whole validity cube) with
         denominators kept, which is exact for a shift and well conditioned otherwise. Returns (camera, largest
         residual in pixels on a grid between the fitted points).
+
+        Args:
+            matrix: ``[2, 3]`` affine map of (col, row) [px].
+            domain: (lon, lat, h) from and to in which it is fitted [degrees, m]; None = the camera's own.
+            n: number of points along an axis.
         """
         m = np.asarray(matrix, np.float64)
         if m.shape != (2, 3) or not np.isfinite(m).all():

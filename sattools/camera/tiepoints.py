@@ -60,7 +60,13 @@ class Features:
     tangent: Array = field(default_factory=lambda: np.zeros(2))  # d(x, y)/dz of the view's lines of sight
 
     def place(self, rpc: RPC, crs: str, z_ref: float) -> None:
-        """Put the features on the ground at a height."""
+        """Put the features on the ground at a height.
+
+        Args:
+            rpc: the camera.
+            crs: projected ground CRS [m].
+            z_ref: reference height [m].
+        """
         dz = 50.0
         low = np.stack(localize(rpc, crs, self.pixel[:, 0], self.pixel[:, 1], z_ref), -1)
         high = np.stack(localize(rpc, crs, self.pixel[:, 0], self.pixel[:, 1], z_ref + dz), -1)
@@ -86,7 +92,14 @@ def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArra
 
 
 def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePointOptions) -> Features:
-    """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself."""
+    """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself.
+
+    Args:
+        view: the image.
+        crs: projected ground CRS [m].
+        z_ref: reference height [m].
+        options: see `TiePointOptions`.
+    """
     import cv2
 
     image, valid = normalised_contrast(view.gray, options.contrast_window_px)
@@ -124,7 +137,14 @@ def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePo
 
 
 def spread_evenly(position: Array, strength: Array, count: int, cells: int = 16) -> NDArray[np.intp]:
-    """Indices of about `count` points, the strongest of each cell of a `cells`² grid first; strongest first overall."""
+    """Indices of about `count` points, the strongest of each cell of a `cells`² grid first; strongest first overall.
+
+    Args:
+        position: ``[n, 2]`` [px].
+        strength: ``[n]`` the larger, the better.
+        count: number of points wanted.
+        cells: number of cells along an axis.
+    """
     order = np.argsort(-strength, kind="stable")
     low, high = position.min(0), position.max(0)
     cell = np.minimum(((position - low) / np.maximum(high - low, 1e-9) * cells).astype(int), cells - 1)
@@ -161,6 +181,9 @@ def find_tie_points(
 
     Args:
         views: images with their cameras. crs: projected ground CRS [m].
+        crs: projected ground CRS [m].
+        options: see `TiePointOptions`; None = the defaults.
+        progress: told the share done and what is being done.
 
     Returns: tracks; each is one ground point seen in two or more images.
     Raises: InputError when fewer than two views are given.
@@ -254,6 +277,11 @@ def coarse_bias(
 
     Least absolute deviations by reweighting. Common shifts and those that mean another height cannot be seen; among all
     equal solutions the one with the smallest corrections (robustly) is taken.
+
+    Args:
+        pairs: indices of two views each.
+        shifts: per pair, axes ``[k, 2]``, shifts along them ``[k]`` [m] and a weight, see `vote`.
+        tangents: ``[n, 2]`` displacement per metre of height of each view [m/m].
     """
     n = len(tangents)
     rows, values, weights = [], [], []

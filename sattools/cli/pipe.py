@@ -74,7 +74,13 @@ def run_scenes(
 
 
 def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], str]) -> None:
-    """Print what ``handle`` makes of every scene as soon as it is done; errors go to stderr, and exit codes follow."""
+    """Print what ``handle`` makes of every scene as soon as it is done; errors go to stderr, and exit codes follow.
+
+    Args:
+        command: its name.
+        scenes: paths, or none for stdin.
+        handle: gives the line to print.
+    """
     done, failed = 0, 0
     seen: set[tuple[str, str]] = set()
     for source, text in documents(scenes):
@@ -103,7 +109,14 @@ def run_source(
     label: str,
     check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would."""
+    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would.
+
+    Args:
+        run: how the command was called.
+        make: gives the scene and its history entry.
+        label: for the progress.
+        check: see above.
+    """
     if run.print_config:
         print_config(run.command, run.options)
         return
@@ -126,7 +139,13 @@ def report_error(command: str, error: SattoolsError) -> None:
 
 
 def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
-    """Run a stage on a scene; the scene and its new history entry."""
+    """Run a stage on a scene; the scene and its new history entry.
+
+    Args:
+        run: how the command was called.
+        scene: the scene.
+        work: the stage.
+    """
     from sattools.scene.runner import run_on
 
     return run_on(scene, _step(run, scene.id), work)

@@ -119,6 +119,12 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
     """Score a scene's DSM (and maps and views where asked for); writes `compare/difference.tif`, `.png`, `errors.json`.
 
     Returns the table; raises SceneError where the scene has no DSM.
+
+    Args:
+        options: of the stage.
+        scene: the scene.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
     """
     if "dsm" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
@@ -249,7 +255,13 @@ def _name_and_file(text: str) -> tuple[str, Path]:
 
 
 def write_difference(result: Comparison, tif: Path, png: Path) -> None:
-    """Signed difference as a COG and as a picture."""
+    """Signed difference as a COG and as a picture.
+
+    Args:
+        result: of a comparison.
+        tif: file to write.
+        png: file to write.
+    """
     from sattools.compare.picture import difference_picture
 
     title = f"{result.figures['reference']}: MAE {result.figures['mae']:.2f} m"

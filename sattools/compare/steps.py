@@ -73,6 +73,13 @@ def add_step_errors(
 
     `difference` [H, W] is prediction minus reference in metres, NaN = not scored; `reference` [H, W] in metres;
     `classes` [H, W] codes or None; `cell_size` in metres. Errors of a class are about the median of all cells.
+
+    Args:
+        figures: error table, changed.
+        difference: ``[H, W]`` prediction minus reference [m].
+        reference: ``[H, W]`` heights [m]; NaN = none.
+        classes: ``[H, W]`` class codes, or None.
+        cell_size: edge of a cell [m].
     """
     scored = np.isfinite(difference)
     centred = difference.astype(np.float64) - np.median(difference[scored])

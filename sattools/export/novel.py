@@ -27,7 +27,13 @@ Vector = tuple[float, float, float]
 
 
 def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
-    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon."""
+    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon.
+
+    Args:
+        grid: ground grid.
+        azimuth_deg: from north, clockwise [degrees].
+        elevation_deg: above the horizon [degrees].
+    """
     west, south, east, north = grid.bounds
     lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
     vector = grid_direction(azimuth_deg, elevation_deg, grid.crs, float(lon), float(lat))
@@ -40,6 +46,13 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
     of the albedo.
 
     Shade has the mean ambient light of the images.
+
+    Args:
+        surface: the fitted scene.
+        cell: edge of a cell [m].
+        shadow: whether it casts shadows.
+        sun: unit vector (east, north, up) to the sun, or None.
+        towards: unit vector (east, north, up) to the sensor.
     """
     visibility = sun_visibility(surface.casting(), cell, sun) if shadow and sun is not None else None
     ambient = surface.ambient.mean(0)

@@ -141,7 +141,13 @@ def blocks_of(shape: tuple[int, int]) -> Tensor:
 
 
 def draw(s: Samples, shape: tuple[int, int], seed: int) -> tuple[Samples, Tensor]:
-    """`CELLS` of the cells that three views see, and their blocks."""
+    """`CELLS` of the cells that three views see, and their blocks.
+
+    Args:
+        s: the samples.
+        shape: of their grid [cells].
+        seed: of everything random.
+    """
     usable = torch.nonzero((s.weight > 0).sum(0) >= min(3, len(s.views)))[:, 0]
     order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(seed))[:CELLS]
     chosen = usable[order]

@@ -26,6 +26,11 @@ _FORMERLY = {
 def save(path: Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> None:
     """Write tensors and a JSON description into one file, with a checksum of both.
 
+    Args:
+        path: file to write.
+        tensors: by name.
+        description: plain JSON types.
+
     Raises:
         SattoolsError: the file cannot be written.
     """

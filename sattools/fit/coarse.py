@@ -49,7 +49,13 @@ class Coarse:
         return surface
 
     def cast(self, height: Tensor, cell_size: float, sun: tuple[float, float, float]) -> Tensor:
-        """`sun_visibility` of the tile's heights, with the coarse surface around them to cast shadows, too."""
+        """`sun_visibility` of the tile's heights, with the coarse surface around them to cast shadows, too.
+
+        Args:
+            height: ``[H, W]`` [m].
+            cell_size: edge of a cell [m].
+            sun: unit vector (east, north, up) to the sun.
+        """
         top, bottom = float(self.height.max()), min(float(self.height.min()), float(height.min()))
         across = math.hypot(sun[0], sun[1])
         if sun[2] <= 0 or across < 1e-6:
@@ -71,7 +77,14 @@ class Coarse:
 
 
 def sampled(array: Tensor, source: Grid, target: Grid, outside: float | None = None) -> Tensor:
-    """A map ``[H, W]`` or ``[H, W, C]`` on another grid, bilinear; beyond the source its border, or a number."""
+    """A map ``[H, W]`` or ``[H, W, C]`` on another grid, bilinear; beyond the source its border, or a number.
+
+    Args:
+        array: see above.
+        source: its grid.
+        target: grid to resample to.
+        outside: value beyond the source; None = that of its border.
+    """
     maps = array[None] if array.ndim == 2 else array.permute(2, 0, 1)
     x = (torch.from_numpy(target.x()) - source.left) / (source.width * source.cell_size) * 2 - 1
     y = (source.top - torch.from_numpy(target.y())) / (source.height * source.cell_size) * 2 - 1

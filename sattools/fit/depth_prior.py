@@ -30,7 +30,13 @@ class DepthPrior:
 
     @classmethod
     def from_arrays(cls, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> DepthPrior:
-        """A prior of maps ``[H, W]`` as `sattools.prior.files.read_prior` reads them: heights [m], confidence."""
+        """A prior of maps ``[H, W]`` as `sattools.prior.files.read_prior` reads them: heights [m], confidence.
+
+        Args:
+            height: ``[H, W]`` [m].
+            confidence: ``[H, W]`` in [0, 1].
+            grid: of both.
+        """
         return cls(torch.from_numpy(height), torch.from_numpy(confidence), grid)
 
     def on(self, grid: Grid, device: torch.device | None = None) -> DepthPrior:

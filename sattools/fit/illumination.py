@@ -130,6 +130,12 @@ def phase_angles(items: Sequence[Item]) -> np.ndarray:
 def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) -> list[str]:
     """Remarks about phase and incidence angles and what they allow.
 
+    Args:
+        scene: the scene.
+        items: the training images.
+        kind: what their numbers are.
+        brdf: reflectance model.
+
     Raises:
         SceneError: a reflectance model is asked for and a sun is unknown.
     """

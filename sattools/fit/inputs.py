@@ -35,6 +35,11 @@ _HOUSEKEEPING = ("resume", "budget", "reference")
 def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[None]:
     """Images that this fit must not see are of the role ``test`` inside; afterwards `FIT_ROLE` names them.
 
+    Args:
+        scene: the scene.
+        holdout: ids of images.
+        views: option of that name.
+
     Raises:
         SceneError: an unknown id, or a ``views`` that cannot be followed.
     """
@@ -135,7 +140,14 @@ def load_prior(
 
 def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: DepthPrior | None) -> str:
     """Hash of everything that a continued fit must share with the interrupted one: options, version, images with
-    cameras and suns, prior, grid, heights, what tiles share."""
+    cameras and suns, prior, grid, heights, what tiles share.
+
+    Args:
+        scene: the scene.
+        options: of the fit.
+        sources: the images.
+        prior: depth supervision, or None.
+    """
     plain = {name: value for name, value in asdict(options).items() if name not in _HOUSEKEEPING}
     what: list[Any] = [__version__, plain, scene.require_grid().to_dict(), scene.require_height_range()]
     what += [

@@ -51,26 +51,52 @@ class Samples:
 
 
 def shape_of(kind: Kind, abundances: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Shape parameters ``[...]`` of cells: abundances ``[..., K]``, the endmembers' unbounded values ``[K, 3]``."""
+    """Shape parameters ``[...]`` of cells: abundances ``[..., K]``, the endmembers' unbounded values ``[K, 3]``.
+
+    Args:
+        kind: reflectance model.
+        abundances: ``[N, K]`` in [0, 1].
+        endmembers: ``[K, 3]`` unbounded shape parameters.
+    """
     a, b, c = (p.bounded(abundances @ endmembers[:, k]) for k, p in enumerate(SHAPE[kind]))
     return a, b, c
 
 
 def start_endmembers(kind: Kind, count: int, like: Tensor) -> Tensor:
-    """Unbounded values ``[count, 3]`` of the prior's mean shapes."""
+    """Unbounded values ``[count, 3]`` of the prior's mean shapes.
+
+    Args:
+        kind: reflectance model.
+        count: number of endmembers.
+        like: tensor of the same type and device.
+    """
     prior_mean = [p.raw(like.new_tensor(p.prior_mean)) for p in SHAPE[kind]]
     return torch.stack(prior_mean).repeat(count, 1)
 
 
 def predict(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> Tensor:
-    """``[V, N, C]`` from unbounded amplitudes ``[N, C]``."""
+    """``[V, N, C]`` from unbounded amplitudes ``[N, C]``.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        amplitude: ``[N, C]`` unbounded.
+        endmembers: ``[K, 3]`` unbounded shape parameters.
+    """
     value, shape = AMPLITUDE[kind].bounded(amplitude), shape_of(kind, s.abundances, endmembers)
     pairs = zip(s.suns, s.views, strict=True)
     return torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape) for sun, view in pairs])
 
 
 def with_slope(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor]:
-    """`predict` and its derivative with the amplitudes: as further bands, which share what depends on directions."""
+    """`predict` and its derivative with the amplitudes: as further bands, which share what depends on directions.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        amplitude: ``[N, C]`` unbounded.
+        endmembers: ``[K, 3]`` unbounded shape parameters.
+    """
     here, moved = predict(kind, s, torch.cat([amplitude, amplitude + STEP], -1), endmembers).chunk(2, -1)
     return here, (moved - here) / STEP
 
@@ -89,7 +115,16 @@ def solve_amplitudes(
     rounds: int = 4,
     centre: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Unbounded amplitudes ``[N, C]`` that fit best, and their curvature ``[N, C]`` sum (J / sigma)^2."""
+    """Unbounded amplitudes ``[N, C]`` that fit best, and their curvature ``[N, C]`` sum (J / sigma)^2.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        endmembers: ``[K, 3]`` unbounded shape parameters.
+        amplitude: ``[N, C]`` unbounded, where to begin; None = the prior's mean.
+        rounds: number of Newton steps.
+        centre: ``[N, C]`` unbounded mean of each cell's material, or None.
+    """
     limits = AMPLITUDE[kind]
     if amplitude is None:
         amplitude = limits.raw(torch.full_like(s.seen[0], limits.prior_mean))
@@ -109,7 +144,13 @@ def solve_amplitudes(
 
 
 def material_mean(abundances: Tensor, amplitude: Tensor, counted: Tensor | None = None) -> Tensor:
-    """Mean unbounded amplitude of the materials of every cell ``[N, C]``; of the cells ``counted`` ``[N, 1]`` alone."""
+    """Mean unbounded amplitude of the materials of every cell ``[N, C]``; of the cells ``counted`` ``[N, 1]`` alone.
+
+    Args:
+        abundances: ``[N, K]`` in [0, 1].
+        amplitude: ``[N, C]`` unbounded.
+        counted: ``[N, 1]`` weights of the cells, or None = all 1.
+    """
     mass = abundances if counted is None else abundances * counted
     return abundances @ (mass.T @ amplitude / (mass.sum(0)[:, None] + 1e-6))
 

@@ -62,7 +62,14 @@ class IlluminationModel:
     @classmethod
     def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> IlluminationModel:
         """Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
-        transients."""
+        transients.
+
+        Args:
+            options: of the fit.
+            shape: (rows, columns) [cells].
+            views: number of views.
+            device: to compute on.
+        """
         tensors: dict[str, Tensor] = {}
         random = torch.Generator().manual_seed(options.seed)
         if options.shadow == "learned":
@@ -120,7 +127,13 @@ class IlluminationModel:
         return 1 - self.tensors["transient"][view] if "transient" in self.tensors else None
 
     def visibility(self, view: int, sun: Sequence[float] | None, geometric: Tensor | None) -> Tensor | None:
-        """s = tau * (s_net or s_geo) ``[H, W]``; None = all lit."""
+        """s = tau * (s_net or s_geo) ``[H, W]``; None = all lit.
+
+        Args:
+            view: its index.
+            sun: unit vector (east, north, up), or None.
+            geometric: ``[H, W]`` cast by the heights, in [0, 1], or None.
+        """
         s = self.net(sun) if self.learned and sun is not None else geometric
         tau = self.transmission(view)
         if tau is None:
@@ -140,6 +153,14 @@ class IlluminationModel:
 
         The weight of the shadow regularisation is meant beside the paper's photometric loss, of which the fit takes
         the ``scale`` squared as its unit.
+
+        Args:
+            view: its index.
+            sun: unit vector (east, north, up), or None.
+            geometric: ``[H, W]`` cast by the heights, in [0, 1], or None.
+            epoch: counted from 1.
+            options: of the fit.
+            scale: unit of the photometric loss.
         """
         total = None
         weight = shadow_weight(options)

@@ -53,7 +53,14 @@ class Shown:
 def choose_light(
     surface: SurfaceScene, views: Sequence[View], cell_size: float, options: FitOptions
 ) -> tuple[FitOptions, list[str]]:
-    """The options with ``auto`` of `shadow` and `transient` resolved, and why."""
+    """The options with ``auto`` of `shadow` and `transient` resolved, and why.
+
+    Args:
+        surface: start surface.
+        views: the views.
+        cell_size: edge of a cell [m].
+        options: of the fit.
+    """
     if "auto" not in (options.shadow, options.transient):
         return options, []
     notes = []
@@ -75,7 +82,13 @@ def choose_light(
 
 
 def show(surface: SurfaceScene, views: Sequence[View], cell_size: float) -> Shown:
-    """Resample the views to the cells of the surface; cells that the surface itself hides from a view do not count."""
+    """Resample the views to the cells of the surface; cells that the surface itself hides from a view do not count.
+
+    Args:
+        surface: start surface.
+        views: the views.
+        cell_size: edge of a cell [m].
+    """
     height = surface.height.detach()
     colours, weights, lights = [], [], []
     for view in views:
@@ -90,7 +103,14 @@ def show(surface: SurfaceScene, views: Sequence[View], cell_size: float) -> Show
 
 
 def choose_shadow(shown: Shown, views: Sequence[View], cell_size: float, options: FitOptions) -> tuple[Shadow, str]:
-    """The richest model of the ladder that is worth its freedom, and why."""
+    """The richest model of the ladder that is worth its freedom, and why.
+
+    Args:
+        shown: what the views show.
+        views: the views.
+        cell_size: edge of a cell [m].
+        options: of the fit.
+    """
     known = [j for j, view in enumerate(views) if view.sun is not None]
     if len(known) < LEAST_VIEWS:
         return "geometric", f"{len(known)} views with a known sun are too few to compare"

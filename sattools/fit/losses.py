@@ -34,6 +34,11 @@ def robust_scale(name: str, robust: float, typical: float) -> float:
 
     So every loss weighs a pixel of typical brightness the same against the other terms of the fit; they differ in what
     darker and brighter pixels count. ``robust`` = 0 (no residual counts less) keeps the unit of 0.1.
+
+    Args:
+        name: of the loss.
+        robust: residual in tone-mapped units.
+        typical: median radiance of the images.
     """
     robust = robust or 0.1
     x = max(typical, FLOOR)

@@ -25,6 +25,12 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
     shape; a cell's amplitude has the noise of its own views, the share of the shape's error that it takes up, the error
     of its slope (`SLOPE_STD`), which all views under one sun share, and that of its texture's place (`TEXTURE_STD`).
     Materials that were told apart wrongly are not in it.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        amplitude: ``[N, C]`` unbounded.
+        solution: of the inversion.
     """
     endmembers = solution.endmembers
     sigma = noise_of(s)

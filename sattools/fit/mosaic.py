@@ -40,7 +40,13 @@ class FeatheredMosaic:
         self.weight = np.zeros(grid.shape, np.float32)
 
     def add(self, tile: Tile, values: np.ndarray, cell: float) -> None:
-        """Add a tile's map ``[h, w]`` or ``[h, w, B]``; unknown (NaN) cells count nothing."""
+        """Add a tile's map ``[h, w]`` or ``[h, w, B]``; unknown (NaN) cells count nothing.
+
+        Args:
+            tile: where it lies.
+            values: see above.
+            cell: edge of a cell [m].
+        """
         rows, cols = tile.place(self.grid, values.shape[:2])
         share = tile.weights(values.shape[:2], cell)[: rows.stop - rows.start, : cols.stop - cols.start]
         piece = values.reshape(*values.shape[:2], -1)[: share.shape[0], : share.shape[1]]
@@ -57,6 +63,11 @@ class FeatheredMosaic:
 
 def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
     """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles`.
+
+    Args:
+        plan: tiles and their scenes.
+        notes: gets what a user should know.
+        progress: told the share done and what is being done.
 
     Raises:
         SceneError: a tile that is not fitted.

@@ -232,7 +232,14 @@ class RayTrainer:
     @torch.no_grad()
     def ground_maps(self, x: Tensor, y: Tensor, z: tuple[float, float], samples: int) -> tuple[Tensor, Tensor, Tensor]:
         """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` at x ``[W]``,
-        y ``[H]`` [m]."""
+        y ``[H]`` [m].
+
+        Args:
+            x: ``[W]`` [m].
+            y: ``[H]`` [m].
+            z: lowest and highest height [m].
+            samples: number of samples per ray.
+        """
         low, high = z
         rows = []
         for north in y:
@@ -280,7 +287,13 @@ def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
 
 
 def solar_correction(weights: Tensor, transmittance: Tensor, s: Tensor) -> Tensor:
-    """mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF)."""
+    """mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
+
+    Args:
+        weights: ``[R, S]`` of the samples, sum at most 1.
+        transmittance: ``[R, S]`` along the sun's rays, in [0, 1].
+        s: ``[R, S]`` learned sun visibility, in [0, 1].
+    """
     return ((transmittance - s) ** 2).sum(dim=1).mean() + (1 - (weights * s).sum(dim=1)).mean()
 
 
@@ -289,6 +302,14 @@ def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confide
 
     It matters where the ray disagrees with the prior by more than the prior's standard deviation, or where its own
     spread is larger. Depths as shares of the path, of which the papers' unit is half.
+
+    Args:
+        weights: ``[R, S]`` of the samples, sum at most 1.
+        t: ``[R, S]`` shares of the path.
+        depth: ``[R]`` composited share of the path.
+        prior: ``[R]`` the prior's share of the path.
+        confidence: ``[R]`` in [0, 1].
+        std: ``[R]`` expected spread, as share of the path.
     """
     spread = ((weights * (t - depth[:, None]) ** 2).sum(dim=1)).clamp_min(0).sqrt()
     matters = ((depth - prior).abs() > std) | (spread > std)

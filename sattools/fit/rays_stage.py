@@ -97,7 +97,13 @@ def fit_rays(
 
 
 def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
-    """Refuse what cannot work."""
+    """Refuse what cannot work.
+
+    Args:
+        options: of the fit.
+        has_prior: whether there is one.
+        sources: the images.
+    """
     if options.guided and not has_prior:
         raise SceneError("--guided: found no prior to sample around, expected --prior-weight above 0")
     if options.field == "mlp" and options.shadow == "learned" and "sun" not in NETWORKS[options.network].heads:
@@ -132,7 +138,14 @@ def filled_prior(prior: DepthPrior, grid: Grid) -> DepthPrior:
 
 
 def ray_set(views: list[View], grid: Grid, z_range: tuple[float, float], prior: DepthPrior | None) -> RaySet:
-    """Every valid cell of every view as a ray through the height range, with the prior's depth along it."""
+    """Every valid cell of every view as a ray through the height range, with the prior's depth along it.
+
+    Args:
+        views: the views.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        prior: depth supervision, or None.
+    """
     low, high = z_range
     rows, cols = grid.shape
     x = ((torch.arange(cols) + 0.5) * grid.cell_size).expand(rows, cols)
@@ -191,7 +204,16 @@ def make_field(
     bands: int,
     prior: DepthPrior | None,
 ) -> Field:
-    """The untrained field over the grid."""
+    """The untrained field over the grid.
+
+    Args:
+        options: of the fit.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        z_ref: reference height [m].
+        bands: of the images.
+        prior: depth supervision, or None.
+    """
     east, north = grid.width * grid.cell_size, grid.height * grid.cell_size
     box = Box((0.0, -north, z_range[0]), (east, 0.0, z_range[1]))
     if options.field == "mlp":
@@ -202,7 +224,13 @@ def make_field(
 
 
 def read_surface(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float]) -> tuple[Tensor, Tensor, Tensor]:
-    """Height, its spread and albedo on the grid."""
+    """Height, its spread and albedo on the grid.
+
+    Args:
+        trainer: of the field.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+    """
     x = (torch.arange(grid.width) + 0.5) * grid.cell_size
     y = -(torch.arange(grid.height) + 0.5) * grid.cell_size
     return trainer.ground_maps(x, y, z_range, GROUND_SAMPLES)

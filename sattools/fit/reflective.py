@@ -88,7 +88,14 @@ class ReflectiveScene(SurfaceScene):
         return self.gain[index] * self.scale[index] * light + self.offset[index]
 
     def light(self, sun: Tensor, towards: Tensor, visibility: Tensor | None, ambient: Tensor) -> Tensor:
-        """pi L / E ``[H, W, C]`` towards ``towards`` under ``sun`` (unit vectors)."""
+        """pi L / E ``[H, W, C]`` towards ``towards`` under ``sun`` (unit vectors).
+
+        Args:
+            sun: ``[3]`` unit vector to the sun.
+            towards: ``[3]`` unit vector to the sensor.
+            visibility: ``[H, W]`` of the sun, in [0, 1], or None = all lit.
+            ambient: ``[C]`` share of the light that reaches shade.
+        """
         amplitude, shape = self.values()
         light = radiance_factor(self.kind, self.normals(), sun, towards, amplitude, shape)
         if visibility is None:
@@ -128,7 +135,13 @@ class ReflectiveScene(SurfaceScene):
 
     @torch.no_grad()
     def samples(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> Samples:
-        """What the views show of the present surface, as pi L / E; shade and what is outside weighs nothing."""
+        """What the views show of the present surface, as pi L / E; shade and what is outside weighs nothing.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+        """
         height = self.height.detach()
         seen, weight = [], []
         for j, view in enumerate(views):
@@ -159,7 +172,15 @@ class ReflectiveScene(SurfaceScene):
         rounds: int,
         amplitudes: bool,
     ) -> tuple[Samples, Solution]:
-        """Find the endmembers anew, from `SAMPLES` cells, and the amplitudes of all cells if asked for."""
+        """Find the endmembers anew, from `SAMPLES` cells, and the amplitudes of all cells if asked for.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+            rounds: number of Gauss-Newton steps.
+            amplitudes: find them, too.
+        """
         whole = self.samples(views, visibility, cell_size)
         usable = torch.nonzero((whole.weight > 0).sum(0) >= 2)[:, 0]
         if len(usable) == 0:
@@ -177,7 +198,13 @@ class ReflectiveScene(SurfaceScene):
         return whole, solution
 
     def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
-        """The endmembers for the present heights."""
+        """The endmembers for the present heights.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+        """
         self.solve(views, visibility, cell_size, 2, amplitudes=False)
 
     @torch.no_grad()
@@ -186,6 +213,11 @@ class ReflectiveScene(SurfaceScene):
 
         The amplitudes stay those of gradient descent, which undoes the blur of the images, but for what they must move
         along with the endmembers.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
 
         Returns:
             Standard deviation of every parameter, by name.
@@ -285,7 +317,15 @@ def reflective(
 def restored(
     tensors: Mapping[str, Tensor], kind: Kind, cell_size: float, smooth: float, absolute: bool
 ) -> ReflectiveScene:
-    """A scene from its own `ReflectiveScene.tensors`; others are left out."""
+    """A scene from its own `ReflectiveScene.tensors`; others are left out.
+
+    Args:
+        tensors: by name.
+        kind: reflectance model.
+        cell_size: edge of a cell [m].
+        smooth: weight of the amplitudes' smoothness.
+        absolute: whether the images are reflectances.
+    """
     names = {f.name for f in fields(ReflectiveScene)}
     own = {name: t.clone() for name, t in tensors.items() if name in names}
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)

@@ -47,6 +47,11 @@ def concave(x: Tensor, scale: float, knee: float = 1.0) -> Tensor:
     """knee * log(1 + charbonnier(x) / knee): above the knee a large step costs little more than a small one.
 
     Many middling steps cost more than one wall of the same height, so slopes between two levels steepen into walls.
+
+    Args:
+        x: differences [m].
+        scale: below which they are noise [m].
+        knee: above which they cost little more [m].
     """
     linear = charbonnier(x, scale)
     return linear if math.isinf(knee) else knee * torch.log1p(linear / knee)

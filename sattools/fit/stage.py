@@ -17,6 +17,12 @@ from sattools.scene.jsonio import JsonObject
 def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Fit a surface to the scene's training images; writes the model and the trace below the root.
 
+    Args:
+        scene: the scene.
+        options: of the fit.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+
     Returns:
         Remarks and figures for the history.
 

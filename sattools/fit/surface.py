@@ -69,7 +69,13 @@ class SurfaceScene:
         return 0.0
 
     def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
-        """Bring up to date what is not trained by gradient; called every few epochs."""
+        """Bring up to date what is not trained by gradient; called every few epochs.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+        """
 
     def to(self, device: torch.device) -> SurfaceScene:
         """The scene on a device."""
@@ -108,7 +114,16 @@ class SurfaceScene:
 def start_scene(
     height: Tensor, albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float, absolute: bool = False
 ) -> SurfaceScene:
-    """A first surface ``[H, W]`` with an albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``."""
+    """A first surface ``[H, W]`` with an albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``.
+
+    Args:
+        height: ``[H, W]`` [m].
+        albedo: ``[H, W, C]``.
+        gain: ``[V, C]``.
+        offset: ``[V, C]`` radiance.
+        ambient: share of the light that reaches shade.
+        absolute: whether the images are reflectances.
+    """
     return SurfaceScene(
         height.clone(),
         albedo.clone(),

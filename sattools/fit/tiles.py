@@ -28,6 +28,11 @@ log = logging.getLogger(__name__)
 def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) -> JsonObject:
     """Fit a scene in tiles; called by `sattools.fit.stage.fit`, which has set the roles of the images.
 
+    Args:
+        scene: the scene.
+        options: of the fit.
+        progress: told the share done and what is being done.
+
     Returns:
         Remarks and figures for the history.
 

@@ -44,14 +44,26 @@ class StageSettings:
 
 def prior_loss(height: Tensor, prior: DepthPrior, limit: float = 1.0) -> Tensor:
     """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior
-    lets go."""
+    lets go.
+
+    Args:
+        height: ``[H, W]`` [m].
+        prior: on the same grid.
+        limit: difference above which it costs no more [m].
+    """
     known = torch.isfinite(prior.height)
     difference = torch.where(known, height - torch.nan_to_num(prior.height), 0.0).abs()
     return (prior.confidence * difference.clamp_max(limit)).mean()
 
 
 def make_quadrature(softness: float, z_range: tuple[float, float], samples: float = 1.5) -> Quadrature:
-    """Samples every softness / ``samples`` from above the highest to below the lowest height."""
+    """Samples every softness / ``samples`` from above the highest to below the lowest height.
+
+    Args:
+        softness: of the surface [m].
+        z_range: lowest and highest height [m].
+        samples: number of samples per softness.
+    """
     return Quadrature(softness, softness / samples, z_range[1] + 6 * softness, z_range[0] - 10 * softness)
 
 

@@ -53,7 +53,14 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
 
 
 def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
-    """Fit the whole area of a scene, whatever `options.tile` says; see `sattools.fit.stage.fit`."""
+    """Fit the whole area of a scene, whatever `options.tile` says; see `sattools.fit.stage.fit`.
+
+    Args:
+        scene: the scene.
+        options: of the fit.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+    """
     may = may_write(scene, options, overwrite, (CHECKPOINT, STATE))
     begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):

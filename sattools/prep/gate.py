@@ -118,7 +118,13 @@ def _limit_px(size: tuple[int, int]) -> float:
 
 
 def mirrored(rpc: RPC, lon: float, lat: float) -> bool:
-    """The camera sees the ground from below, or its longitude and latitude are exchanged."""
+    """The camera sees the ground from below, or its longitude and latitude are exchanged.
+
+    Args:
+        rpc: the camera.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+    """
     jac = rpc.jacobian(lon, lat, rpc.alt_offset)[:, :2]
     return bool(np.linalg.det(jac) > 0)
 
@@ -231,7 +237,14 @@ def check_cells(grid: Grid, pixel_m: float) -> None:
 
 
 def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> list[str]:
-    """Raise InputError for heights that are not of the Earth or not of this place; notes where they may be meant."""
+    """Raise InputError for heights that are not of the Earth or not of this place; notes where they may be meant.
+
+    Args:
+        low: lowest [m].
+        high: highest [m].
+        tie_heights: ``[n]`` heights of the tie points [m].
+        given: whether the user gave them.
+    """
     if not low < high:
         raise InputError(f"heights: found lowest {low:g} m and highest {high:g} m, expected lowest < highest")
     if low < HEIGHT_LIMITS_M[0] or high > HEIGHT_LIMITS_M[1]:

@@ -95,6 +95,11 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
 
     What `metadata_dir` holds comes before what lies beside the image, and that before the image's own tags.
     Raises InputError: missing, unreadable, no RPC, metadata of another crop.
+
+    Args:
+        path: of the image.
+        name: its id.
+        metadata_dir: folder to look for metadata in, too.
     """
     with opened(path) as data:
         size = (data.height, data.width)
@@ -220,6 +225,11 @@ def significant_bits(source: SourceImage, highest: float) -> int | None:
 
 def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
+
+    Args:
+        source: the image.
+        rpc: the camera.
+        target: file to write.
 
     Raises: InputError when the source cannot be read; SattoolsError when the target cannot be written.
     """

@@ -37,7 +37,14 @@ def off_nadir_deg(incidence_deg: float, platform: str | None) -> float:
 
 
 def sun_angles(source: SourceImage, lon: float, lat: float, height: float) -> tuple[float, float, str] | None:
-    """(azimuth, elevation, where from) of the sun: metadata, else time and place; None when neither is known."""
+    """(azimuth, elevation, where from) of the sun: metadata, else time and place; None when neither is known.
+
+    Args:
+        source: the image.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        height: of the ground [m].
+    """
     meta = source.metadata
     if meta.sun is not None:
         return *meta.sun, "metadata"
@@ -51,6 +58,13 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
     """The STAC item of an image; `rpc` is the corrected camera of its window. Adds notes to the source.
 
     `view:azimuth` is the direction from the ground to the sensor, clockwise from true north, as vendors give it.
+
+    Args:
+        source: the image.
+        rpc: the camera.
+        view: its adjustment.
+        grid: ground grid.
+        heights: lowest and highest height [m].
     """
     width, height = source.window[2], source.window[3]
     middle = 0.5 * (heights[0] + heights[1])

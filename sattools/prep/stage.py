@@ -69,6 +69,12 @@ def prepare(
     for), `rpc/<item>_RPC.TXT`, `tie_points.geojson`, `adjustment.json`, `adjustment.txt`. Everything is checked before
     anything is written.
 
+    Args:
+        images: files to read.
+        options: of the stage.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+
     Returns: the scene, and notes and figures for its history.
     Raises: InputError (one line, naming the file) for images that cannot be used; OutputExistsError.
     """
@@ -170,6 +176,12 @@ def survey(
     """All that can be said without reading pixels: the images that show the area, the ground CRS, the area asked for.
 
     Raises InputError for what cannot be used; warns of what is odd.
+
+    Args:
+        images: files to read.
+        ids: their ids.
+        options: of the stage.
+        notes: gets what a user should know.
     """
     metadata_dir = Path(options.metadata) if options.metadata else None
     if metadata_dir is not None and not metadata_dir.is_dir():

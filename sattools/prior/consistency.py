@@ -63,6 +63,11 @@ def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
 
     Of the nearest standing cells in eight directions the third lowest counts, or the highest of fewer; a cell without
     any within reach keeps its own.
+
+    Args:
+        height: ``[H, W]`` [m].
+        stands: ``[H, W]`` bool.
+        cell: edge of a cell [m].
     """
     result = height.copy()
     _fill(height, stands, max(1, round(REACH_M / cell)), result)

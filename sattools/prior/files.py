@@ -15,6 +15,13 @@ from sattools.scene.raster import read_raster, write_sensor_image
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
     """Write a map ``[rows, columns]`` float32 (NaN = unknown) as tiled GeoTIFF with the image's camera in its RPC tags.
 
+    Args:
+        path: file to write.
+        array: ``[rows, columns]``.
+        rpc: the camera.
+        name: of the band.
+        unit: of the values.
+
     Raises:
         SattoolsError: the file cannot be written.
     """

@@ -45,7 +45,14 @@ class Match:
 
 
 def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
-    """Margin in cells, even, so that no point within the heights leaves the frame with its window."""
+    """Margin in cells, even, so that no point within the heights leaves the frame with its window.
+
+    Args:
+        slopes: ``[V, 2]`` (row, column) cells per metre of height.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+        window: half width of the matching window [cells].
+    """
     reach = max(abs(z_range[0] - z_ref), abs(z_range[1] - z_ref))
     cells = math.ceil(float(np.abs(slopes).max()) * reach) + 2 * window + 4
     return cells + cells % 2

@@ -112,7 +112,14 @@ def prior(
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
-    """Write height [m] and confidence, both ``[H, W]``, and the height's normals as the scene's prior."""
+    """Write height [m] and confidence, both ``[H, W]``, and the height's normals as the scene's prior.
+
+    Args:
+        scene: gets the products.
+        height: ``[H, W]`` [m].
+        confidence: ``[H, W]`` in [0, 1].
+        grid: of the maps.
+    """
     targets = {name: scene.output(name) for name in (DSM, CONFIDENCE, NORMALS)}
     tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
     write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
@@ -140,6 +147,12 @@ def gamma_encode(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: 
 
     Linear radiance hides the texture of shadows in a sliver of its range; 8-bit images bring their tone curve along.
     ``contrast``: of all images before, where it is known; else that of these.
+
+    Args:
+        images: ``[V, H, W]`` radiance.
+        masks: ``[V, H, W]`` 1 = valid.
+        linear: whether they are linear radiance.
+        contrast: see above.
     """
     curve = gamma_encoded(images, linear)
     return (curve * (REFERENCE_CONTRAST / (contrast or contrast_of(curve, masks)))).astype(np.float32)
@@ -171,6 +184,12 @@ def make_frame(
     """Resample all images to the grid and a margin around it, so that high and low points at its border are seen too.
 
     Rows and columns are made even, as matching halves them.
+
+    Args:
+        sources: the images.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        window: half width of the matching window [cells].
     """
     z_ref = z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
     cell = grid.cell_size

@@ -89,7 +89,14 @@ def compute_visibility(
 def at_surface(
     frame: Frame, first_hit_height: np.ndarray, surface: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What every view shows at the surface ``[H, W]``, and whether it sees it: ``[V, H, W]`` float32 and bool."""
+    """What every view shows at the surface ``[H, W]``, and whether it sees it: ``[V, H, W]`` float32 and bool.
+
+    Args:
+        frame: the views.
+        first_hit_height: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
+        surface: ``[H, W]`` heights [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+    """
     rows, cols = np.indices(frame.shape)
     value = np.empty((len(frame.images), *frame.shape), np.float32)
     seen = np.empty(value.shape, bool)

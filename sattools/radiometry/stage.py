@@ -64,6 +64,12 @@ def normalise(
     Sets per item `sattools:radiance` (``toa_reflectance``, ``reflectance_factor`` or ``relative``) and
     `sattools:tone` (``linear``, or ``tone-mapped`` for 8-bit images left as they are). Nothing is clipped.
 
+    Args:
+        scene: the scene.
+        options: of the stage.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+
     Returns:
         Shares of masked pixels per image, and notes, for the history.
 

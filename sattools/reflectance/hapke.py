@@ -319,6 +319,8 @@ def hapke(
         b0, h: amplitude and angular width (> 0) of the opposition effect; b0 = 0 leaves it out.
             All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``):
             what does not depend on the band is then computed once.
+        b: width of the phase function's lobes, in (-1, 1).
+        c: share of the backward lobe, in [0, 1].
 
     Returns:
         Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0
@@ -337,7 +339,13 @@ def hapke(
 
 
 def plain_hapke(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> Tensor:
-    """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors."""
+    """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+    """
     opposition = (0.0, 1.0)[len(parameters) - 4 :]  # b0 and h, where they are not given
     operands, needed = _operands(normal, sun, view, *parameters, *opposition)
     return _Hapke.apply(needed, *operands)
@@ -366,6 +374,12 @@ def effective_cosines(
     """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
 
     They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+        theta_deg: macroscopic roughness [degrees].
 
     Raises:
         TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.

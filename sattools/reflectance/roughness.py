@@ -125,6 +125,14 @@ def reverse(
     """Gradients of t and, if ``geometry``, of the `Angles`, from those of a_lo, a_hi and K.
 
     Those of ``minus2`` and ``plus2`` are what comes through cos g = (plus2 - minus2) / 4.
+
+    Args:
+        facet: of the forward pass.
+        t: tan of the roughness.
+        g_a_lo: gradient of a_lo.
+        g_a_hi: gradient of a_hi.
+        g_k: gradient of K.
+        geometry: whether the angles need theirs.
     """
     o = facet
     g_kk = g_k * o.k

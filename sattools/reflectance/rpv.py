@@ -37,6 +37,9 @@ def rpv(
         normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
         rho0: amplitude, 0 to 1. k: exponent, 0 to 2. theta: asymmetry, -1 (back) to 1 (forward). rhoc: hot spot, 0 to
             1, 1 = none. All broadcastable to ``[...]``.
+        k: bowl (below 1) or bell shape.
+        theta: asymmetry, in (-1, 1).
+        rhoc: hot spot.
 
     Returns:
         Bidirectional reflectance factor pi L / E, E the irradiance of the facet; 0 where the facet faces

@@ -46,7 +46,13 @@ class Sampling(NamedTuple):
 
 
 def coefficients(function: Callable[[np.ndarray], np.ndarray], degree: int, domain: tuple[float, float]) -> tuple:
-    """Of a polynomial close to the function on the domain, as float32, the constant one first."""
+    """Of a polynomial close to the function on the domain, as float32, the constant one first.
+
+    Args:
+        function: to follow.
+        degree: of the polynomial.
+        domain: from, to.
+    """
     series = np.polynomial.Chebyshev.interpolate(function, degree, domain)
     return tuple(np.float32(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
 

@@ -42,7 +42,13 @@ class Grid:
 
     @classmethod
     def from_bounds(cls, crs: str, bounds: tuple[float, float, float, float], cell_size: float) -> Grid:
-        """Smallest grid that covers ``bounds`` (west, south, east, north), edges on multiples of the cell size."""
+        """Smallest grid that covers ``bounds`` (west, south, east, north), edges on multiples of the cell size.
+
+        Args:
+            crs: projected ground CRS [m].
+            bounds: (west, south, east, north) [m].
+            cell_size: edge of a cell [m].
+        """
         west, south, east, north = bounds
         if not (east > west and north > south):
             raise SceneError(f"grid: found bounds {bounds}, expected west < east and south < north")

@@ -44,6 +44,11 @@ def decode(data: bytes, source: str, *, strict: bool = True) -> str:
     """Text of UTF-8, with or without byte order mark, or of UTF-16 or UTF-32 with one; else InputError.
 
     With `strict` off, bytes of another encoding are taken for Latin-1, as vendors' metadata may have them.
+
+    Args:
+        data: of the file.
+        source: name for error messages.
+        strict: refuse control characters.
     """
     marks = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
     encoding = next((name for mark, name in marks if data.startswith(mark)), "utf-8-sig")
@@ -59,13 +64,24 @@ def decode(data: bytes, source: str, *, strict: bool = True) -> str:
 
 
 def read_text(path: Path | str, limit: int = TEXT_LIMIT, *, strict: bool = True) -> str:
-    """Text of a file with plain line ends; see `read_bytes` and `decode` for what is refused."""
+    """Text of a file with plain line ends; see `read_bytes` and `decode` for what is refused.
+
+    Args:
+        path: of the file.
+        limit: bytes, at most.
+        strict: refuse control characters.
+    """
     text = decode(read_bytes(path, limit), str(path), strict=strict)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
     """The value that a JSON text stands for.
+
+    Args:
+        text: of the document.
+        source: name for error messages.
+        expected: what it should be, for error messages.
 
     Raises: InputError, naming `source`: no JSON, too deeply nested, or with numbers or text that cannot be kept.
     """

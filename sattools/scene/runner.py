@@ -47,6 +47,11 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
 
     The scene's folder is what counts: what another command has added to its document since this one was read is kept.
 
+    Args:
+        scene: the scene.
+        step: what is run, and how.
+        work: what is done.
+
     Raises:
         SceneError: the scene's folder is not there, or holds the document of something else.
     """
@@ -68,7 +73,13 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
 def run_first(
     step: Step, make: Callable[[Progress], tuple[Scene, JsonObject | None]], inputs: Iterable[Path] = ()
 ) -> Scene:
-    """Make a scene; ``inputs`` are files that it must not write onto."""
+    """Make a scene; ``inputs`` are files that it must not write onto.
+
+    Args:
+        step: what is run, and how.
+        make: gives the scene and its history entry.
+        inputs: see above.
+    """
     start = time.perf_counter()
     with all_or_nothing(inputs, step.overwrite):
         scene, extra = make(step.progress)

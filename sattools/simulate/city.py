@@ -126,6 +126,16 @@ def build_city(
     """A city that covers a north-up square of `size_m` metres and `margin_m` around it; the tower stands in its middle.
 
     `base_m` is the height of the ground. The blocks are turned by `rotation_deg`, so that no wall follows the grid.
+
+    Args:
+        centre: (easting, northing) [m].
+        size_m: edge of the square [m].
+        cell_size: edge of a cell [m].
+        base_m: height of the ground [m].
+        rng: random numbers.
+        rotation_deg: of the streets [degrees].
+        margin_m: see above [m].
+        trees: plant some.
     """
     angle = math.radians(rotation_deg)
     side = size_m * (abs(math.cos(angle)) + abs(math.sin(angle))) + 2 * margin_m

@@ -37,6 +37,11 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
 
     Digital number 4095 is a reflectance factor pi L / E of 1, E the sun's irradiance across its beam. The most nadir
     `options.train` views are for training, the others are held out.
+
+    Args:
+        scene: without items.
+        options: of the simulation.
+        progress: told the share done and what is being done.
     """
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
@@ -64,7 +69,14 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
 def plan_fan(
     options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
 ) -> list[SimulatedView]:
-    """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle."""
+    """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle.
+
+    Args:
+        options: of the simulation.
+        grid: ground grid.
+        heights: lowest and highest height [m].
+        rng: random numbers.
+    """
     west, south, east, north = grid.bounds
     x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
     lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
@@ -104,6 +116,12 @@ def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime
     """A time in 2020 when the sun stands there (degrees, azimuth from true north), to a degree; else `START`.
 
     The sun's declination follows from the triangle of pole, zenith and sun, the day from the declination.
+
+    Args:
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        azimuth: of the sun [degrees].
+        elevation: of the sun [degrees].
     """
     phi, a, e = np.radians([lat, azimuth, elevation])
     declination = np.sin(phi) * np.sin(e) + np.cos(phi) * np.cos(e) * np.cos(a)
@@ -150,7 +168,14 @@ def spread(image: np.ndarray) -> np.ndarray:
 
 
 def write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance: str) -> None:
-    """Truth of the reflectance parameters, units and normals on the scene's grid, as products ``truth_<name>``."""
+    """Truth of the reflectance parameters, units and normals on the scene's grid, as products ``truth_<name>``.
+
+    Args:
+        scene: gets the products.
+        world: what is seen.
+        grid: ground grid.
+        reflectance: model of all units.
+    """
     maps: dict[str, np.ndarray] = {AMOUNT[reflectance]: _pooled(world, world.albedo, grid).transpose(2, 0, 1)}
     shape = world.on_grid(world.parameters, grid)
     maps |= {name: shape[..., k] for k, name in enumerate(PARAMETERS[reflectance])}

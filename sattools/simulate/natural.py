@@ -146,6 +146,12 @@ def fractal(count: int, cell: float, slope_deg: float, rng: np.random.Generator)
     """Relief ``[count, count]`` in metres about 0: amplitude ~ wavelength^1.9, none below `SMOOTHEST_M`.
 
     Its mean slope is `slope_deg`.
+
+    Args:
+        count: cells along an edge.
+        cell: edge of a cell [m].
+        slope_deg: mean slope [degrees].
+        rng: random numbers.
     """
     fy, fx = np.fft.fftfreq(count, cell)[:, None], np.fft.rfftfreq(count, cell)[None]
     f = np.hypot(fx, fy)
@@ -170,6 +176,13 @@ def paint(
     """Unit codes ``[H, W]``, amount ``[H, W, 3]`` and parameters ``[H, W, 3]`` of patches about 100 m wide.
 
     Every unit's values are drawn within 12 % of the library's, so that two seeds are two places.
+
+    Args:
+        count: cells along an edge.
+        cell: edge of a cell [m].
+        units: number of geological units.
+        reflectance: model of all units.
+        rng: random numbers.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -37,6 +37,12 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     Writes `images/` (digital numbers, RPC tags with the bias asked for), `metadata/` (Sat-NeRF JSON with the same
     RPCs), `rpc/` (the true RPCs, which the scene's items use), `truth/` (DSM, classes, albedo on the scene's grid;
     per view the share of sunlit ground and the height seen). Raises OutputExistsError where a scene is there already.
+
+    Args:
+        options: of the simulation.
+        root: folder in which the scene's own is made.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
     """
     scene = Scene(options.id, Path(root))
     check_outputs([scene.output("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
@@ -67,7 +73,14 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
 def plan_views(
     options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
 ) -> list[SimulatedView]:
-    """Cameras, dates and suns: directions spread by the golden angle, mornings some 60 days apart."""
+    """Cameras, dates and suns: directions spread by the golden angle, mornings some 60 days apart.
+
+    Args:
+        options: of the simulation.
+        grid: ground grid.
+        heights: lowest and highest height [m].
+        rng: random numbers.
+    """
     west, south, east, north = grid.bounds
     x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
     lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))

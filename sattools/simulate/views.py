@@ -55,7 +55,15 @@ def take_all(
     take: Callable[[int, SimulatedView, np.random.SeedSequence], Item],
     progress: Progress,
 ) -> None:
-    """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise."""
+    """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise.
+
+    Args:
+        scene: gets the items.
+        views: the views.
+        seed: of all noise.
+        take: see above.
+        progress: told the share done and what is being done.
+    """
     with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
         # files that are held back until the scene is whole are so in every thread
         jobs = [

@@ -128,6 +128,12 @@ def _needed(
 def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple[float, float]) -> list[View]:
     """All sources resampled to a grid; see `make_view`.
 
+    Args:
+        sources: the images.
+        grid: ground grid.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+
     Raises:
         SceneError: an image shows nothing of the grid.
     """

@@ -42,6 +42,12 @@ def line_of_sight(
 ) -> tuple[tuple[float, float], float]:
     """Common slope of a view's rays over the grid, and how far a ray strays from it [m].
 
+    Args:
+        rpc: the camera.
+        grid: ground grid.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+
     Returns:
         (east, north) metres per metre of height, and the largest deviation within ``z_range``.
     """

@@ -125,11 +125,11 @@ import hashlib, sys
 from sattools.cli import set_threads
 set_threads(int(sys.argv[1]))
 import torch
-from sattools.render import Quadrature, Rays, render
+from sattools.render import ParallelRays, Quadrature, render
 noise = torch.Generator().manual_seed(0)
 height = (5 * torch.rand(260, 256, generator=noise)).requires_grad_()  # four chunks of rows
 colour = torch.rand(260, 256, 2, generator=noise).requires_grad_()
-rgb, depth, opacity = render(height, colour, Rays((0.375, -0.25), 0.5), Quadrature(0.5, 1 / 3, 8.0, -5.0), 1.0)
+rgb, depth, opacity = render(height, colour, ParallelRays((0.375, -0.25), 0.5), Quadrature(0.5, 1 / 3, 8.0, -5.0), 1.0)
 (rgb.square().sum() + depth.sum()).backward()
 parts = [t.detach().numpy().tobytes() for t in (rgb, depth, opacity, height.grad, colour.grad)]
 print(hashlib.sha256(b"".join(parts)).hexdigest())
