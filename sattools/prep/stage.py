@@ -23,6 +23,7 @@ from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
 from sattools.prep.gate import (
     check_cells,
     check_corrections,
+    check_height_unit,
     check_heights,
     check_pixels,
     check_places_and_suns,
@@ -158,6 +159,7 @@ def survey(
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
     check_sources(sources)
     _warn(check_places_and_suns(sources), remarks)
+    _warn(check_height_unit(sources), remarks)
     lon, lat = _middle(sources)
     crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
     check_scale(crs, lon, lat)
