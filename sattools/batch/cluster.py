@@ -104,10 +104,17 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
             if future.status == "finished":
                 result = future.result()
             else:
-                lost = future.exception()
-                result = {"key": task.key, "status": "failed", "error": f"{type(lost).__name__}: {lost}"}
+                result = {"key": task.key, "status": "failed", "error": _lost(future)}
             for job in finished(task, result):
                 waiting.add(submit(job))
+
+
+def _lost(future: Any) -> str:
+    """Why a task has no result that it would have made itself."""
+    error = future.exception() if future.status == "error" else None
+    if error is None:
+        return f"found it {future.status}, expected its result (is the Dask scheduler still there?)"
+    return f"{type(error).__name__}: {error}"
 
 
 def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
@@ -142,8 +149,7 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    # Dask's own messages are for those who run the cluster
-    logging.getLogger("distributed").propagate = False
+    _silence()
     # a lost task may be the fault of the task: it is not tried for ever
     settings = {"distributed.scheduler.allowed-failures": options.retries}
     with dask.config.set(settings):
@@ -169,6 +175,16 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
         )
         with cluster, Client(cluster) as client:
             yield client
+
+
+def _silence() -> None:
+    """Keep Dask's own messages, tracebacks of lost connections above all, for those who run the cluster (-vv)."""
+    if logging.getLogger("sattools").level == logging.DEBUG:
+        return
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    for name in ("distributed", *names, "tornado.application", "asyncio"):
+        # its loggers have handlers and levels of their own
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def _gpus() -> list[str]:

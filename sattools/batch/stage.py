@@ -183,8 +183,8 @@ def batch(
         if plan.jobs:
             run(plan.jobs, options, shares(options, cores), state.finished, state.told)
     finally:
-        # commands die with their workers, in the middle of whatever they write
-        remove_orphans(out)
+        # commands die with their workers, a little later and in the middle of whatever they write
+        remove_orphans(out, patience_s=10)
     rows = plan.table()
     write_tables(rows, out)
     draw(rows, out / FIGURE)

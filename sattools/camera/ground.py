@@ -231,12 +231,29 @@ def ground_sample_distance(rpc: RPC, lon: float, lat: float, h: float) -> float:
     return float(abs(np.linalg.det(jac)) ** -0.5)
 
 
+def foreshortening(rpc: RPC, lon: float, lat: float, h: float) -> tuple[float, float]:
+    """Tangent of the incidence angle by the camera's heights, and length over width of its pixels on the ground.
+
+    The length is along the line of sight on level ground, the width across. Square pixels of a camera that looks
+    down at incidence i are 1 / cos i times as long as wide, whatever its heights are counted in.
+    """
+    east, north = metres_per_degree(lat, h)
+    jac = rpc.jacobian(lon, lat, h)
+    plane = jac[:, :2] / np.array([east, north])
+    shift = np.linalg.solve(plane, -jac[:, 2])  # ground metres per unit of height
+    tangent = float(np.hypot(*shift))
+    along = shift / tangent if tangent > 0 else np.array([0.0, 1.0])
+    across = np.array([-along[1], along[0]])
+    return tangent, float(np.hypot(*(plane @ across)) / np.hypot(*(plane @ along)))
+
+
 __all__ = [
     "azimuth_elevation",
     "check_projected",
     "check_scale",
     "convergence_deg",
     "direction",
+    "foreshortening",
     "from_geographic",
     "grid_direction",
     "ground_rays",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.batch.options import BatchOptions
+from sattools.cli.interrupts import checked
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import documents, parse, report_error
 from sattools.errors import SattoolsError
@@ -58,7 +59,7 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
             return
         root = click.get_current_context().find_root()
         cores = root.params.get("threads") or len(os.sched_getaffinity(0))
-        progress = make_progress(root.obj["progress"], "batch")
+        progress = checked(make_progress(root.obj["progress"], "batch"))
         done = batch(options, scenes_given, configurations, cores, progress, overwrite=overwrite, emit=click.echo)
     except SattoolsError as error:
         report_error("batch", error)

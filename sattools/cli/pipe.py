@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sattools.cli.interrupts import checked
 from sattools.cli.options import print_config
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.errors import InputError, SattoolsError, SceneError
@@ -160,7 +161,7 @@ def _step(run: Run, label: str) -> Step:
 def _progress(command: str, label: str) -> Progress:
     context = click.get_current_context(silent=True)
     mode = (context.find_root().obj or {}).get("progress", "none") if context else "none"
-    return make_progress(mode, f"{command} {label}")
+    return checked(make_progress(mode, f"{command} {label}"))
 
 
 def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:

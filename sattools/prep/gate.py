@@ -5,6 +5,7 @@ Every check compares two things that were found independently of each other, as 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections import Counter
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment
-from sattools.camera.ground import ground_sample_distance, view_direction
+from sattools.camera.ground import foreshortening, ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage
@@ -31,6 +32,8 @@ _CAMERA_TOLERANCE_PX = 40.0  # vendors' cameras are good to some metres; the wor
 _CAMERA_SHARE = 0.2  # of an image's shorter side
 _VIEW_TOLERANCE_DEG = 2.0
 _PIXEL_M = (0.005, 2000.0)
+_FOOT_M = 0.3048
+_LEAST_STRETCH = 0.02  # of pixels on the ground beyond what heights in metres explain: line rates make up to 0.01
 _LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
@@ -175,6 +178,29 @@ def check_places_and_suns(sources: Sequence[SourceImage]) -> list[str]:
     return notes
 
 
+def check_height_unit(sources: Sequence[SourceImage]) -> list[str]:
+    """A note where all cameras count heights in feet: their lines of sight look steeper than their pixels do."""
+    found = []
+    for source in sources:
+        height, width = source.size
+        lon, lat = source.rpc.localization((width - 1) / 2, (height - 1) / 2, source.rpc.alt_offset)
+        if math.isfinite(lon) and math.isfinite(lat):
+            with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
+                found.append(foreshortening(source.rpc, lon, lat, source.rpc.alt_offset))
+    tangents, stretches = np.array(found or [(0.0, 1.0)]).T
+
+    def off(unit: float) -> float:
+        return float(np.sqrt(np.mean((stretches - np.hypot(1.0, tangents / unit)) ** 2)))
+
+    if off(1.0) > _LEAST_STRETCH and off(_FOOT_M) < 0.25 * off(1.0):
+        by_heights, by_pixels = (np.degrees(np.arctan(tangents.max() / unit)) for unit in (1.0, _FOOT_M))
+        return [
+            f"the cameras look down {by_heights:.0f} degrees off the vertical by their heights, {by_pixels:.0f} by "
+            "their pixels' shapes: are the heights of the RPCs feet?"
+        ]
+    return []
+
+
 def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
     """Angle in degrees between two directions (azimuth, elevation)."""
     (az_a, el_a), (az_b, el_b) = (tuple(map(math.radians, angles)) for angles in (a, b))
@@ -269,6 +295,7 @@ def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> l
 __all__ = [
     "check_cells",
     "check_corrections",
+    "check_height_unit",
     "check_heights",
     "check_pixels",
     "check_places_and_suns",

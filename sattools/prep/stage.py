@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -23,13 +21,13 @@ from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
 from sattools.prep.gate import (
     check_cells,
     check_corrections,
+    check_height_unit,
     check_heights,
     check_pixels,
     check_places_and_suns,
     check_sources,
 )
-from sattools.prep.images import SourceImage, check_ids, load_source, read_gray, write_image
-from sattools.prep.items import describe, tie_point_features
+from sattools.prep.images import SourceImage, check_ids, load_source, read_gray
 from sattools.prep.layout import (
     Bounds,
     common_bounds,
@@ -40,10 +38,10 @@ from sattools.prep.layout import (
     outline,
 )
 from sattools.prep.options import PrepOptions
+from sattools.prep.outputs import REPORTS, write_images, write_reports
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import begin
-from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
@@ -51,13 +49,7 @@ from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)
 _BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
-_FINAL_MARGIN_PX = 16
 _SEARCH_HEIGHT_M = 600.0
-_REPORTS = {
-    "adjustment": "adjustment.json",
-    "adjustment_report": "adjustment.txt",
-    "tie_points": "tie_points.geojson",
-}
 
 
 def prepare(
@@ -103,11 +95,11 @@ def prepare(
     _warn(check_heights(*heights, result.heights(), given), notes)
     scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked)
     scene.height_range_m = heights
-    _write_images(scene, sources, result, asked is not None, subprogress(progress, 0.85, 1.0))
+    write_images(scene, sources, result, asked is not None, subprogress(progress, 0.85, 1.0))
     for item, source in zip(scene.items, sources, strict=True):
         item.properties["sattools:role"] = roles[source.id]
         notes += [f"{source.id}: {r}" for r in source.notes]
-    _write_reports(scene, result)
+    write_reports(scene, result)
     progress(1.0, "done")
     return scene, {
         "notes": notes,
@@ -144,24 +136,6 @@ def _adjusted(
     return replace(result, rpcs=cameras) if options.correction == "none" else result
 
 
-def _write_images(
-    scene: Scene, sources: Sequence[SourceImage], result: Adjustment, crop: bool, progress: Progress
-) -> None:
-    """Write pixels and cameras, cropped to the scene's area if asked for, and add the items."""
-    grid, heights = scene.require_grid(), scene.require_height_range()
-    full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
-    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
-        progress(k / len(sources), f"writing {source.id}")
-        if crop:
-            source.window = crop_window(rpc, grid.crs, grid.bounds, heights, source.size, _FINAL_MARGIN_PX)
-            if min(source.window[2:]) < 1:
-                raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
-        camera = rpc.cropped(source.window[0], source.window[1])
-        write_image(source, camera, scene.output(f"images/{source.id}.tif"))
-        write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
-        scene.items.append(describe(source, camera, result.views[k], grid, heights))
-
-
 def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:
     """All checks of `prepare` that need no pixels; raises what it would raise."""
     images = [location(p) for p in images]
@@ -189,6 +163,7 @@ def survey(
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
     check_sources(sources)
     _warn(check_places_and_suns(sources), notes)
+    _warn(check_height_unit(sources), notes)
     lon, lat = _middle(sources)
     crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
     check_scale(crs, lon, lat)
@@ -294,7 +269,7 @@ def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
 
 def _outputs(ids: Sequence[str]) -> list[str]:
     """All files that will be written; images that do not show the area are left out."""
-    return [*_REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
+    return [*REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
 
 
 def _middle(sources: Sequence[SourceImage]) -> tuple[float, float]:
@@ -388,21 +363,6 @@ def _grid(
     grid = Grid.from_bounds(crs, asked, cell)
     check_cells(grid, pixel)
     return grid
-
-
-def _write_reports(scene: Scene, result: Adjustment) -> None:
-    write_text(scene.output(_REPORTS["adjustment"]), json.dumps(_no_nan(result.to_dict()), indent=1) + "\n")
-    write_text(scene.output(_REPORTS["adjustment_report"]), result.to_text())
-    write_text(scene.output(_REPORTS["tie_points"]), tie_point_features(result))
-    scene.products |= _REPORTS
-
-
-def _no_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _no_nan(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_no_nan(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 __all__ = ["PrepOptions", "check_inputs", "check_places", "common_name", "prepare"]

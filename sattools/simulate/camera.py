@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sattools.camera.ground import from_geographic, to_geographic
-from sattools.camera.rpc import RPC, monomials
+from sattools.camera.rpc import RPC
+from sattools.camera.rpc_polynomials import monomials
 
 ORBIT_M = 617_000.0  # WorldView-3
 VALIDITY_DEG = 0.01

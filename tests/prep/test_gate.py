@@ -274,6 +274,16 @@ def test_heights_of_another_unit_or_datum(town):
     made(town, "heights 0 to 160 m hold", "are they metres", options=["--min-height", "0", "--max-height", "160"])
 
 
+def in_feet(rpc):
+    return replace(rpc, alt_offset=rpc.alt_offset / 0.3048, alt_scale=rpc.alt_scale / 0.3048)
+
+
+def test_cameras_that_count_heights_in_feet(town):
+    """Their pixels lie on the ground as long as at 30 degrees off nadir, their lines of sight seem to be at 10."""
+    town.all("camera", in_feet)
+    warned(town, "are the heights of the RPCs feet?")
+
+
 def test_heights_that_the_earth_has_not(town):
     refused(town, "'--min-height'", options=["--min-height", "-1e308"], code=2)
     refused(town, "'--max-height'", options=["--max-height", "nan"], code=2)
