@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sattools.export.context import Exported
-from sattools.fit.material import AMPLITUDE, SHAPE
+from sattools.fit.material import AMPLITUDE, SHAPE, radiance_factor, surface_normals
 from sattools.fit.material_std import SLOPE_STD
 from sattools.fit.model import FittedModel
 from sattools.fit.reflective import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
@@ -39,25 +40,44 @@ def material_maps(surface: ReflectiveScene, tensors: Mapping[str, Tensor]) -> di
     return {name: tensor.detach().cpu().numpy() for name, tensor in maps.items()}
 
 
+def network_maps(model: FittedModel) -> dict[str, np.ndarray]:
+    """As `material_maps`, of a network with a reflectance model; it gives no standard deviations."""
+    assert model.brdf != "lambert"
+    up, tilt = model.albedo.new_tensor([0.0, 0.0, 1.0]), math.radians(STANDARD_SUN_DEG)
+    sun = up.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
+    one, two, three = (model.extra[f"map.{'theta' if p.name == 'asymmetry' else p.name}"] for p in SHAPE[model.brdf])
+    shape = (one, two, three)
+    maps = {AMPLITUDE[model.brdf].name: model.albedo.permute(2, 0, 1)}
+    maps |= {p.name: value[None] for p, value in zip(SHAPE[model.brdf], shape, strict=True)}
+    maps["normal"] = surface_normals(model.height, model.grid.cell_size).permute(2, 0, 1)
+    level = up.expand(*model.height.shape, 3)
+    factor = radiance_factor(model.brdf, level, sun, up, model.albedo, shape)
+    maps["reflectance"] = (factor / math.cos(tilt)).permute(2, 0, 1)
+    return {name: tensor.numpy() for name, tensor in maps.items()}
+
+
 def material_names(model: FittedModel) -> list[str]:
     """Names of the `material_maps` of a model; none without a reflectance model."""
     if model.brdf == "lambert":
         return []
     names = [AMPLITUDE[model.brdf].name, *(p.name for p in SHAPE[model.brdf])]
+    if model.field != "surface":
+        return [*names, "normal", "reflectance"]
     stds = [f"{name}_std" for name in names if f"{name}_std" in model.extra]
     return [*names, *stds, "normal", "normal_std", "reflectance"]
 
 
-def write_material(exported: Exported, surface: ReflectiveScene) -> None:
-    """Write `material_maps` below ``export/`` and name them as products."""
-    scene, grid = exported.scene, exported.model.grid
-    tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": surface.kind}
-    for name, array in material_maps(surface, exported.model.extra).items():
+def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
+    """Write `material_maps` or `network_maps` below ``export/`` and name them as products."""
+    scene, model, grid = exported.scene, exported.model, exported.model.grid
+    assert model.brdf != "lambert"
+    tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": model.brdf}
+    for name, array in maps.items():
         href = f"export/{name}.tif"
         own = dict(tags)
         stem = name.removesuffix("_std")
-        if stem in (AMPLITUDE[surface.kind].name, "reflectance"):
-            own["SCALE"] = ABSOLUTE if surface.absolute else RELATIVE
+        if stem in (AMPLITUDE[model.brdf].name, "reflectance"):
+            own["SCALE"] = ABSOLUTE if model.absolute else RELATIVE
         if name == "reflectance":
             own["GEOMETRY"] = f"level ground, nadir view, sun {STANDARD_SUN_DEG:g} degrees from the vertical"
         if name.endswith("_std"):
@@ -71,4 +91,4 @@ def write_material(exported: Exported, surface: ReflectiveScene) -> None:
         scene.products[name] = href
 
 
-__all__ = ["material_maps", "material_names", "write_material"]
+__all__ = ["material_maps", "material_names", "network_maps", "write_material"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,17 +12,17 @@ from sattools.camera.ground import from_geographic, grid_direction, to_geographi
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.export.context import Exported
+from sattools.export.field_views import field_picture, surface_picture
 from sattools.fit.illumination import light_scale
 from sattools.fit.material import view_vector
 from sattools.fit.model import FittedModel
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.surface import SurfaceScene
-from sattools.fit.train import make_quadrature
-from sattools.render import ParallelRays, render, sun_visibility
+from sattools.render import ParallelRays, sun_visibility
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog, write_image_like
-from sattools.views import load_sources, views_on
+from sattools.views import View, load_sources, views_on
 
 RELIT = "export/relit.tif"
 Vector = tuple[float, float, float]
@@ -101,23 +103,23 @@ def render_item(
     z_ref = model.z_ref
     (view,) = views_on([source], grid, z_ref, z_range)
     sun = grid_sun(grid, *sun_angles) if sun_angles else view.sun
-    light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, view_vector(view.slope))
     known = model.items.index(item_id) if item_id in model.items else None
-    if known is not None:
-        light = surface.gain[known] * light + surface.offset[known]
     pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
-    light = light * light_scale(model.radiance, sun) if isinstance(surface, ReflectiveScene) else light
-    rays = ParallelRays(view.slope, view.z_ref, (pose[0], pose[1]))
-    # the fit needs a soft surface for its gradients, a picture does not
-    quadrature = make_quadrature(model.softness / 2, z_range)
-    rgb, depth, opacity = render(surface.height, light.contiguous(), rays, quadrature, grid.cell_size)
-    picture = (rgb / opacity.clamp_min(1e-3)[..., None]).numpy()
+    if model.field == "surface":
+        light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, view_vector(view.slope))
+        if known is not None:
+            light = surface.gain[known] * light + surface.offset[known]
+        light = light * light_scale(model.radiance, sun) if isinstance(surface, ReflectiveScene) else light
+        rays = ParallelRays(view.slope, view.z_ref, (pose[0], pose[1]))
+        picture, depth, opacity = surface_picture(model, surface.height, light, rays, z_range)
+    else:
+        picture, depth, opacity = field_picture(model, replace(view, sun=sun), known, z_range)
     # rays that reach the ground beyond the model show its border over and over
-    rise = (depth / opacity.clamp_min(1e-3)).numpy() - z_ref
+    rise = depth - z_ref
     rows, cols = picture.shape[:2]
     col = np.arange(cols)[None] + (pose[0] + view.slope[0] * rise) / grid.cell_size
     row = np.arange(rows)[:, None] - (pose[1] + view.slope[1] * rise) / grid.cell_size
-    inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity.numpy() > 0.5)
+    inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity > 0.5)
     if known is None and not model.absolute:
         picture = _matched(picture, view.target, (view.mask > 0) & inside)
         inside[:, : cols // 2] = False
@@ -184,11 +186,20 @@ def write_relit(exported: Exported, surface: SurfaceScene, sun_angles: tuple[flo
     scene, model = exported.scene, exported.model
     grid = model.grid
     sun = grid_sun(grid, *sun_angles)
-    light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, (0.0, 0.0, 1.0))
+    if model.field == "surface":
+        light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, (0.0, 0.0, 1.0)).numpy()
+    else:
+        light, _, _ = field_picture(model, _from_above(model, sun), None, scene.require_height_range())
     tags = {"SUN_AZIMUTH": f"{sun_angles[0]:g}", "SUN_ELEVATION": f"{sun_angles[1]:g}", "SOFTWARE": "sattools"}
-    array = exported.shown(light.permute(2, 0, 1).numpy())
+    array = exported.shown(light.transpose(2, 0, 1))
     write_cog(scene.output(RELIT), array, grid, units="1", tags=tags)
     scene.products["relit"] = RELIT
+
+
+def _from_above(model: FittedModel, sun: Vector) -> View:
+    rows, cols, bands = model.albedo.shape
+    nothing = np.zeros((rows, cols, bands), np.float32), np.zeros((rows, cols), np.uint8)
+    return View("above", *nothing, (0.0, 0.0), model.z_ref, sun, 0.0)
 
 
 def view_href(name: str, item_id: str) -> str:

@@ -160,7 +160,7 @@ def _image_maps(exported: Exported, name: str, description: str) -> None:
 
 def _views(exported: Exported, options: ExportOptions, progress: Progress) -> None:
     """Maps of a reflectance model, the images asked for, the scene under another sun."""
-    from sattools.export.material import write_material
+    from sattools.export.material import material_maps, network_maps, write_material
     from sattools.export.novel import write_relit, write_view
     from sattools.fit.reflective import ReflectiveScene
 
@@ -171,7 +171,9 @@ def _views(exported: Exported, options: ExportOptions, progress: Progress) -> No
         raise InputError(f"{path}: found a model without what its kind needs ({reason})") from error
     if isinstance(surface, ReflectiveScene):
         progress(0.0, "reflectance")
-        write_material(exported, surface)
+        write_material(exported, material_maps(surface, exported.model.extra))
+    elif exported.model.brdf != "lambert":
+        write_material(exported, network_maps(exported.model))
     for k, name in enumerate(options.view):
         progress((k + 1) / (len(options.view) + 2), f"rendering {name}")
         write_view(exported, name, surface, None)

@@ -12,6 +12,7 @@ from torch.nn.functional import relu, softplus
 
 from sattools.field.networks import EMBEDDING, Head, Network
 from sattools.field.protocol import Box
+from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
 
 W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.2)
 
@@ -33,9 +34,20 @@ class MlpField:
         bands: colours of the images (the papers have 3).
         width: of the trunk instead of the paper's.
         seed: of the initial weights.
+        base: a surface to start from: the network's answers for density and albedo are added to it, and begin at 0.
     """
 
-    def __init__(self, network: Network, box: Box, bands: int = 3, width: int | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        network: Network,
+        box: Box,
+        bands: int = 3,
+        width: int | None = None,
+        seed: int = 0,
+        *,
+        base: SurfaceBase | None = None,
+    ) -> None:
+        self.base, self.bands = base, bands
         self.network = replace(network, width=width or network.width)
         self.box = box
         self.heads = frozenset(network.heads) - {"transient"}
@@ -58,6 +70,11 @@ class MlpField:
             sizes += [int(share * wide) for share in head.hidden]
             sizes += [bands if head.outputs == 3 else head.outputs]
             self.head_layers[name] = [self._layer(a, b, random) for a, b in pairwise(sizes)]
+        if base is not None:
+            with torch.no_grad():
+                for layer in (self.sigma, self.head_layers["albedo"][-1]):
+                    layer.weight.zero_()
+                    layer.bias.zero_()
 
     def _layer(self, inputs: int, outputs: int, random: torch.Generator, first: bool = False) -> nn.Linear:
         """SIREN: uniform within sqrt(6 / n), 1 / n in the first layer (its frequency comes with the sine); else
@@ -80,33 +97,46 @@ class MlpField:
         for k, layer in enumerate(self.trunk):
             x = layer(torch.cat([start, x], dim=-1) if k == network.skip else x)
             x = torch.sin(W0 * x if k == 0 else x) if network.siren else relu(x)
-        sigma = softplus(self.sigma(x))[..., 0] * self.per_metre
-        return sigma, self.bottleneck(x) if self.bottleneck is not None else x
+        raw = self.sigma(x)[..., 0]
+        features = self.bottleneck(x) if self.bottleneck is not None else x
+        if self.base is not None:
+            density, colour = self.base.at(points)
+            raw = raw + before_softplus(density / self.per_metre)
+            features = torch.cat([features, colour], dim=-1)
+        return softplus(raw) * self.per_metre, features
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
         """See `Field.look`."""
+        colour = None
+        if self.base is not None:
+            features, colour = features[..., : -self.bands], features[..., -self.bands :]
         given = {"features": features, "sun": sun, "embedding": embedding}
         outputs: dict[str, Tensor] = {}
         for name, head in self.network.heads.items():
             parts = [given[i] for i in head.inputs]
             if any(part is None for part in parts):
                 continue
-            answer = self._answer(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
+            raw = self._hidden(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
+            if name == "albedo" and colour is not None:
+                raw = raw + before_sigmoid(colour, head.low, head.high)
+            answer = self._answer(head, raw)
             if head.activation == "tau and beta":
                 outputs |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}
             else:
                 outputs[name] = answer
         return outputs
 
-    def _answer(self, head: Head, layers: list[nn.Linear], x: Tensor) -> Tensor:
+    def _hidden(self, head: Head, layers: list[nn.Linear], x: Tensor) -> Tensor:
         for layer in layers[:-1]:
             x = torch.sin(layer(x)) if self.network.siren and not head.relu else relu(layer(x))
-        x = layers[-1](x)
+        return layers[-1](x)
+
+    def _answer(self, head: Head, raw: Tensor) -> Tensor:
         if head.activation == "tau and beta":
-            return x
+            return raw
         if head.activation == "softplus":
-            return softplus(x)
-        return head.low + (head.high - head.low) * torch.sigmoid(x)
+            return softplus(raw)
+        return head.low + (head.high - head.low) * torch.sigmoid(raw)
 
     def penalty(self) -> float:
         """None."""

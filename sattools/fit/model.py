@@ -116,7 +116,7 @@ class FittedModel:
             KeyError, TypeError, RuntimeError: the model lacks what its kind needs.
         """
         maps = {name: getattr(self, name) for name in ("height", "albedo", *COLOURS)}
-        if self.brdf == "lambert":
+        if self.brdf == "lambert" or self.field != "surface":  # a field has its own way to be shown
             return SurfaceScene(**maps, absolute=self.absolute)
         return restored({**self.extra, **maps}, self.brdf, self.grid.cell_size, 0.0, self.absolute)
 

@@ -45,17 +45,23 @@ PRESETS: dict[str, dict[str, Any]] = {
     "rpv-nerf": {**_GUIDED, "network": "rpv", "brdf": "rpv", "normals": "prior", "pretrain": 0.2},
     "hapke-nerf": {**_GUIDED, "network": "hapke", "brdf": "hapke", "normals": "prior", "pretrain": 0.2},
 }  # fmt: skip
+# of a network that starts from the prior, instead of the paper's values
+WARM: dict[str, Any] = {"samples": 8, "guided": 16, "rays": 256, "steps": 2000, "rate": 1e-4, "prior_weight": 0.2}
 
 
 def resolve(preset: str, given: JsonObject) -> FitOptions:
     """Options of a preset; what is ``given`` wins."""
-    return FitOptions(**{**with_preset(preset), **given})
+    return FitOptions(**{**with_preset(preset, given.get("start", "prior")), **given})
 
 
-def with_preset(preset: str) -> JsonObject:
-    """The values that a preset sets."""
+def with_preset(preset: str, start: str = "prior") -> JsonObject:
+    """The values that a preset sets, for a network that starts from the ``prior`` or from ``noise``."""
     known = set(FitOptions.__dataclass_fields__)
-    return {"preset": preset, **{name: value for name, value in PRESETS[preset].items() if name in known}}
+    values = PRESETS[preset]
+    if start == "prior" and values.get("field") == "mlp":
+        # a paper without dense depths keeps its losses: the prior is where its network starts, and no more
+        values = {**values, **WARM, "depth_weight": values.get("depth_weight", 0.0)}
+    return {"preset": preset, **{name: value for name, value in values.items() if name in known}}
 
 
 __all__ = ["PRESETS", "resolve", "with_preset"]

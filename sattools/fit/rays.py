@@ -11,11 +11,12 @@ from torch import Tensor
 
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
+from sattools.fit.illumination import Radiance
 from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, shadow_regularisation, shadow_weight
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
 from sattools.reflectance import hapke, rpv
-from sattools.render.volume import RayBatch, composite, guided, median_share, stratified, towards_sun
+from sattools.render.volume import RayBatch, composite, guided, stratified, towards_sun
 
 BETA_MIN, BETA_EPOCH = 0.05, 3  # Sat-NeRF: beta = softplus + 0.05, from the third epoch
 DECAY = 0.9  # of the rate, per epoch
@@ -23,9 +24,6 @@ COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
 SUN_SAMPLES = 24
 LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
 HAPKE_B_MAX = 0.95
-LEAST_STD = 1e-4  # of the depth range
-# standard deviation of a prior without confidence, in depth ranges: SparseSat-NeRF's own for networks
-STD_SCALE = {"mlp": 1.0, "voxel": 0.1}
 
 
 @dataclass
@@ -35,6 +33,7 @@ class RaySet:
     Attributes:
         start, path: ``[P, 3]`` see `RayBatch`; target ``[P, C]``; view ``[P]`` number of the view.
         depth: ``[P]`` share of the path at which the prior's surface lies; confidence ``[P]`` in [0, 1], 0 = none.
+        depth_std: ``[P]`` how far off that may be, as share of the path.
         normal: ``[P, 3]`` of the prior's surface there.
         suns: ``[V, 3]`` unit vectors, nan where unknown; sights: ``[V, 3]`` unit vectors to the sensor.
         top: height of the starts [m].
@@ -46,10 +45,31 @@ class RaySet:
     view: Tensor
     depth: Tensor
     confidence: Tensor
+    depth_std: Tensor
     normal: Tensor
     suns: Tensor
     view_vectors: Tensor
     top: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a field shows along R rays.
+
+    Attributes:
+        colour: ``[R, C]`` as the images have it.
+        weights, t: ``[R, S]`` of the samples, see `composite`.
+        depth: ``[R]`` share of the path.
+        mean: every head's answer along the ray, ``[R, outputs]``.
+        penalty: what the losses hold against its shadows.
+    """
+
+    colour: Tensor
+    weights: Tensor
+    t: Tensor
+    depth: Tensor
+    mean: dict[str, Tensor]
+    penalty: Tensor | float
 
 
 class RayTrainer:
@@ -61,6 +81,7 @@ class RayTrainer:
         options: of the fit.
         gain, offset: ``[V, C]`` first colour relations; the first view's stay.
         rates: Adam steps of the field's tensors that do not take `options.rate`.
+        radiance: what the images' numbers are; gain and offset stay where they have one scale.
     """
 
     def __init__(
@@ -71,8 +92,12 @@ class RayTrainer:
         gain: Tensor,
         offset: Tensor,
         rates: dict[str, float] | None = None,
+        *,
+        radiance: Radiance = "relative",
     ) -> None:
         self.field, self.rays, self.options = field, rays, options
+        self.radiance = radiance
+        self.gauge = slice(1) if radiance == "relative" else slice(None)  # images whose gain and offset stay
         views = len(rays.suns)
         random = torch.Generator().manual_seed(options.seed)
         self.colour = {"gain": gain.clone(), "offset": offset.clone(), "ambient": torch.full_like(gain, 0.2)}
@@ -86,8 +111,14 @@ class RayTrainer:
             rate = own if name.startswith("field.") else EMBEDDING_RATE if name == "embedding" else COLOUR_RATE
             groups.append({"params": [tensor], "lr": rate, "initial": rate})
         self.adam = torch.optim.Adam(groups)
-        pixels = max(1, len(rays.target) // options.rays)
-        self.epoch_steps = max(1, min(pixels, options.steps // 10))
+        self.unsaid = torch.zeros(2, dtype=torch.float64)  # loss and steps since the last row of the trace
+        self.plan(options.steps)
+
+    def plan(self, steps: int) -> None:
+        """Settle how many steps there will be: rates, and what comes in late, are shares of them."""
+        self.steps = steps
+        pixels = max(1, len(self.rays.target) // self.options.rays)
+        self.epoch_steps = max(1, min(pixels, steps // 10))
 
     def step(self, number: int) -> float:
         """One step; its photometric loss."""
@@ -98,12 +129,12 @@ class RayTrainer:
             group["lr"] = group["initial"] * DECAY ** (epoch - 1)
         chosen = torch.randint(len(rays.target), (options.rays,), generator=random)
         self.adam.zero_grad(set_to_none=True)
-        loss, extra = self._losses(chosen, epoch, number / options.steps, random)
+        loss, extra = self._losses(chosen, epoch, number / self.steps, random)
         (loss + extra).backward()
         for name in ("gain", "offset"):
             grad = self.colour[name].grad
             if grad is not None:
-                grad[0] = 0  # the first view is the gauge
+                grad[self.gauge] = 0
         self.adam.step()
         with torch.no_grad():
             self.colour["ambient"].clamp_(0.02, 1.0)
@@ -114,18 +145,40 @@ class RayTrainer:
         self, chosen: Tensor, epoch: int, share: float, random: torch.Generator
     ) -> tuple[Tensor, Tensor | float]:
         options, rays = self.options, self.rays
+        seen = self.predict(chosen, epoch, share, random)
+        error = photometric(options.loss, seen.colour, rays.target[chosen], options.robust)
+        if options.beta and "beta" in seen.mean and epoch >= BETA_EPOCH:
+            loss = beta_loss(error, seen.mean["beta"] + BETA_MIN)
+        else:
+            loss = error.mean()
+        extra, confidence = seen.penalty, rays.confidence[chosen]
+        if options.depth_weight > 0 and bool((confidence > 0).any()):
+            depths = (seen.depth, rays.depth[chosen])
+            extra = extra + options.depth_weight * depth_loss(
+                seen.weights, seen.t, *depths, confidence, rays.depth_std[chosen]
+            )
+        return loss, extra + self.field.penalty()
+
+    def predict(self, chosen: Tensor, epoch: int, share: float, random: torch.Generator | None) -> Prediction:
+        """What the field shows along rays.
+
+        Args:
+            chosen: ``[R]`` numbers of the rays.
+            epoch: from 1; shadows and uncertainties come in later than the first.
+            share: of the training that is done; the reflectance model comes in after `FitOptions.pretrain`.
+            random: where along the rays to look; None = evenly.
+        """
+        options, rays = self.options, self.rays
         view = rays.view[chosen]
         batch = RayBatch(rays.start[chosen], rays.path[chosen])
         length = batch.path.norm(dim=1)
-        prior, confidence = rays.depth[chosen], rays.confidence[chosen]
-        std = STD_SCALE[options.field] * (1 - confidence) + LEAST_STD
         t = stratified(len(chosen), options.samples, random)
         if options.guided:
-            t = torch.cat([t, guided(prior, std, options.guided, random)], dim=1).sort(dim=1).values
+            near = guided(rays.depth[chosen], rays.depth_std[chosen], options.guided, random)
+            t = torch.cat([t, near], dim=1).sort(dim=1).values
         points = batch.points(t)
         sigma, features = self.field.density(points.reshape(-1, 3))
-        sigma = sigma.reshape(t.shape)
-        weights, _ = composite(sigma, t, length)
+        weights, _ = composite(sigma.reshape(t.shape), t, length)
         sun = rays.suns[view]
         known = torch.isfinite(sun).all(dim=1)
         sun = torch.where(known[:, None], sun, sun.new_tensor([0.0, 0.0, 1.0]))
@@ -138,7 +191,7 @@ class RayTrainer:
         mean = {name: (weights[..., None] * value).sum(dim=1) for name, value in look.items()}
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
-        s, extra = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
+        s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
         albedo = self._reflected(mean, rays.normal[chosen], sun, rays.view_vectors[view], share)
         if s is None:
             lit = albedo
@@ -148,16 +201,8 @@ class RayTrainer:
         else:
             ambient = mean["ambient"] if "ambient" in mean else self.colour["ambient"][view]
             lit = albedo * (s + (1 - s) * ambient)
-        predicted = self.colour["gain"][view] * lit + self.colour["offset"][view]
-        error = photometric(options.loss, predicted, rays.target[chosen], options.robust)
-        if options.beta and "beta" in mean and epoch >= BETA_EPOCH:
-            beta = mean["beta"] + BETA_MIN
-            loss = beta_loss(error, beta)
-        else:
-            loss = error.mean()
-        if options.depth_weight > 0 and bool((confidence > 0).any()):
-            extra = extra + options.depth_weight * depth_loss(weights, t, depth, prior, confidence, std)
-        return loss, extra + self.field.penalty()
+        colour = self.colour["gain"][view] * lit + self.colour["offset"][view]
+        return Prediction(colour, weights, t, depth, mean, penalty)
 
     def _sunlight(
         self,
@@ -168,7 +213,7 @@ class RayTrainer:
         known: Tensor,
         *,
         epoch: int,
-        random: torch.Generator,
+        random: torch.Generator | None,
     ) -> tuple[Tensor | None, Tensor | float]:
         """Visibility of the sun ``[R, 1]`` (None = all lit), and what the losses hold against it."""
         options = self.options
@@ -193,7 +238,7 @@ class RayTrainer:
         s = torch.where(known[:, None], s, 1.0)
         return (s if tau is None else tau * s), extra
 
-    def _towards_sun(self, surface: Tensor, sun: Tensor, random: torch.Generator) -> Tensor:
+    def _towards_sun(self, surface: Tensor, sun: Tensor, random: torch.Generator | None) -> Tensor:
         """Geometric visibility ``[R, 1]``: transmittance from the surface point to the highest height (EO-NeRF)."""
         lifted = surface + surface.new_tensor([0.0, 0.0, LIFT_M])
         batch = towards_sun(lifted, sun, self.rays.top)
@@ -202,7 +247,7 @@ class RayTrainer:
         weights, _ = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
         return 1 - weights.sum(dim=1, keepdim=True)
 
-    def _solar_correction(self, surface: Tensor, sun: Tensor, random: torch.Generator) -> Tensor:
+    def _solar_correction(self, surface: Tensor, sun: Tensor, random: torch.Generator | None) -> Tensor:
         """Sat-NeRF, eq. 10: sum (T - s)^2 + 1 - sum T alpha s along rays of the sun through the surface points."""
         up = towards_sun(surface, sun, self.rays.top)
         batch = RayBatch(up.start + up.path, -1.5 * up.path)
@@ -216,50 +261,27 @@ class RayTrainer:
     def _reflected(
         self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
     ) -> Tensor:
-        """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence) / cos(zenith)."""
+        """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence).
+
+        It is divided by cos(sun zenith), as top-of-atmosphere reflectance is, unless images are reflectance factors.
+        """
         brdf = self.options.brdf
         if brdf == "lambert" or share < self.options.pretrain:
             return mean["albedo"]
         n, s, v = (x[:, None] for x in (normal, sun, view_vector))
-        cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / sun[:, 2:].clamp_min(0.05)
+        level = 1.0 if self.radiance == "reflectance_factor" else sun[:, 2:].clamp_min(0.05)
+        cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / level
         if brdf == "rpv":
             return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
         b = mean["b"].clamp_max(HAPKE_B_MAX)
         return hapke(n, s, v, mean["albedo"], b, mean["c"], mean["theta"].clamp_min(0.1)) * cosine
 
-    # ---- reading the result, checkpoints ----------------------------------------------------------------
-
-    @torch.no_grad()
-    def ground_maps(self, x: Tensor, y: Tensor, z: tuple[float, float], samples: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` at x ``[W]``,
-        y ``[H]`` [m].
-
-        Args:
-            x: ``[W]`` [m].
-            y: ``[H]`` [m].
-            z: lowest and highest height [m].
-            samples: number of samples per ray.
-        """
-        low, high = z
-        rows = []
-        for north in y:
-            start = torch.stack([x, torch.full_like(x, float(north)), torch.full_like(x, high)], dim=1)
-            batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
-            t = stratified(len(x), samples, None)
-            sigma, features = self.field.density(batch.points(t).reshape(-1, 3))
-            weights, _ = composite(sigma.reshape(t.shape), t, torch.full_like(x, high - low))
-            colour = self.field.look(features, None, None)["albedo"].reshape(*t.shape, -1)
-            height = high - (high - low) * median_share(weights, t)
-            total = weights.sum(dim=1).clamp_min(1e-6)
-            centre = (weights * t).sum(dim=1) / total
-            spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt() * (high - low)
-            rows.append((height, spread, (weights[..., None] * colour).sum(dim=1)))
-        height, spread, colour = (torch.stack(part) for part in zip(*rows, strict=True))
-        return height, spread, colour
+    # ---- checkpoints ------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
         """Everything that a continued run needs, as flat tensors."""
         tensors = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
+        tensors |= {"planned": torch.tensor(self.steps), "unsaid": self.unsaid.clone()}
         for name, tensor in self.tensors.items():
             for key, value in self.adam.state.get(tensor, {}).items():
                 tensors[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
@@ -268,6 +290,8 @@ class RayTrainer:
     @torch.no_grad()
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of `state`."""
+        self.plan(int(state["planned"]))
+        self.unsaid = state["unsaid"]
         for name, tensor in self.tensors.items():
             tensor.copy_(state[name])
             prefix = f"adam.{name}."
@@ -318,9 +342,9 @@ def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confide
 
 def concatenated(parts: Sequence[RaySet]) -> RaySet:
     """Rays of several views as one set; suns and sights are taken from the first, which knows them all."""
-    names = ("start", "path", "target", "view", "depth", "confidence", "normal")
+    names = ("start", "path", "target", "view", "depth", "confidence", "depth_std", "normal")
     joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
     return replace(parts[0], **joined)
 
 
-__all__ = ["RaySet", "RayTrainer", "beta_loss", "concatenated", "depth_loss", "solar_correction"]
+__all__ = ["Prediction", "RaySet", "RayTrainer", "beta_loss", "concatenated", "depth_loss", "solar_correction"]

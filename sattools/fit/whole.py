@@ -73,7 +73,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         else:
             from sattools.fit.rays_stage import fit_rays
 
-            fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told)
+            fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told, setup.radiance)
         fitted.notes[:0] = setup.notes
         return save_fit(scene, fitted, made)
 

@@ -37,45 +37,61 @@ def stratified(rays: int, samples: int, random: torch.Generator | None) -> Tenso
     return (torch.arange(samples) + inner) / samples
 
 
-def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator) -> Tensor:
+def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator | None) -> Tensor:
     """Shares ``[R, S]`` from N(mean, std) within three standard deviations (SparseSat-NeRF, section 3.2), in [0, 1].
 
     Args:
         mean: ``[R]`` shares of the path.
         std: ``[R]`` shares of the path.
         samples: number of samples per ray.
-        random: random numbers, or None for the middles.
+        random: random numbers, or None for the middles of equally likely parts.
     """
-    normal = torch.randn(len(mean), samples, generator=random).clamp(-3, 3)
+    if random is None:
+        middles = torch.special.ndtri((torch.arange(samples, dtype=torch.float64) + 0.5) / samples)
+        normal = middles.to(mean).expand(len(mean), samples)
+    else:
+        normal = torch.randn(len(mean), samples, generator=random).clamp(-3, 3)
     return (mean[:, None] + std[:, None] * normal).clamp(0, 1)
 
 
 def composite(sigma: Tensor, t: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
     """Weights T_i alpha_i ``[R, S]`` and transmittance before each sample ``[R, S]``.
 
-    alpha_i = 1 - exp(-sigma_i delta_i), T_i = prod_{j < i} (1 - alpha_j); the last sample ends the ray.
+    alpha_i = 1 - exp(-sigma_i delta_i), T_i = prod_{j < i} (1 - alpha_j). A sample stands for the part of the ray that is
+    nearer to it than to its neighbours; the last one ends the ray. (NeRF's parts reach from a sample to the next: where
+    density begins between two samples they see it later by half their distance.)
 
     Args:
         sigma: ``[R, S]`` density per metre.
         t: ``[R, S]`` shares of the path, ascending.
         length: ``[R]`` length of the path [m].
     """
-    delta = torch.cat([t.diff(dim=1), 1 - t[:, -1:]], dim=1) * length[:, None]
-    optical = sigma * delta
+    optical = sigma * _ends(t).diff(dim=1) * length[:, None]
     before = torch.cat([torch.zeros_like(optical[:, :1]), optical.cumsum(dim=1)[:, :-1]], dim=1)
     transmittance = torch.exp(-before)
     return transmittance * -torch.expm1(-optical), transmittance
 
 
 def median_share(weights: Tensor, t: Tensor) -> Tensor:
-    """Share ``[R]`` of the path where the transmittance crosses one half, linear between samples; the last if never."""
-    total = weights.cumsum(dim=1)
-    index = (total < 0.5).sum(dim=1).clamp_max(t.shape[1] - 1)
-    at = index[:, None]
-    before = torch.where(at > 0, total.gather(1, (at - 1).clamp_min(0)), torch.zeros_like(at, dtype=total.dtype))
-    t0 = torch.where(at > 0, t.gather(1, (at - 1).clamp_min(0)), t.gather(1, at))
+    """Share ``[R]`` of the path where the transmittance crosses one half, linear within a sample's part; 1 if never.
+
+    Args:
+        weights: ``[R, S]`` of `composite`.
+        t: ``[R, S]`` shares of the path, ascending.
+    """
+    total, ends = weights.cumsum(dim=1), _ends(t)
+    index = (total < 0.5).sum(dim=1)
+    at = index.clamp_max(t.shape[1] - 1)[:, None]
+    before = total.gather(1, at) - weights.gather(1, at)
+    start, end = ends.gather(1, at), ends.gather(1, at + 1)
     part = ((0.5 - before) / weights.gather(1, at).clamp_min(1e-9)).clamp(0, 1)
-    return (t0 + part * (t.gather(1, at) - t0))[:, 0]
+    return (start + part * (end - start))[:, 0]
+
+
+def _ends(t: Tensor) -> Tensor:
+    """``[R, S + 1]`` ends of the parts that samples ``[R, S]`` stand for."""
+    middle = (t[:, 1:] + t[:, :-1]) / 2
+    return torch.cat([torch.zeros_like(t[:, :1]), middle, torch.ones_like(t[:, :1])], dim=1)
 
 
 def towards_sun(points: Tensor, sun: Tensor, top: float) -> RayBatch:

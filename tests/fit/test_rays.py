@@ -57,15 +57,24 @@ def test_depths_count_only_where_ray_and_prior_disagree_or_the_ray_is_unsure():
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_presets_take_the_papers_values_and_what_is_given_wins(preset):
-    options = resolve(preset, {})
+def test_presets_take_the_papers_values_from_noise_and_what_is_given_wins(preset):
+    options = resolve(preset, {"start": "noise"})
     assert (options.field, options.rate, options.rays, options.steps) == ("mlp", 5e-4, 1024, 300000)
     assert options.samples + options.guided == (64 if preset == "satnerf" else 128)
     assert resolve(preset, {"samples": 7}).samples == 7
 
 
+@pytest.mark.parametrize("preset", PAPERS)
+def test_from_the_prior_few_samples_and_steps_do(preset):
+    options = resolve(preset, {})
+    assert (options.start, options.samples, options.guided, options.rays, options.steps) == ("prior", 8, 16, 256, 2000)
+    assert options.prior_weight > 0  # there must be a prior
+    # losses stay the paper's: dense depths only where it has them
+    assert (options.depth_weight > 0) == (preset in ("spsnerf", "rpv-nerf", "hapke-nerf"))
+
+
 def test_papers_weights():
-    sat, shadow, sps = (resolve(name, {}) for name in ("satnerf", "eonerf-learned-shadow", "spsnerf"))
+    sat, shadow, sps = (resolve(name, {"start": "noise"}) for name in ("satnerf", "eonerf-learned-shadow", "spsnerf"))
     assert (sat.solar_weight, sat.beta, sat.loss) == (0.05, True, "mse")
     assert (shadow.shadow_weight, shadow.loss, shadow.beta, shadow.transient) == (0.01, "raw-log", False, "off")
     assert (sps.samples, sps.guided, sps.depth_weight) == (64, 64, 1 / 3)
@@ -133,14 +142,15 @@ def test_a_budget_stops_the_training(make_town):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"preset": "eonerf", "guided": 8}, "--guided: found no prior"),
+        ({"preset": "eonerf", "start": "noise", "guided": 8}, "--guided: found no prior"),
+        ({"preset": "eonerf", "prior_weight": 0.0, "guided": 0}, "--start prior: found no prior"),
         ({"preset": "eonerf", "shadow": "learned"}, "network eonerf has no head for it"),
         ({"preset": "spsnerf", "solar_weight": 0.1}, "--solar-weight: expected a network with learned shadows"),
         ({"preset": "eonerf", "transient": "auto"}, "expected --field surface"),
         ({"preset": "hapke-nerf", "brdf": "auto"}, "--brdf auto: expected --field surface"),
         ({"preset": "eonerf", "brdf": "hapke"}, "network eonerf has no head for it, expected --network hapke"),
         ({"preset": "rpv-nerf", "brdf": "hapke"}, "network rpv has no head for it, expected --network hapke"),
-        ({"preset": "hapke-nerf", "prior_weight": 0.0, "guided": 0}, "no prior for its normals"),
+        ({"preset": "hapke-nerf", "start": "noise", "prior_weight": 0.0, "guided": 0}, "no prior for its normals"),
         ({"preset": "hapke-nerf", "normals": "analytic"}, "expected --normals prior"),
         ({"preset": "hapke-nerf", "field": "voxel"}, "--brdf hapke: a voxel field has no head for it"),
     ],

@@ -26,9 +26,9 @@ def test_a_wall_takes_all_the_weight():
     assert float(median_share(weights, t)) == pytest.approx(0.3, abs=0.01)
 
 
-def test_a_ray_that_meets_nothing_ends_at_its_last_sample():
+def test_a_ray_that_meets_nothing_ends_with_its_path():
     t = stratified(1, 10, None)
-    assert float(median_share(torch.zeros(1, 10), t)) == pytest.approx(0.95)
+    assert float(median_share(torch.zeros(1, 10), t)) == 1
 
 
 def test_samples_are_one_in_each_part_or_around_the_prior():
@@ -46,3 +46,14 @@ def test_rays_and_points():
     assert batch.points(torch.tensor([[0.0, 0.5]]))[0].tolist() == [[1.0, 2.0, 30.0], [3.0, 2.0, 10.0]]
     up = towards_sun(torch.tensor([[0.0, 0.0, 10.0]]), torch.tensor([[0.6, 0.0, 0.8]]), 30.0)
     assert up.points(torch.tensor([[1.0]]))[0, 0].tolist() == pytest.approx([15.0, 0.0, 30.0])
+
+
+def test_a_surface_is_seen_where_it_is_however_few_the_samples():
+    """A step of density between two samples is on average seen in their middle, not by half a distance too late."""
+    random = torch.Generator().manual_seed(1)
+    t = stratified(4000, 12, random)
+    weights, _ = composite(torch.where(t > 0.4, 1000.0, 0.0), t, torch.full((4000,), 50.0))
+    depth = (weights * t).sum(dim=1)
+    # parts of 1/12 of the path: the first sample behind the step stands for what lies half a distance before it
+    assert float(median_share(weights, t).mean()) == pytest.approx(0.4, abs=0.005)
+    assert float(depth.mean()) == pytest.approx(0.4, abs=0.05)

@@ -1,0 +1,65 @@
+"""What a network starts from: a surface with colours, to which it learns what is different."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from sattools.field.protocol import Box
+
+LEAST_OPTICAL = 1e-4  # of the network's unit of density, far above the surface
+COLOUR_LIMITS = (0.02, 0.98)  # of a head's range, where a sigmoid still has a gradient
+
+
+@dataclass(frozen=True)
+class SurfaceBase:
+    """Density and colour of a surface, as what is added to a network's answers before their activations.
+
+    The density is sigmoid((h - z) / s) / s per metre of height, as the surface field has it: a vertical ray's
+    transmittance crosses one half at z = h whatever s is.
+
+    Attributes:
+        box: the part of space.
+        height: ``[H, W]`` [m], on a grid that spans the box; row 0 in the north.
+        colour: ``[H, W, C]`` in [0, 1].
+        softness: s [m].
+    """
+
+    box: Box
+    height: Tensor
+    colour: Tensor
+    softness: float
+
+    def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Density ``[N]`` per metre and colour ``[N, C]`` at points ``[N, 3]`` [m]."""
+        where = self.box.scaled(points)[:, :2] * points.new_tensor([1.0, -1.0])  # rows run south
+        maps = torch.cat([self.height[..., None], self.colour], dim=-1).permute(2, 0, 1)[None]
+        # cells are areas: the box ends at their outer edges
+        read = grid_sample(maps, where[None, None], padding_mode="border", align_corners=False)[0, :, 0].T
+        return torch.sigmoid((read[:, 0] - points[:, 2]) / self.softness) / self.softness, read[:, 1:]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """What `restored` needs beside the box."""
+        return {"height": self.height, "colour": self.colour, "softness": self.height.new_tensor(self.softness)}
+
+    @classmethod
+    def restored(cls, tensors: dict[str, Tensor], box: Box) -> SurfaceBase:
+        """Inverse of `tensors`."""
+        return cls(box, tensors["height"], tensors["colour"], float(tensors["softness"]))
+
+
+def before_softplus(density: Tensor) -> Tensor:
+    """The x with softplus(x) = density (at least `LEAST_OPTICAL`), any shape."""
+    density = density.clamp_min(LEAST_OPTICAL)
+    return density + torch.log(-torch.expm1(-density))
+
+
+def before_sigmoid(value: Tensor, low: float, high: float) -> Tensor:
+    """The x with low + (high - low) sigmoid(x) = value, within `COLOUR_LIMITS`, any shape."""
+    return torch.logit(((value - low) / (high - low)).clamp(*COLOUR_LIMITS))
+
+
+__all__ = ["SurfaceBase", "before_sigmoid", "before_softplus"]

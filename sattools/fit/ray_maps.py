@@ -1,0 +1,102 @@
+"""Maps of a field that was trained ray by ray: what vertical rays see, and what every image saw on the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from sattools.fit.rays import HAPKE_B_MAX, RayTrainer
+from sattools.render.volume import RayBatch, composite, median_share, stratified
+from sattools.scene import Grid
+
+COARSE, FINE = 64, 48  # samples per vertical ray, and around its median
+REACH = 2.0  # of the fine samples, in distances of the coarse ones
+MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
+IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
+
+
+@dataclass(frozen=True)
+class GroundMaps:
+    """What is read off a field.
+
+    Attributes:
+        height: ``[H, W]`` median of the transmittance [m].
+        height_mean: ``[H, W]`` its mean [m].
+        height_std: ``[H, W]`` its standard deviation [m].
+        albedo: ``[H, W, C]``.
+        heads: ``[H, W]`` parameters of a reflectance model by name.
+        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients, uncertainty.
+    """
+
+    height: Tensor
+    height_mean: Tensor
+    height_std: Tensor
+    albedo: Tensor
+    heads: dict[str, Tensor] = field(default_factory=dict)
+    images: dict[str, Tensor] = field(default_factory=dict)
+
+
+@torch.no_grad()
+def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per_image: bool = True) -> GroundMaps:
+    """Read a field off on a grid.
+
+    Args:
+        trainer: of the field.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        per_image: also what differs between images.
+    """
+    low, high = z_range
+    x = (torch.arange(grid.width) + 0.5) * grid.cell_size
+    rows: list[dict[str, Tensor]] = []
+    for row in range(grid.height):
+        start = torch.stack([x, torch.full_like(x, -(row + 0.5) * grid.cell_size), torch.full_like(x, high)], dim=1)
+        batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
+        t = stratified(len(x), COARSE, None)
+        weights, _ = _seen(trainer, batch, t)
+        near = (torch.arange(FINE) + 0.5) / FINE * 2 - 1
+        fine = median_share(weights, t)[:, None] + REACH / COARSE * near
+        t = torch.cat([t, fine.clamp(0, 1)], dim=1).sort(dim=1).values
+        weights, features = _seen(trainer, batch, t)
+        share, total = median_share(weights, t), weights.sum(dim=1).clamp_min(1e-6)
+        centre = (weights * t).sum(dim=1) / total
+        spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt()
+        found = {"height": high - (high - low) * share, "height_mean": high - (high - low) * centre}
+        found["height_std"] = spread * (high - low)
+        answers = trainer.field.look(features, None, None)
+        for name in ("albedo", *MAP_HEADS):
+            if name in answers:
+                found[name] = (weights[..., None] * answers[name].reshape(*t.shape, -1)).sum(dim=1) / total[:, None]
+        if per_image:
+            found |= _per_image(trainer, torch.cat([start[:, :2], found["height"][:, None]], dim=1))
+        rows.append(found)
+    maps = {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
+    heads = {name: maps[name][..., 0] for name in MAP_HEADS if name in maps}
+    if "b" in heads:
+        heads["b"] = heads["b"].clamp_max(HAPKE_B_MAX)
+    images = {name: maps[name].permute(2, 0, 1).contiguous() for name in IMAGE_HEADS.values() if name in maps}
+    return GroundMaps(maps["height"], maps["height_mean"], maps["height_std"], maps["albedo"], heads, images)
+
+
+def _seen(trainer: RayTrainer, batch: RayBatch, t: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights ``[R, S]`` and features of samples."""
+    sigma, features = trainer.field.density(batch.points(t).reshape(-1, 3))
+    weights, _ = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
+    return weights, features
+
+
+def _per_image(trainer: RayTrainer, surface: Tensor) -> dict[str, Tensor]:
+    """Answers ``[W, V]`` at surface points ``[W, 3]`` for every image; nan where its sun is unknown."""
+    _, features = trainer.field.density(surface)
+    found: dict[str, list[Tensor]] = {}
+    for sun, embedding in zip(trainer.rays.suns, trainer.embedding.detach(), strict=True):
+        answers = trainer.field.look(features, *(v.expand(len(surface), -1) for v in (sun, embedding)))
+        for name, product in IMAGE_HEADS.items():
+            if name in answers:
+                found.setdefault(product, []).append(answers[name][:, 0])
+    return {product: torch.stack(views, dim=1) for product, views in found.items()}
+
+
+__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "read_maps"]

@@ -1,0 +1,193 @@
+"""What a field that is trained ray by ray begins with: rays, the prior along them, and for a network a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sattools.field.mlp import MlpField
+from sattools.field.networks import NETWORKS
+from sattools.field.protocol import Box, Field
+from sattools.field.surface_base import SurfaceBase
+from sattools.field.voxel import VoxelField
+from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.model import FittedModel
+from sattools.fit.options import FitOptions
+from sattools.fit.rays import RaySet, concatenated
+from sattools.render import ParallelRays, Quadrature, plate_slopes, render, sun_visibility
+from sattools.scene import Grid
+from sattools.views import View, shown_on
+
+VOXEL_PLANES_M = 1.0
+PRIOR_SOFTNESS = 0.5  # [m]
+# how far off a prior's height may be, from the surest to the least sure [m]
+BEST_STD_M, WORST_STD_M = 0.5, 4.0
+AMBIENT = 0.2
+LEAST_LIGHT = 0.05  # weight of an image that shows a place in shade
+
+
+def depth_std_m(confidence: Tensor) -> Tensor:
+    """Standard deviation of a prior's heights with a confidence in [0, 1], any shape [m]."""
+    return BEST_STD_M + (WORST_STD_M - BEST_STD_M) * (1 - confidence) ** 2
+
+
+def box_over(grid: Grid, z_range: tuple[float, float]) -> Box:
+    """The part of space over a grid."""
+    east, north = grid.width * grid.cell_size, grid.height * grid.cell_size
+    return Box((0.0, -north, z_range[0]), (east, 0.0, z_range[1]))
+
+
+def base_surface(
+    views: Sequence[View],
+    prior: DepthPrior,
+    z_range: tuple[float, float],
+    gain: np.ndarray,
+    offset: np.ndarray,
+) -> SurfaceBase:
+    """The prior's surface with the colours that the images show there, their shade taken out.
+
+    Args:
+        views: of the training, on the prior's grid.
+        prior: heights, none unknown.
+        z_range: lowest and highest height [m].
+        gain, offset: ``[V, C]`` colours of the images.
+    """
+    height, grid = prior.height, prior.grid
+    lit = {sun: sun_visibility(height, grid.cell_size, sun).numpy() for sun in {v.sun for v in views} if sun}
+    total, weight = np.zeros_like(views[0].target), np.zeros((*grid.shape, 1), np.float32)
+    for view, a, b in zip(views, gain, offset, strict=True):
+        picture, seen = shown_on(view, height.numpy(), grid.cell_size)
+        visible = (lit[view.sun] if view.sun else np.ones(grid.shape, np.float32))[..., None]
+        counts = seen * (visible**2 + LEAST_LIGHT)
+        total += counts * (picture - b) / a / (visible + (1 - visible) * AMBIENT)
+        weight += counts
+    colour = torch.from_numpy(total / np.maximum(weight, 1e-6)).float().clamp(0, 1)
+    return SurfaceBase(box_over(grid, z_range), height, colour, PRIOR_SOFTNESS)
+
+
+def filled_prior(prior: DepthPrior, grid: Grid) -> DepthPrior:
+    """The prior on the grid; unknown heights are the median, without confidence."""
+    here = prior.on(grid)
+    known = torch.isfinite(here.height)
+    height = torch.where(known, here.height, here.height[known].median())
+    return DepthPrior(height, torch.where(known, here.confidence.nan_to_num(0.0), 0.0).clamp(0, 1), grid)
+
+
+def ray_set(views: list[View], grid: Grid, z_range: tuple[float, float], prior: DepthPrior | None) -> RaySet:
+    """Every valid cell of every view as a ray through the height range, with the prior's depth along it.
+
+    Args:
+        views: the views.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        prior: depth supervision, or None.
+    """
+    low, high = z_range
+    rows, cols = grid.shape
+    x = ((torch.arange(cols) + 0.5) * grid.cell_size).expand(rows, cols)
+    y = (-(torch.arange(rows) + 0.5) * grid.cell_size)[:, None].expand(rows, cols)
+    suns = torch.tensor([v.sun or (torch.nan,) * 3 for v in views], dtype=torch.float32)
+    view_vectors = torch.tensor([(*v.slope, 1.0) for v in views], dtype=torch.float32)
+    view_vectors = view_vectors / view_vectors.norm(dim=1, keepdim=True)
+    spread = 1 / (high - low)
+    parts = []
+    for j, view in enumerate(views):
+        slope = torch.tensor(view.slope)
+        z = torch.tensor([high, low])
+        ends = [
+            torch.stack([x + slope[0] * (h - view.z_ref), y + slope[1] * (h - view.z_ref), h.expand(rows, cols)], -1)
+            for h in z
+        ]
+        depth, confidence, normal = _prior_along(view, grid, z_range, prior)
+        seen = torch.from_numpy(view.mask) > 0
+        parts.append(
+            RaySet(
+                ends[0][seen], (ends[1] - ends[0])[seen], torch.from_numpy(view.target)[seen],
+                torch.full((int(seen.sum()),), j), depth[seen], confidence[seen],
+                spread * depth_std_m(confidence[seen]), normal[seen], suns, view_vectors,
+                high,
+            )
+        )  # fmt: skip
+    return concatenated(parts)
+
+
+def _prior_along(
+    view: View, grid: Grid, z_range: tuple[float, float], prior: DepthPrior | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Where the rays of a view meet the prior: share of the path, confidence, normal."""
+    low, high = z_range
+    if prior is None:
+        upright = torch.tensor([0.0, 0.0, 1.0]).expand(*grid.shape, 3)
+        return torch.full(grid.shape, 0.5), torch.zeros(grid.shape), upright
+    height, confidence = prior.height, prior.confidence
+    # a wall is a step, not a slope: light that falls on a roof's rim is the roof's
+    along, down = (slope / grid.cell_size for slope in plate_slopes(height))
+    normal = torch.stack([-along, down, torch.ones_like(height)], dim=-1)  # rows run south
+    normal = normal / normal.norm(dim=-1, keepdim=True)
+    shown = torch.cat([height[..., None], confidence[..., None], normal], dim=-1).contiguous()
+    soft = PRIOR_SOFTNESS
+    quadrature = Quadrature(soft, soft / 1.5, high + 6 * soft, low - 10 * soft)
+    maps, _, opacity = render(height, shown, ParallelRays(view.slope, view.z_ref), quadrature, grid.cell_size)
+    maps = maps / opacity.clamp_min(1e-3)[..., None]
+    share = ((high - maps[..., 0]) / (high - low)).clamp(0, 1)
+    normal = maps[..., 2:] / maps[..., 2:].norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    return share, torch.where(opacity > 0.5, maps[..., 1], 0.0).clamp(0, 1), normal
+
+
+def make_field(
+    options: FitOptions,
+    grid: Grid,
+    z_range: tuple[float, float],
+    z_ref: float,
+    bands: int,
+    prior: DepthPrior | None,
+    *,
+    base: SurfaceBase | None = None,
+) -> Field:
+    """The untrained field over the grid.
+
+    Args:
+        options: of the fit.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        z_ref: reference height [m].
+        bands: of the images.
+        prior: depth supervision, or None.
+        base: what a network starts from, or None.
+    """
+    box = box_over(grid, z_range)
+    if options.field == "mlp":
+        return MlpField(NETWORKS[options.network], box, bands, options.width, options.seed, base=base)
+    start = prior.height if prior is not None else torch.full(grid.shape, z_ref)
+    planes = max(8, round((z_range[1] - z_range[0]) / VOXEL_PLANES_M))
+    return VoxelField(box, (planes, *grid.shape), start, torch.full((*grid.shape, bands), 0.2))
+
+
+def restored_field(model: FittedModel) -> Field:
+    """The field of a model, as it was at the end of its training.
+
+    Raises:
+        KeyError, RuntimeError, TypeError: the model lacks what its kind needs.
+    """
+    own = {name.removeprefix("field."): t for name, t in model.extra.items() if name.startswith("field.")}
+    low, high = (tuple(corner) for corner in model.extra["box"].tolist())
+    box, bands = Box(low, high), model.albedo.shape[-1]
+    field: Field
+    if model.field == "mlp":
+        start = {name.removeprefix("base."): t for name, t in model.extra.items() if name.startswith("base.")}
+        base = SurfaceBase.restored(start, box) if start else None
+        width = own["trunk.0.weight"].shape[0]
+        field = MlpField(NETWORKS[str(model.network)], box, bands, width, base=base)
+    else:
+        planes, rows, cols = own["logits"].shape
+        field = VoxelField(box, (planes, rows, cols), model.height, torch.zeros(rows, cols, bands))
+    with torch.no_grad():
+        for name, tensor in field.named_tensors().items():
+            tensor.copy_(own[name])
+    return field
+
+
+__all__ = ["base_surface", "box_over", "depth_std_m", "filled_prior", "make_field", "ray_set", "restored_field"]

@@ -1,0 +1,185 @@
+"""Networks that start from the prior: what they begin with, what they show, and that their time is honest."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import rasterio
+import torch
+
+from sattools.compare import compare_dsm, read_reference
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.field.mlp import MlpField
+from sattools.field.networks import NETWORKS
+from sattools.field.protocol import Box
+from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
+from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.model import FittedModel
+from sattools.fit.presets import PRESETS, resolve
+from sattools.fit.ray_start import depth_std_m, restored_field
+from sattools.fit.rays_stage import _duration
+from sattools.fit.stage import fit
+from sattools.fit.trace import Trace
+from sattools.prior.files import read_prior
+
+PAPERS = [name for name in PRESETS if name != "fast"]
+TINY = {"width": 16, "rays": 64, "steps": 12, "resolution": 2.0}
+BOX = Box((0.0, -8.0, 0.0), (8.0, 0.0, 20.0))
+
+
+def slope_base(softness=0.5):
+    """Heights 5, 6, ... 12 m from west to east, red in the north and blue in the south."""
+    height = torch.arange(5.0, 13.0).expand(8, 8).contiguous()
+    colour = torch.tensor([0.8, 0.3, 0.1]).expand(8, 8, 3).clone()
+    colour[4:] = torch.tensor([0.1, 0.3, 0.8])
+    return SurfaceBase(BOX, height, colour, softness)
+
+
+def test_the_activations_are_undone():
+    density = torch.tensor([1e-3, 0.5, 20.0])
+    assert torch.allclose(torch.nn.functional.softplus(before_softplus(density)), density, rtol=1e-4)
+    value = torch.tensor([0.1, 0.4, 0.7])
+    assert torch.allclose(0.8 * torch.sigmoid(before_sigmoid(value, 0.0, 0.8)), value, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", list(NETWORKS))
+def test_an_untrained_network_is_the_surface_it_starts_from(name):
+    base = slope_base()
+    field = MlpField(NETWORKS[name], BOX, 3, width=16, base=base)
+    # the middles of cells (row 1, column 2) and (row 6, column 5), of heights 7 and 10 m
+    points = torch.tensor([[2.5, -1.5, 7.0], [5.5, -6.5, 10.0], [5.5, -6.5, 18.0], [5.5, -6.5, 2.0]])
+    sigma, features = field.density(points)
+    # sigmoid(0) / s on the surface, nothing far above it, 1 / s inside
+    assert sigma.tolist() == pytest.approx([1.0, 1.0, 0.0, 2.0], abs=2e-5)
+    albedo = field.look(features, None, None)["albedo"]
+    assert albedo[0].tolist() == pytest.approx(
+        [min(0.8, 0.98 * NETWORKS[name].heads["albedo"].high), 0.3, 0.1], abs=1e-4
+    )
+    assert float(albedo[1, 0]) == pytest.approx(0.1, abs=1e-4)
+
+
+def test_all_of_a_network_learns_although_its_last_layers_begin_at_zero():
+    field = MlpField(NETWORKS["eonerf"], BOX, 3, width=16, base=slope_base())
+    points = torch.rand(64, 3) * torch.tensor([8.0, -8.0, 20.0])
+    tensors = field.named_tensors()
+    adam = torch.optim.SGD(tensors.values(), lr=0.1)
+    before = {name: t.detach().clone() for name, t in tensors.items()}
+    for _ in range(2):
+        adam.zero_grad()
+        sigma, features = field.density(points)
+        (sigma.sum() + field.look(features, None, None)["albedo"].sum()).backward()
+        adam.step()
+    for name in ("trunk.0.weight", "sigma.weight", "albedo.0.weight", "albedo.1.weight"):
+        assert not torch.equal(before[name], tensors[name]), name
+
+
+def test_the_surest_heights_are_searched_closest():
+    std = depth_std_m(torch.tensor([1.0, 0.5, 0.0]))
+    assert std.tolist() == pytest.approx([0.5, 1.375, 4.0])
+
+
+@pytest.mark.parametrize("preset", PAPERS)
+def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_town, preset):
+    scene = make_town()
+    fit(scene, resolve(preset, TINY))
+    truth = read_reference(str(scene.path(scene.products["truth_dsm"])))
+    model = FittedModel.load(scene.path("fit/model.safetensors"))
+    prior = DepthPrior.from_arrays(*read_prior(scene)).on(model.grid)
+    error, start = (
+        compare_dsm(height.numpy(), truth, model.grid).figures["mae"] for height in (model.height, prior.height)
+    )
+    # twelve steps of a tiny network change next to nothing: what is left is how a volume is read off
+    assert error < start + 0.05
+    item = scene.items[0].id
+    export(scene, ExportOptions(view=[item], sun=(180.0, 45.0)))
+    with rasterio.open(scene.path(scene.items[0].assets["rendered"].href)) as shown:
+        picture = shown.read()
+    with rasterio.open(scene.path(scene.items[0].assets["image"].href)) as image:
+        pixels = image.read().astype(np.float32) / np.iinfo(image.dtypes[0]).max
+    known = np.isfinite(picture).all(axis=0)
+    assert known.mean() > 0.4  # the image shows more ground than the model has
+    correlation = np.corrcoef(picture[:, known].ravel(), pixels[:, known].ravel())[0, 1]
+    assert correlation > 0.5
+    assert scene.path(scene.products["relit"]).is_file()
+    expected = {
+        "hapke-nerf": {"w", "b", "c", "theta", "normal", "reflectance"},
+        "rpv-nerf": {"rho0", "k", "asymmetry", "rhoc", "normal", "reflectance"},
+    }.get(preset, set())
+    assert expected <= set(scene.products)
+    for name in expected:
+        with rasterio.open(scene.path(scene.products[name])) as data:
+            values = data.read(masked=True)
+        assert values.count() > 0.5 * values.size
+        assert np.isfinite(values.compressed()).all(), name
+    assets = {name for item in scene.items for name in item.assets}
+    assert ("s_net" in assets) == (preset in ("satnerf", "eonerf-learned-shadow"))
+    assert ("tau" in assets) == (preset == "eonerf")
+
+
+def test_a_model_gives_its_field_back(make_town):
+    scene = make_town()
+    fit(scene, resolve("eonerf", TINY))
+    model = FittedModel.load(scene.path("fit/model.safetensors"))
+    field = restored_field(model)
+    for name, tensor in field.named_tensors().items():
+        assert torch.equal(tensor, model.extra[f"field.{name}"])
+    x, y = 10.0, -10.0
+    ground = float(model.height[5, 5])
+    sigma, _ = field.density(torch.tensor([[x, y, ground + 6.0], [x, y, ground - 6.0]]))
+    assert float(sigma[0]) < 0.1 < float(sigma[1])
+
+
+def test_with_a_budget_the_reflectance_model_comes_in_after_its_share_of_what_is_really_run(make_town, monkeypatch):
+    """Of 100,000 steps the budget leaves some fifty: a fifth of those is Lambertian, not a fifth of the 100,000."""
+    scene = make_town()
+    seconds = itertools.count()
+    monkeypatch.setattr(Trace, "seconds", lambda self: float(next(seconds)))
+    found = fit(scene, resolve("hapke-nerf", {**TINY, "steps": 100_000, "budget": 150.0}))
+    assert "stopped by the budget of 150 s" in found["notes"][-1]
+    trained = FittedModel.load(scene.path("fit/model.safetensors"))
+    untouched = MlpField(NETWORKS["hapke"], BOX, 3, width=16, seed=0)
+    for head in ("b", "c", "theta"):
+        name = f"{head}.1.weight"
+        assert not torch.equal(trained.extra[f"field.{name}"], untouched.named_tensors()[name].detach()), head
+
+
+def test_images_of_one_scale_keep_it(make_town):
+    """Gains learned for calibrated images would take their calibration away."""
+    scene = make_town()
+    for item in scene.items:
+        item.properties["sattools:radiance"] = "toa_reflectance"
+    fit(scene, resolve("eonerf", TINY))
+    model = FittedModel.load(scene.path("fit/model.safetensors"))
+    assert torch.equal(model.gain, torch.ones_like(model.gain))
+    assert torch.equal(model.offset, torch.zeros_like(model.offset))
+    assert model.radiance == "toa_reflectance"
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(50, "50 s"), (600, "10 min"), (10800, "3 h"), (2.2e6, "25 days")])
+def test_durations_are_said_in_units_that_people_use(seconds, text):
+    assert _duration(seconds) == text
+
+
+def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(make_town, monkeypatch):
+    from sattools.fit import rays_stage
+
+    monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
+    options = resolve("hapke-nerf", {**TINY, "steps": 40})
+    whole, broken = make_town("WHOLE"), make_town("BROKEN")
+    fit(whole, options)
+
+    def stop(fraction, message):
+        if message.startswith("step 23/"):  # between two rows of the trace
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(broken, options, stop)
+    fit(broken, dataclasses.replace(options, resume=True))
+    one, other = (FittedModel.load(s.path("fit/model.safetensors")) for s in (whole, broken))
+    assert torch.equal(one.height, other.height)
+    assert all(torch.equal(one.extra[name], other.extra[name]) for name in one.extra)
+    losses = [s.path("fit/trace.csv").read_text().splitlines() for s in (whole, broken)]
+    assert [row.split(",")[1:] for row in losses[0]] == [row.split(",")[1:] for row in losses[1]]
