@@ -231,8 +231,7 @@ class RayTrainer:
 
     @torch.no_grad()
     def ground_maps(self, x: Tensor, y: Tensor, z: tuple[float, float], samples: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` at x ``[W]``,
-        y ``[H]`` [m].
+        """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` [m].
 
         Args:
             x: ``[W]`` [m].
@@ -287,7 +286,7 @@ def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
 
 
 def solar_correction(weights: Tensor, transmittance: Tensor, s: Tensor) -> Tensor:
-    """mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
+    """Mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
 
     Args:
         weights: ``[R, S]`` of the samples, sum at most 1.

@@ -138,8 +138,10 @@ def _add_pair(
 
 @njit(cache=True, fastmath=FASTMATH)
 def _fill_unseen(column, unseen):
-    """Replace the negative scores of a cell (heights that no pair sees): a hidden height must stay possible, but not
-    beat what is seen to agree, however poorly."""
+    """Replace the negative scores of a cell (heights that no pair sees).
+
+    A hidden height must stay possible, but not beat what is seen to agree, however poorly.
+    """
     best = np.float32(0)
     for k in range(column.shape[0]):
         best = max(best, column[k])
@@ -172,8 +174,9 @@ def correlate(
     mixed,
     volume,
 ):
-    """Agreement of the views at every (cell, height): power mean over the pairs, weighted by whether both see it,
-    either both in the sun or both in shadow.
+    """Agreement of the views at every (cell, height).
+
+    It is a power mean over the pairs, weighted by whether both see the place, either both in the sun or both in shadow.
 
     A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness,
     1 / (1 + (difference of means / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form.
@@ -276,7 +279,8 @@ def first_hit_heights(surface, slopes, z_ref, z_top, z_bottom, first_hit_height)
         surface: ``[Hf, Wf]`` float32 heights on the frame [m].
         slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
         z_ref: reference height of the frame [m].
-        z_top, z_bottom: where rays start and end [m].
+        z_top: where rays start and end [m].
+        z_bottom: where rays start and end [m].
         first_hit_height: ``[V, Hf, Wf]`` float32, filled.
     """
     views = slopes.shape[0]
@@ -305,7 +309,10 @@ def descend(surface, bottom, top, low, high, depth, where):
 
     Args:
         surface: ``[H, W]`` float32 heights [m]; -inf = unknown.
-        bottom, top: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        bottom: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        top: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        low: lower height [m].
+        high: upper height [m].
         depth: ``[h, w]`` float32, filled with the height met; NaN = none.
         where: ``[h, w, 2]`` int64, filled with the cell met; (0, 0) if none.
     """

@@ -22,7 +22,7 @@ Kinks, where one of the two one-sided derivatives or their mean is returned:
 - g = 0 with b0 > 0, with respect to sun and view only: B is a cone; 0 is returned for its part;
 - i = 90 or e = 90 degrees: the BRF drops to 0; the derivative from above the horizon is returned;
 - i = e = 90 degrees: at psi = 180 the BRF tends to 0 at a rate that depends on the direction of approach; at psi = 0
-  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.roughness.Z_MIN`.
+  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.hapke_limits.Z_MIN`.
 
 First derivatives only, through `torch.autograd`.
 """
@@ -126,8 +126,9 @@ def _stop(grad: Tensor, value: Tensor, low: float, high: float) -> Tensor:
 
 
 class _Hapke(torch.autograd.Function):
-    """The model with its reverse written out, block by block; operands in the order of `hapke`, b0 None for no
-    opposition.
+    """The model with its reverse written out, block by block.
+
+    Operands are in the order of `hapke`, b0 None for no opposition.
 
     Without an axis of bands the derivatives are worked out along with the value, while everything is in the cache,
     and eight numbers a sample are kept. With bands the intermediate values are kept instead, so that gradients are
@@ -313,14 +314,18 @@ def hapke(
     """BRF of Hapke's model.
 
     Args:
-        normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
-        w: single scattering albedo, 0 to 0.99. b: width of the lobes, 0 to 0.99. c: weight of the back lobe, 0 to 1.
-        theta_deg: mean slope angle theta-bar in degrees, 1e-4 to 60.
-        b0, h: amplitude and angular width (> 0) of the opposition effect; b0 = 0 leaves it out.
-            All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``):
-            what does not depend on the band is then computed once.
-        b: width of the phase function's lobes, in (-1, 1).
-        c: share of the backward lobe, in [0, 1].
+        normal: unit vectors ``[..., 3]`` away from the surface.
+        sun: unit vectors ``[..., 3]`` away from the surface.
+        view: unit vectors ``[..., 3]`` away from the surface.
+        w: single-scattering albedo, 0 to 0.99; this and all that follow broadcastable to ``[...]``.
+        b: width of the phase function's lobes, 0 to 0.99.
+        c: weight of the back lobe, 0 to 1.
+        theta_deg: mean slope angle theta-bar [degrees], 1e-4 to 60.
+        b0: amplitude of the opposition effect; 0 leaves it out.
+        h: angular width of the opposition effect, above 0.
+
+    With bands, give the directions an axis of 1 (``normal[..., None, :]``): what does not depend on the band is then
+    computed once.
 
     Returns:
         Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0
@@ -339,12 +344,13 @@ def hapke(
 
 
 def plain_hapke(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> Tensor:
-    """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors.
+    """`hapke` by the formulas of this module on any device: what is compiled for processors, in torch.
 
     Args:
         normal: ``[..., 3]`` unit vectors.
         sun: unit vector (east, north, up) to the sun.
         view: unit vector(s) to the sensor.
+        *parameters: as of `hapke`, from w on.
     """
     opposition = (0.0, 1.0)[len(parameters) - 4 :]  # b0 and h, where they are not given
     operands, needed = _operands(normal, sun, view, *parameters, *opposition)

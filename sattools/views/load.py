@@ -27,8 +27,11 @@ _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about wh
 
 @dataclass(frozen=True)
 class RadiometricBalance:
-    """How an image becomes comparable with the others of a large area: gain and offset per band, and the contrast of
-    all of them; the property ``sattools:radiometric_balance`` of the images of a tile, which shows too little of it."""
+    """How an image becomes comparable with the others of a large area.
+
+    Gain and offset per band, and the contrast of all images; the property ``sattools:radiometric_balance`` of the
+    images of a tile, which shows too little of it.
+    """
 
     gain: list[float]
     offset: list[float]
@@ -94,8 +97,10 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
 
 
 def _surroundings(scene: Scene, cameras: Sequence[RPC]) -> Grid | None:
-    """The scene's grid, wider by what points of the height range are displaced in any image; None = no grid yet, or a
-    camera of another place, which is told where its pixels are looked for."""
+    """The scene's grid, wider by what points of the height range are displaced in any image.
+
+    None = no grid yet, or a camera of another place, which is told where its pixels are looked for.
+    """
     if scene.grid is None or scene.height_range_m is None:
         return None
     grid, z_range = scene.grid, scene.height_range_m
