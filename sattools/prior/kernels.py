@@ -158,8 +158,8 @@ def correlate(
     heights,
     base,
     z_ref,
-    first_hit_height,
-    shadow_height,
+    hit_heights,
+    shadow_heights,
     dark,
     tolerance,
     pairs,
@@ -192,8 +192,8 @@ def correlate(
         base: ``[H + 2 radius, W + 2 radius]`` float32 surface, with a border as wide as the window, above which the
             heights are meant [m]: planes become parallels of it, and windows follow it; ``[0, 0]`` for planes.
         z_ref: reference height of the frame [m].
-        first_hit_height: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
-        shadow_height: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
+        hit_heights: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
+        shadow_heights: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
         dark: ``[V]`` float32 radiance of shadows; very low = unknown.
         tolerance: depth below it that still counts as seen [m].
         pairs: ``[P, 2]`` int64.
@@ -236,8 +236,8 @@ def correlate(
                             z = base[r0 + i + radius, j + radius] + heights[k]
                             nr = margin + r0 + i + round(slopes[v, 0] * (z - z_ref))
                             nc = margin + j + round(slopes[v, 1] * (z - z_ref))
-                            lit = np.float32(1) if z >= shadow_height[v, r0 + i, j] else np.float32(-1)
-                            near = first_hit_height[v, nr, nc] <= z + tolerance
+                            lit = np.float32(1) if z >= shadow_heights[v, r0 + i, j] else np.float32(-1)
+                            near = hit_heights[v, nr, nc] <= z + tolerance
                             seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) * (np.float32(1) if near else weak)
                     _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
                     continue
@@ -245,8 +245,8 @@ def correlate(
                 _translate(images[v], margin + r0 - radius, margin - radius, dr, dc, moved[v])
                 nr, nc = margin + r0 + round(dr), margin + round(dc)
                 for i in range(rows):
-                    mask, hit = masks[v, nr + i, nc : nc + width], first_hit_height[v, nr + i, nc : nc + width]
-                    shadow, target = shadow_height[v, r0 + i], seen[v, i]
+                    mask, hit = masks[v, nr + i, nc : nc + width], hit_heights[v, nr + i, nc : nc + width]
+                    shadow, target = shadow_heights[v, r0 + i], seen[v, i]
                     for j in range(width):
                         lit = np.float32(1) if heights[k] >= shadow[j] else np.float32(-1)
                         target[j] = lit * np.float32(mask[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)

@@ -63,8 +63,9 @@ def render_planes(
 
 
 def minmod_slopes(height: np.ndarray, axis: int) -> np.ndarray:
-    """Rise of every cell per cell along an axis ``[H, W]`` [m]: the flatter of both neighbours', 0 where they differ in
-    sign and at the map's edge.
+    """Rise of every cell per cell along an axis ``[H, W]`` [m].
+
+    It is the flatter of that to both neighbours; 0 where these differ in sign, and at the map's edge.
     """
     slope = np.zeros_like(height)  # [H, W]
     back, ahead = np.diff(height, axis=axis), np.diff(height, axis=axis)
