@@ -116,10 +116,6 @@ def _h_rates(m: _Multiple, x: Tensor, log: Tensor, h: Tensor, g_h: Tensor) -> tu
     return g_x, g_w
 
 
-def _tangent(theta_deg: Tensor) -> Tensor:
-    return torch.tan(theta_deg.clamp(THETA_MIN, THETA_MAX) * _DEGREE)
-
-
 def _stop(grad: Tensor, value: Tensor, low: float, high: float) -> Tensor:
     """The gradient where the value lies between the bounds, else 0 (the reverse of clamp, in one pass)."""
     return torch.ops.aten.hardtanh_backward(*torch.broadcast_tensors(grad, value), low, high)
@@ -148,7 +144,7 @@ class _Hapke(torch.autograd.Function):
             parts = _cut(blocks, block, operands)
             n, s, v, w, b, c, theta, b0, h = parts
             angles = measure(n, s, v, known)
-            t = _tangent(theta)
+            t = roughness.tangent_of(theta)
             facet = roughness.forward(angles, t)
             lobes = _lobes(angles, b, c, b0, h)
             multiple = _multiple(facet, w, t)
@@ -372,32 +368,3 @@ def _shapes(operands: Sequence[Any]) -> tuple[torch.Size, torch.Size]:
     """Broadcast shapes of the geometry (directions and theta-bar) and of the result."""
     facets = torch.broadcast_shapes(*[o.shape[:-1] for o in operands[:3]], operands[6].shape)
     return facets, torch.broadcast_shapes(facets, *[p.shape for p in operands[3:] if p is not None])
-
-
-def effective_cosines(
-    normal: Tensor, sun: Tensor, view: Tensor, theta_deg: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
-
-    They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
-
-    Args:
-        normal: ``[..., 3]`` unit vectors.
-        sun: unit vector (east, north, up) to the sun.
-        view: unit vector(s) to the sensor.
-        theta_deg: macroscopic roughness [degrees].
-
-    Raises:
-        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
-    """
-    with torch.no_grad():
-        normal, sun, view, theta_deg = as_tensors(normal, sun, view, theta_deg)
-        angles = measure(normal, sun, view)
-        t = _tangent(theta_deg)
-        facet = roughness.forward(angles, t)
-        shrink = torch.rsqrt(1 + math.pi * t * t)
-        sun_is_low = angles.mu0 >= angles.mu
-        mu0e = shrink * torch.where(sun_is_low, facet.a_lo, facet.a_hi)
-        mue = shrink * torch.where(sun_is_low, facet.a_hi, facet.a_lo)
-        # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
-        return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)
