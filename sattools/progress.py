@@ -11,7 +11,8 @@ from typing import Protocol
 class Progress(Protocol):
     """Called with the share done in [0, 1] and a short message."""
 
-    def __call__(self, fraction: float, message: str) -> None: ...
+    def __call__(self, fraction: float, message: str) -> None:
+        """Tell how far the work is."""
 
 
 def silent(fraction: float, message: str) -> None:

@@ -63,8 +63,9 @@ def shares(options: BatchOptions, cores: int) -> Shares:
 
 
 def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finished, told: Told) -> None:
-    """Do all jobs; `finished` is called for each as soon as it is done and gives the jobs that follow from it, `told`
-    with name, share and message.
+    """Do all jobs.
+
+    `finished` is called for each as soon as it is done and gives the jobs that follow from it.
 
     Raises SattoolsError where Dask is not installed or the scheduler does not answer.
 

@@ -38,7 +38,7 @@ def pareto_front(points: Sequence[Point]) -> list[Point]:
 
 
 def speed_error_figure(rows: Sequence[JsonObject]) -> Any | None:
-    """matplotlib figure: small dots are scenes, large ones means, ringed where on the front; None without any error."""
+    """Matplotlib figure: small dots are scenes, large ones means, ringed where on the front; None without any error."""
     points = means(rows)
     if not points:
         return None

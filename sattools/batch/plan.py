@@ -104,6 +104,7 @@ class Digests:
             self.known = {}
 
     def __call__(self, path: Path) -> str:
+        """SHA-256 of a file, read again only where its size or time has changed."""
         try:
             state = path.stat()
             name, stamp = str(path.resolve()), [state.st_size, state.st_mtime_ns]
@@ -197,8 +198,9 @@ def prep_task(
 
 
 def shared_task(out: Path, run: Task, content: Any, configuration: Configuration) -> Task | None:
-    """The task that makes what runs of a scene may share, `normalise` and `prior`; None where the fit makes its own
-    prior, as held-out images have no part in it, or none.
+    """The task that makes what the runs of a scene may share, `normalise` and `prior`.
+
+    None where the fit makes its own prior, as held-out images have no part in it, or none.
 
     Args:
         out: folder of the batch.

@@ -142,7 +142,9 @@ def adjust(
     """Correct cameras from tie points.
 
     Args:
-        rpcs, names, sizes: camera, name and (height, width) [px] of each view.
+        rpcs: camera, name and (height, width) [px] of each view.
+        names: camera, name and (height, width) [px] of each view.
+        sizes: camera, name and (height, width) [px] of each view.
         tracks: tie points, false matches among them.
         options: see `AdjustOptions`; None = the defaults.
         progress: told the share done and what is being done.

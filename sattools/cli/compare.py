@@ -13,10 +13,10 @@ from sattools.compare.options import CompareOptions
 from sattools.errors import SattoolsError
 from sattools.export.options import ExportOptions
 from sattools.progress import Progress
-from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("compare")

@@ -10,10 +10,10 @@ from sattools.cli.options import build, common_options, dataclass_options, scene
 from sattools.cli.pipe import Run, run_scenes
 from sattools.export.options import ExportOptions
 from sattools.progress import Progress
-from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("export")

@@ -58,7 +58,7 @@ class Renamed(click.Choice):
 
 
 def kind_of(spec: OptionSpec) -> Any:
-    """click's type of an option; None where click finds it by itself."""
+    """Click's type of an option; None where click finds it by itself."""
     if spec.choices:
         return Renamed(spec.choices, spec.renamed) if spec.renamed else click.Choice(spec.choices)
     if spec.kind is float:

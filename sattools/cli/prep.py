@@ -14,10 +14,10 @@ from sattools.cli.pipe import Run, report_error, run_source
 from sattools.errors import InputError
 from sattools.prep.options import PrepOptions
 from sattools.progress import Progress
-from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("prep")

@@ -10,11 +10,11 @@ import click
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, run_source
 from sattools.progress import Progress
-from sattools.scene.jsonio import JsonObject
 from sattools.simulate.options import SimulateOptions
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("simulate")

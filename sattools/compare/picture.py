@@ -26,7 +26,7 @@ def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Pat
 
 
 def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: float = 5.0) -> Any:
-    """matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`limit_m`.
+    """Matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`limit_m`.
 
     Args:
         difference: ``[H, W]`` prediction minus reference [m].

@@ -44,7 +44,7 @@ def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> Non
 
 
 def picture(height: np.ndarray, grid: Grid, title: str) -> Any:
-    """matplotlib figure of a DSM [H, W] in metres: colour ramp over hillshade, with axes in metres and a colour bar.
+    """Matplotlib figure of a DSM [H, W] in metres: colour ramp over hillshade, with axes in metres and a colour bar.
 
     Args:
         height: ``[H, W]`` [m].

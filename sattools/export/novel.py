@@ -44,8 +44,9 @@ def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
 
 @torch.no_grad()
 def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, towards: Vector) -> Tensor:
-    """Light ``[H, W, C]`` of every cell in the direction ``towards``: pi L / E of a reflectance model, else in units
-    of the albedo.
+    """Light ``[H, W, C]`` of every cell in the direction ``towards``.
+
+    It is pi L / E of a reflectance model, else in units of the albedo.
 
     Shade has the mean ambient light of the images.
 

@@ -18,7 +18,7 @@ W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.
 
 
 def positional_encoding(x: Tensor, frequencies: int) -> Tensor:
-    """x and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
+    """X and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
     if frequencies == 0:
         return x
     angle = x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, dtype=x.dtype, device=x.device))
@@ -77,8 +77,11 @@ class MlpField:
                     layer.bias.zero_()
 
     def _layer(self, inputs: int, outputs: int, random: torch.Generator, first: bool = False) -> nn.Linear:
-        """SIREN: uniform within sqrt(6 / n), 1 / n in the first layer (its frequency comes with the sine); else
-        torch's own initial weights, within 1 / sqrt(n)."""
+        """First weights, of a SIREN or as torch has them.
+
+        SIREN: uniform within sqrt(6 / n), 1 / n in the first layer (its frequency comes with the sine); else within 1 /
+        sqrt(n).
+        """
         layer = nn.Linear(inputs, outputs)
         bound = inputs**-0.5
         scale = bound

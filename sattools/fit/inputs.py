@@ -139,8 +139,9 @@ def load_prior(
 
 
 def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: DepthPrior | None) -> str:
-    """Hash of everything that a continued fit must share with the interrupted one: options, version, images with
-    cameras and suns, prior, grid, heights, what tiles share.
+    """Hash of everything that a continued fit must share with the interrupted one.
+
+    These are options, version, images with cameras and suns, prior, grid, heights, and what tiles share.
 
     Args:
         scene: the scene.

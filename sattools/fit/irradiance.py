@@ -61,7 +61,9 @@ class IlluminationModel:
 
     @classmethod
     def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> IlluminationModel:
-        """Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
+        """Start values.
+
+        Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
         transients.
 
         Args:
@@ -123,11 +125,11 @@ class IlluminationModel:
         return torch.sigmoid(torch.relu(hidden) @ t["net.1.weight"] + t["net.1.bias"])[..., 0]
 
     def transmission(self, view: int) -> Tensor | None:
-        """tau ``[H, W]`` in [0, 1] of one view; None without transients."""
+        """Tau ``[H, W]`` in [0, 1] of one view; None without transients."""
         return 1 - self.tensors["transient"][view] if "transient" in self.tensors else None
 
     def visibility(self, view: int, sun: Sequence[float] | None, geometric: Tensor | None) -> Tensor | None:
-        """s = tau * (s_net or s_geo) ``[H, W]``; None = all lit.
+        """S = tau * (s_net or s_geo) ``[H, W]``; None = all lit.
 
         Args:
             view: its index.

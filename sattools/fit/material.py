@@ -39,7 +39,7 @@ class Parameter:
         return torch.log(share / (1 - share))
 
     def slope(self, raw: Tensor) -> Tensor:
-        """d bounded / d raw."""
+        """D bounded / d raw."""
         s = torch.sigmoid(raw)
         return (self.high - self.low) * s * (1 - s)
 
@@ -71,7 +71,8 @@ def radiance_factor(
     Args:
         kind: model.
         normal: ``[..., 3]`` unit vectors.
-        sun, view: ``[3]`` unit vectors.
+        sun: ``[3]`` unit vectors.
+        view: ``[3]`` unit vectors.
         amplitude: ``[..., C]``.
         shape: three ``[...]``.
     """

@@ -147,12 +147,14 @@ class FittedModel:
         """
         tensors, description = load(path)
         _DESCRIPTION.check(description, f"{path}: model")
-        for name in (*_MAPS, *COLOURS):
+        for name in _MAPS:
             if name not in tensors:
                 raise InputError(f"{path}: found a model without {name}, expected a surface model")
         own = {item.name for item in fields(cls)}
         known = {name: value for name, value in description.items() if name in own and name != "extra"}
         known |= {name: tensors.pop(name) for name in (*_MAPS, *_PER_IMAGE) if name in tensors}
+        for name, value in _neutral(len(known["items"]), known["albedo"]).items():
+            known.setdefault(name, value)
         model = cls(**{**known, **_typed(known)}, extra=tensors)
         model._check(path)
         return model
@@ -184,6 +186,12 @@ def _typed(description: Mapping[str, Any]) -> JsonObject:
         "suns": [None if sun is None else tuple(sun) for sun in description["suns"]],
         "slopes": [tuple(slope) for slope in description.get("slopes", [])],
     }
+
+
+def _neutral(views: int, albedo: Tensor) -> dict[str, Tensor]:
+    """Colours ``[V, C]`` and poses ``[V, 2]`` [m] of images that show the albedo as it is, for files without any."""
+    none = albedo.new_zeros(views, albedo.shape[-1] if albedo.dim() else 1)
+    return {"gain": none + 1, "offset": none, "ambient": none, "pose": albedo.new_zeros(views, 2)}
 
 
 def _check_heights(path: Path, height: Tensor) -> None:

@@ -53,7 +53,8 @@ def base_surface(
         views: of the training, on the prior's grid.
         prior: heights, none unknown.
         z_range: lowest and highest height [m].
-        gain, offset: ``[V, C]`` colours of the images.
+        gain: ``[V, C]`` of the images.
+        offset: ``[V, C]`` of the images.
     """
     height, grid = prior.height, prior.grid
     lit = {sun: sun_visibility(height, grid.cell_size, sun).numpy() for sun in {v.sun for v in views} if sun}

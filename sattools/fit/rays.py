@@ -311,7 +311,7 @@ def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
 
 
 def solar_correction(weights: Tensor, transmittance: Tensor, s: Tensor) -> Tensor:
-    """mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
+    """Mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
 
     Args:
         weights: ``[R, S]`` of the samples, sum at most 1.

@@ -42,6 +42,7 @@ def fit_rays(
     prior: DepthPrior | None,
     device: torch.device,
     progress: Progress,
+    *,
     radiance: Radiance = "relative",
 ) -> Fitted:
     """Train a field ray by ray.

@@ -88,7 +88,7 @@ class ReflectiveScene(SurfaceScene):
         return self.gain[index] * self.scale[index] * light + self.offset[index]
 
     def light(self, sun: Tensor, towards: Tensor, visibility: Tensor | None, ambient: Tensor) -> Tensor:
-        """pi L / E ``[H, W, C]`` towards ``towards`` under ``sun`` (unit vectors).
+        """Pi L / E ``[H, W, C]`` towards ``towards`` under ``sun`` (unit vectors).
 
         Args:
             sun: ``[3]`` unit vector to the sun.

@@ -44,7 +44,7 @@ def charbonnier(x: Tensor, scale: float) -> Tensor:
 
 
 def concave(x: Tensor, scale: float, knee: float = 1.0) -> Tensor:
-    """knee * log(1 + charbonnier(x) / knee): above the knee a large step costs little more than a small one.
+    """Knee * log(1 + charbonnier(x) / knee): above the knee a large step costs little more than a small one.
 
     Many middling steps cost more than one wall of the same height, so slopes between two levels steepen into walls.
 

@@ -11,8 +11,9 @@ from sattools.scene import Grid
 
 
 def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
-    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no
-    further.
+    """A map ``[h, w]`` on another grid with the same upper left corner.
+
+    It is averaged or bilinear; NaN spreads no further.
 
     Args:
         array: ``[h, w]``; NaN = unknown.

@@ -165,8 +165,10 @@ class Plan:
         self._write_state(names, [])
 
     def spent(self) -> JsonObject:
-        """Seconds of `split` and of the tiles, and the most memory one of them took, where they were fitted by
-        commands of their own."""
+        """Seconds of `split` and of the tiles, and the most memory one of them took.
+
+        Empty where they were not fitted by commands of their own.
+        """
         entries = [entry for name in self.names() for entry in self.part_scene(name).history]
         if not entries:
             return {}
@@ -308,6 +310,7 @@ def _used(assets: Mapping[str, Asset]) -> list[str]:
 
 
 def saying(progress: Progress, before: str) -> Progress:
+    """The callback of a step whose messages begin with some words."""
     return lambda fraction, message: progress(fraction, before + message)
 
 

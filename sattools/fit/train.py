@@ -32,8 +32,15 @@ WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a
 
 @dataclass(frozen=True)
 class StageSettings:
-    """One step of the schedule: cell [m], epochs, softness [m] at its start and end, height range [m], and whether the
-    surface has a reflectance model."""
+    """One step of the schedule.
+
+    Attributes:
+        cell_size: of the grid [m].
+        epochs: passes over all views.
+        softness: of the surface at the start and the end [m].
+        z_range: lowest and highest height [m].
+        reflective: whether the surface has a reflectance model.
+    """
 
     cell_size: float
     epochs: int
@@ -43,8 +50,9 @@ class StageSettings:
 
 
 def prior_loss(height: Tensor, prior: DepthPrior, limit: float = 1.0) -> Tensor:
-    """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior
-    lets go.
+    """Mean of confidence * min(|h - prior|, limit).
+
+    Where rendering disagrees by more than the limit, the prior lets go.
 
     Args:
         height: ``[H, W]`` [m].

@@ -83,8 +83,10 @@ def update_minima(total, slopes, heights, z_ref, row0, col0, cost, height):
         slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         z_ref: reference height of the frame [m].
-        row0, col0: frame position of the block's first cell at that height.
-        cost, height: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
+        row0: frame position of the block's first cell at that height.
+        col0: frame position of the block's first cell at that height.
+        cost: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
+        height: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
     """
     rows, cols, depth = total.shape
     for v in prange(slopes.shape[0]):

@@ -1,5 +1,6 @@
-"""Courtyards that the smoothness term has bridged: found by their darkness, opened where that explains the images
-better.
+"""Courtyards that the smoothness term has bridged.
+
+They are found by their darkness, and opened where that explains the images better.
 
 Matching starts without knowing the occlusions. The floor of a deep courtyard is then disturbed by all the views that
 see the roofs around it, smoothness spans it with a roof, and this roof hides the floor in every later pass. But such a

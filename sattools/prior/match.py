@@ -98,8 +98,11 @@ def match(
 
 
 def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:
-    """The task of the last pass: images without their mean, masks without windows that reach beyond an image, and a
-    margin from which no height of any pass leaves the frame."""
+    """The task of the last pass.
+
+    Images have lost their mean, masks the windows that reach beyond an image, and the margin is such that no height of
+    any pass leaves the frame.
+    """
     images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])

@@ -111,8 +111,9 @@ def at_surface(
 
 
 def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, visibility: Visibility) -> np.ndarray:
-    """Radiance of shadows in every view where the surface casts them; the median of the others where too few cells
-    tell.
+    """Radiance of shadows in every view where the surface casts them.
+
+    Where too few cells tell, it is the median of the other views.
 
     Haze and skylight differ from date to date, so shadows do not match where lit ground does.
 

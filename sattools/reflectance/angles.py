@@ -128,6 +128,7 @@ def as_tensors(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | 
         normal: ``[..., 3]`` unit vectors.
         sun: unit vector (east, north, up) to the sun.
         view: unit vector(s) to the sensor.
+        *parameters: of a model.
 
     Raises:
         TypeError: the type is neither float32 nor float64.

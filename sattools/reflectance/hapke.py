@@ -22,7 +22,7 @@ Kinks, where one of the two one-sided derivatives or their mean is returned:
 - g = 0 with b0 > 0, with respect to sun and view only: B is a cone; 0 is returned for its part;
 - i = 90 or e = 90 degrees: the BRF drops to 0; the derivative from above the horizon is returned;
 - i = e = 90 degrees: at psi = 180 the BRF tends to 0 at a rate that depends on the direction of approach; at psi = 0
-  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.roughness.Z_MIN`.
+  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.hapke_limits.Z_MIN`.
 
 First derivatives only, through `torch.autograd`.
 """
@@ -116,18 +116,15 @@ def _h_rates(m: _Multiple, x: Tensor, log: Tensor, h: Tensor, g_h: Tensor) -> tu
     return g_x, g_w
 
 
-def _tangent(theta_deg: Tensor) -> Tensor:
-    return torch.tan(theta_deg.clamp(THETA_MIN, THETA_MAX) * _DEGREE)
-
-
 def _stop(grad: Tensor, value: Tensor, low: float, high: float) -> Tensor:
     """The gradient where the value lies between the bounds, else 0 (the reverse of clamp, in one pass)."""
     return torch.ops.aten.hardtanh_backward(*torch.broadcast_tensors(grad, value), low, high)
 
 
 class _Hapke(torch.autograd.Function):
-    """The model with its reverse written out, block by block; operands in the order of `hapke`, b0 None for no
-    opposition.
+    """The model with its reverse written out, block by block.
+
+    Operands are in the order of `hapke`, b0 None for no opposition.
 
     Without an axis of bands the derivatives are worked out along with the value, while everything is in the cache,
     and eight numbers a sample are kept. With bands the intermediate values are kept instead, so that gradients are
@@ -147,7 +144,7 @@ class _Hapke(torch.autograd.Function):
             parts = _cut(blocks, block, operands)
             n, s, v, w, b, c, theta, b0, h = parts
             angles = measure(n, s, v, known)
-            t = _tangent(theta)
+            t = roughness.tangent_of(theta)
             facet = roughness.forward(angles, t)
             lobes = _lobes(angles, b, c, b0, h)
             multiple = _multiple(facet, w, t)
@@ -313,14 +310,18 @@ def hapke(
     """BRF of Hapke's model.
 
     Args:
-        normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
-        w: single scattering albedo, 0 to 0.99. b: width of the lobes, 0 to 0.99. c: weight of the back lobe, 0 to 1.
-        theta_deg: mean slope angle theta-bar in degrees, 1e-4 to 60.
-        b0, h: amplitude and angular width (> 0) of the opposition effect; b0 = 0 leaves it out.
-            All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``):
-            what does not depend on the band is then computed once.
-        b: width of the phase function's lobes, in (-1, 1).
-        c: share of the backward lobe, in [0, 1].
+        normal: unit vectors ``[..., 3]`` away from the surface.
+        sun: unit vectors ``[..., 3]`` away from the surface.
+        view: unit vectors ``[..., 3]`` away from the surface.
+        w: single-scattering albedo, 0 to 0.99; this and all that follow broadcastable to ``[...]``.
+        b: width of the phase function's lobes, 0 to 0.99.
+        c: weight of the back lobe, 0 to 1.
+        theta_deg: mean slope angle theta-bar [degrees], 1e-4 to 60.
+        b0: amplitude of the opposition effect; 0 leaves it out.
+        h: angular width of the opposition effect, above 0.
+
+    With bands, give the directions an axis of 1 (``normal[..., None, :]``): what does not depend on the band is then
+    computed once.
 
     Returns:
         Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0
@@ -339,12 +340,13 @@ def hapke(
 
 
 def plain_hapke(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> Tensor:
-    """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors.
+    """`hapke` by the formulas of this module on any device: what is compiled for processors, in torch.
 
     Args:
         normal: ``[..., 3]`` unit vectors.
         sun: unit vector (east, north, up) to the sun.
         view: unit vector(s) to the sensor.
+        *parameters: as of `hapke`, from w on.
     """
     opposition = (0.0, 1.0)[len(parameters) - 4 :]  # b0 and h, where they are not given
     operands, needed = _operands(normal, sun, view, *parameters, *opposition)
@@ -366,32 +368,3 @@ def _shapes(operands: Sequence[Any]) -> tuple[torch.Size, torch.Size]:
     """Broadcast shapes of the geometry (directions and theta-bar) and of the result."""
     facets = torch.broadcast_shapes(*[o.shape[:-1] for o in operands[:3]], operands[6].shape)
     return facets, torch.broadcast_shapes(facets, *[p.shape for p in operands[3:] if p is not None])
-
-
-def effective_cosines(
-    normal: Tensor, sun: Tensor, view: Tensor, theta_deg: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
-
-    They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
-
-    Args:
-        normal: ``[..., 3]`` unit vectors.
-        sun: unit vector (east, north, up) to the sun.
-        view: unit vector(s) to the sensor.
-        theta_deg: macroscopic roughness [degrees].
-
-    Raises:
-        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
-    """
-    with torch.no_grad():
-        normal, sun, view, theta_deg = as_tensors(normal, sun, view, theta_deg)
-        angles = measure(normal, sun, view)
-        t = _tangent(theta_deg)
-        facet = roughness.forward(angles, t)
-        shrink = torch.rsqrt(1 + math.pi * t * t)
-        sun_is_low = angles.mu0 >= angles.mu
-        mu0e = shrink * torch.where(sun_is_low, facet.a_lo, facet.a_hi)
-        mue = shrink * torch.where(sun_is_low, facet.a_hi, facet.a_lo)
-        # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
-        return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)

@@ -18,8 +18,20 @@ from torch.autograd.function import once_differentiable
 
 from sattools.compiled import njit, prange
 from sattools.reflectance.elementary import angle, at_least, at_most, exp, expm1, log, sign, tan
-from sattools.reflectance.hapke_limits import B_MAX, THETA_MAX, THETA_MIN, W_MAX
-from sattools.reflectance.roughness import A_MIN, D_MIN, EXPONENT_MAX, R2_MIN, SIN2_MIN, T_MAX, U_MAX, Z_MIN
+from sattools.reflectance.hapke_limits import (
+    A_MIN,
+    B_MAX,
+    D_MIN,
+    EXPONENT_MAX,
+    R2_MIN,
+    SIN2_MIN,
+    T_MAX,
+    THETA_MAX,
+    THETA_MIN,
+    U_MAX,
+    W_MAX,
+    Z_MIN,
+)
 
 DEGREE = math.pi / 180
 TINY = float(np.finfo(np.float64).tiny)

@@ -63,7 +63,6 @@ def absorption(thickness: float) -> tuple[np.float32, ...]:
 
     thickness: step / softness. The relative error is below 1e-7 up to a thickness of 1, and 3e-6 up to 2.
     """
-
     return coefficients(lambda q: -np.expm1(-thickness * (q + 1) / 2) * 2 / (q + 1), 6, (-1, 1))
 
 
@@ -74,8 +73,11 @@ def packed_width(cols: int) -> int:
 
 @njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
 def pack(height, colour, maps):
-    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C]: height, ceiling (the highest
-    surface within REACH cells) and colours, one after the other, with the edge columns repeated on both sides."""
+    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C].
+
+    They hold height, ceiling (the highest surface within REACH cells) and colours, one after the other, with the edge
+    columns repeated on both sides.
+    """
     rows, cols = height.shape
     across = np.empty((rows, cols), np.float32)
     for row in prange(rows):

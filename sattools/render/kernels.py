@@ -40,8 +40,10 @@ def _workspace(places):
 
 @njit(fastmath=FASTMATH, inline="always")
 def _plane(v, k, row, rows, col, cols):
-    """Height of plane k, and where the block that begins at (row, col) reads it: both rows, first packed column, and
-    the fractions of the bilinear read; clamped to the edge."""
+    """Height of plane k, and where the block that begins at (row, col) reads it.
+
+    That is both rows, first packed column, and the fractions of the bilinear read; clamped to the edge.
+    """
     z = v.z_top - np.float32(k) * v.step
     x = v.offset_x + v.slope_x * (z - v.z_ref)
     y = np.float32(row) + (v.offset_y + v.slope_y * (z - v.z_ref))
@@ -83,8 +85,10 @@ def _alpha(p, a):
 
 @njit(fastmath=FASTMATH, error_model="numpy")
 def _skip_empty_space(s, maps, at, k, z, v, largest):
-    """Mark the rays that are close to the surface on plane k, and send the others to where they must look again;
-    returns the number of the close ones."""
+    """Mark the rays that are close to the surface on plane k; returns their number.
+
+    The others are sent to where they must look again.
+    """
     limit = z - np.float32(EMPTY) * v.softness
     here, one, zero = np.float32(k), np.float32(1.0), np.float32(0.0)
     close = np.int32(0)
@@ -194,8 +198,10 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
 
 @njit(fastmath=FASTMATH, error_model="numpy")
 def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
-    """Weights of the samples of one plane, their v so far, and the change of sigma * step with the height, for the
-    gradient; returns how many weights are not 0."""
+    """Weights of the samples of one plane, for the gradient; returns how many are not 0.
+
+    Their v so far, and the change of sigma * step with the height, are left as well.
+    """
     one, zero = np.float32(1.0), np.float32(0.0)
     inverse = one / softness
     steepness = thickness * inverse
@@ -226,8 +232,10 @@ def _transmit(s):
 
 @njit(fastmath=FASTMATH)
 def _scatter(s, grads, to, fx, share, a, b):
-    """Hand a share of the product of what is at a and b to the cells of one row that every sample was read from; there
-    is a 0 before a. (Both rows in one loop would take twice as long: the compiler cannot know that they differ.)"""
+    """Hand a share of the product of what is at a and b to the cells of one row that every sample was read from.
+
+    There is a 0 before a. Both rows in one loop would take twice as long: the compiler cannot know that they differ.
+    """
     one = np.float32(1.0)
     for j in range(np.uint64(LANES)):
         grads[to + j] += (s[a + j] * s[b + j] * (one - fx) + s[a - U1 + j] * s[b - U1 + j] * fx) * share

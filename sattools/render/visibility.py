@@ -44,8 +44,11 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
 
 
 def plate_slopes(height: Tensor) -> tuple[Tensor, Tensor]:
-    """Rise of every cell per cell eastwards and southwards ``[H, W]`` [m] as far as its neighbours on both sides agree,
-    else 0 (minmod): a plane keeps its slope, and beside a wall the ground and the roof stay level."""
+    """Rise of every cell per cell eastwards and southwards ``[H, W]`` [m].
+
+    It holds as far as the neighbours on both sides agree, else it is 0 (minmod): a plane keeps its slope, and beside a
+    wall the ground and the roof stay level.
+    """
     from sattools.render import shadow_kernels
 
     h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)

@@ -57,9 +57,9 @@ def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator | No
 def composite(sigma: Tensor, t: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
     """Weights T_i alpha_i ``[R, S]`` and transmittance before each sample ``[R, S]``.
 
-    alpha_i = 1 - exp(-sigma_i delta_i), T_i = prod_{j < i} (1 - alpha_j). A sample stands for the part of the ray that is
-    nearer to it than to its neighbours; the last one ends the ray. (NeRF's parts reach from a sample to the next: where
-    density begins between two samples they see it later by half their distance.)
+    alpha_i = 1 - exp(-sigma_i delta_i), T_i = prod_{j < i} (1 - alpha_j). A sample stands for the part of the ray that
+    is nearer to it than to its neighbours; the last one ends the ray. (NeRF's parts reach from a sample to the next: a
+    soft surface seen by few samples moves by half their distance.)
 
     Args:
         sigma: ``[R, S]`` density per metre.

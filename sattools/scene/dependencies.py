@@ -193,8 +193,10 @@ def _names(made: Stage) -> set[str]:
 
 
 def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
-    """Hash of what a stage reads: for matching and fitting the images with their cameras and suns, else the products
-    of the stage before."""
+    """Hash of what a stage reads.
+
+    For matching and fitting that is the images with their cameras and suns, else the products of the stage before.
+    """
     what: list[Any] = [stage]
     if stage in ("normalise", "prior", "fit"):
         if stage != "normalise":

@@ -239,7 +239,7 @@ def write_sensor_image(
 
 
 def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, nodata: float | None) -> dict[str, Any]:
-    """rasterio profile of an image in sensor geometry, without its camera.
+    """Rasterio profile of an image in sensor geometry, without its camera.
 
     Args:
         dtype: of the pixels.

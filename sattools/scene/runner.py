@@ -1,5 +1,7 @@
-"""How a stage is run on a scene, from the command line and from Python alike: alone in the scene, all files of it
-together, with an entry in the history."""
+"""How a stage is run on a scene, from the command line and from Python alike.
+
+It is alone in the scene, all its files appear together, and an entry goes to the history.
+"""
 
 from __future__ import annotations
 

@@ -75,9 +75,19 @@ def radiance_factor(
 
     Args:
         model: LAMBERT, RPV or HAPKE.
-        nx, ny, nz, sx, sy, sz, vx, vy, vz: unit vectors: normal, to the sun, to the sensor.
+        nx: unit vectors: normal, to the sun, to the sensor.
+        ny: unit vectors: normal, to the sun, to the sensor.
+        nz: unit vectors: normal, to the sun, to the sensor.
+        sx: unit vectors: normal, to the sun, to the sensor.
+        sy: unit vectors: normal, to the sun, to the sensor.
+        sz: unit vectors: normal, to the sun, to the sensor.
+        vx: unit vectors: normal, to the sun, to the sensor.
+        vy: unit vectors: normal, to the sun, to the sensor.
+        vz: unit vectors: normal, to the sun, to the sensor.
         amplitude: albedo, rho0 or w.
-        p1, p2, p3: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+        p1: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+        p2: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+        p3: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
     """
     cos_i = nx * sx + ny * sy + nz * sz
     cos_e = nx * vx + ny * vy + nz * vz

@@ -190,6 +190,7 @@ def _footprint(view: SimulatedView, height: float) -> list[list[float]]:
 
 
 def threads() -> int:
+    """Number of threads that the user allows, else of the processors there are."""
     asked = os.environ.get("NUMBA_NUM_THREADS", "")
     return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
 

@@ -16,7 +16,7 @@ from sattools.errors import SceneError
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.raster import image_shape, read_image
-from sattools.views.check import check_cells, check_scene
+from sattools.views.check import check_cells, check_extent, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
@@ -27,8 +27,11 @@ _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about wh
 
 @dataclass(frozen=True)
 class RadiometricBalance:
-    """How an image becomes comparable with the others of a large area: gain and offset per band, and the contrast of
-    all of them; the property ``sattools:radiometric_balance`` of the images of a tile, which shows too little of it."""
+    """How an image becomes comparable with the others of a large area.
+
+    Gain and offset per band, and the contrast of all images; the property ``sattools:radiometric_balance`` of the
+    images of a tile, which shows too little of it.
+    """
 
     gain: list[float]
     offset: list[float]
@@ -94,8 +97,10 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
 
 
 def _surroundings(scene: Scene, cameras: Sequence[RPC]) -> Grid | None:
-    """The scene's grid, wider by what points of the height range are displaced in any image; None = no grid yet, or a
-    camera of another place, which is told where its pixels are looked for."""
+    """The scene's grid, wider by what points of the height range are displaced in any image.
+
+    None = no grid yet, or a camera of another place, which is told where its pixels are looked for.
+    """
     if scene.grid is None or scene.height_range_m is None:
         return None
     grid, z_range = scene.grid, scene.height_range_m
@@ -135,8 +140,9 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
         z_range: lowest and highest height [m].
 
     Raises:
-        SceneError: an image shows nothing of the grid.
+        SceneError: an image shows nothing of the grid, or the grid has next to no cells.
     """
+    check_extent(grid)
     if sources:
         lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
         pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)

@@ -68,7 +68,8 @@ def read_at(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> tuple[np.nda
 
     Args:
         image: ``[C, h, w]`` float32, NaN where invalid.
-        col, row: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
+        col: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
+        row: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
 
     Returns:
         ``[H, W, C]`` float32, 0 where there is no valid pixel, and ``[H, W]`` uint8, 1 where there is.

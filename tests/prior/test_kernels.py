@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import reference
 
+from sattools.prior import reference
 from sattools.prior.kernels import correlate, descend, first_hit_heights, shadow_heights
 from sattools.prior.sgm import aggregate, lowest, second_best_margin
 from sattools.prior.sweep import PLANES
@@ -288,3 +288,22 @@ def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line():
     assert shadow[2, 4:8].tolist() == pytest.approx([6 - 8 / 3, 6 - 2, 6 - 4 / 3, 6 - 2 / 3], abs=1e-5)
     assert shadow[2, 9:].max() < 0  # only the ground's own line, below the ground
     assert shadow[2, 8] < 0
+
+
+def test_first_hits_are_those_of_the_plain_twin():
+    rng = np.random.default_rng(5)
+    surface = rng.uniform(0, 6, (14, 12)).astype(np.float32)
+    slopes = np.array([[0.4, -0.7], [-1.2, 0.1], [0.0, 0.0]])
+    fast = np.empty((3, *surface.shape), np.float32)
+    first_hit_heights(surface, slopes, 2.0, 7.0, -1.0, fast)
+    np.testing.assert_allclose(fast, reference.first_hit_heights(surface, slopes, 2.0, 7.0, -1.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("sun", [(0.6, 0.3, 0.5), (-0.1, -0.8, 0.4), (0.7, 0.0, 0.7)])
+def test_shadow_heights_are_those_of_the_plain_twin(sun):
+    surface = np.random.default_rng(6).uniform(0, 9, (15, 11)).astype(np.float32)
+    fast = np.empty_like(surface)
+    shadow_heights(surface, np.array(sun), 0.5, float(surface.max()), fast)
+    slow = reference.shadow_heights(surface, np.array(sun), 0.5)
+    lower = slow < surface.min() - 20  # as far below, the kernel stops looking
+    np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)

@@ -48,12 +48,11 @@ def test_rays_and_points():
     assert up.points(torch.tensor([[1.0]]))[0, 0].tolist() == pytest.approx([15.0, 0.0, 30.0])
 
 
-def test_a_surface_is_seen_where_it_is_however_few_the_samples():
-    """A step of density between two samples is on average seen in their middle, not by half a distance too late."""
+def test_a_soft_surface_is_seen_where_it_is_by_few_samples():
+    """Softness 0.02, samples 0.04 apart: parts that reach to the next sample would see it 0.01 to 0.02 too early."""
     random = torch.Generator().manual_seed(1)
-    t = stratified(4000, 12, random)
-    weights, _ = composite(torch.where(t > 0.4, 1000.0, 0.0), t, torch.full((4000,), 50.0))
-    depth = (weights * t).sum(dim=1)
-    # parts of 1/12 of the path: the first sample behind the step stands for what lies half a distance before it
-    assert float(median_share(weights, t).mean()) == pytest.approx(0.4, abs=0.005)
-    assert float(depth.mean()) == pytest.approx(0.4, abs=0.05)
+    t = stratified(4000, 25, random)
+    length = torch.full((4000,), 50.0)
+    weights, _ = composite(torch.sigmoid((t - 0.4) / 0.02) / (0.02 * 50.0), t, length)
+    # T = sigmoid(-(t - 0.4) / 0.02) crosses one half at 0.4; 0.002 is a tenth of the softness
+    assert float(median_share(weights, t).mean()) == pytest.approx(0.4, abs=0.002)
