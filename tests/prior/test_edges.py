@@ -68,7 +68,7 @@ def test_views_that_do_not_see_a_cell_have_no_say(roof):
 
 
 @pytest.mark.parametrize(("disagreeing", "moves"), [(1, True), (2, False)])
-def test_three_views_in_four_have_to_agree(roof, disagreeing, moves):
+def test_one_view_of_four_that_disagrees_is_outvoted(roof, disagreeing, moves):
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -77,6 +77,23 @@ def test_three_views_in_four_have_to_agree(roof, disagreeing, moves):
     frame.images[:disagreeing, 8:32, 8:32] = 0.8
     found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
     assert ((found != wide).sum() > 100) == moves
+
+
+@pytest.mark.parametrize(("foot", "stays"), [(0.2, False), (0.8, True)])
+def test_a_rim_is_lowered_only_where_views_from_outside_see_ground(roof, foot, stays):
+    image, true = roof
+    wide = true.copy()
+    wide[8:32, 8:32] = 10.0
+    margin = 8
+    # a point moves south by 0.4 cells a metre: cameras stand in the north and see the foot of the northern wall
+    slopes = np.array([[0.4, 0.0]] * 3)
+    at_roof = np.roll(np.pad(image, margin, mode="edge"), 4, axis=0)
+    at_roof[margin + 8 : margin + 10] = foot  # what they show at the ground's height where the rim is in doubt
+    images = np.stack([at_roof] * 3).astype(np.float32)
+    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 3)
+    found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
+    northern_rim = found[8:10, 14:26]
+    assert (northern_rim == (10.0 if stays else 0.0)).all()
 
 
 def test_slopes_and_low_steps_are_left_alone():
