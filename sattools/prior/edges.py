@@ -24,9 +24,12 @@ FEWEST_LOOKS = 0.3  # weight of the cells that make an appearance
 FEWEST_VIEWS = 2
 CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, glare or shadow moves no wall
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
-LOWER = -0.2  # certainty (-1 ... 1) that a cell is not on the high side, for it to be lowered
-GROUND = -0.05  # and that views from outside see the ground there
-RAISE = 0.3  # certainty that a cell is on the high side, for it to be raised
+STAY = 0.3  # likeness (-1 ... 1) that it takes to change sides
+RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
+FOOT = (-0.3, -0.1)  # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
+FOOT_SCALE_M = 20.0  # distance over which it is averaged
+FOOT_CELLS = 300.0  # rims all over the area that count as much as those around
+OUTWARD = 0.5  # likeness by which walls that are not upright start outside the edge of their roof
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
 OUTSIDE = 0.2  # cosine between the way down a wall and that towards a view which sees the foot of the wall
 STEEP = 0.05  # tangent of the angle from the vertical below which a view sees the foot of every wall
@@ -38,11 +41,14 @@ def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
     high one window too wide, most of all where a dark strip of shaded ground follows. But the strip does not look like
     the roof: shifted to the roof's height, every view shows the roof on one side of the edge and something else on
-    the other, be it facade, shadow or ground far behind. So near a step a cell is asked twice, at the height of
-    either side, whether it looks like the cells surely on the high side or like those surely on the low side as this
-    view shows them *at that height*. At the upper height all views can tell, whatever hides the ground. At the lower
-    height only views from outside the wall can. A cell is lowered if it does not look like the roof and does look
-    like the ground: where it looks like neither (slanted or overhanging walls, blurred rims) matching is left alone.
+    the other, be it facade, shadow or ground far behind. So near a step every cell is asked whether it looks like the
+    cells surely on the high side or like those surely on the low side, as this view shows either *at the roof's
+    height*: all views can tell, whatever hides the ground.
+
+    Where walls are upright, the roof's edge is the wall. Where they lean, or lidar and eaves make them wider, there is
+    a strip which looks like neither roof nor ground: at the height of the ground, views from outside show something
+    else than ground in place of the rims. There matching, which puts the step on the outer side of the strip, is
+    believed more than the edge.
 
     Args:
         frame: the views.
@@ -62,12 +68,44 @@ def sharpen(frame: Frame, hits: np.ndarray, height: np.ndarray, tolerance: float
     # on its way up to the view a ray moves against the slope; views from straight above are outside of every wall
     outward = frame.slopes * frame.cell / np.maximum(tangent, STEEP)[:, None]
     outward[tangent < STEEP] = np.nan
-    moved = np.empty_like(height)
-    choose_sides(
+    below, above, roof, foot = (np.empty_like(height) for _ in range(4))
+    compare_sides(
         height, sure, uphill, frame.images, frame.masks, frame.slopes, outward, frame.z_ref, frame.margin, hits,
-        tolerance, noise, moved,
+        tolerance, noise, below, above, roof, foot,
     )  # fmt: skip
+    beside_wall = np.isfinite(below)
+    if not beside_wall.any():
+        return median_filter(height, 3, mode="nearest")
+    side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
+    lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell)
+    high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
+    high += lean * (_mean_within(high, beside_wall, 1.0) - high)
+    moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
+    moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
     return median_filter(moved, 3, mode="nearest")
+
+
+def leaning(rims: np.ndarray, foot: np.ndarray, scale: float) -> np.ndarray:
+    """How little upright the walls around every cell are, 0 ... 1.
+
+    Args:
+        rims: ``[H, W]`` bool cells that do not look like their roof.
+        foot: ``[H, W]`` how much they look like the high side at the ground's height, -1 ... 1.
+        scale: standard deviation of the mean around [cells].
+    """
+    if not rims.any():
+        return np.zeros(foot.shape)
+    cells = 2 * math.pi * scale * scale
+    total = gaussian_filter(np.where(rims, foot, 0.0), scale, mode="constant") * cells
+    count = gaussian_filter(rims.astype(np.float64), scale, mode="constant") * cells
+    mean = (total + FOOT_CELLS * float(foot[rims].mean())) / (count + FOOT_CELLS)
+    return np.clip((mean - FOOT[0]) / (FOOT[1] - FOOT[0]), 0.0, 1.0)
+
+
+def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.ndarray:
+    """Gaussian mean over the cells of a region."""
+    weight = gaussian_filter(region.astype(np.float64), scale)
+    return gaussian_filter(np.where(region, values, 0.0), scale) / np.maximum(weight, 1e-6)
 
 
 @njit(cache=True)
@@ -147,10 +185,23 @@ def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
 
 
 @njit(parallel=True, cache=True)
-def choose_sides(
-    height, sure, uphill, images, masks, slopes, outward, z_ref, margin, hits, tolerance, noise, moved
+def compare_sides(
+    height, sure, uphill, images, masks, slopes, outward, z_ref, margin, hits, tolerance, noise,
+    below, above, roof, foot,
 ):  # fmt: skip
-    """See `sharpen`; ``sure`` is ``[H, W]`` bool, ``moved`` ``[H, W]`` float32 is filled."""
+    """What either side of a wall looks like, for every cell near one.
+
+    Args:
+        height: ``[H, W]`` float32 [m].
+        sure: ``[H, W]`` bool, surely on one side.
+        uphill: ``[2, H, W]`` float32 unit vector (rows, columns) up the wall.
+        images, masks, slopes, z_ref, margin: see `Frame`.
+        outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above.
+        hits, tolerance, noise: see `sharpen`.
+        below, above: ``[H, W]`` float32, filled with the height of either side [m]; NaN = not near a wall.
+        roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
+        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
+    """
     rows, cols = height.shape
     views = images.shape[0]
     most = (2 * LOOK + 1) * (LOOK + 1)
@@ -159,46 +210,42 @@ def choose_sides(
         side = np.empty(most, np.int64)
         weight = np.empty(most)
         for col in range(cols):
-            here = height[row, col]
-            moved[row, col] = here
-            low, high = here, here
+            below[row, col] = above[row, col] = foot[row, col] = np.nan
+            roof[row, col] = 0.0
+            low = high = height[row, col]
             for i in range(max(0, row - NEAR), min(rows, row + NEAR + 1)):
                 for j in range(max(0, col - NEAR), min(cols, col + NEAR + 1)):
                     low, high = min(low, height[i, j]), max(high, height[i, j])
             if high - low < STEP_M:
                 continue
             middle = 0.5 * (low + high)
-            below = _level(height, sure, row, col, -np.inf, middle)
-            above = _level(height, sure, row, col, middle, np.inf)
-            if not above - below >= STEP_M:
+            bottom = _level(height, sure, row, col, -np.inf, middle)
+            top = _level(height, sure, row, col, middle, np.inf)
+            if not top - bottom >= STEP_M:
                 continue
-            cells = _gather(height, sure, row, col, below, above, where, side, weight)
-            roof = ground = 0.0
-            roof_views = ground_views = 0
+            below[row, col], above[row, col] = bottom, top
+            cells = _gather(height, sure, row, col, bottom, top, where, side, weight)
+            at_roof = at_foot = 0.0
+            roof_views = foot_views = 0
             for v in range(views):
-                r, c = row + margin + slopes[v, 0] * (above - z_ref), col + margin + slopes[v, 1] * (above - z_ref)
-                like = _likeness(
-                    images[v], masks[v], hits[v], above + tolerance, r, c, where, side, weight, cells, noise
-                )
+                r, c = row + margin + slopes[v, 0] * (top - z_ref), col + margin + slopes[v, 1] * (top - z_ref)
+                like = _likeness(images[v], masks[v], hits[v], top + tolerance, r, c, where, side, weight, cells, noise)
                 if like == like:
-                    roof += like
+                    at_roof += like
                     roof_views += 1
-                outside = outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col]
-                if outside <= OUTSIDE:
+                if outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col] <= OUTSIDE:
                     continue
-                r, c = row + margin + slopes[v, 0] * (below - z_ref), col + margin + slopes[v, 1] * (below - z_ref)
+                r, c = row + margin + slopes[v, 0] * (bottom - z_ref), col + margin + slopes[v, 1] * (bottom - z_ref)
                 like = _likeness(
-                    images[v], masks[v], hits[v], below + tolerance, r, c, where, side, weight, cells, noise
+                    images[v], masks[v], hits[v], bottom + tolerance, r, c, where, side, weight, cells, noise
                 )
                 if like == like:
-                    ground += like
-                    ground_views += 1
-            if roof_views < FEWEST_VIEWS:
-                continue
-            if here < middle and roof > RAISE * roof_views:
-                moved[row, col] = above
-            elif here >= middle and roof < LOWER * roof_views and ground < GROUND * ground_views:
-                moved[row, col] = below
+                    at_foot += like
+                    foot_views += 1
+            if roof_views >= FEWEST_VIEWS:
+                roof[row, col] = at_roof / roof_views
+            if foot_views:
+                foot[row, col] = at_foot / foot_views
 
 
-__all__ = ["choose_sides", "sharpen"]
+__all__ = ["compare_sides", "leaning", "sharpen"]

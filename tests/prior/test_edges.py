@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sattools.prior.edges import sharpen
+from sattools.prior.edges import leaning, sharpen
 from sattools.prior.frame import Frame
 
 NOISE = 0.04
@@ -79,21 +79,32 @@ def test_one_view_of_four_that_disagrees_is_outvoted(roof, disagreeing, moves):
     assert ((found != wide).sum() > 100) == moves
 
 
-@pytest.mark.parametrize(("foot", "stays"), [(0.2, False), (0.8, True)])
-def test_a_rim_is_lowered_only_where_views_from_outside_see_ground(roof, foot, stays):
+@pytest.mark.parametrize(("strip", "stays"), [(0.2, False), (0.35, True)])
+def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof, strip, stays):
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
-    margin = 8
-    # a point moves south by 0.4 cells a metre: cameras stand in the north and see the foot of the northern wall
-    slopes = np.array([[0.4, 0.0]] * 3)
-    at_roof = np.roll(np.pad(image, margin, mode="edge"), 4, axis=0)
-    at_roof[margin + 8 : margin + 10] = foot  # what they show at the ground's height where the rim is in doubt
-    images = np.stack([at_roof] * 3).astype(np.float32)
+    margin = 10
+    # a point moves south by 0.8 cells a metre: cameras stand in the north and see the northern wall, of brightness 0.35
+    slopes = np.array([[0.8, 0.0]] * 3)
+    shown = np.roll(np.pad(image, margin, mode="edge"), 8, axis=0)
+    shown[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.35
+    shown[margin + 8 : margin + 10, margin + 10 : margin + 30] = strip  # at the foot: ground, or more of the wall
+    images = np.stack([shown] * 3).astype(np.float32)
     frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 3)
     found = sharpen(frame, unseen(frame), wide, 2.0, NOISE)
     northern_rim = found[8:10, 14:26]
     assert (northern_rim == (10.0 if stays else 0.0)).all()
+
+
+def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side():
+    rims = np.zeros((9, 9), bool)
+    rims[4, 2:7] = True
+    foot = np.full((9, 9), np.nan)
+    for likeness, lean in ((-0.5, 0.0), (-0.2, 0.5), (0.4, 1.0)):
+        foot[rims] = likeness
+        np.testing.assert_allclose(leaning(rims, foot, 40.0), lean, atol=1e-9)
+    np.testing.assert_array_equal(leaning(np.zeros((9, 9), bool), foot, 40.0), 0.0)
 
 
 def test_slopes_and_low_steps_are_left_alone():
