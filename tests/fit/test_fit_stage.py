@@ -15,7 +15,9 @@ from sattools.fit.options import FitOptions
 from sattools.fit.pose import remove_gauge
 from sattools.fit.resample import resample_map
 from sattools.fit.stage import choose_device, fit
+from sattools.prior.stage import write_maps
 from sattools.scene import Grid
+from sattools.scene.raster import read_raster
 from sattools.views import load_sources
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[5])
@@ -189,3 +191,17 @@ def test_a_view_whose_camera_is_off_by_a_pixel_is_moved_back(make_town):
     # the steps are damped and the surface adapts meanwhile: most of the way, in the right direction
     assert found[0] / expected[2, 0] == pytest.approx(1, abs=0.5)
     assert abs(found[1] - expected[2, 1]) < 0.15
+
+
+@pytest.mark.parametrize(("confidence", "back"), [(0.01, True), (0.0, False)])
+def test_cells_that_stray_from_the_prior_take_its_height_back_unless_it_was_a_guess(make_town, confidence, back):
+    scene = make_town()
+    truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
+    # steps everywhere, which the fit smoothes by metres
+    wrong = truth[0] + np.random.default_rng(0).choice([0.0, 6.0], truth[0].shape).astype(np.float32)
+    write_maps(scene, wrong, np.full_like(wrong, confidence), grid)
+    remarks = fit(scene, replace(QUICK, epochs=[40]))["remarks"]
+    model, meta = load(scene.path(scene.products["model"]))
+    apart = (model["height"] - resample_map(wrong, grid, Grid.from_dict(meta["grid"]))).abs()
+    assert (float(apart.max()) <= 2.0) == back
+    assert bool([text for text in remarks if "put back" in text and not text.startswith("0.0 %")]) == back
