@@ -321,7 +321,7 @@ def cluster(bench: Bench, trials: int) -> int:
                 if done.timed_out:
                     bench.blame(job, f"hung after its {'worker' if k % 2 else 'scheduler'} died")
                 if done.traceback:
-                    bench.blame(job, f"traceback after its cluster died: {done.stderr[-500:]}")
+                    bench.blame(job, f"traceback after its cluster died: {done.stderr[:1500]}")
                 if done.status == 0:
                     break
             wait_for_orphans(root)

@@ -6,6 +6,7 @@ goes to files, and it can be sent signals at any moment.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import resource
@@ -135,6 +136,7 @@ def start(
         traceback.print_exc()
         code = 1
     finally:
+        atexit._run_exitfuncs()
         try:
             sys.stdout.flush()
             sys.stderr.flush()

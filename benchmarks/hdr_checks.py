@@ -192,7 +192,7 @@ def transients(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]
             for transient in ("off", "on", "auto"):
                 found = fitted(scene, options, transient=transient, seed=seed)
                 if transient == "auto":
-                    row[f"{cars} cars, auto"] = found["remarks"][0]
+                    row[f"{cars} cars, auto"] = found["notes"][0]
                 else:
                     row[f"{cars} cars, {transient}: MAE [m]"] = round(found["mae"], 3)
         rows.append(row)
@@ -216,7 +216,7 @@ def city(folder: Path, options: argparse.Namespace, seed: int, **extra: Any) -> 
 
 
 def fitted(scene: Any, options: argparse.Namespace, **extra: Any) -> dict[str, Any]:
-    """Fit; MAE [m] by the unregistered difference to the truth, seconds without the prior, remarks."""
+    """Fit; MAE [m] by the unregistered difference to the truth, seconds without the prior, notes."""
     from sattools.compare import compare_dsm, read_reference
     from sattools.fit.checkpoint import load
     from sattools.fit.options import FitOptions
@@ -232,12 +232,12 @@ def fitted(scene: Any, options: argparse.Namespace, **extra: Any) -> dict[str, A
         prior(scene, PriorOptions())
         write_text(scene.output("scene.json"), scene.to_json() + "\n")
     begun = time.perf_counter()
-    remarks = fit(scene, chosen)["remarks"]
+    notes = fit(scene, chosen)["notes"]
     seconds = time.perf_counter() - begun
     tensors, meta = load(scene.path("fit/model.safetensors"))
     truth = read_reference(str(scene.path(scene.products["truth_dsm"])))
     figures = compare_dsm(tensors["height"].numpy(), truth, Grid.from_dict(meta["grid"])).figures
-    return {"mae": float(figures["mae"]), "seconds": seconds, "remarks": remarks}
+    return {"mae": float(figures["mae"]), "seconds": seconds, "notes": notes}
 
 
 def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple[Any, Any]]:
@@ -258,7 +258,7 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
     for item in scene.train_items():
         rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
         lit = read_image(scene.path(item.assets["truth_lit"].href))
-        view = make_view(item.id, lit, rpc, grid, middle, scene.need_height_range(), item.sun)
+        view = make_view(item.id, lit, rpc, grid, middle, scene.require_height_range(), sun=item.sun)
         shown, seen = shown_on(view, heights, grid.cell_size)
         upwards = np.array([*view.slope, 1.0]) / np.linalg.norm([*view.slope, 1.0])
         free = sun_visibility(torch.from_numpy(heights), grid.cell_size, tuple(upwards)).numpy()

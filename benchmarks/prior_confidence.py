@@ -36,15 +36,15 @@ def error_and_confidence(scene: Scene, arguments: argparse.Namespace) -> tuple[n
     # the confidence must follow the heights where registration moved them
     east, north, _ = compared.figures["shift_m"]
     moved = type(grid)(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
-    sure = resampled(confidence[0], moved, truth.grid)
-    known = np.isfinite(compared.difference) & np.isfinite(sure)
-    return np.abs(compared.difference[known]), sure[known]
+    cell_confidence = resampled(confidence[0], moved, truth.grid)
+    known = np.isfinite(compared.difference) & np.isfinite(cell_confidence)
+    return np.abs(compared.difference[known]), cell_confidence[known]
 
 
-def table(error: np.ndarray, sure: np.ndarray) -> dict[str, Any]:
+def table(error: np.ndarray, cell_confidence: np.ndarray) -> dict[str, Any]:
     """Errors by tenths of falling confidence and of the most confident halves."""
-    order = np.argsort(-sure, kind="stable")
-    error, sure = error[order], sure[order]
+    order = np.argsort(-cell_confidence, kind="stable")
+    error, cell_confidence = error[order], cell_confidence[order]
     tenths = [slice(round(k * error.size / 10), round((k + 1) * error.size / 10)) for k in range(10)]
     half = error.size // 2
     return {
@@ -56,7 +56,7 @@ def table(error: np.ndarray, sure: np.ndarray) -> dict[str, Any]:
         "ratio": float(error[:half].mean() / error[half:].mean()),
         "tenths": [
             {
-                "confidence": float(sure[part].mean()),
+                "confidence": float(cell_confidence[part].mean()),
                 "mae_m": float(error[part].mean()),
                 "median_m": float(np.median(error[part])),
                 "mae_of_all_surer_m": float(error[: part.stop].mean()),

@@ -1,9 +1,9 @@
-"""What end-members buy: b, c and theta per material against b, c and theta of every cell's own.
+"""What endmembers buy: b, c and theta per material against b, c and theta of every cell's own.
 
     python benchmarks/reflectance_cells.py [--seeds 40 41] [--size 384]
 
-A scene is simulated and fitted with end-members. On the same surface, from the same seven views, every cell then gets
-its own four parameters: Gauss-Newton steps of each cell's least squares, with the priors that the end-members have
+A scene is simulated and fitted with endmembers. On the same surface, from the same seven views, every cell then gets
+its own four parameters: Gauss-Newton steps of each cell's least squares, with the priors that the endmembers have
 ("cells"), or with the neighbours' mean over `REACH` cells as prior ("smooth"). Prints, per scene and kind, NRMSE and
 correlation of the maps, theirs of the best constant map, and the PSNR of view 3.
 """
@@ -26,7 +26,7 @@ REACH = 3.0  # cells
 NAMES = ("w", "b", "c", "theta")
 
 
-def invert_cells(s, start: Tensor, amount: Tensor, grid: tuple[int, int], reach: float) -> tuple[Tensor, Tensor]:
+def invert_cells(s, start: Tensor, amplitude: Tensor, grid: tuple[int, int], reach: float) -> tuple[Tensor, Tensor]:
     """Amounts ``[N, C]`` and shapes ``[N, 3]`` (unbounded) of every cell alone; the amounts are eliminated.
 
     Args:
@@ -35,42 +35,42 @@ def invert_cells(s, start: Tensor, amount: Tensor, grid: tuple[int, int], reach:
         grid: its rows and columns.
         reach: the prior is the neighbours' mean over so many cells; 0 = the usual values.
     """
-    from sattools.fit.inversion import ROBUST, STEP, noise_of, start_members
-    from sattools.fit.material import AMOUNT, SHAPE, blurred, radiance_factor
+    from sattools.fit.inversion import ROBUST, STEP, noise_of, start_endmembers
+    from sattools.fit.material import AMPLITUDE, SHAPE, blurred, radiance_factor
 
-    width = start.new_tensor([p.width for p in SHAPE["hapke"]])
-    usual = start_members("hapke", 1, start).expand_as(start)
+    prior_sigma = start.new_tensor([p.prior_sigma for p in SHAPE["hapke"]])
+    prior_mean = start_endmembers("hapke", 1, start).expand_as(start)
     shape, sigma = start.clone(), noise_of(s)
 
     def seen(a: Tensor, x: Tensor) -> Tensor:
-        value = AMOUNT["hapke"].bounded(a)
+        value = AMPLITUDE["hapke"].bounded(a)
         own = tuple(p.bounded(x[:, k]) for k, p in enumerate(SHAPE["hapke"]))
         return torch.stack([radiance_factor("hapke", s.normal, *pair, value, own) for pair in zip(s.suns, s.views)])
 
     for _ in range(ROUNDS):
-        centre = usual if reach == 0 else blurred(shape.T.reshape(3, *grid), reach).reshape(3, -1).T
-        here = seen(amount, shape)
+        centre = prior_mean if reach == 0 else blurred(shape.T.reshape(3, *grid), reach).reshape(3, -1).T
+        here = seen(amplitude, shape)
         residual = (s.seen - here) / sigma
         weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
-        j_amount = (seen(amount + STEP, shape) - here) / STEP / sigma
+        j_amplitude = (seen(amplitude + STEP, shape) - here) / STEP / sigma
         steps = torch.eye(3) * STEP
-        j_shape = torch.stack([(seen(amount, shape + steps[k]) - here) / STEP / sigma for k in range(3)], -1)
-        a = (weight * j_amount**2).sum(0) + 1e-3
-        cross = (weight[..., None] * j_amount[..., None] * j_shape).sum(0)
+        j_shape = torch.stack([(seen(amplitude, shape + steps[k]) - here) / STEP / sigma for k in range(3)], -1)
+        a = (weight * j_amplitude**2).sum(0) + 1e-3
+        cross = (weight[..., None] * j_amplitude[..., None] * j_shape).sum(0)
         full = torch.einsum("vncp,vncq->npq", weight[..., None] * j_shape, j_shape)
-        hessian = full - torch.einsum("ncp,ncq->npq", cross / a[..., None], cross) + torch.diag(1 / width**2)
+        hessian = full - torch.einsum("ncp,ncq->npq", cross / a[..., None], cross) + torch.diag(1 / prior_sigma**2)
         g = torch.einsum("vncp,vnc->np", j_shape, weight * residual)
-        g = g - torch.einsum("ncp,nc->np", cross, (weight * j_amount * residual).sum(0) / a)
-        step = torch.linalg.solve(hessian, g + (centre - shape) / width**2)
+        g = g - torch.einsum("ncp,nc->np", cross, (weight * j_amplitude * residual).sum(0) / a)
+        step = torch.linalg.solve(hessian, g + (centre - shape) / prior_sigma**2)
         shape = (shape + step.clamp(-0.7, 0.7)).clamp(-6, 6)
         # the amounts follow
-        here = seen(amount, shape)
-        j = (seen(amount + STEP, shape) - here) / STEP / sigma
+        here = seen(amplitude, shape)
+        j = (seen(amplitude + STEP, shape) - here) / STEP / sigma
         residual = (s.seen - here) / sigma
         weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
         move = (weight * j * residual).sum(0) / ((weight * j * j).sum(0) + 1e-3)
-        amount = (amount + move.clamp(-1.5, 1.5)).clamp(-9, 9)
-    return amount, shape
+        amplitude = (amplitude + move.clamp(-1.5, 1.5)).clamp(-9, 9)
+    return amplitude, shape
 
 
 def main() -> None:
@@ -83,15 +83,14 @@ def main() -> None:
 
     from sattools.compare.metrics import image_errors, map_errors
     from sattools.export.novel import render_item
-    from sattools.fit.checkpoint import load
-    from sattools.fit.material import AMOUNT, SHAPE
+    from sattools.fit.material import AMPLITUDE, SHAPE
+    from sattools.fit.model import FittedModel
     from sattools.fit.options import FitOptions
-    from sattools.fit.reflective import ReflectiveScene, restored_model
+    from sattools.fit.reflective import ReflectiveScene
     from sattools.fit.stage import fit
     from sattools.prior import PriorOptions
     from sattools.prior.stage import prior
     from sattools.render import sun_visibility
-    from sattools.scene import Grid
     from sattools.scene.raster import read_raster
     from sattools.simulate import SimulateOptions, simulate
     from sattools.views import load_sources, views_on
@@ -100,7 +99,7 @@ def main() -> None:
         own: tuple[Tensor, Tensor, Tensor]
 
         def values(self) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-            return AMOUNT["hapke"].bounded(self.amount), self.own
+            return AMPLITUDE["hapke"].bounded(self.amplitude), self.own
 
     rows: dict[str, list[list[float]]] = {}
     for seed in arguments.seeds:
@@ -110,34 +109,31 @@ def main() -> None:
         scene = simulate(options, folder / name)
         prior(scene, PriorOptions())
         fit(scene, FitOptions(brdf="hapke", resolution=options.gsd))
-        tensors, meta = load(scene.path(scene.products["model"]))
-        surface = restored_model(tensors, meta)
+        fitted = FittedModel.load(scene.path(scene.products["model"]))
+        surface, grid = fitted.surface(), fitted.grid
         assert isinstance(surface, ReflectiveScene)
-        grid = Grid.from_dict(meta["grid"])
-        views = views_on(
-            load_sources(scene, scene.train_items()), grid, float(meta["z_ref"]), scene.need_height_range()
-        )
+        views = views_on(load_sources(scene, scene.train_items()), grid, fitted.z_ref, scene.require_height_range())
         lit = sun_visibility(surface.casting(), grid.cell_size, views[0].sun)
         s = surface.samples(views, [lit] * len(views), grid.cell_size)
         truth = {n: read_raster(scene.path(scene.products[f"truth_{n}"]))[0] for n in NAMES}
         (item,) = [i for i in scene.items if i.id == f"{name}_003"]
         target = load_sources(scene, [item])[0].radiance
-        found: dict[str, ReflectiveScene] = {"end-members": surface}
-        flat = surface.amount.reshape(-1, surface.amount.shape[-1])
-        first = (surface.shares @ surface.members).reshape(-1, 3)
+        found: dict[str, ReflectiveScene] = {"endmembers": surface}
+        flat = surface.amplitude.reshape(-1, surface.amplitude.shape[-1])
+        first = (surface.abundances @ surface.endmembers).reshape(-1, 3)
         for kind, reach in (("cells", 0.0), ("smooth", REACH)):
             with torch.no_grad():
-                amount, shape = invert_cells(s, first, flat, grid.shape, reach)
+                amplitude, shape = invert_cells(s, first, flat, grid.shape, reach)
             other = OwnShapes(**vars(surface))
-            other.amount = amount.reshape(surface.amount.shape)
+            other.amplitude = amplitude.reshape(surface.amplitude.shape)
             own = [p.bounded(shape[:, k]).reshape(grid.shape) for k, p in enumerate(SHAPE["hapke"])]
             other.own = (own[0], own[1], own[2])
             found[kind] = other
         for kind, model in found.items():
-            amount, shape = model.values()
-            maps = dict(zip(NAMES, (amount.permute(2, 0, 1), *(p[None] for p in shape)), strict=True))
+            amplitude, shape = model.values()
+            maps = dict(zip(NAMES, (amplitude.permute(2, 0, 1), *(p[None] for p in shape)), strict=True))
             errors = {n: map_errors(maps[n].detach().numpy(), truth[n]) for n in NAMES}
-            psnr = image_errors(render_item(scene, item.id, model, meta, None), target)["psnr"]
+            psnr = image_errors(render_item(scene, item.id, model, fitted, None), target)["psnr"]
             line = [errors[n][key] for n in NAMES for key in ("nrmse", "nrmse_constant", "correlation")]
             rows.setdefault(kind, []).append([*line, psnr])
             print(seed, text(kind, rows[kind][-1]), flush=True)

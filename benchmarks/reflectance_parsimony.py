@@ -54,11 +54,11 @@ def main() -> None:
             scene = simulate(simulated, folder / "AUTO")
             prior(scene, PriorOptions())
             start = time.perf_counter()
-            remarks = fit(scene, FitOptions(brdf="auto", resolution=2.0, epochs=[1]))["remarks"]
+            notes = fit(scene, FitOptions(brdf="auto", resolution=2.0, epochs=[1]))["notes"]
             chosen = load(scene.path(scene.products["model"]))[1]["brdf"]
             table[model][chosen] += 1
             print(f"{model:8s} {seed:4d} -> {chosen:8s} {time.perf_counter() - start:5.1f} s", flush=True)
-            for text in remarks:
+            for text in notes:
                 if text.startswith("brdf auto"):
                     print(f"     {text}", flush=True)
             shutil.rmtree(folder)

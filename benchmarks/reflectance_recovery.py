@@ -54,7 +54,7 @@ def measure(scene, options, held_out: str) -> dict[str, object]:
     from sattools.scene.raster import read_raster
 
     start, cpu = time.perf_counter(), time.process_time()
-    remarks = fit(scene, options)["remarks"]
+    notes = fit(scene, options)["notes"]
     row: dict[str, object] = {
         "fit_s": round(time.perf_counter() - start, 1), "fit_cpu_s": round(time.process_time() - cpu, 1)
     }  # fmt: skip
@@ -71,7 +71,7 @@ def measure(scene, options, held_out: str) -> dict[str, object]:
     if "normal" in scene.products:
         found, true = (read_raster(scene.path(scene.products[n]))[0] for n in ("normal", "truth_normal"))
         row["normal_deg"] = float(np.degrees(np.arccos(np.clip((found * true).sum(0), -1, 1))).mean())
-    row["remarks"] = remarks
+    row["notes"] = notes
     return row
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from sattools.compare import Truth, compare_dsm, read_reference
 from sattools.prior import PriorOptions
-from sattools.prior.confidence import confidence
+from sattools.prior.confidence import match_confidence
 from sattools.prior.match import Match, match
 from sattools.prior.pairs import choose_pairs
 from sattools.prior.stage import crop, make_frame, write_maps
@@ -65,7 +65,7 @@ def is_contest(path: Path) -> bool:
 
 def matched(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
     """What `sattools prior` finds, its grid, CPU seconds of the matching."""
-    whole, z_range = scene.need_grid(), scene.need_height_range()
+    whole, z_range = scene.require_grid(), scene.require_height_range()
     grid = whole.resized(options.resolution or whole.cell_size)
     frame, views = make_frame(load_sources(scene, scene.train_items()), grid, z_range, options.window)
     limits = (options.min_angle, options.max_angle)
@@ -93,7 +93,7 @@ def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, Grid]:
 
     with TemporaryDirectory() as folder:
         copy = absolute_copy(scene, Path(folder))
-        write_maps(copy, found.height, confidence(found), grid)
+        write_maps(copy, found.height, match_confidence(found), grid)
         fit(copy, FitOptions())
         export(copy, ExportOptions())
         height, own = read_raster(copy.path(copy.products["dsm"]))

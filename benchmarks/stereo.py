@@ -9,7 +9,8 @@ height range, 3 x 3 median at the end, and filling of holes (nearest height), an
 Over a tile, lines of sight are parallel, so a turned ground frame at one height is a rectification: what is left of a
 pair's displacement runs along the rows. A last part fuses each method's pairs by their median, the usual way of
 two-view pipelines to many views.
-Rivals match at the scene's cell and at the images' own pixel; seconds are CPU seconds of matching, without resampling.
+The other methods match at the scene's cell and at the images' own pixel; seconds are CPU seconds of matching, without
+resampling.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ from sattools.compare.truth import Truth, read_dfc2019
 from sattools.prior import PriorOptions
 from sattools.prior.match import match
 from sattools.prior.pairs import angle_deg, choose_pairs
-from sattools.prior.stage import crop, make_frame, to_eye
+from sattools.prior.stage import crop, gamma_encode, make_frame
 from sattools.scene import Grid, Scene
 from sattools.views import Source, line_of_sight, load_sources, read_at
 
 SPARE = 16  # pixels around what is looked at, for windows
 MIN_WEIGHT = 0.25  # of the points around a cell, below which it is a hole
-WINDOW = 5  # pixels, of both rivals
+WINDOW = 5  # pixels, of both other methods
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def rectify(sources: list[Source], grid: Grid, z_range: tuple[float, float], pix
     for k in order:
         col, row = project(sources[k].rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
         bands, mask = read_at(sources[k].radiance, col.reshape(x.shape), row.reshape(x.shape))
-        images.append(to_eye(bands.mean(axis=-1)[None], mask[None], sources[k].linear)[0])
+        images.append(gamma_encode(bands.mean(axis=-1)[None], mask[None], sources[k].linear)[0])
         masks.append(mask)
     origin = np.array([x[0, 0], y[0, 0]])
     return Rectified(np.stack(images), np.stack(masks), origin, u, v, pixel, moves, z_ref, (-limit, limit))
@@ -224,14 +225,14 @@ def smoothed(height: np.ndarray) -> np.ndarray:
 
 
 def own(sources: list[Source], grid: Grid, z_range: tuple[float, float], pairs: int) -> tuple[np.ndarray, Any, float]:
-    """`sattools prior` on these images: all heights, those with two witnesses (else NaN), CPU seconds."""
+    """`sattools prior` on these images: all heights, those with two consistent views (else NaN), CPU seconds."""
     options = PriorOptions(pairs=pairs)
     frame, views = make_frame(sources, grid, z_range, options.window)
     chosen = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs)
     start = time.process_time()
     found = match(frame, chosen, z_range, options)
     seconds = time.process_time() - start
-    height, seen = crop(found.height, grid.shape), crop(found.witnesses, grid.shape) >= 2
+    height, seen = crop(found.height, grid.shape), crop(found.consistent_views, grid.shape) >= 2
     return height, np.where(seen, height, np.nan), seconds
 
 
@@ -244,7 +245,7 @@ def row(name: str, height: np.ndarray, grid: Grid, truth: Truth, seconds: float)
 
 
 def methods(pixels: list[float]) -> dict[str, tuple[Callable[[Rectified], tuple[np.ndarray, float]], float]]:
-    """Rivals by name, each with the pixel it matches at."""
+    """Other methods by name, each with the pixel it matches at."""
     known: dict[str, Callable[[Rectified], tuple[np.ndarray, float]]] = {"StereoSGBM": opencv}
     missing = [name for name in ("pandora", "pandora_plugin_libsgm", "libsgm_c") if find_spec(name) is None]
     if missing:
@@ -275,7 +276,7 @@ def main() -> None:
     )
     if arguments.region:
         truth = truth.within(arguments.region)
-    grid, z_range = scene.need_grid(), scene.need_height_range()
+    grid, z_range = scene.require_grid(), scene.require_height_range()
     sources = load_sources(scene, scene.train_items())
     by_id = {s.id: s for s in sources}
     views = make_frame(sources, grid, z_range, 1)[1]
@@ -285,7 +286,7 @@ def main() -> None:
     west, south, east, north = grid.bounds
     lon, lat = to_geographic(grid.crs, 0.5 * (west + east), 0.5 * (south + north))
     native = min(ground_sample_distance(s.rpc, float(lon), float(lat), z_range[0]) for s in sources)
-    rivals = methods([grid.cell_size, native])
+    others = methods([grid.cell_size, native])
 
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"
     print(f"{machine}; {scene.id}, cells of {grid.cell_size:g} m")
@@ -305,7 +306,7 @@ def main() -> None:
         whole, seen, seconds = own(both, grid, z_range, 1)
         note("sattools prior", seen, seconds)
         note("sattools prior, own heights in holes", whole, seconds)
-        for name, (call, pixel) in rivals.items():
+        for name, (call, pixel) in others.items():
             rectified = rectify(both, grid, z_range, pixel)
             disparity, seconds = call(rectified)
             note(name, smoothed(rectified.heights(disparity, grid)), seconds)

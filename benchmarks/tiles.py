@@ -94,8 +94,8 @@ def seams(difference: np.ndarray, axis: int, plan: Any) -> dict[str, Any]:
     for tile in plan.tiles:
         span, before = ((tile.rows, tile.shared[0]), (tile.cols, tile.shared[2]))[axis]
         if before:
-            first = span.start * plan.scene.need_grid().cell_size / plan.finest
-            wide = before * plan.scene.need_grid().cell_size / plan.finest
+            first = span.start * plan.scene.require_grid().cell_size / plan.finest
+            wide = before * plan.scene.require_grid().cell_size / plan.finest
             between.add(round(first + wide / 2) - 1)
     others = [value for k, value in enumerate(steps) if k not in between]
     return {"seams": [float(steps[k]) for k in sorted(between)], "limit": float(np.percentile(others, 95))}
@@ -117,7 +117,7 @@ def memory(size: int, views: int, cut: list[str]) -> dict[str, Any]:
                 run("fit", name)
         bytes_there = sum(path.stat().st_size for path in (scene.root / "fit/tiles").rglob("*") if path.is_file())
         row["tiles_disk_mb"] = bytes_there / 2**20
-        _, row["join_s"], row["join_mb"] = run("fit", *cut, "--part", "join", path)
+        _, row["join_s"], row["join_mb"] = run("fit", *cut, "--part", "mosaic", path)
         path.write_text(scene.to_json() + "\n")
         _, row["untiled_s"], row["untiled_mb"] = run("fit", "--overwrite", path)
     print({name: round(value, 1) for name, value in row.items()}, flush=True)

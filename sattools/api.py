@@ -64,7 +64,13 @@ def prepare(
 def simulate(
     options: SimulateOptions | Mapping[str, Any] | None = None, *, overwrite: bool = False, progress: Told = None
 ) -> Scene:
-    """A ray-traced scene with known truth, as `sattools simulate` makes it; arguments as of `prepare`."""
+    """A ray-traced scene with known truth, as `sattools simulate` makes it; arguments as of `prepare`.
+
+    Args:
+        options: of the simulation, or as a dict; None = the defaults.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
+    """
     from sattools.simulate.stage import simulate as stage
 
     own = _options(SimulateOptions, options)
@@ -79,7 +85,14 @@ def normalise(
     overwrite: bool = False,
     progress: Told = None,
 ) -> Scene:
-    """Digital numbers become linear radiance, as by `sattools normalise`; arguments as of `fit`."""
+    """Digital numbers become linear radiance, as by `sattools normalise`; arguments as of `fit`.
+
+    Args:
+        scene: a scene or the path of its document.
+        options: or as a dict; None = the defaults.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
+    """
     from sattools.radiometry.stage import normalise as stage
 
     own = _options(NormaliseOptions, options)
@@ -94,7 +107,14 @@ def match(
     overwrite: bool = False,
     progress: Told = None,
 ) -> Scene:
-    """A rough surface by matching, as by `sattools prior`; arguments as of `fit`."""
+    """A rough surface by matching, as by `sattools prior`; arguments as of `fit`.
+
+    Args:
+        scene: a scene or the path of its document.
+        options: or as a dict; None = the defaults.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
+    """
     from sattools.prior.stage import prior as stage
 
     own = _options(PriorOptions, options)
@@ -137,7 +157,14 @@ def export(
     overwrite: bool = False,
     progress: Told = None,
 ) -> Scene:
-    """Georeferenced files of a fitted scene, as by `sattools export`; arguments as of `fit`."""
+    """Georeferenced files of a fitted scene, as by `sattools export`; arguments as of `fit`.
+
+    Args:
+        scene: a scene or the path of its document.
+        options: or as a dict; None = the defaults.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
+    """
     from sattools.export.stage import export as stage
 
     own = _options(ExportOptions, options)
@@ -155,6 +182,12 @@ def compare(
     """Score a scene's surface, as `sattools compare` does; the figures are in ``scene.history[-1]["errors"]``.
 
     Arguments as of `fit`.
+
+    Args:
+        scene: a scene or the path of its document.
+        options: or as a dict; None = the defaults.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
     """
     from sattools.compare.stage import compare as stage
 

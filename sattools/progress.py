@@ -11,15 +11,22 @@ from typing import Protocol
 class Progress(Protocol):
     """Called with the share done in [0, 1] and a short message."""
 
-    def __call__(self, fraction: float, message: str) -> None: ...
+    def __call__(self, fraction: float, message: str) -> None:
+        """Tell how far the work is."""
 
 
 def silent(fraction: float, message: str) -> None:
     """Report nothing."""
 
 
-def part(progress: Progress, start: float, end: float) -> Progress:
-    """The callback of a step that makes up [start, end] of the whole."""
+def subprogress(progress: Progress, start: float, end: float) -> Progress:
+    """The callback of a step that makes up [start, end] of the whole.
+
+    Args:
+        progress: of the whole.
+        start: share at its beginning.
+        end: share at its end.
+    """
 
     def call(fraction: float, message: str) -> None:
         progress(start + (end - start) * fraction, message)
@@ -66,4 +73,4 @@ def _bar(label: str, width: int = 24, interval: float = 0.1) -> Progress:
     return call
 
 
-__all__ = ["Progress", "make_progress", "part", "silent"]
+__all__ = ["Progress", "make_progress", "silent", "subprogress"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
 from typing import Any
 
@@ -16,9 +17,24 @@ LARGEST = 1e12  # of a number in an option: no length, weight or time of the sui
 LARGEST_COUNT = 10**9
 
 
-def option(default: Any, help: str, *, minimum: float | None = None, maximum: float | None = None) -> Any:
-    """A dataclass field with its help text, unit included, and inclusive limits."""
-    metadata = {"help": help, "minimum": minimum, "maximum": maximum}
+def option(
+    default: Any,
+    help: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    renamed: Mapping[str, str] | None = None,
+) -> Any:
+    """A dataclass field with its help text, unit included, and inclusive limits.
+
+    Args:
+        default: value of the field.
+        help: text for the command's help.
+        minimum: smallest number allowed.
+        maximum: largest number allowed.
+        renamed: former names of choices -> present ones; the command line still takes them, with a warning.
+    """
+    metadata = {"help": help, "minimum": minimum, "maximum": maximum, "renamed": dict(renamed or {})}
     if isinstance(default, list | dict):
         return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
@@ -38,6 +54,7 @@ class OptionSpec:
         help: help text.
         minimum, maximum: inclusive limits, or None.
         count: how many values it takes at once.
+        renamed: former names of choices.
 
     Numbers are finite, and no larger than `LARGEST` where nothing else is said.
     """
@@ -52,19 +69,20 @@ class OptionSpec:
     minimum: float | None
     maximum: float | None
     count: int = 1
+    renamed: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 def specs(cls: type) -> list[OptionSpec]:
     """The options of a dataclass, in order; fields without help are not options."""
     hints = typing.get_type_hints(cls)
-    found = []
+    options = []
     for item in dataclasses.fields(cls):
         if "help" not in item.metadata:
             continue
         hint = hints[item.name]
         kind, choices, optional, multiple = _resolve(hint)
         default = item.default_factory() if item.default_factory is not MISSING else item.default
-        found.append(
+        options.append(
             OptionSpec(
                 item.name,
                 kind,
@@ -76,9 +94,10 @@ def specs(cls: type) -> list[OptionSpec]:
                 item.metadata["minimum"],
                 item.metadata["maximum"],
                 _count(hint),
+                item.metadata["renamed"],
             )
         )
-    return found
+    return options
 
 
 def _count(hint: Any) -> int:

@@ -61,8 +61,8 @@ def cubic_rpc(seed=0) -> RPC:
 def texture(seed=1, size=900):
     """Random ground, cells of 0.25 m, detail from 1 m to 10 m, centred on the origin."""
     rng = np.random.default_rng(seed)
-    sheets = [gaussian_filter(rng.normal(size=(size, size)), s) * s for s in (2, 5, 15)]
-    return sum(sheets)
+    mosaics = [gaussian_filter(rng.normal(size=(size, size)), s) * s for s in (2, 5, 15)]
+    return sum(mosaics)
 
 
 def hills(east, north):

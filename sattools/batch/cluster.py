@@ -15,6 +15,7 @@ from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task
 from sattools.batch.task import perform
 from sattools.errors import InputError, SattoolsError
+from sattools.scene.jsonio import JsonObject
 
 TOPIC = "sattools-batch"
 _REPORT_EVERY_S = 0.5
@@ -62,10 +63,18 @@ def shares(options: BatchOptions, cores: int) -> Shares:
 
 
 def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finished, told: Told) -> None:
-    """Do all jobs; `finished` is called for each as soon as it is done and gives the jobs that follow from it, `told`
-    with name, share and message.
+    """Do all jobs.
+
+    `finished` is called for each as soon as it is done and gives the jobs that follow from it.
 
     Raises SattoolsError where Dask is not installed or the scheduler does not answer.
+
+    Args:
+        jobs: to do.
+        options: of the batch.
+        share: cores and memory of a task.
+        finished: called with every task and its result; gives the jobs that follow.
+        told: called with a task's name, its share done and a message.
     """
     try:
         from distributed import as_completed
@@ -96,14 +105,27 @@ def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finishe
             if future.status == "finished":
                 result = future.result()
             else:
-                lost = future.exception()
-                result = {"key": task.key, "status": "failed", "error": f"{type(lost).__name__}: {lost}"}
+                result = {"key": task.key, "status": "failed", "error": _lost(future)}
             for job in finished(task, result):
                 waiting.add(submit(job))
 
 
-def work(task: Task, before: list[dict[str, Any]], share: Shares) -> dict[str, Any]:
-    """Runs on a worker."""
+def _lost(future: Any) -> str:
+    """Why a task has no result that it would have made itself."""
+    error = future.exception() if future.status == "error" else None
+    if error is None:
+        return f"found it {future.status}, expected its result (is the Dask scheduler still there?)"
+    return f"{type(error).__name__}: {error}"
+
+
+def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
+    """Runs on a worker.
+
+    Args:
+        task: to do.
+        before: results of the tasks that it waits for.
+        share: cores and memory of a task.
+    """
     from time import monotonic
 
     from distributed import get_worker
@@ -128,8 +150,7 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
     import dask
     from distributed import Client, LocalCluster
 
-    # Dask's own messages are for those who run the cluster
-    logging.getLogger("distributed").propagate = False
+    _silence()
     # a lost task may be the fault of the task: it is not tried for ever
     settings = {"distributed.scheduler.allowed-failures": options.retries}
     with dask.config.set(settings):
@@ -155,6 +176,16 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
         )
         with cluster, Client(cluster) as client:
             yield client
+
+
+def _silence() -> None:
+    """Keep Dask's own messages, tracebacks of lost connections above all, for those who run the cluster (-vv)."""
+    if logging.getLogger("sattools").level == logging.DEBUG:
+        return
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    for name in ("distributed", *names, "tornado.application", "asyncio"):
+        # its loggers have handlers and levels of their own
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
 def _gpus() -> list[str]:

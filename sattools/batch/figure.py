@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from sattools.scene.files import write_figure
+from sattools.scene.jsonio import JsonObject
 
 Point = tuple[str, float, float]
 
 
-def means(rows: Sequence[dict[str, Any]]) -> list[Point]:
+def means(rows: Sequence[JsonObject]) -> list[Point]:
     """(configuration, seconds, MAE [m]), means over the scenes that all configurations have scored."""
     scored = [row for row in rows if row.get("mae_m") is not None]
     names = list(dict.fromkeys(row["configuration"] for row in scored))
@@ -36,8 +37,8 @@ def pareto_front(points: Sequence[Point]) -> list[Point]:
     return front
 
 
-def speed_error_figure(rows: Sequence[dict[str, Any]]) -> Any | None:
-    """matplotlib figure: small dots are scenes, large ones means, ringed where on the front; None without any error."""
+def speed_error_figure(rows: Sequence[JsonObject]) -> Any | None:
+    """Matplotlib figure: small dots are scenes, large ones means, ringed where on the front; None without any error."""
     points = means(rows)
     if not points:
         return None
@@ -75,7 +76,7 @@ def speed_error_figure(rows: Sequence[dict[str, Any]]) -> Any | None:
     return figure
 
 
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> bool:
+def draw(rows: Sequence[JsonObject], path: Path) -> bool:
     """Write `speed_error_figure` as PNG; False where there is nothing to show."""
     figure = speed_error_figure(rows)
     if figure is None:

@@ -15,7 +15,7 @@ from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import remove_orphans, write_text
-from sattools.scene.jsonio import read_json
+from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Anything, Items, Table, Text
 
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
@@ -71,14 +71,14 @@ class Task:
         """Where the result is kept; a split shares its folder with the run."""
         return Path(self.folder) / ("split.json" if self.kind == "split" else "task.json")
 
-    def result(self) -> dict[str, Any] | None:
+    def result(self) -> JsonObject | None:
         """What an earlier run of the very same task left, or None."""
         try:
-            found = read_json(self.record)
-            _RECORD.check(found, str(self.record))
+            record = read_json(self.record)
+            _RECORD.check(record, str(self.record))
         except InputError:  # missing, or not what a batch has written: it is done again
             return None
-        return found if found["key"] == self.key and Path(found["scene_json"]).is_file() else None
+        return record if record["key"] == self.key and Path(record["scene_json"]).is_file() else None
 
     def start(self) -> Path:
         """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
@@ -104,6 +104,7 @@ class Digests:
             self.known = {}
 
     def __call__(self, path: Path) -> str:
+        """SHA-256 of a file, read again only where its size or time has changed."""
         try:
             state = path.stat()
             name, stamp = str(path.resolve()), [state.st_size, state.st_mtime_ns]
@@ -139,10 +140,21 @@ def run_task(
     source: Path,
     content: Any,
     configuration: Configuration,
+    *,
     truth: Path | None,
     digests: Digests,
 ) -> Task:
-    """The task that fits, exports and scores one scene in one configuration."""
+    """The task that fits, exports and scores one scene in one configuration.
+
+    Args:
+        out: folder of the batch.
+        scene: its id.
+        source: its document.
+        content: what the scene's inputs are, for the key.
+        configuration: the configuration.
+        truth: folder of the reference, or None.
+        digests: of files, as known so far.
+    """
     commands = []
     for name in COMMANDS[1:]:
         if name in OPTIONAL and name not in configuration.tables:
@@ -167,7 +179,16 @@ def run_task(
 def prep_task(
     out: Path, aoi: str, images: list[Path], arguments: list[str], configuration: Configuration, digests: Digests
 ) -> Task:
-    """The task that makes the scene of an area; configurations with the same options of `prep` share it."""
+    """The task that makes the scene of an area; configurations with the same options of `prep` share it.
+
+    Args:
+        out: folder of the batch.
+        aoi: name of the area.
+        images: files to read.
+        arguments: more arguments of `prep`.
+        configuration: the configuration.
+        digests: of files, as known so far.
+    """
     options = configuration.resolved.get("prep", {})
     key = key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
     folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
@@ -177,8 +198,16 @@ def prep_task(
 
 
 def shared_task(out: Path, run: Task, content: Any, configuration: Configuration) -> Task | None:
-    """The task that makes what runs of a scene may share, `normalise` and `prior`; None where the fit makes its own
-    prior, as held-out images have no part in it, or none."""
+    """The task that makes what the runs of a scene may share, `normalise` and `prior`.
+
+    None where the fit makes its own prior, as held-out images have no part in it, or none.
+
+    Args:
+        out: folder of the batch.
+        run: task of the run.
+        content: what the scene's inputs are, for the key.
+        configuration: the configuration.
+    """
     fit = configuration.resolved.get("fit", {})
     apart = fit.get("holdout") or fit.get("views", "all") != "all" or fit.get("preset", "fast") != "fast"
     if apart or fit.get("tile") or not fit.get("prior_weight", 1.0):
@@ -204,7 +233,13 @@ def after_shared(run: Task, shared: Task) -> Task:
 
 
 def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
-    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`."""
+    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`.
+
+    Args:
+        run: task of the run.
+        content: what the scene's inputs are, for the key.
+        configuration: the configuration.
+    """
     before = ("normalise", "prior", "fit")
     wanted = {name: configuration.resolved.get(name) for name in before}
     given = [name for name in before if name in configuration.tables]
@@ -216,10 +251,16 @@ def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
 
 
 def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[list[Task], Task]:
-    """The tasks of the tiles that a finished split has left, and the run that joins them."""
+    """The tasks of the tiles that a finished split has left, and the run that joins them.
+
+    Args:
+        run: task of the run.
+        split: task of the split.
+        configuration: the configuration.
+    """
     folder = Path(run.folder) / TILES
-    found = read_json(folder / "tiles.json")
-    Table({"tiles": Items(Text())}, ("tiles",)).check(found, str(folder / "tiles.json"))
+    listing = read_json(folder / "tiles.json")
+    Table({"tiles": Items(Text())}, ("tiles",)).check(listing, str(folder / "tiles.json"))
     steps = ["prior", "fit"] if "prior" in configuration.tables else ["fit"]
     commands = [[step, "{scene}", "--overwrite"] for step in steps]
     tiles = [
@@ -227,16 +268,16 @@ def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[li
             run, name=f"{run.name}: tile {name}", folder=str(folder / name), key=key_of("tile", split.key, name),
             commands=commands, source=str(folder / name / "scene.json"), kind="tile",
         )
-        for name in found["tiles"]
+        for name in listing["tiles"]
     ]  # fmt: skip
     # an area of one tile is fitted at once, by the run
     done = OPTIONAL if tiles else ("normalise",)
     rest = [command for command in run.commands if command[0] not in done]
-    joined = [[*command, "--part", "join"] if command[0] == "fit" else command for command in rest]
+    joined = [[*command, "--part", "mosaic"] if command[0] == "fit" else command for command in rest]
     return tiles, replace(run, commands=joined, source=str(folder / "scene.json"))
 
 
-def task_parts(task: Task) -> dict[str, Any]:
+def task_parts(task: Task) -> JsonObject:
     """The task as plain types."""
     return asdict(task)
 

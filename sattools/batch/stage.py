@@ -29,6 +29,7 @@ from sattools.progress import Progress, silent
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene
 from sattools.scene.files import check_outputs, remove_orphans, write_text
+from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
 FIGURE, DIGESTS = "speed_error.png", "digests.json"
@@ -87,12 +88,69 @@ class Batch:
         return rows
 
 
+class _Running:
+    """What is done of a batch, and what is told of it.
+
+    Args:
+        plan: of the batch; gets results and errors.
+        out: folder of its tables.
+        progress: share of the whole batch.
+        emit: called with the scene document of every finished task.
+    """
+
+    def __init__(self, plan: Batch, out: Path, progress: Progress, emit: Callable[[str], None]) -> None:
+        self.plan, self.out, self.progress, self.emit = plan, out, progress, emit
+        self.total = len(plan.rows)
+        begun = plan.results | plan.errors
+        self.open = {f"{scene}/{name}": 0.0 for scene, name in plan.rows if (scene, name) not in begun}
+        self.steps: dict[str, int] = {}  # of a run in tiles, once they are known
+
+    def told(self, name: str, share: float, message: str) -> None:
+        """Pass on what a task says of itself."""
+        if name in self.open and name not in self.steps:
+            self.open[name] = share
+        done = self.total - len(self.open)
+        text = f"{done} of {self.total} done, {name}: {message}"
+        self.progress(min(1.0, (done + sum(self.open.values())) / max(1, self.total)), text)
+
+    def finished(self, task: Task, result: JsonObject) -> list[Job]:
+        """Note the result of a task; the jobs that follow from it."""
+        plan, pair = self.plan, (task.scene, task.configuration)
+        name = "/".join(pair)
+        if task.kind == "split" and result["status"] == "done":
+            try:
+                more = plan.follow(task)
+            except (OSError, ValueError) as error:
+                result = {"status": "failed", "error": str(error)}
+            else:
+                self.steps[name] = len(more) + 1
+                self.open[name] = 1 / self.steps[name]
+                self.told(task.name, 1.0, result["status"])
+                return more
+        elif task.kind in ("prep", "tile"):  # a failed one fails the run that waits for it
+            own = 1 / self.steps[name] if task.kind == "tile" and name in self.steps else 0.0
+            self.open[name] = self.open.get(name, 0.0) + own
+            self.told(task.name, 1.0, result["status"])
+            return []
+        self.open.pop(name, None)
+        if result["status"] == "done":
+            plan.results[pair] = result
+            self.emit(_line(result))
+        else:
+            plan.errors[pair] = ("failed", result["error"])
+            log.error("%s: %s", task.name, result["error"])
+        write_tables(plan.table(), self.out)
+        self.told(task.name, 1.0, result["status"])
+        return []
+
+
 def batch(
     options: BatchOptions,
     scenes: Sequence[Scene],
     configurations: Sequence[Configuration],
     cores: int,
     progress: Progress = silent,
+    *,
     overwrite: bool = False,
     emit: Callable[[str], None] = lambda line: None,
 ) -> Batch:
@@ -119,51 +177,14 @@ def batch(
         log.error("%s/%s: %s", *pair, error)
     for result in plan.results.values():
         emit(_line(result))
-    total = len(plan.rows)
-    open_ = {f"{scene}/{name}": 0.0 for scene, name in plan.rows if (scene, name) not in plan.results | plan.errors}
-    steps: dict[str, int] = {}  # of a run in tiles, once they are known
-    log.info("%d tasks, %d of them done before", total, len(plan.results))
-
-    def told(name: str, share: float, message: str) -> None:
-        if name in open_ and name not in steps:
-            open_[name] = share
-        done = total - len(open_) + sum(open_.values())
-        progress(min(1.0, done / max(1, total)), f"{total - len(open_)} of {total} done, {name}: {message}")
-
-    def finished(task: Task, result: dict[str, Any]) -> list[Job]:
-        pair = (task.scene, task.configuration)
-        name = "/".join(pair)
-        if task.kind == "split" and result["status"] == "done":
-            try:
-                more = plan.follow(task)
-            except (OSError, ValueError) as error:
-                result = {"status": "failed", "error": str(error)}
-            else:
-                steps[name] = len(more) + 1
-                open_[name] = 1 / steps[name]
-                told(task.name, 1.0, result["status"])
-                return more
-        elif task.kind in ("prep", "tile"):  # a failed one fails the run that waits for it
-            open_[name] = open_.get(name, 0.0) + (1 / steps[name] if task.kind == "tile" and name in steps else 0.0)
-            told(task.name, 1.0, result["status"])
-            return []
-        open_.pop(name, None)
-        if result["status"] == "done":
-            plan.results[pair] = result
-            emit(_line(result))
-        else:
-            plan.errors[pair] = ("failed", result["error"])
-            log.error("%s: %s", task.name, result["error"])
-        write_tables(plan.table(), out)
-        told(task.name, 1.0, result["status"])
-        return []
-
+    state = _Running(plan, out, progress, emit)
+    log.info("%d tasks, %d of them done before", state.total, len(plan.results))
     try:
         if plan.jobs:
-            run(plan.jobs, options, shares(options, cores), finished, told)
+            run(plan.jobs, options, shares(options, cores), state.finished, state.told)
     finally:
-        # commands die with their workers, in the middle of whatever they write
-        remove_orphans(out)
+        # commands die with their workers, a little later and in the middle of whatever they write
+        remove_orphans(out, patience_s=10)
     rows = plan.table()
     write_tables(rows, out)
     draw(rows, out / FIGURE)
@@ -177,7 +198,15 @@ def make_plan(
     overwrite: bool = False,
     dry_run: bool = False,
 ) -> Batch:
-    """What there is to do, and what is done already; with ``dry_run`` nothing is written."""
+    """What there is to do, and what is done already; with ``dry_run`` nothing is written.
+
+    Args:
+        options: of the batch.
+        scenes: to use beside the areas.
+        configurations: sets of options.
+        overwrite: do finished tasks again.
+        dry_run: write nothing.
+    """
     names = [c.name for c in configurations]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
@@ -198,7 +227,7 @@ def make_plan(
                 content = scene_content(scene, digests)
                 source = _document(scene, out, dry_run)
                 truth_path = scene.path(truth) if truth else None
-                task = run_task(out, scene.id, source, content, c, truth_path, digests)
+                task = run_task(out, scene.id, source, content, c, truth=truth_path, digests=digests)
             except SattoolsError as error:
                 plan.errors[scene.id, c.name] = ("failed", str(error))
                 continue
@@ -241,7 +270,7 @@ def _add_area(
         if c.tables.get("prep", {}).get("metadata"):
             given = [*given[2:]] if metadata else given
         prep = prep_task(out, aoi, images, given, c, digests)
-        task = run_task(out, aoi, Path(prep.folder) / aoi / "scene.json", prep.key, c, truth, digests)
+        task = run_task(out, aoi, Path(prep.folder) / aoi / "scene.json", prep.key, c, truth=truth, digests=digests)
         earlier = None if overwrite else prep.result()
         before: tuple[Job, ...] = ()
         if earlier is None:
@@ -286,7 +315,7 @@ def _document(scene: Scene, out: Path, dry_run: bool) -> Path:
     return path
 
 
-def _line(result: dict[str, Any]) -> str:
+def _line(result: JsonObject) -> str:
     return Scene.from_file(result["scene_json"]).to_json()
 
 

@@ -45,7 +45,13 @@ SHORT = {
 
 
 def make_row(scene: str, configuration: str, path: Path) -> Row:
-    """The row of a finished scene, from its history; seconds are those of the steps up to `export`."""
+    """The row of a finished scene, from its history; seconds are those of the steps up to `export`.
+
+    Args:
+        scene: its id.
+        configuration: its name.
+        path: of the scene's document.
+    """
     done = Scene.from_file(path)
     # what another fit left in the history, or scored, is not this run's
     last = {name: entry for name in (*TIMED, "compare") if (entry := current_entry(done, name)) is not None}
@@ -69,7 +75,14 @@ def make_row(scene: str, configuration: str, path: Path) -> Row:
 
 
 def failed_row(scene: str, configuration: str, status: str, error: str) -> Row:
-    """The row of a scene without a result."""
+    """The row of a scene without a result.
+
+    Args:
+        scene: its id.
+        configuration: its name.
+        status: of the task.
+        error: why.
+    """
     return {"scene": scene, "configuration": configuration, "status": status, "error": error}
 
 

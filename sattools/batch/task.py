@@ -19,15 +19,14 @@ from sattools.batch.plan import Task
 from sattools.batch.table import make_row
 from sattools.errors import SattoolsError
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 
 Report = Callable[[float, str], None]
 _WATCH_S = 0.2
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2), Linux
 
 
-def perform(
-    task: Task, threads: int, memory_mb: float | None, report: Report, gpu: str | None = None
-) -> dict[str, Any]:
+def perform(task: Task, threads: int, memory_mb: float | None, report: Report, gpu: str | None = None) -> JsonObject:
     """Run a task unless it is done already; its result, also left in `Task.record`.
 
     Args:
@@ -114,8 +113,8 @@ def _progress(line: str) -> tuple[float, str] | None:
     if not line.startswith('{"progress"'):
         return None
     try:
-        found = json.loads(line)
-        return float(found["progress"]), str(found["message"])
+        message = json.loads(line)
+        return float(message["progress"]), str(message["message"])
     except (ValueError, KeyError, TypeError):
         return None
 

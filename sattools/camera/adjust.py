@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
+from sattools.scene.jsonio import JsonObject
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class ViewAdjustment:
     median_after_px: float
     rms_after_px: float
     outlier: bool
-    remark: str = ""
+    note: str = ""
     weak: bool = False  # too few tie points: the camera is what the vendor says, right or wrong
 
 
@@ -71,7 +71,7 @@ class Adjustment:
     median_after_px: float
     rms_after_px: float
     rejected: int  # observations dropped as false matches
-    remarks: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def heights(self) -> Array:
         """Heights of the ground points seen by three views or more (of all, where there are too few of these), [m]."""
@@ -79,7 +79,7 @@ class Adjustment:
         many = sizes >= 3
         return self.points[many if many.sum() >= 30 else slice(None), 2]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Plain types for JSON."""
         views = [
             {
@@ -92,7 +92,7 @@ class Adjustment:
                 "median_after_px": v.median_after_px,
                 "rms_after_px": v.rms_after_px,
                 "outlier": v.outlier,
-                "remark": v.remark,
+                "note": v.note,
             }
             for v in self.views
         ]
@@ -104,7 +104,7 @@ class Adjustment:
             "median_before_px": self.median_before_px,
             "median_after_px": self.median_after_px,
             "rms_after_px": self.rms_after_px,
-            "remarks": self.remarks,
+            "notes": self.notes,
             "views": views,
         }
 
@@ -122,13 +122,13 @@ class Adjustment:
             f"{'rms before':>10s} {'after':>6s}",
         ]
         for v in self.views:
-            note = ("  OUTLIER VIEW" if v.outlier else "") + (f"  {v.remark}" if v.remark else "")
+            note = ("  OUTLIER VIEW" if v.outlier else "") + (f"  {v.note}" if v.note else "")
             lines.append(
                 f"{v.name:24s} {v.tie_points:6d} {v.shift_px[0]:9.2f} {v.shift_px[1]:8.2f} "
                 f"{v.median_before_px:10.2f} {v.median_after_px:6.2f} "
                 f"{v.rms_before_px:10.2f} {v.rms_after_px:6.2f}{note}"
             )
-        return "\n".join([*lines, *(f"note: {r}" for r in self.remarks)]) + "\n"
+        return "\n".join([*lines, *(f"note: {r}" for r in self.notes)]) + "\n"
 
 
 def adjust(
@@ -142,8 +142,12 @@ def adjust(
     """Correct cameras from tie points.
 
     Args:
-        rpcs, names, sizes: camera, name and (height, width) [px] of each view.
+        rpcs: camera, name and (height, width) [px] of each view.
+        names: camera, name and (height, width) [px] of each view.
+        sizes: camera, name and (height, width) [px] of each view.
         tracks: tie points, false matches among them.
+        options: see `AdjustOptions`; None = the defaults.
+        progress: told the share done and what is being done.
 
     Raises: InputError when there are too few tie points to adjust anything.
     """
@@ -155,15 +159,68 @@ def adjust(
             f"tie points: found {tracks.n_points} between the images, expected at least {options.min_points} "
             "(do the images overlap and show the same place?)"
         )
-    block = Block(list(rpcs), list(sizes), tracks)
+    notes: list[str] = []
+    solved = _solve(Block(list(rpcs), list(sizes), tracks), options, notes, progress)
+    block, solution, weak = solved.block, solved.solution, solved.weak
+    raw = np.zeros_like(solution.parameters)
+    before = residual_norm(block, triangulate(block, raw, solution.points), raw)
+    final_points = triangulate(block, solution.parameters, solution.points)
+    final = block.residuals(final_points, solution.parameters)
+    after = np.hypot(final[:, 0], final[:, 1])
+    corrected, views = [], []
+    for v, rpc in enumerate(rpcs):
+        camera, misfit = rpc.with_affine(block.matrix(v, solution.parameters), block.domain(v))
+        if misfit > 0.01:
+            notes.append(f"{names[v]}: its affine correction is met by the RPC to {misfit:.3f} px only")
+        corrected.append(camera)
+        views.append(_describe(solved, v, names[v], (before, after), options.outlier_px, notes))
+    parts = block.components(~weak)
+    if parts > 1:
+        notes.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
+    progress(1.0, "adjusted")
+    return Adjustment(
+        corrected,
+        views,
+        solved.model,
+        block.tracks,
+        block.geographic(final_points),
+        final,
+        _median(before),
+        _median(after),
+        _rms(after),
+        len(tracks.point) - len(block.tracks.point),
+        notes,
+    )
 
-    # Shifts first; they decide which observations are tie points at all.
+
+@dataclass(frozen=True)
+class _Solved:
+    """Cameras that agree with their tie points.
+
+    Attributes:
+        block: with the tie points that are kept.
+        solution: of the block.
+        model: ``shift`` or ``affine``.
+        counts: ``[V]`` tie points of each view after the first pass.
+        weak: ``[V]`` bool, views with too few.
+    """
+
+    block: Block
+    solution: Solution
+    model: str
+    counts: NDArray[np.intp]
+    weak: NDArray[np.bool_]
+
+
+def _solve(block: Block, options: AdjustOptions, notes: list[str], progress: Progress) -> _Solved:
+    """Shifts first; they decide which observations are tie points at all. Then the model asked for."""
+    views, tracks = len(block.rpcs), block.tracks
     progress(0.0, "adjusting shifts")
     solution = solve(block, affine=False)
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
-    counts = np.bincount(block.tracks.view, minlength=len(rpcs))
-    matched = np.bincount(tracks.view, minlength=len(rpcs))
+    counts = np.bincount(block.tracks.view, minlength=views)
+    matched = np.bincount(tracks.view, minlength=views)
     weak = _weak(counts, matched, options.min_points)
     if weak.any():
         block, points = block.kept(~weak[block.tracks.view], points)
@@ -174,75 +231,48 @@ def adjust(
         )
     progress(0.4, "adjusting shifts again")
     solution = solve(block, False, Solution(points, solution.parameters))
-    remarks: list[str] = []
     model = "shift"
-    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, remarks)):
+    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, notes)):
         progress(0.7, "adjusting affine corrections")
         model = "affine"
         solution = solve(block, True, solution)
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
-    weak |= np.bincount(block.tracks.view, minlength=len(rpcs)) == 0
-    rejected = len(tracks.point) - len(block.tracks.point)
+    weak |= np.bincount(block.tracks.view, minlength=views) == 0
+    return _Solved(block, Solution(points, solution.parameters), model, counts, weak)
 
-    raw = np.zeros_like(solution.parameters)
-    before = residual_norm(block, triangulate(block, raw, points), raw)
-    final_points = triangulate(block, solution.parameters, points)
-    final = block.residuals(final_points, solution.parameters)
-    after = np.hypot(final[:, 0], final[:, 1])
 
-    matrices = [block.matrix(v, solution.parameters) for v in range(len(rpcs))]
-    shifts = solution.parameters[:, :2]
+def _describe(
+    solved: _Solved, v: int, name: str, residuals: tuple[Array, Array], outlier_px: float, notes: list[str]
+) -> ViewAdjustment:
+    """What the adjustment has done to view ``v``: ``residuals`` of all observations before and after [px]."""
+    before, after = residuals
+    parameters, weak = solved.solution.parameters, solved.weak
+    shifts = parameters[:, :2]
     length = np.hypot(shifts[:, 0], shifts[:, 1])
-    limit = max(options.outlier_px, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
-    corrected, views = [], []
-    for v, (rpc, name) in enumerate(zip(rpcs, names, strict=True)):
-        domain = block.domain(v)
-        camera, misfit = rpc.with_affine(matrices[v], domain)
-        if misfit > 0.01:
-            remarks.append(f"{name}: its affine correction is met by the RPC to {misfit:.3f} px only")
-        corrected.append(camera)
-        seen = block.tracks.view == v
-        remark = ""
-        if weak[v]:
-            remark = f"too few tie points ({counts[v]} agree with the others): camera left as it is"
-            remarks.append(f"{name}: {remark}")
-        outlier = bool(length[v] > limit)
-        if outlier:
-            usual = float(np.median(length))
-            remarks.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {usual:.1f} px); corrected")
-        first, second = ((float(a), float(b), float(c)) for a, b, c in matrices[v])
-        views.append(
-            ViewAdjustment(
-                name,
-                (float(shifts[v, 0]), float(shifts[v, 1])),
-                (first, second),
-                int(seen.sum()),
-                _median(before[seen]),
-                _rms(before[seen]),
-                _median(after[seen]),
-                _rms(after[seen]),
-                outlier,
-                remark,
-                bool(weak[v]),
-            )
-        )
-    parts = block.components(~weak)
-    if parts > 1:
-        remarks.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
-    progress(1.0, "adjusted")
-    return Adjustment(
-        corrected,
-        views,
-        model,
-        block.tracks,
-        block.geographic(final_points),
-        final,
-        _median(before),
-        _median(after),
-        _rms(after),
-        rejected,
-        remarks,
+    limit = max(outlier_px, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
+    seen = solved.block.tracks.view == v
+    note = ""
+    if weak[v]:
+        note = f"too few tie points ({solved.counts[v]} agree with the others): camera left as it is"
+        notes.append(f"{name}: {note}")
+    outlier = bool(length[v] > limit)
+    if outlier:
+        median = float(np.median(length))
+        notes.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {median:.1f} px); corrected")
+    first, second = ((float(a), float(b), float(c)) for a, b, c in solved.block.matrix(v, parameters))
+    return ViewAdjustment(
+        name,
+        (float(shifts[v, 0]), float(shifts[v, 1])),
+        (first, second),
+        int(seen.sum()),
+        _median(before[seen]),
+        _rms(before[seen]),
+        _median(after[seen]),
+        _rms(after[seen]),
+        outlier,
+        note,
+        bool(weak[v]),
     )
 
 
@@ -267,7 +297,7 @@ def _weak(counts: NDArray[np.intp], matched: NDArray[np.intp], least: int) -> ND
     return np.asarray(weak | (few & (share < 0.8 * np.median(share[~weak]))))
 
 
-def _affine_gains(block: Block, start: Solution, options: AdjustOptions, remarks: list[str]) -> bool:
+def _affine_gains(block: Block, start: Solution, options: AdjustOptions, notes: list[str]) -> bool:
     """Whether affine corrections fitted on four fifths of the points predict the other fifth clearly better."""
     sizes = block.tracks.sizes()
     if int((sizes >= 3).sum()) < 20 * len(block.rpcs):
@@ -288,7 +318,7 @@ def _affine_gains(block: Block, start: Solution, options: AdjustOptions, remarks
         scores.append(float(per_view[per_view > 0].mean()))
     gain = 1.0 - scores[1] / max(scores[0], 1e-12)
     chosen = gain >= options.min_gain
-    remarks.append(
+    notes.append(
         f"affine corrections change the mean squared residual of held-out tie points by {-100 * gain:+.1f} % "
         f"({scores[0]:.3f} to {scores[1]:.3f} px²): {'used' if chosen else 'not used'}"
     )

@@ -120,7 +120,13 @@ class Block:
 
 
 def residual_norm(block: Block, points: Array, parameters: Array) -> Array:
-    """Lengths of the residuals `[m]` in pixels."""
+    """Lengths of the residuals `[m]` in pixels.
+
+    Args:
+        block: tie points and cameras.
+        points: ``[m, 3]`` ground points [m].
+        parameters: ``[V, P]`` corrections [px].
+    """
     residual = block.residuals(points, parameters)
     return np.hypot(residual[:, 0], residual[:, 1])
 
@@ -130,6 +136,12 @@ def solve(block: Block, affine: bool, initial: Solution | None = None, max_itera
 
     The problem is nearly linear, so the wide loss finds the basin even when a view is tens of pixels off; from an
     `initial` solution of the same points the loss starts narrow.
+
+    Args:
+        block: tie points and cameras.
+        affine: correct by an affine map instead of a shift.
+        initial: where to begin, or None.
+        max_iterations: Gauss-Newton steps.
     """
     if initial is None:
         parameters = np.zeros((len(block.rpcs), 6))
@@ -156,7 +168,14 @@ def solve(block: Block, affine: bool, initial: Solution | None = None, max_itera
 
 
 def triangulate(block: Block, parameters: Array, points: Array | None = None, iterations: int = 12) -> Array:
-    """Points alone, cameras fixed, under the same loss."""
+    """Points alone, cameras fixed, under the same loss.
+
+    Args:
+        block: tie points and cameras.
+        parameters: ``[V, P]`` corrections [px].
+        points: ``[m, 3]`` where to begin [m], or None.
+        iterations: Gauss-Newton steps.
+    """
     points = block.start() if points is None else points.copy()
     for iteration in range(iterations):
         residual, jacobian, _ = block.linearised(points, parameters)

@@ -52,24 +52,52 @@ def check_projected(crs: str) -> str:
 
 
 def to_geographic(crs: str, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
-    """(lon, lat) in degrees of grid coordinates in metres."""
+    """(lon, lat) in degrees of grid coordinates in metres.
+
+    Args:
+        crs: projected ground CRS [m].
+        x: easting [m].
+        y: northing [m].
+    """
     return _transformer(crs, "EPSG:4326").transform(x, y)
 
 
 def from_geographic(crs: str, lon: ArrayLike, lat: ArrayLike) -> tuple[Any, Any]:
-    """Grid coordinates in metres of (lon, lat) in degrees."""
+    """Grid coordinates in metres of (lon, lat) in degrees.
+
+    Args:
+        crs: projected ground CRS [m].
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+    """
     return _transformer("EPSG:4326", crs).transform(lon, lat)
 
 
 def project(rpc: RPC, crs: str, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> tuple[Any, Any]:
-    """Pixel (col, row) of points given in the ground CRS [m]; x, y, z broadcast."""
+    """Pixel (col, row) of points given in the ground CRS [m]; x, y, z broadcast.
+
+    Args:
+        rpc: the camera.
+        crs: projected ground CRS [m].
+        x: eastings [m].
+        y: northings [m].
+        z: heights [m].
+    """
     xs, ys = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     lon, lat = to_geographic(crs, xs, ys)
     return rpc.projection(lon, lat, z)
 
 
 def localize(rpc: RPC, crs: str, col: ArrayLike, row: ArrayLike, z: ArrayLike) -> tuple[Any, Any]:
-    """Grid coordinates (x, y) [m] where the pixel's line of sight meets height z [m]; the arguments broadcast."""
+    """Grid coordinates (x, y) [m] where the pixel's line of sight meets height z [m]; the arguments broadcast.
+
+    Args:
+        rpc: the camera.
+        crs: projected ground CRS [m].
+        col: columns [px].
+        row: rows [px].
+        z: height above the ellipsoid [m].
+    """
     return from_geographic(crs, *rpc.localization(col, row, z))
 
 
@@ -77,6 +105,14 @@ def ground_rays(rpc: RPC, crs: str, cols: ArrayLike, rows: ArrayLike, z0: float,
     """Lines of sight: grid coordinates `[..., 2]` of each pixel at heights z0 and z1 [m].
 
     Between the two a satellite's ray is straight in a projected CRS to far below a millimetre over some hundred metres.
+
+    Args:
+        rpc: the camera.
+        crs: projected ground CRS [m].
+        cols: columns [px].
+        rows: rows [px].
+        z0: first height [m].
+        z1: second height [m].
     """
     low = np.stack(localize(rpc, crs, cols, rows, z0), axis=-1)
     high = np.stack(localize(rpc, crs, cols, rows, z1), axis=-1)
@@ -93,7 +129,13 @@ def metres_per_degree(lat: float, h: float = 0.0) -> tuple[float, float]:
 
 
 def check_scale(crs: str, lon: float, lat: float) -> None:
-    """Raise InputError where a metre of the CRS is none on the ground, as far from its own region or in web maps."""
+    """Raise InputError where a metre of the CRS is none on the ground, as far from its own region or in web maps.
+
+    Args:
+        crs: projected ground CRS [m].
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+    """
     east, north = metres_per_degree(lat)
     step = 10.0
     lons, lats = [lon, lon + step / east, lon], [lat, lat, lat + step / north]
@@ -102,9 +144,9 @@ def check_scale(crs: str, lon: float, lat: float) -> None:
         scale = math.hypot(x[1] - x[0], y[1] - y[0]) / step, math.hypot(x[2] - x[0], y[2] - y[0]) / step
     worst = max(scale, key=lambda s: abs(s - 1) if math.isfinite(s) else math.inf)
     if not abs(worst - 1) <= _SCALE_TOLERANCE:
-        found = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
+        symptom = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
         raise InputError(
-            f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {found}, expected a CRS of this region such as "
+            f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {symptom}, expected a CRS of this region such as "
             f"{utm_crs(lon, lat)}"
         )
 
@@ -113,6 +155,12 @@ def view_direction(rpc: RPC, lon: float, lat: float, h: float) -> Array:
     """Unit vector (east, north, up), true north, from a ground point to the sensor.
 
     It is the direction that does not move the pixel: the cross product of the two rows of the projection's Jacobian.
+
+    Args:
+        rpc: the camera.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        h: height above the ellipsoid [m].
     """
     east, north = metres_per_degree(lat, h)
     jac = rpc.jacobian(lon, lat, h) / np.array([east, north, 1.0])
@@ -137,7 +185,13 @@ def azimuth_elevation(vector: ArrayLike) -> tuple[Any, Any]:
 
 
 def convergence_deg(crs: str, lon: float, lat: float) -> float:
-    """True azimuth of grid north in degrees: grid azimuth = true azimuth - convergence."""
+    """True azimuth of grid north in degrees: grid azimuth = true azimuth - convergence.
+
+    Args:
+        crs: projected ground CRS [m].
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+    """
     step = 1e-4
     x, y = from_geographic(crs, [lon, lon], [lat - step, lat + step])
     return -math.degrees(math.atan2(x[1] - x[0], y[1] - y[0]))
@@ -151,15 +205,46 @@ def to_grid_north(vector: ArrayLike, convergence: float) -> Array:
 
 
 def grid_direction(azimuth_deg: float, elevation_deg: float, crs: str, lon: float, lat: float) -> Array:
-    """Unit vector (east, north, up) in the grid's axes of an azimuth from true north, as metadata give it."""
+    """Unit vector (east, north, up) in the grid's axes of an azimuth from true north, as metadata give it.
+
+    Args:
+        azimuth_deg: from north, clockwise [degrees].
+        elevation_deg: above the horizon [degrees].
+        crs: projected ground CRS [m].
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+    """
     return to_grid_north(direction(azimuth_deg, elevation_deg), convergence_deg(crs, lon, lat))
 
 
 def ground_sample_distance(rpc: RPC, lon: float, lat: float, h: float) -> float:
-    """Geometric mean of the edges of a pixel on level ground [m]."""
+    """Geometric mean of the edges of a pixel on level ground [m].
+
+    Args:
+        rpc: the camera.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        h: height above the ellipsoid [m].
+    """
     east, north = metres_per_degree(lat, h)
     jac = rpc.jacobian(lon, lat, h)[:, :2] / np.array([east, north])
     return float(abs(np.linalg.det(jac)) ** -0.5)
+
+
+def foreshortening(rpc: RPC, lon: float, lat: float, h: float) -> tuple[float, float]:
+    """Tangent of the incidence angle by the camera's heights, and length over width of its pixels on the ground.
+
+    The length is along the line of sight on level ground, the width across. Square pixels of a camera that looks
+    down at incidence i are 1 / cos i times as long as wide, whatever its heights are counted in.
+    """
+    east, north = metres_per_degree(lat, h)
+    jac = rpc.jacobian(lon, lat, h)
+    plane = jac[:, :2] / np.array([east, north])
+    shift = np.linalg.solve(plane, -jac[:, 2])  # ground metres per unit of height
+    tangent = float(np.hypot(*shift))
+    along = shift / tangent if tangent > 0 else np.array([0.0, 1.0])
+    across = np.array([-along[1], along[0]])
+    return tangent, float(np.hypot(*(plane @ across)) / np.hypot(*(plane @ along)))
 
 
 __all__ = [
@@ -168,6 +253,7 @@ __all__ = [
     "check_scale",
     "convergence_deg",
     "direction",
+    "foreshortening",
     "from_geographic",
     "grid_direction",
     "ground_rays",

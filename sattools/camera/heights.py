@@ -45,6 +45,7 @@ def estimate_height_range(
     rpcs: Sequence[RPC],
     crs: str,
     bounds: Bounds,
+    *,
     options: HeightOptions | None = None,
     progress: Progress = silent,
 ) -> tuple[float, float]:
@@ -58,13 +59,17 @@ def estimate_height_range(
         heights: of tie points `[n]` [m].
         grays: images `[H, W]`, NaN = no data. rpcs: their corrected cameras.
         bounds: (west, south, east, north) in `crs` [m].
+        rpcs: corrected cameras.
+        crs: projected ground CRS [m].
+        options: see `HeightOptions`; None = the defaults.
+        progress: told the share done and what is being done.
     """
     options = options or HeightOptions()
     low, high = tie_point_range(heights, options)
     span = max(high - low, 2.0 * options.min_margin_m)
     search = (low - 0.5 * span, high + 2.0 * span)
     planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
-    counts = sweep_histogram(grays, rpcs, crs, bounds, planes, options.max_cells, progress)
+    counts = sweep_histogram(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
     low, high = extend_range(low, high, planes, counts)
     margin = max(options.margin * (high - low), options.min_margin_m)
     return low - margin, high + margin
@@ -75,16 +80,22 @@ def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple
 
     Chance is what nine tenths of the planes outside stay below; a plane counts from five Poisson deviations above
     it and from one in two thousand cells on.
+
+    Args:
+        low: lowest height so far [m].
+        high: highest height so far [m].
+        planes: ``[D]`` heights [m].
+        counts: ``[D]`` number of cells that agree on each.
     """
     outside = (planes < low) | (planes > high)
     if not outside.any():
         return low, high
     chance = float(np.quantile(counts[outside], 0.9))
     needed = max(chance + 5.0 * np.sqrt(chance + 1.0), counts.sum() / 2000.0)
-    found = planes[outside & (counts >= needed)]
-    if found.size == 0:
+    supported = planes[outside & (counts >= needed)]
+    if supported.size == 0:
         return low, high
-    return min(low, float(found.min())), max(high, float(found.max()))
+    return min(low, float(supported.min())), max(high, float(supported.max()))
 
 
 def sweep_histogram(
@@ -94,12 +105,22 @@ def sweep_histogram(
     bounds: Bounds,
     planes: Array,
     max_cells: int = 40_000,
+    *,
     progress: Progress = silent,
 ) -> Array:
     """Number of ground cells `[planes]` whose best correlation lies on each plane, coherent with its neighbours.
 
     The score of a cell at a height is the mean zero-mean normalised correlation of all pairs of views in a window of
     5 x 5 cells, which costs one pass over the views: (|sum z|^2 - sum |z|^2) / (n (n - 1)).
+
+    Args:
+        grays: grey images ``[H, W]``; NaN = no data.
+        rpcs: their cameras.
+        crs: projected ground CRS [m].
+        bounds: (west, south, east, north) [m].
+        planes: ``[D]`` heights [m].
+        max_cells: number of ground cells, at most.
+        progress: told the share done and what is being done.
     """
     import cv2
 

@@ -25,10 +25,21 @@ def free_matches(
     ground_b: Array,
     descriptor_b: NDArray[np.float32],
     run: Array,
+    *,
     half_height: float,
     half_bias: float,
 ) -> Matches:
-    """Mutual best matches `[m, 2]` among all features whose distance agrees with the height range and camera errors."""
+    """Mutual best matches `[m, 2]` among all features whose distance agrees with the height range and camera errors.
+
+    Args:
+        ground_a: ``[n, 2]`` places of the features of view a [m].
+        descriptor_a: ``[n, 128]`` of unit length.
+        ground_b: ``[m, 2]`` of view b [m].
+        descriptor_b: ``[m, 128]`` of unit length.
+        run: displacement of b against a per metre of height [m/m].
+        half_height: half of the height range [m].
+        half_bias: largest error of the cameras [m].
+    """
     if len(ground_a) < 2 or len(ground_b) < 2:
         return np.empty((0, 2), np.intp)
     along, across, length = frame(run)
@@ -52,10 +63,21 @@ def corridor_matches(
     ground_b: Array,
     descriptor_b: NDArray[np.float32],
     run: Array,
+    *,
     half_height: float,
     half_width: float,
 ) -> tuple[Matches, NDArray[np.float32]]:
-    """Mutual best matches `[m, 2]` inside narrow corridors, and their squared descriptor distances."""
+    """Mutual best matches `[m, 2]` inside narrow corridors, and their squared descriptor distances.
+
+    Args:
+        ground_a: ``[n, 2]`` places of the features of view a [m].
+        descriptor_a: ``[n, 128]`` of unit length.
+        ground_b: ``[m, 2]`` of view b [m].
+        descriptor_b: ``[m, 128]`` of unit length.
+        run: displacement of b against a per metre of height [m/m].
+        half_height: half of the height range [m].
+        half_width: half width of the corridor [m].
+    """
     from scipy.spatial import cKDTree
 
     none = np.empty((0, 2), np.intp), np.empty(0, np.float32)
@@ -89,6 +111,12 @@ def vote(ground_a: Array, ground_b: Array, run: Array, pixel_m: float) -> tuple[
 
     Returns (unit vectors `[k, 2]`, shifts `[k]` in metres along them, weight): across the run only, or along both axes
     for lines of sight so parallel that height hardly moves anything; nothing without a clear majority.
+
+    Args:
+        ground_a: ``[m, 2]`` places of the matches in view a [m].
+        ground_b: ``[m, 2]`` in view b [m].
+        run: displacement of b against a per metre of height [m/m].
+        pixel_m: edge of a pixel [m].
     """
     none = np.empty((0, 2)), np.empty(0), 0.0
     along, across, length = frame(run)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sattools.camera.rpc_formats import read_rpc_fields
 from sattools.camera.rpc_names import SCALARS, VECTORS
+from sattools.camera.rpc_polynomials import monomial_derivatives, monomials
 from sattools.errors import InputError
 from sattools.scene.files import write_text
 from sattools.scene.location import location
@@ -36,35 +37,6 @@ _SMALLEST_SCALE = 1e-9
 _CHUNK = 1 << 14  # points evaluated at once: 20 monomials of a chunk stay in the second-level cache
 _MAX_ITERATIONS = 40
 _STEP_DEG = 1e-11  # Newton converges quadratically, so the error left after such a step is at rounding level
-
-
-def monomials(lon: Array, lat: Array, alt: Array) -> Array:
-    """The 20 cubic monomials of normalised coordinates in RPC00B order (STDI-0002, app. E), `[20, n]`."""
-    m = np.empty((20, lon.size))
-    lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
-    m[0] = 1.0
-    m[1], m[2], m[3] = lon, lat, alt
-    m[4], m[5], m[6] = lon * lat, lon * alt, lat * alt
-    m[7], m[8], m[9] = lon2, lat2, alt2
-    m[10] = m[4] * alt
-    m[11], m[12], m[13] = lon2 * lon, lon * lat2, lon * alt2
-    m[14], m[15], m[16] = lon2 * lat, lat2 * lat, lat * alt2
-    m[17], m[18], m[19] = lon2 * alt, lat2 * alt, alt2 * alt
-    return m
-
-
-def monomial_derivatives(lon: Array, lat: Array, alt: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`."""
-    dlon, dlat, dalt = np.zeros((3, 20, lon.size))
-    lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
-    dlon[1] = dlat[2] = dalt[3] = 1.0
-    dlon[4], dlon[5], dlon[7], dlon[10] = lat, alt, 2 * lon, lat * alt
-    dlon[11], dlon[12], dlon[13], dlon[14], dlon[17] = 3 * lon2, lat2, alt2, 2 * lon * lat, 2 * lon * alt
-    dlat[4], dlat[6], dlat[8], dlat[10] = lon, alt, 2 * lat, lon * alt
-    dlat[12], dlat[14], dlat[15], dlat[16], dlat[18] = 2 * lon * lat, lon2, 3 * lat2, alt2, 2 * lat * alt
-    dalt[5], dalt[6], dalt[9], dalt[10] = lon, lat, 2 * alt, lon * lat
-    dalt[13], dalt[16], dalt[17], dalt[18], dalt[19] = 2 * lon * alt, 2 * lat * alt, lon2, lat2, 3 * alt2
-    return dlon, dlat, dalt
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +98,13 @@ class RPC:
     # -- ground to pixel ------------------------------------------------------------------------------------------
 
     def projection(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> tuple[Any, Any]:
-        """Pixel (col, row) of ground points; the arguments broadcast. Scalars in, scalars out."""
+        """Pixel (col, row) of ground points; the arguments broadcast. Scalars in, scalars out.
+
+        Args:
+            lon: longitude [degrees].
+            lat: latitude [degrees].
+            h: height above the ellipsoid [m].
+        """
         (x, y, z), shape = self._normalised(lon, lat, h)
         col, row = np.empty(x.size), np.empty(x.size)
         coefficients = self._coefficients()
@@ -142,11 +120,23 @@ class RPC:
         return _shaped(col, shape), _shaped(row, shape)
 
     def jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> Array:
-        """Derivatives of (col, row) by (lon, lat, h), `[..., 2, 3]`, in pixels per degree and pixels per metre."""
+        """Derivatives of (col, row) by (lon, lat, h), `[..., 2, 3]`, in pixels per degree and pixels per metre.
+
+        Args:
+            lon: longitude [degrees].
+            lat: latitude [degrees].
+            h: height above the ellipsoid [m].
+        """
         return self.projection_and_jacobian(lon, lat, h)[1]
 
     def projection_and_jacobian(self, lon: ArrayLike, lat: ArrayLike, h: ArrayLike) -> tuple[Array, Array]:
-        """Pixels `[..., 2]` (col, row) and their derivatives `[..., 2, 3]` by (lon, lat, h) in one evaluation."""
+        """Pixels `[..., 2]` (col, row) and their derivatives `[..., 2, 3]` by (lon, lat, h) in one evaluation.
+
+        Args:
+            lon: longitude [degrees].
+            lat: latitude [degrees].
+            h: height above the ellipsoid [m].
+        """
         (x, y, z), shape = self._normalised(lon, lat, h)
         col, row, jac = self._normalised_jacobian(x, y, z)
         pixel = np.stack([col * self.col_scale + self.col_offset, row * self.row_scale + self.row_offset], axis=-1)
@@ -161,6 +151,11 @@ class RPC:
 
         Newton's method on the projection itself, so `localization` inverts `projection` to rounding (<= 1e-9 degrees).
         Points where it finds no solution (far outside the camera's validity) become NaN.
+
+        Args:
+            col: columns [px].
+            row: rows [px].
+            h: height above the ellipsoid [m].
         """
         cols, rows, heights = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (col, row, h)))
         shape = cols.shape
@@ -238,6 +233,11 @@ class RPC:
         an n³ grid over `domain` (west, south, east, north, lowest, highest; default: the whole validity cube) with
         denominators kept, which is exact for a shift and well conditioned otherwise. Returns (camera, largest
         residual in pixels on a grid between the fitted points).
+
+        Args:
+            matrix: ``[2, 3]`` affine map of (col, row) [px].
+            domain: (lon, lat, h) from and to in which it is fitted [degrees, m]; None = the camera's own.
+            n: number of points along an axis.
         """
         m = np.asarray(matrix, np.float64)
         if m.shape != (2, 3) or not np.isfinite(m).all():

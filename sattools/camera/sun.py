@@ -12,7 +12,9 @@ def sun_position(time: datetime, lon: float, lat: float, height: float = 0.0) ->
 
     Args:
         time: UTC; a time without zone is taken as UTC.
-        lon, lat: degrees. height: metres above the ellipsoid.
+        lon: degrees. height: metres above the ellipsoid.
+        lat: degrees. height: metres above the ellipsoid.
+        height: ``[H, W]`` [m].
 
     Raises:
         InputError: a place that is not on Earth.

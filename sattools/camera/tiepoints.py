@@ -21,7 +21,7 @@ from sattools.camera.matching import corridor_matches, free_matches, vote
 from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks, build_tracks
 from sattools.errors import InputError
-from sattools.progress import Progress, silent
+from sattools.progress import Progress, silent, subprogress
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class TiePointOptions:
 
 
 @dataclass(frozen=True)
-class View:
+class TiePointImage:
     """What tie points need of an image: grey values `[H, W]` (NaN = no data) and its camera."""
 
     name: str
@@ -60,7 +60,13 @@ class Features:
     tangent: Array = field(default_factory=lambda: np.zeros(2))  # d(x, y)/dz of the view's lines of sight
 
     def place(self, rpc: RPC, crs: str, z_ref: float) -> None:
-        """Put the features on the ground at a height."""
+        """Put the features on the ground at a height.
+
+        Args:
+            rpc: the camera.
+            crs: projected ground CRS [m].
+            z_ref: reference height [m].
+        """
         dz = 50.0
         low = np.stack(localize(rpc, crs, self.pixel[:, 0], self.pixel[:, 1], z_ref), -1)
         high = np.stack(localize(rpc, crs, self.pixel[:, 0], self.pixel[:, 1], z_ref + dz), -1)
@@ -85,8 +91,15 @@ def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArra
     return np.asarray(np.where(valid, np.clip(scaled, 0, 255), 128), np.uint8), valid
 
 
-def extract_features(view: View, crs: str, z_ref: float, options: TiePointOptions) -> Features:
-    """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself."""
+def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePointOptions) -> Features:
+    """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself.
+
+    Args:
+        view: the image.
+        crs: projected ground CRS [m].
+        z_ref: reference height [m].
+        options: see `TiePointOptions`.
+    """
     import cv2
 
     image, valid = normalised_contrast(view.gray, options.contrast_window_px)
@@ -124,7 +137,14 @@ def extract_features(view: View, crs: str, z_ref: float, options: TiePointOption
 
 
 def spread_evenly(position: Array, strength: Array, count: int, cells: int = 16) -> NDArray[np.intp]:
-    """Indices of about `count` points, the strongest of each cell of a `cells`² grid first; strongest first overall."""
+    """Indices of about `count` points, the strongest of each cell of a `cells`² grid first; strongest first overall.
+
+    Args:
+        position: ``[n, 2]`` [px].
+        strength: ``[n]`` the larger, the better.
+        count: number of points wanted.
+        cells: number of cells along an axis.
+    """
     order = np.argsort(-strength, kind="stable")
     low, high = position.min(0), position.max(0)
     cell = np.minimum(((position - low) / np.maximum(high - low, 1e-9) * cells).astype(int), cells - 1)
@@ -155,12 +175,15 @@ def choose_pairs(tangents: Array, max_pairs: int) -> list[tuple[int, int]]:
 
 
 def find_tie_points(
-    views: Sequence[View], crs: str, options: TiePointOptions | None = None, progress: Progress = silent
+    views: Sequence[TiePointImage], crs: str, options: TiePointOptions | None = None, progress: Progress = silent
 ) -> Tracks:
     """Tie points of overlapping images.
 
     Args:
         views: images with their cameras. crs: projected ground CRS [m].
+        crs: projected ground CRS [m].
+        options: see `TiePointOptions`; None = the defaults.
+        progress: told the share done and what is being done.
 
     Returns: tracks; each is one ground point seen in two or more images.
     Raises: InputError when fewer than two views are given.
@@ -177,39 +200,9 @@ def find_tie_points(
     tangents = np.array([f.tangent for f in features])
     pairs = choose_pairs(tangents, options.max_pairs)
     pixel_m = np.array([_pixel_size(v, crs, z_ref) for v in views])
-
-    # Coarse: strong features, whole height range, large camera errors. Its result is each view's error across the
-    # direction of height, and the range of heights.
-    shifts, seen = [], []
     coarse = choose_pairs(tangents, min(options.coarse_pairs, options.max_pairs))
-    for k, (a, b) in enumerate(coarse):
-        progress(0.5 + 0.25 * k / len(coarse), "coarse matching")
-        fa, fb = features[a], features[b]
-        found = free_matches(
-            fa.ground[: options.coarse_features],
-            fa.descriptor[: options.coarse_features],
-            fb.ground[: options.coarse_features],
-            fb.descriptor[: options.coarse_features],
-            fb.tangent - fa.tangent,
-            options.max_height_m,
-            2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
-        )
-        seen.append(found)
-        shifts.append(vote(fa.ground[found[:, 0]], fb.ground[found[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
-    bias = coarse_bias(coarse, shifts, tangents)
-
-    heights = []
-    for (a, b), found in zip(coarse, seen, strict=True):
-        fa, fb = features[a], features[b]
-        run = fb.tangent - fa.tangent
-        length = float(np.hypot(*run))
-        if length < 0.05 or len(found) == 0:
-            continue
-        apart = (fb.ground[found[:, 1]] - bias[b]) - (fa.ground[found[:, 0]] - bias[a])
-        along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
-        good = np.abs(across) < options.corridor_px * pixel_m[a]
-        heights.append(z_ref - along[good] / length)
-    low, high = _height_window(np.concatenate(heights) if heights else np.empty(0), z_ref, options)
+    bias, along = _coarse(features, coarse, pixel_m, options, subprogress(progress, 0.5, 0.75))
+    low, high = _height_window(z_ref - along, z_ref, options)
 
     # Fine: all features, narrow corridors.
     z_mid = 0.5 * (low + high)
@@ -219,19 +212,62 @@ def find_tie_points(
     for k, (a, b) in enumerate(pairs):
         progress(0.75 + 0.25 * k / len(pairs), "fine matching")
         fa, fb = features[a], features[b]
-        half = options.corridor_px * max(pixel_m[a], pixel_m[b])
-        found, score = corridor_matches(
+        matched, score = corridor_matches(
             fa.ground - bias[a],
             fa.descriptor,
             fb.ground - bias[b],
             fb.descriptor,
             fb.tangent - fa.tangent,
-            0.5 * (high - low),
-            half,
+            half_height=0.5 * (high - low),
+            half_width=options.corridor_px * max(pixel_m[a], pixel_m[b]),
         )
-        matches.append((a, b, found, score))
+        matches.append((a, b, matched, score))
     progress(1.0, "tie points")
     return build_tracks([f.pixel for f in features], matches)
+
+
+def _coarse(
+    features: Sequence[Features],
+    pairs: Sequence[tuple[int, int]],
+    pixel_m: Array,
+    options: TiePointOptions,
+    progress: Progress,
+) -> tuple[Array, Array]:
+    """Strong features, whole height range, large camera errors.
+
+    Returns:
+        Each view's error across the direction of height ``[n, 2]`` [m], and how far below the reference height matches
+        lie ``[m]`` [m].
+    """
+    shifts, seen = [], []
+    most = options.coarse_features
+    for k, (a, b) in enumerate(pairs):
+        progress(k / len(pairs), "coarse matching")
+        fa, fb = features[a], features[b]
+        matched = free_matches(
+            fa.ground[:most],
+            fa.descriptor[:most],
+            fb.ground[:most],
+            fb.descriptor[:most],
+            fb.tangent - fa.tangent,
+            half_height=options.max_height_m,
+            half_bias=2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
+        )
+        seen.append(matched)
+        shifts.append(vote(fa.ground[matched[:, 0]], fb.ground[matched[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
+    bias = coarse_bias(pairs, shifts, np.array([f.tangent for f in features]))
+    depths = []
+    for (a, b), matched in zip(pairs, seen, strict=True):
+        fa, fb = features[a], features[b]
+        run = fb.tangent - fa.tangent
+        length = float(np.hypot(*run))
+        if length < 0.05 or len(matched) == 0:
+            continue
+        apart = (fb.ground[matched[:, 1]] - bias[b]) - (fa.ground[matched[:, 0]] - bias[a])
+        along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
+        good = np.abs(across) < options.corridor_px * pixel_m[a]
+        depths.append(along[good] / length)
+    return bias, np.concatenate(depths) if depths else np.empty(0)
 
 
 def coarse_bias(
@@ -241,6 +277,11 @@ def coarse_bias(
 
     Least absolute deviations by reweighting. Common shifts and those that mean another height cannot be seen; among all
     equal solutions the one with the smallest corrections (robustly) is taken.
+
+    Args:
+        pairs: indices of two views each.
+        shifts: per pair, axes ``[k, 2]``, shifts along them ``[k]`` [m] and a weight, see `vote`.
+        tangents: ``[n, 2]`` displacement per metre of height of each view [m/m].
     """
     n = len(tangents)
     rows, values, weights = [], [], []
@@ -275,7 +316,7 @@ def _height_window(heights: Array, z_ref: float, options: TiePointOptions) -> tu
     return float(low - margin), float(high + margin)
 
 
-def _pixel_size(view: View, crs: str, z: float) -> float:
+def _pixel_size(view: TiePointImage, crs: str, z: float) -> float:
     row, col = (np.array(view.gray.shape) - 1) / 2
     x, y = localize(view.rpc, crs, [col, col + 1, col], [row, row, row + 1], z)
     return float(np.sqrt(abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]))))
@@ -297,4 +338,4 @@ def _north_up(rpc: RPC, crs: str, width: int, height: int, z: float, max_px: int
     return solution.T.astype(np.float64), n_cols, n_rows
 
 
-__all__ = ["Features", "TiePointOptions", "View", "coarse_bias", "find_tie_points"]
+__all__ = ["Features", "TiePointImage", "TiePointOptions", "coarse_bias", "find_tie_points"]

@@ -49,6 +49,11 @@ def build_tracks(
     """Join matches (view a, view b, `[m, 2]` feature numbers, distances) into tracks by union-find.
 
     Best matches are joined first; a join that would put two features of one view into a track is refused.
+
+    Args:
+        pixels: ``[n, 2]`` places of the features of each view [px].
+        matches: see above.
+        min_views: number of views that a track needs.
     """
     offsets = np.concatenate([[0], np.cumsum([len(p) for p in pixels])]).astype(np.intp)
     owner = np.repeat(np.arange(len(pixels)), [len(p) for p in pixels])

@@ -6,12 +6,12 @@ import importlib
 import importlib.util
 import os
 import signal
-import threading
 from typing import Any
 
 import click
 
 from sattools import __version__
+from sattools.cli import interrupts
 from sattools.cli.commands import COMMANDS
 from sattools.cli.options import configure_logging, run_options
 from sattools.cli.safety import LastResort, check_folder, configure_handler
@@ -87,17 +87,14 @@ def main(ctx: click.Context, **values: Any) -> None:
     check_folder()
     configure_handler()
     _apply(ctx)
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGINT):
-            before = signal.signal(number, _terminate)
-            ctx.call_on_close(lambda number=number, before=before: signal.signal(number, before))
+    ctx.with_resource(interrupts.listening())
 
 
 main.params[:0] = run_options()
 
 
 def _apply(root: click.Context) -> None:
-    """Settle how the program runs from the options given so far."""
+    """Set how the program runs from the options given so far."""
     values = root.params
     configure_logging(values["verbose"], values["quiet"])
     progress = values["progress"] or "auto"
@@ -119,7 +116,7 @@ def _json_usage(ctx: click.Context, wanted: bool) -> None:
 
 
 def set_threads(threads: int | None) -> None:
-    """Settle the number of threads before any numerical library starts its pool.
+    """Set the number of threads before any numerical library starts its pool.
 
     Waiting threads must sleep: spinning ones were measured to slow a shared machine down fifteen-fold.
     """
@@ -130,19 +127,18 @@ def set_threads(threads: int | None) -> None:
             os.environ[name] = count
 
 
-def _terminate(signum: int, frame: object) -> None:
-    # an exception, so that temporary files are removed on the way out
-    raise SystemExit(128 + signum)
-
-
 def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _terminate)
+    interrupts.listen()
     try:
         main(prog_name="sattools")
+    except SystemExit as error:
+        # whatever an interrupt became on its way through other people's code
+        if error.code and interrupts.status():
+            raise SystemExit(interrupts.status()) from None
+        raise
     finally:
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in interrupts.SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
 

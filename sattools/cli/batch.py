@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.batch.options import BatchOptions
+from sattools.cli.interrupts import checked
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import documents, parse, report_error
 from sattools.errors import SattoolsError
@@ -48,18 +49,18 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
 
     try:
         names = scenes if scenes or options.dfc2019 else ("-",)
-        found = [parse(source, text) for source, text in (documents(names) if names else ())]
-        if not found and not options.aoi:
+        scenes_given = [parse(source, text) for source, text in (documents(names) if names else ())]
+        if not scenes_given and not options.aoi:
             raise click.UsageError("expected scenes, or --dfc2019 ROOT --aoi AREA")
         if dry_run:
-            plan = make_plan(options, found, configurations, dry_run=True)
+            plan = make_plan(options, scenes_given, configurations, dry_run=True)
             for job in plan.jobs:
                 click.echo(f"sattools batch: would do {job.task.name} in {job.task.folder}", err=True)
             return
         root = click.get_current_context().find_root()
         cores = root.params.get("threads") or len(os.sched_getaffinity(0))
-        progress = make_progress(root.obj["progress"], "batch")
-        done = batch(options, found, configurations, cores, progress, overwrite, click.echo)
+        progress = checked(make_progress(root.obj["progress"], "batch"))
+        done = batch(options, scenes_given, configurations, cores, progress, overwrite=overwrite, emit=click.echo)
     except SattoolsError as error:
         report_error("batch", error)
         sys.exit(1)

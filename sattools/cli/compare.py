@@ -16,6 +16,7 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("compare")
@@ -33,14 +34,14 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         _compare_file(options, overwrite, dry_run, print_config)
         return
 
-    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+    def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.compare.stage import compare, table
 
         figures = compare(options, scene, progress, overwrite)
         click.echo(table(figures), err=True)
         return {"errors": figures}
 
-    def emit(scene: Scene, entry: dict[str, Any]) -> str:
+    def emit(scene: Scene, entry: JsonObject) -> str:
         from sattools.compare.stage import to_json
 
         return to_json(entry["errors"])

@@ -13,6 +13,7 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("export")
@@ -23,7 +24,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """Write the DSM, the albedo, shadow masks and a picture as cloud-optimised GeoTIFFs and PNG."""
     options = build(ExportOptions, values)
 
-    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+    def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.export.stage import export
 
         return export(scene, options, progress, overwrite)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
@@ -15,10 +16,10 @@ class Finite(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """See `click.ParamType.convert`."""
-        found = float(click.FLOAT.convert(value, param, ctx))
-        if not abs(found) <= LARGEST:  # neither NaN nor infinity is
+        number = float(click.FLOAT.convert(value, param, ctx))
+        if not abs(number) <= LARGEST:  # neither NaN nor infinity is
             self.fail(f"found {str(value)[:40]}, expected a finite number of at most {LARGEST:g}.", param, ctx)
-        return super().convert(found, param, ctx)
+        return super().convert(number, param, ctx)
 
     def _describe_range(self) -> str:
         return super()._describe_range() if self.min is not None or self.max is not None else ""
@@ -31,19 +32,35 @@ class Whole(click.IntRange):
         """See `click.ParamType.convert`."""
         if isinstance(value, str) and len(value) > 40:  # Python refuses to read some thousand digits
             self.fail(f"found a number of {len(value)} digits, expected a smaller one.", param, ctx)
-        found = super().convert(value, param, ctx)
-        if abs(found) > LARGEST_COUNT:
-            self.fail(f"found {found}, expected at most {LARGEST_COUNT}.", param, ctx)
-        return found
+        number = super().convert(value, param, ctx)
+        if abs(number) > LARGEST_COUNT:
+            self.fail(f"found {number}, expected at most {LARGEST_COUNT}.", param, ctx)
+        return number
 
     def _describe_range(self) -> str:
         return super()._describe_range() if self.min is not None or self.max is not None else ""
 
 
+class Renamed(click.Choice):
+    """A choice of which some values had other names; these still work, and stderr says so."""
+
+    def __init__(self, choices: Sequence[str], renamed: Mapping[str, str]) -> None:
+        super().__init__(choices)
+        self.renamed = renamed
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        if value in self.renamed:
+            name = param.opts[0] if param else "value"
+            click.echo(f"Warning: {name} {value} is now called {name} {self.renamed[value]}.", err=True)
+            value = self.renamed[value]
+        return super().convert(value, param, ctx)
+
+
 def kind_of(spec: OptionSpec) -> Any:
-    """click's type of an option; None where click finds it by itself."""
+    """Click's type of an option; None where click finds it by itself."""
     if spec.choices:
-        return click.Choice(spec.choices)
+        return Renamed(spec.choices, spec.renamed) if spec.renamed else click.Choice(spec.choices)
     if spec.kind is float:
         return Finite(min=spec.minimum, max=spec.maximum)
     if spec.kind is int:
@@ -70,4 +87,4 @@ def check_value(option: click.Option, value: Any) -> None:
         raise InputError(str(error).removeprefix("value: ")) from None
 
 
-__all__ = ["Finite", "Whole", "check_value", "kind_of"]
+__all__ = ["Finite", "Renamed", "Whole", "check_value", "kind_of"]

@@ -13,6 +13,7 @@ from sattools.radiometry.options import NormaliseOptions
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("normalise")
@@ -27,7 +28,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """
     options = build(NormaliseOptions, values)
 
-    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+    def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.radiometry.stage import normalise
 
         return normalise(scene, options, progress, overwrite)

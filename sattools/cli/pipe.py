@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sattools.cli.interrupts import checked
 from sattools.cli.options import print_config
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.errors import InputError, SattoolsError, SceneError
@@ -74,7 +75,13 @@ def run_scenes(
 
 
 def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], str]) -> None:
-    """Print what ``handle`` makes of every scene as soon as it is done; errors go to stderr, and exit codes follow."""
+    """Print what ``handle`` makes of every scene as soon as it is done; errors go to stderr, and exit codes follow.
+
+    Args:
+        command: its name.
+        scenes: paths, or none for stdin.
+        handle: gives the line to print.
+    """
     done, failed = 0, 0
     seen: set[tuple[str, str]] = set()
     for source, text in documents(scenes):
@@ -103,7 +110,14 @@ def run_source(
     label: str,
     check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would."""
+    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would.
+
+    Args:
+        run: how the command was called.
+        make: gives the scene and its history entry.
+        label: for the progress.
+        check: see above.
+    """
     if run.print_config:
         print_config(run.command, run.options)
         return
@@ -126,7 +140,13 @@ def report_error(command: str, error: SattoolsError) -> None:
 
 
 def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
-    """Run a stage on a scene; the scene and its new history entry."""
+    """Run a stage on a scene; the scene and its new history entry.
+
+    Args:
+        run: how the command was called.
+        scene: the scene.
+        work: the stage.
+    """
     from sattools.scene.runner import run_on
 
     return run_on(scene, _step(run, scene.id), work)
@@ -141,7 +161,7 @@ def _step(run: Run, label: str) -> Step:
 def _progress(command: str, label: str) -> Progress:
     context = click.get_current_context(silent=True)
     mode = (context.find_root().obj or {}).get("progress", "none") if context else "none"
-    return make_progress(mode, f"{command} {label}")
+    return checked(make_progress(mode, f"{command} {label}"))
 
 
 def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:

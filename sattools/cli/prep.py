@@ -17,6 +17,7 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("prep")
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 @click.option("--dfc2019", type=click.Path(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
 @common_options
 def command(
+    *,
     images: tuple[str, ...],
     aoi: str | None,
     bounds: tuple[float, float, float, float] | None,
@@ -73,7 +75,7 @@ def command(
 
         check_inputs(paths, options)
 
-    def make(progress: Progress) -> tuple[Scene, dict[str, Any]]:
+    def make(progress: Progress) -> tuple[Scene, JsonObject]:
         from sattools.prep.stage import prepare
 
         return prepare(paths, options, progress, overwrite)

@@ -13,6 +13,7 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("prior")
@@ -20,13 +21,13 @@ if TYPE_CHECKING:
 @dataclass_options(PriorOptions)
 @common_options
 def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
-    """Match the scene's images in ground geometry: a rough surface, how far to trust it, and its normals.
+    """Match the scene's images in ground geometry: a rough surface, its confidence, and its normals.
 
     Writes prior/dsm.tif, prior/confidence.tif (0 to 1) and prior/normals.tif (east, north, up) below the scene's root.
     """
     options = build(PriorOptions, values)
 
-    def work(scene: Scene, progress: Progress) -> dict[str, Any]:
+    def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.prior.stage import prior
 
         return prior(scene, options, progress, overwrite)

@@ -49,7 +49,14 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
 
 
 def write(path: Path, page: str, overwrite: bool, inputs: Iterable[Path]) -> None:
-    """The page, unless it would replace what it was made from; its path on stdout."""
+    """The page, unless it would replace what it was made from; its path on stdout.
+
+    Args:
+        path: file to write.
+        page: its HTML.
+        overwrite: replace outputs that are there.
+        inputs: files that it was made from.
+    """
     from sattools.scene.files import check_outputs, write_text
 
     check_outputs([path], inputs, overwrite)

@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from sattools.cli import interrupts
 from sattools.cli.commands import COMMANDS
 from sattools.errors import SattoolsError, printable
 
@@ -41,8 +42,8 @@ class LastResort(click.Group):
         except SystemExit:
             raise
         except BaseException as error:
-            if isinstance(error, KeyboardInterrupt):
-                sys.exit(130)
+            if isinstance(error, KeyboardInterrupt) or interrupts.status():
+                sys.exit(interrupts.status() or 130)
             sys.exit(self.failed(error))
         return None
 

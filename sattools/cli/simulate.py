@@ -14,6 +14,7 @@ from sattools.simulate.options import SimulateOptions
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
 
 
 @click.command("simulate")
@@ -29,7 +30,7 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
 
     inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)
 
-    def make(progress: Progress) -> tuple[Scene, dict[str, Any] | None]:
+    def make(progress: Progress) -> tuple[Scene, JsonObject | None]:
         from sattools.simulate.stage import simulate
 
         scene = simulate(options, Path(options.out) / options.id, progress, overwrite)

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from sattools.scene.jsonio import JsonObject
+
 TREES = 5
 STEP_M = 3.0  # a wall is at least so high between two neighbouring cells, and between its plateaus
 REACH_M = 4.0  # from the wall, along its normal, within which a crossing is looked for
@@ -52,10 +54,10 @@ def wall_offsets(
     def cut(surface: np.ndarray, aside: float = 0.0) -> np.ndarray:
         """Heights ``[N, S]`` along the normals, uphill, `aside` metres along the walls."""
         points = at[:, None] + (normal[:, None] * s[:, None] + along[:, None] * aside) / cell
-        found: np.ndarray = map_coordinates(
+        profile: np.ndarray = map_coordinates(
             surface.astype(np.float64), np.moveaxis(points, -1, 0), order=1, cval=np.nan
         )
-        return found
+        return profile
 
     low, high = (-s >= PLATEAU_M[0]) & (-s <= PLATEAU_M[1]), (s >= PLATEAU_M[0]) & (s <= PLATEAU_M[1])
     profile = cut(reference)
@@ -84,22 +86,22 @@ def _rising(s: np.ndarray, profiles: np.ndarray, level: np.ndarray, near: np.nda
     part = np.where(rises, before / np.where(rises, before - after, 1.0), 0.0)
     places = np.where(rises, s[:-1] + part * (s[1] - s[0]), np.inf)
     best = np.argmin(np.abs(places - near[:, None]), axis=1)
-    found = np.take_along_axis(places, best[:, None], axis=1)[:, 0]
-    return np.where(np.isfinite(found), found, np.nan)
+    nearest = np.take_along_axis(places, best[:, None], axis=1)[:, 0]
+    return np.where(np.isfinite(nearest), nearest, np.nan)
 
 
-def wall_figures(offsets: np.ndarray) -> dict[str, Any]:
+def wall_figures(offsets: np.ndarray) -> JsonObject:
     """Figures [m] of `wall_offsets`: median and 90th percentile of the distance, mean outward; share without a wall."""
-    found = offsets[np.isfinite(offsets)]
+    known = offsets[np.isfinite(offsets)]
     figures: dict[str, Any] = {"pieces": int(offsets.size), "missing": None, "median": None, "p90": None, "mean": None}
     if offsets.size:
-        figures["missing"] = 1.0 - found.size / offsets.size
-    if found.size:
-        distance = np.abs(found)
+        figures["missing"] = 1.0 - known.size / offsets.size
+    if known.size:
+        distance = np.abs(known)
         figures |= {
             "median": float(np.median(distance)),
             "p90": float(np.quantile(distance, 0.9)),
-            "mean": float(found.mean()),
+            "mean": float(known.mean()),
         }
     return figures
 

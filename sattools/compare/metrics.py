@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sattools.errors import InputError
+from sattools.scene.jsonio import JsonObject
 
 WATER = 9
 CLASSES: dict[str, tuple[int, ...]] = {"ground": (2,), "trees": (5,), "buildings": (6,)}
@@ -50,7 +51,7 @@ def height_errors(
     classes: np.ndarray | None = None,
     filled: np.ndarray | None = None,
     measured: np.ndarray | None = None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Error table of a registered prediction; all arrays [H, W] in metres, NaN = no height.
 
     Reference cells that are NaN or of class 9 (water) do not count. Errors are over cells with a prediction;
@@ -58,6 +59,13 @@ def height_errors(
     within. `completeness` counts cells that were `measured` (bool; default: that have a prediction), whose errors are
     in `measured`; `filled` has those of all counted cells with holes filled from `filled` (default: the nearest
     predicted cell), `mae_filled` their mean. Raises InputError where nothing can be compared.
+
+    Args:
+        predicted: ``[H, W]`` heights [m]; NaN = none.
+        reference: ``[H, W]`` heights [m]; NaN = none.
+        classes: ``[H, W]`` class codes, or None.
+        filled: ``[H, W]`` the prediction without holes [m], or None.
+        measured: ``[H, W]`` bool, cells that images show; None = all.
     """
     counted = np.isfinite(reference)
     if classes is not None:
@@ -100,7 +108,7 @@ def height_errors(
 _NO_ERRORS: dict[str, Any] = dict.fromkeys(("mae", "rmse", "median", "nmad", "bias"))
 
 
-def _errors(difference: np.ndarray) -> dict[str, Any]:
+def _errors(difference: np.ndarray) -> JsonObject:
     absolute = np.abs(difference.astype(np.float64))
     return {
         "mae": float(absolute.mean()),
@@ -111,7 +119,7 @@ def _errors(difference: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> dict[str, Any]:
+def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> JsonObject:
     total, n = int(member.sum()), int((seen & member).sum())
     errors: Mapping[str, Any] = _errors(difference[seen & member]) if n else _NO_ERRORS
     return {**errors, "n": n, "completeness": n / total if total else None}
@@ -148,7 +156,14 @@ def map_errors(predicted: np.ndarray, reference: np.ndarray) -> dict[str, float 
 
 
 def psnr(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = None, peak: float = 1.0) -> float:
-    """Peak signal-to-noise ratio in dB of images [B, H, W]; `valid` [H, W] restricts it; inf for equal images."""
+    """Peak signal-to-noise ratio in dB of images [B, H, W]; `valid` [H, W] restricts it; inf for equal images.
+
+    Args:
+        image: ``[B, H, W]`` in [0, peak].
+        reference: ``[B, H, W]`` in [0, peak].
+        valid: ``[H, W]`` bool, pixels that count; None = all.
+        peak: largest value.
+    """
     square = (image.astype(np.float64) - reference) ** 2
     mse = float(square.mean() if valid is None else square[:, valid].mean())
     return 10 * math.log10(peak**2 / mse) if mse > 0 else math.inf
@@ -158,6 +173,12 @@ def ssim(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = No
     """Structural similarity of images [B, H, W], mean over bands and valid pixels.
 
     Gaussian window of σ = 1.5 as in Wang et al. (2004), doi:10.1109/TIP.2003.819861.
+
+    Args:
+        image: ``[B, H, W]`` in [0, peak].
+        reference: ``[B, H, W]`` in [0, peak].
+        valid: ``[H, W]`` bool, pixels that count; None = all.
+        peak: largest value.
     """
     from skimage.metrics import structural_similarity
 
@@ -174,7 +195,13 @@ def ssim(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = No
 
 
 def image_average(psnr_db: float, ssim_value: float, lpips_value: float | None) -> float | None:
-    """AVG = (10^(-PSNR/10) + sqrt(1 - SSIM) + LPIPS) / 3; None without LPIPS, as two terms compare with nothing."""
+    """AVG = (10^(-PSNR/10) + sqrt(1 - SSIM) + LPIPS) / 3; None without LPIPS, as two terms compare with nothing.
+
+    Args:
+        psnr_db: see `psnr` [dB].
+        ssim_value: see `ssim`.
+        lpips_value: see `lpips`.
+    """
     if lpips_value is None:
         return None
     return (10 ** (-psnr_db / 10) + math.sqrt(max(1 - ssim_value, 0.0)) + lpips_value) / 3
@@ -186,6 +213,12 @@ def image_errors(
     """`psnr`, `ssim`, `lpips`, `avg` of two images [B, H, W] in [0, peak]; `lpips` is None where it is unavailable.
 
     Pixels outside `valid` [H, W] are set equal before windows are formed, and are not counted.
+
+    Args:
+        image: ``[B, H, W]`` in [0, peak].
+        reference: ``[B, H, W]`` in [0, peak].
+        valid: ``[H, W]`` bool, pixels that count; None = all.
+        peak: largest value.
     """
     if image.shape != reference.shape:
         raise InputError(f"image: found shape {image.shape}, expected {reference.shape}")
@@ -203,6 +236,11 @@ def lpips(image: np.ndarray, reference: np.ndarray, peak: float = 1.0) -> float 
     """Perceptual distance (Zhang et al. 2018, AlexNet) of images [3, H, W]; None where package or weights are absent.
 
     Weights are only taken from the disk (torch's hub cache), never downloaded.
+
+    Args:
+        image: ``[B, H, W]`` in [0, peak].
+        reference: ``[3, H, W]`` in [0, peak].
+        peak: largest value.
     """
     import importlib.util
 

@@ -12,13 +12,28 @@ from sattools.scene.grid import Grid
 
 
 def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, limit_m: float = 5.0) -> None:
-    """PNG of `difference_figure`."""
+    """PNG of `difference_figure`.
+
+    Args:
+        difference: ``[H, W]`` prediction minus reference [m].
+        grid: ground grid.
+        title: of the picture.
+        path: file to write.
+        limit_m: difference at the ends of the colours [m].
+    """
     figure = difference_figure(difference, grid, title, limit_m)
     write_figure(path, figure)
 
 
 def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: float = 5.0) -> Any:
-    """matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`limit_m`."""
+    """Matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`limit_m`.
+
+    Args:
+        difference: ``[H, W]`` prediction minus reference [m].
+        grid: ground grid.
+        title: of the picture.
+        limit_m: difference at the ends of the colours [m].
+    """
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -50,7 +65,14 @@ def _plain(text: str) -> str:
 
 
 def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, path: Path) -> None:
-    """PNG of a parameter map against its reference, both ``[B, H, W]``: density of cells, line of equality."""
+    """PNG of a parameter map against its reference, both ``[B, H, W]``: density of cells, line of equality.
+
+    Args:
+        predicted: ``[B, H, W]`` of the parameter.
+        reference: ``[B, H, W]`` of the parameter.
+        name: of the parameter.
+        path: file to write.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
-from sattools.scene.jsonio import TEXT_LIMIT, read_bytes, read_json, read_text
+from sattools.scene.jsonio import TEXT_LIMIT, JsonObject, read_bytes, read_json, read_text
 
 TEXT = ("name",)
 _MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
@@ -116,7 +116,7 @@ def _read_vector(path: Path) -> list[Point]:
 
 def compare_points(
     points: list[Point], maps: Mapping[str, tuple[np.ndarray, Grid]], shift: tuple[float, float] = (0.0, 0.0)
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """Map values beside the samples' own.
 
     Args:
@@ -139,9 +139,9 @@ def compare_points(
             col = int(np.floor((east - shift[0] - grid.left) / grid.cell_size))
             line = int(np.floor((grid.top - (north - shift[1])) / grid.cell_size))
             inside = 0 <= col < grid.width and 0 <= line < grid.height
-            found = float(array[band, line, col]) if inside and np.isfinite(array[band, line, col]) else None
-            difference = None if found is None else found - sample
-            row["values"][key] = {"map": found, "sample": sample, "difference": difference}
+            map_value = float(array[band, line, col]) if inside and np.isfinite(array[band, line, col]) else None
+            difference = None if map_value is None else map_value - sample
+            row["values"][key] = {"map": map_value, "sample": sample, "difference": difference}
         table.append(row)
     return table
 

@@ -64,6 +64,12 @@ def register(predicted: np.ndarray, reference: np.ndarray, method: Method = "ncc
     `nuth-kaab`: sub-cell shift by Nuth & Kääb (2011), doi:10.5194/tc-5-271-2011, eq. 2-3, then the mean difference;
     `z`: mean height difference only; `none`: nothing.
     Raises InputError where the two have no cell in common, or for an unknown method.
+
+    Args:
+        predicted: see above [m].
+        reference: see above [m].
+        method: how the shift is found.
+        margin: cells by which the prediction reaches beyond the reference.
     """
     height, width = reference.shape
     if predicted.shape != (height + 2 * margin, width + 2 * margin):
@@ -92,6 +98,12 @@ def shifted(predicted: np.ndarray, columns: float, rows: float, margin: int = 0)
     """Cells of the reference [H, W] from `predicted` [H + 2 margin, W + 2 margin] moved by `columns` and `rows`.
 
     Whole shifts copy cells; others interpolate linearly. Cells that come from outside are NaN.
+
+    Args:
+        predicted: see above [m].
+        columns: cells eastwards.
+        rows: cells southwards.
+        margin: cells by which the prediction reaches beyond the reference.
     """
     row0, column0 = int(np.floor(rows)), int(np.floor(columns))
     weight_row, weight_column = rows - row0, columns - column0
@@ -111,6 +123,11 @@ def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> 
 
     From coarse (at most 100 cells a side) to fine, within ±5 cells of the coarser level's shift; cells that are NaN
     in either raster do not count. Where nothing correlates (a constant surface) the shift stays zero.
+
+    Args:
+        predicted: ``[H + 2 margin, W + 2 margin]`` heights [m].
+        reference: ``[H, W]`` heights [m]; NaN = none.
+        margin: cells by which the prediction reaches beyond the reference.
     """
     levels = pyramid_levels(reference.shape)
     step = 2**levels
@@ -146,6 +163,12 @@ def nuth_kaab_shift(
 
     The height differences per aspect sector enter by their median, since height steps of a city are outliers to
     this model; iterated until the step is below 0.01 cell. Raises InputError where the reference has no slopes.
+
+    Args:
+        predicted: ``[H + 2 margin, W + 2 margin]`` heights [m].
+        reference: ``[H, W]`` heights [m]; NaN = none.
+        margin: cells by which the prediction reaches beyond the reference.
+        iterations: number of steps.
     """
     gradient_row, gradient_column = np.gradient(reference.astype(np.float64))
     slope = np.hypot(gradient_row, gradient_column)  # height per cell
@@ -233,11 +256,11 @@ def _search(
         scores.append((count, -np.inf if flat else covariance / np.sqrt(var_r * var_p)))
     # a small overlap correlates by chance: it needs half the cells of the largest one to count
     enough = 0.5 * max(count for count, _ in scores)
-    best, found = -np.inf, (rows, columns)
+    best, place = -np.inf, (rows, columns)
     for (dr, dc), (count, score) in zip(trials, scores, strict=True):
         if count >= enough and score > best + 1e-12:
-            best, found = score, (rows + dr, columns + dc)
-    return *found, min(float(best), 1.0) if np.isfinite(best) else 0.0
+            best, place = score, (rows + dr, columns + dc)
+    return *place, min(float(best), 1.0) if np.isfinite(best) else 0.0
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -14,6 +14,12 @@ def resampled(array: np.ndarray, grid: Grid, target: Grid, nearest: bool = False
 
     Bilinear (averaging where `target` is coarser). A cell is NaN where the nearest source cell is, so that
     interpolation neither shrinks holes nor grows them.
+
+    Args:
+        array: see above.
+        grid: of the array.
+        target: grid to resample to.
+        nearest: take the nearest cell instead of interpolating.
     """
     if grid == target:
         return array.astype(np.float32)
@@ -54,5 +60,11 @@ def padded(grid: Grid, cells: int) -> Grid:
 
 
 def moved(grid: Grid, east_m: float, north_m: float) -> Grid:
-    """`grid` moved by metres."""
+    """`grid` moved by metres.
+
+    Args:
+        grid: to move.
+        east_m: eastwards [m].
+        north_m: northwards [m].
+    """
     return replace(grid, left=grid.left + east_m, top=grid.top + north_m)

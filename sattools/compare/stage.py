@@ -23,6 +23,7 @@ from sattools.scene.dependencies import begin, check_current
 from sattools.scene.document import Item, Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_image, read_raster, write_cog
 
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
@@ -75,24 +76,24 @@ def compare_dsm(
     wide = resampled(heights, grid, padded(truth.grid, margin))
     if not np.isfinite(wide).any():
         raise InputError(f"prediction: found no height within {truth.name}, expected overlap")
-    found = register(wide, reference, method, margin)
-    registered = shifted(wide, found.columns, found.rows, margin) + found.up
-    filled = shifted(fill_holes(wide), found.columns, found.rows, margin) + found.up
+    shift = register(wide, reference, method, margin)
+    registered = shifted(wide, shift.columns, shift.rows, margin) + shift.up
+    filled = shifted(fill_holes(wide), shift.columns, shift.rows, margin) + shift.up
     known = None
     if measured is not None:
         only = resampled(np.where(measured, heights, np.float32(np.nan)), grid, padded(truth.grid, margin))
-        known = np.isfinite(shifted(only, found.columns, found.rows, margin))
+        known = np.isfinite(shifted(only, shift.columns, shift.rows, margin))
     figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
     add_step_errors(figures, difference, reference, truth.classes, truth.grid.cell_size)
     figures |= {
-        "shift_m": [round(value, 4) for value in found.metres(truth.grid.cell_size)],
-        "registration": {"method": found.method, "correlation": found.correlation},
+        "shift_m": [round(value, 4) for value in shift.metres(truth.grid.cell_size)],
+        "registration": {"method": shift.method, "correlation": shift.correlation},
         "protocol": truth.protocol,
         "reference": truth.name,
         "mask": truth.mask_text(),
     }
-    return Comparison(figures, difference, truth.grid, found)
+    return Comparison(figures, difference, truth.grid, shift)
 
 
 def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
@@ -114,12 +115,16 @@ def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
     return truth.within(options.region) if options.region else truth
 
 
-def compare(
-    options: CompareOptions, scene: Scene, progress: Progress = silent, overwrite: bool = False
-) -> dict[str, Any]:
+def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, overwrite: bool = False) -> JsonObject:
     """Score a scene's DSM (and maps and views where asked for); writes `compare/difference.tif`, `.png`, `errors.json`.
 
     Returns the table; raises SceneError where the scene has no DSM.
+
+    Args:
+        options: of the stage.
+        scene: the scene.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
     """
     if "dsm" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
@@ -162,7 +167,7 @@ def _measured(scene: Scene, grid: Grid) -> np.ndarray | None:
     return np.asarray(validity[0] == 1)
 
 
-def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, Any]:
+def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject:
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
     truth = read_truth(options)
@@ -179,7 +184,7 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> dict[str, 
     return {"predicted": options.predicted, **result.figures}
 
 
-def compare_views(scene: Scene) -> dict[str, Any]:
+def compare_views(scene: Scene) -> JsonObject:
     """Image figures of every item with a `rendered` asset against its radiance, and their means.
 
     The radiance is the asset `radiance`, else the linear numbers of `image`. Raises SceneError where there is none.
@@ -210,7 +215,7 @@ def _radiance(scene: Scene, item: Item) -> np.ndarray:
     return linear_radiance(read_image(scene.path(item.assets["image"].href)), item_bits(item.properties))
 
 
-def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[dict[str, Any]]:
+def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:
     from sattools.compare.points import compare_points, read_points
 
     points = read_points(path)
@@ -225,7 +230,7 @@ def _scatter_href(name: str) -> str:
     return f"compare/scatter_{name}.png"
 
 
-def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> dict[str, Any]:
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> JsonObject:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
@@ -250,7 +255,13 @@ def _name_and_file(text: str) -> tuple[str, Path]:
 
 
 def write_difference(result: Comparison, tif: Path, png: Path) -> None:
-    """Signed difference as a COG and as a picture."""
+    """Signed difference as a COG and as a picture.
+
+    Args:
+        result: of a comparison.
+        tif: file to write.
+        png: file to write.
+    """
     from sattools.compare.picture import difference_picture
 
     title = f"{result.figures['reference']}: MAE {result.figures['mae']:.2f} m"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sattools.compare.metrics import CLASSES
+from sattools.scene.jsonio import JsonObject
 
 STEP_M = 3.0  # height range of 3 x 3 cells from which there is a step
 NEAR_M = 2.0  # distance from a cell on a step within which a cell is beside it
@@ -37,7 +38,7 @@ def beside_steps(reference: np.ndarray, cell_size: float) -> np.ndarray:
     return near
 
 
-def step_errors(centred: np.ndarray, near: np.ndarray) -> dict[str, Any]:
+def step_errors(centred: np.ndarray, near: np.ndarray) -> JsonObject:
     """Figures of errors about the median `centred` [N] in metres, of which `near` [N] bool lie beside a step.
 
     `signed` and `absolute` are means in metres, None without cells; `share` is that of the cells.
@@ -72,6 +73,13 @@ def add_step_errors(
 
     `difference` [H, W] is prediction minus reference in metres, NaN = not scored; `reference` [H, W] in metres;
     `classes` [H, W] codes or None; `cell_size` in metres. Errors of a class are about the median of all cells.
+
+    Args:
+        figures: error table, changed.
+        difference: ``[H, W]`` prediction minus reference [m].
+        reference: ``[H, W]`` heights [m]; NaN = none.
+        classes: ``[H, W]`` class codes, or None.
+        cell_size: edge of a cell [m].
     """
     scored = np.isfinite(difference)
     centred = difference.astype(np.float64) - np.median(difference[scored])

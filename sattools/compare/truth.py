@@ -123,8 +123,8 @@ def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
     if classes is not None:
         code_array, code_grid = read_raster(Path(classes))
         same = code_grid == grid
-        found = code_array[0].astype(np.float32)
-        codes = _class_codes(found if same else resampled(found, code_grid, grid, nearest=True))
+        class_codes = code_array[0].astype(np.float32)
+        codes = _class_codes(class_codes if same else resampled(class_codes, code_grid, grid, nearest=True))
     return Truth(dsm.stem, "dsm", grid, known_heights(array[0]), codes)
 
 

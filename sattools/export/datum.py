@@ -19,6 +19,11 @@ ELLIPSOID = "WGS84 ellipsoid"
 def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray, str]:
     """Ellipsoidal heights in another vertical datum, and the datum's name.
 
+    Args:
+        height: ``[H, W]`` [m].
+        grid: ground grid.
+        vertical: name of the datum.
+
     Raises:
         SattoolsError: PROJ has no grid for the geoid.
     """

@@ -14,7 +14,14 @@ from sattools.scene.grid import Grid
 def hillshade(
     height: np.ndarray, cell_size: float, azimuth_deg: float = 315.0, elevation_deg: float = 40.0
 ) -> np.ndarray:
-    """Lambertian shading ``[H, W]`` in [0, 1] of a height map lit from an azimuth (from north) and elevation."""
+    """Lambertian shading ``[H, W]`` in [0, 1] of a height map lit from an azimuth (from north) and elevation.
+
+    Args:
+        height: ``[H, W]`` [m].
+        cell_size: edge of a cell [m].
+        azimuth_deg: from north, clockwise [degrees].
+        elevation_deg: above the horizon [degrees].
+    """
     south, east = np.gradient(height, cell_size)
     normal = np.stack([-east, south, np.ones_like(height)])
     normal /= np.linalg.norm(normal, axis=0)
@@ -24,13 +31,26 @@ def hillshade(
 
 
 def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> None:
-    """PNG of `picture`."""
+    """PNG of `picture`.
+
+    Args:
+        height: ``[H, W]`` [m].
+        grid: ground grid.
+        title: of the picture.
+        path: file to write.
+    """
     figure = picture(height, grid, title)
     write_figure(path, figure, dpi=110, bbox_inches="tight")
 
 
 def picture(height: np.ndarray, grid: Grid, title: str) -> Any:
-    """matplotlib figure of a DSM [H, W] in metres: colour ramp over hillshade, with axes in metres and a colour bar."""
+    """Matplotlib figure of a DSM [H, W] in metres: colour ramp over hillshade, with axes in metres and a colour bar.
+
+    Args:
+        height: ``[H, W]`` [m].
+        grid: ground grid.
+        title: of the picture.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize

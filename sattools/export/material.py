@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.fit.material import AMOUNT, SHAPE
+from sattools.export.context import Exported
+from sattools.fit.material import AMPLITUDE, SHAPE
 from sattools.fit.material_std import SLOPE_STD
+from sattools.fit.model import FittedModel
 from sattools.fit.reflective import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
-from sattools.scene import Grid, Scene
 from sattools.scene.raster import write_cog
 
 ABSOLUTE = "absolute: the images are reflectances"
 RELATIVE = "relative: the images have an unknown scale"
 
 
-def material_maps(surface: ReflectiveScene, tensors: dict[str, Tensor]) -> dict[str, np.ndarray]:
+def material_maps(surface: ReflectiveScene, tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
     """Every map ``[B, H, W]`` by the name of its product; standard deviations end in ``_std``.
 
     ``normal_std`` is in degrees about either axis: 86 % of the normals are within twice as much.
     """
-    amount, shape = surface.values()
-    maps = {AMOUNT[surface.kind].name: amount.permute(2, 0, 1)}
+    amplitude, shape = surface.values()
+    maps = {AMPLITUDE[surface.kind].name: amplitude.permute(2, 0, 1)}
     maps |= {p.name: value[None] for p, value in zip(SHAPE[surface.kind], shape, strict=True)}
     for name in list(maps):
         if f"{name}_std" in tensors:
@@ -37,23 +39,24 @@ def material_maps(surface: ReflectiveScene, tensors: dict[str, Tensor]) -> dict[
     return {name: tensor.detach().cpu().numpy() for name, tensor in maps.items()}
 
 
-def material_names(kind: str, tensors: dict[str, Tensor]) -> list[str]:
-    """Names of the `material_maps` of a reflectance model."""
-    names = [AMOUNT[kind].name, *(p.name for p in SHAPE[kind])]  # type: ignore[index]
-    stds = [f"{name}_std" for name in names if f"{name}_std" in tensors]
+def material_names(model: FittedModel) -> list[str]:
+    """Names of the `material_maps` of a model; none without a reflectance model."""
+    if model.brdf == "lambert":
+        return []
+    names = [AMPLITUDE[model.brdf].name, *(p.name for p in SHAPE[model.brdf])]
+    stds = [f"{name}_std" for name in names if f"{name}_std" in model.extra]
     return [*names, *stds, "normal", "normal_std", "reflectance"]
 
 
-def write_material(
-    scene: Scene, grid: Grid, surface: ReflectiveScene, tensors: dict[str, Tensor], valid: np.ndarray
-) -> None:
-    """Write `material_maps` below ``export/`` and name them as products; no data where not ``valid`` ``[H, W]``."""
+def write_material(exported: Exported, surface: ReflectiveScene) -> None:
+    """Write `material_maps` below ``export/`` and name them as products."""
+    scene, grid = exported.scene, exported.model.grid
     tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": surface.kind}
-    for name, array in material_maps(surface, tensors).items():
+    for name, array in material_maps(surface, exported.model.extra).items():
         href = f"export/{name}.tif"
         own = dict(tags)
         stem = name.removesuffix("_std")
-        if stem in (AMOUNT[surface.kind].name, "reflectance"):
+        if stem in (AMPLITUDE[surface.kind].name, "reflectance"):
             own["SCALE"] = ABSOLUTE if surface.absolute else RELATIVE
         if name == "reflectance":
             own["GEOMETRY"] = f"level ground, nadir view, sun {STANDARD_SUN_DEG:g} degrees from the vertical"
@@ -64,8 +67,7 @@ def write_material(
         else:
             bands = [name] if array.shape[0] == 1 else [f"{name} {b + 1}" for b in range(array.shape[0])]
         unit = "degrees" if name in ("theta", "theta_std", "normal_std") else "1"
-        array = np.where(valid, array, np.nan)
-        write_cog(scene.output(href), array, grid, units=unit, tags=own, descriptions=bands)
+        write_cog(scene.output(href), exported.shown(array), grid, units=unit, tags=own, descriptions=bands)
         scene.products[name] = href
 
 

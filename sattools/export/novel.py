@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -11,12 +9,14 @@ from torch import Tensor
 from sattools.camera.ground import from_geographic, grid_direction, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
+from sattools.export.context import Exported
 from sattools.fit.illumination import light_scale
-from sattools.fit.material import line_to
+from sattools.fit.material import view_vector
+from sattools.fit.model import FittedModel
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.surface import SurfaceScene
 from sattools.fit.train import make_quadrature
-from sattools.render import Rays, render, sun_visibility
+from sattools.render import ParallelRays, render, sun_visibility
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog, write_image_like
@@ -27,7 +27,13 @@ Vector = tuple[float, float, float]
 
 
 def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
-    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon."""
+    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon.
+
+    Args:
+        grid: ground grid.
+        azimuth_deg: from north, clockwise [degrees].
+        elevation_deg: above the horizon [degrees].
+    """
     west, south, east, north = grid.bounds
     lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
     vector = grid_direction(azimuth_deg, elevation_deg, grid.crs, float(lon), float(lat))
@@ -35,18 +41,27 @@ def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
 
 
 @torch.no_grad()
-def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, line: Vector) -> Tensor:
-    """Light ``[H, W, C]`` of every cell towards ``line``: pi L / E of a reflectance model, else in units of the albedo.
+def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, towards: Vector) -> Tensor:
+    """Light ``[H, W, C]`` of every cell in the direction ``towards``.
+
+    It is pi L / E of a reflectance model, else in units of the albedo.
 
     Shade has the mean ambient light of the images.
+
+    Args:
+        surface: the fitted scene.
+        cell: edge of a cell [m].
+        shadow: whether it casts shadows.
+        sun: unit vector (east, north, up) to the sun, or None.
+        towards: unit vector (east, north, up) to the sensor.
     """
     visibility = sun_visibility(surface.casting(), cell, sun) if shadow and sun is not None else None
     ambient = surface.ambient.mean(0)
     if isinstance(surface, ReflectiveScene):
         if sun is None:
             raise SceneError("export: found no sun for a reflectance model, expected sun angles or --sun")
-        sun_at, line_at = (surface.height.new_tensor(v) for v in (sun, line))
-        return surface.light(sun_at, line_at, visibility, ambient)
+        sun_at, towards_at = (surface.height.new_tensor(v) for v in (sun, towards))
+        return surface.light(sun_at, towards_at, visibility, ambient)
     if visibility is None:
         return surface.albedo
     v = visibility[..., None]
@@ -55,35 +70,47 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
 
 @torch.no_grad()
 def render_item(
-    scene: Scene, item_id: str, surface: SurfaceScene, meta: dict[str, Any], sun_angles: tuple[float, float] | None
+    scene: Scene, item_id: str, surface: SurfaceScene, model: FittedModel, sun_angles: tuple[float, float] | None
 ) -> np.ndarray:
-    """An item's image ``[C, h, w]`` as the model predicts it, on the image's own pixels; NaN beyond the model.
+    """An item's image as the model predicts it, on the image's own pixels.
 
     A training image has the gain and offset that the fit found. Any other one has none where the radiance is absolute;
     where it is relative, both are fitted on its western half, which is then left out (NaN), so that the eastern half
     can be scored.
+
+    Args:
+        scene: holds the item.
+        item_id: its id.
+        surface: of the model.
+        model: how the images were fitted.
+        sun_angles: (azimuth, elevation) of another sun [degrees], or None for the item's own.
+
+    Returns:
+        ``[C, h, w]`` float32 radiance; NaN beyond the model.
+
+    Raises:
+        SceneError: the scene has no such item.
     """
     import cv2
 
-    grid = Grid.from_dict(meta["grid"])
+    grid = model.grid
     items = [item for item in scene.items if item.id == item_id]
     if not items:
         raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
     (source,) = load_sources(scene, items)
-    z_range = scene.need_height_range()
-    z_ref = float(meta["z_ref"])
+    z_range = scene.require_height_range()
+    z_ref = model.z_ref
     (view,) = views_on([source], grid, z_ref, z_range)
     sun = grid_sun(grid, *sun_angles) if sun_angles else view.sun
-    light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, line_to(view.slope))
-    known = meta["items"].index(item_id) if item_id in meta["items"] else None
-    radiance = meta.get("radiance", "relative")
+    light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, view_vector(view.slope))
+    known = model.items.index(item_id) if item_id in model.items else None
     if known is not None:
         light = surface.gain[known] * light + surface.offset[known]
     pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
-    light = light * light_scale(radiance, sun) if isinstance(surface, ReflectiveScene) else light
-    rays = Rays(view.slope, view.z_ref, (pose[0], pose[1]))
+    light = light * light_scale(model.radiance, sun) if isinstance(surface, ReflectiveScene) else light
+    rays = ParallelRays(view.slope, view.z_ref, (pose[0], pose[1]))
     # the fit needs a soft surface for its gradients, a picture does not
-    quadrature = make_quadrature(float(meta["softness"]) / 2, z_range)
+    quadrature = make_quadrature(model.softness / 2, z_range)
     rgb, depth, opacity = render(surface.height, light.contiguous(), rays, quadrature, grid.cell_size)
     picture = (rgb / opacity.clamp_min(1e-3)[..., None]).numpy()
     # rays that reach the ground beyond the model show its border over and over
@@ -92,7 +119,7 @@ def render_item(
     col = np.arange(cols)[None] + (pose[0] + view.slope[0] * rise) / grid.cell_size
     row = np.arange(rows)[:, None] - (pose[1] + view.slope[1] * rise) / grid.cell_size
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity.numpy() > 0.5)
-    if known is None and radiance == "relative":
+    if known is None and not model.absolute:
         picture = _matched(picture, view.target, (view.mask > 0) & inside)
         inside[:, : cols // 2] = False
     picture[~inside] = np.nan
@@ -128,15 +155,17 @@ def _pixels_on(rpc: RPC, shape: tuple[int, ...], grid: Grid, z_ref: float) -> tu
     return at_col.reshape(col.shape).astype(np.float32), at_row.reshape(col.shape).astype(np.float32)
 
 
-def write_view(
-    scene: Scene,
-    item_id: str,
-    surface: SurfaceScene,
-    meta: dict[str, Any],
-    sun_angles: tuple[float, float] | None,
-) -> None:
-    """Write the item's asset ``rendered`` (with another sun: ``relit``)."""
-    picture = render_item(scene, item_id, surface, meta, sun_angles)
+def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angles: tuple[float, float] | None) -> None:
+    """Write the item's asset ``rendered`` (with another sun: ``relit``).
+
+    Args:
+        exported: what is exported.
+        item_id: id of the item.
+        surface: of the model.
+        sun_angles: (azimuth, elevation) of another sun [degrees], or None.
+    """
+    scene = exported.scene
+    picture = render_item(scene, item_id, surface, exported.model, sun_angles)
     name = "relit" if sun_angles else "rendered"
     href = view_href(name, item_id)
     item = next(item for item in scene.items if item.id == item_id)
@@ -145,15 +174,20 @@ def write_view(
     item.assets[name] = Asset(href, GEOTIFF_TYPE)
 
 
-def write_relit(
-    scene: Scene, surface: SurfaceScene, meta: dict[str, Any], sun_angles: tuple[float, float], valid: np.ndarray
-) -> None:
-    """The scene from above under another sun, on the ground grid: product ``relit``; no data where not ``valid``."""
-    grid = Grid.from_dict(meta["grid"])
+def write_relit(exported: Exported, surface: SurfaceScene, sun_angles: tuple[float, float]) -> None:
+    """The scene from above under another sun, on the ground grid: product ``relit``.
+
+    Args:
+        exported: what is exported.
+        surface: of the model.
+        sun_angles: (azimuth, elevation) of the sun [degrees].
+    """
+    scene, model = exported.scene, exported.model
+    grid = model.grid
     sun = grid_sun(grid, *sun_angles)
-    light = light_towards(surface, grid.cell_size, meta["shadow"] != "none", sun, (0.0, 0.0, 1.0))
+    light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, (0.0, 0.0, 1.0))
     tags = {"SUN_AZIMUTH": f"{sun_angles[0]:g}", "SUN_ELEVATION": f"{sun_angles[1]:g}", "SOFTWARE": "sattools"}
-    array = np.where(valid, light.permute(2, 0, 1).numpy(), np.nan)
+    array = exported.shown(light.permute(2, 0, 1).numpy())
     write_cog(scene.output(RELIT), array, grid, units="1", tags=tags)
     scene.products["relit"] = RELIT
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from sattools.errors import InputError, SceneError
+from sattools.export.context import Exported, shadow_suns
 from sattools.export.datum import to_datum
 from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
 from sattools.export.validity import FILLED, MEANING, MEASURED, UNSEEN, validity_of
-from sattools.progress import Progress, part, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, check_current, record
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_cog
+
+if TYPE_CHECKING:
+    from sattools.fit.model import FittedModel
 
 log = logging.getLogger(__name__)
 # what the model may hold per image
@@ -26,92 +29,91 @@ DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albe
 VALIDITY = "export/validity.tif"
 
 
-@dataclass(frozen=True)
-class _Model:
-    """A fitted model and where it may be shown.
-
-    Attributes:
-        tensors, meta: of the model file.
-        grid: of its maps.
-        valid: ``[H, W]`` cells that get values; all others are no-data.
-    """
-
-    tensors: dict[str, torch.Tensor]
-    meta: dict[str, Any]
-    grid: Grid
-    valid: np.ndarray
-
-    @property
-    def height(self) -> torch.Tensor:
-        """``[H, W]`` [m]."""
-        return self.tensors["height"]
-
-    def shown(self, maps: np.ndarray) -> np.ndarray:
-        """Maps ``[..., H, W]`` with NaN for no data."""
-        return np.where(self.valid, maps, np.nan)
-
-
-def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Write the DSM, its picture, where it is valid, the albedo and a shadow mask per image; adds products and assets.
 
     Ground that fewer than two images reach is no-data in all of them, unless `options.fill` asks otherwise.
+
+    Args:
+        scene: fitted; gets the products and assets.
+        options: of the export.
+        progress: told the share done.
+        overwrite: replace files that are there.
+
+    Returns:
+        Figures for the history.
 
     Raises:
         SceneError: the scene has no model.
         StaleError: the model was made from something else than the scene holds now.
         InputError: the model file is damaged.
     """
-    from sattools.fit.model import read_model
+    model = _read_model(scene, options)
+    height = model.height.numpy()
+    begin(scene, "export", _outputs(scene, options, model), overwrite)
+    progress(0.05, "what the images show")
+    validity = validity_of(scene, model.items, model.grid, height)
+    if validity is None:
+        log.warning("scene %s: images or cameras of the fit are missing: nobody knows what they show", scene.id)
+    exported = Exported(scene, model, np.isfinite(height) if options.fill or validity is None else validity != UNSEEN)
+    progress(0.1, "DSM")
+    datum = _write_heights(exported, options.vertical)
+    fractions = None if validity is None else _write_validity(scene, validity, model.grid)
+    progress(0.3, "albedo")
+    _write_albedo(exported)
+    scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
+    if model.shadow != "none":
+        _shadows(exported, progress)
+    for name, description in IMAGE_MAPS.items():
+        if name in model.image_maps():
+            _image_maps(exported, name, description)
+    if _needs_surface(options, model):
+        _views(exported, options, subprogress(progress, 0.6, 1.0))
+    progress(1.0, "exported")
+    return {"vertical_datum": datum, "validity": fractions, MADE: record(scene, "export")}
+
+
+def _read_model(scene: Scene, options: ExportOptions) -> FittedModel:
+    """The scene's model, checked to be of what the scene holds now."""
+    from sattools.fit.model import FittedModel
 
     if "model" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected one for --view")
-    source = scene.path(scene.products["model"])
-    tensors, meta = read_model(source)
+    model = FittedModel.load(scene.path(scene.products["model"]))
     check_current(scene, "fit")
-    grid, names = Grid.from_dict(meta["grid"]), meta["items"]
-    height, std, albedo = tensors["height"], tensors["height_std"], tensors["albedo"]
-    begin(scene, "export", _outputs(scene, options, tensors, meta), overwrite)
+    return model
 
-    progress(0.05, "what the images show")
-    validity = validity_of(scene, names, grid, height.numpy())
-    if validity is None:
-        log.warning("scene %s: images or cameras of the fit are missing: nobody knows what they show", scene.id)
-    valid = np.isfinite(height.numpy()) if options.fill or validity is None else validity != UNSEEN
-    model = _Model(tensors, meta, grid, valid)
-    progress(0.1, "DSM")
-    dsm, datum = to_datum(height.numpy(), grid, options.vertical)
-    dsm = model.shown(dsm)
+
+def _write_heights(exported: Exported, vertical: str) -> str:
+    """Write the DSM, its standard deviation and its picture; the vertical datum."""
+    scene, model = exported.scene, exported.model
+    heights, datum = to_datum(model.height.numpy(), model.grid, vertical)
+    dsm = exported.shown(heights)
     tags = {"VERTICAL_DATUM": datum, "SOFTWARE": "sattools"}
-    write_cog(scene.output(DSM), dsm, grid, units="m", tags=tags, descriptions=["height"])
+    write_cog(scene.output(DSM), dsm, model.grid, units="m", tags=tags, descriptions=["height"])
     method = {
         "METHOD": "curvature of the photometric loss; gross errors of matching are not in it",
         "SOFTWARE": "sattools",
     }
     about = ["standard deviation of the height"]
-    write_cog(scene.output(STD), model.shown(std.numpy()), grid, units="m", tags=method, descriptions=about)
-    write_picture(dsm, grid, f"{scene.id}: DSM, {grid.cell_size:g} m", scene.output(PICTURE))
-    shares = None if validity is None else _write_validity(scene, validity, grid)
-    progress(0.3, "albedo")
-    bands = [f"albedo {b + 1}" for b in range(albedo.shape[-1])]
+    std = exported.shown(model.height_std.numpy())
+    write_cog(scene.output(STD), std, model.grid, units="m", tags=method, descriptions=about)
+    write_picture(dsm, model.grid, f"{scene.id}: DSM, {model.grid.cell_size:g} m", scene.output(PICTURE))
+    return datum
+
+
+def _write_albedo(exported: Exported) -> None:
+    scene, model = exported.scene, exported.model
+    bands = [f"albedo {b + 1}" for b in range(model.albedo.shape[-1])]
     scale = "relative: radiance of the first training image in full sun"
-    if meta.get("radiance", "relative") != "relative":
-        scale = f"absolute: {meta['radiance']}"
+    if model.absolute:
+        scale = f"absolute: {model.radiance}"
     relative = {"SCALE": scale, "SOFTWARE": "sattools"}
-    colours = model.shown(albedo.permute(2, 0, 1).numpy())
-    write_cog(scene.output(ALBEDO), colours, grid, units="1", tags=relative, descriptions=bands)
-    scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
-    if meta["shadow"] != "none":
-        _shadows(scene, model, progress)
-    for name, description in IMAGE_MAPS.items():
-        if name in tensors:
-            _image_maps(scene, model, name, description)
-    if _needs_surface(options, meta):
-        _views(scene, options, model, part(progress, 0.6, 1.0))
-    progress(1.0, "exported")
-    return {"vertical_datum": datum, "validity": shares, MADE: record(scene, "export")}
+    colours = exported.shown(model.albedo.permute(2, 0, 1).numpy())
+    write_cog(scene.output(ALBEDO), colours, model.grid, units="1", tags=relative, descriptions=bands)
 
 
 def _write_validity(scene: Scene, validity: np.ndarray, grid: Grid) -> dict[str, float]:
@@ -123,84 +125,77 @@ def _write_validity(scene: Scene, validity: np.ndarray, grid: Grid) -> dict[str,
     return {name: round(float((validity == kind).mean()), 4) for name, kind in kinds.items()}
 
 
-def _outputs(scene: Scene, options: ExportOptions, tensors: dict[str, torch.Tensor], meta: dict[str, Any]) -> list[str]:
+def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[str]:
     """All files that will be written."""
     from sattools.export.material import material_names
     from sattools.export.novel import RELIT, view_href
 
     ids = {item.id for item in scene.items}
-    found = [DSM, STD, ALBEDO, PICTURE, VALIDITY]
-    found += [view_href("shadow", name) for name, _ in _suns(meta) if name in ids]
-    found += [view_href(m, n) for m in IMAGE_MAPS if m in tensors for n in meta["items"] if n in ids]
-    found += [view_href("rendered", name) for name in options.view]
-    if meta.get("brdf", "lambert") != "lambert":
-        found += [f"export/{name}.tif" for name in material_names(meta["brdf"], tensors)]
+    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY]
+    hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
+    hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
+    hrefs += [view_href("rendered", name) for name in options.view]
+    hrefs += [f"export/{name}.tif" for name in material_names(model)]
     if options.sun is not None:
-        found += [RELIT, *(view_href("relit", name) for name in options.view)]
-    return found
+        hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]
+    return hrefs
 
 
-def _suns(meta: dict[str, Any]) -> list[tuple[str, list[float]]]:
-    """Ids and suns of the images whose shadows are known."""
-    if meta["shadow"] == "none":
-        return []
-    return [(name, sun) for name, sun in zip(meta["items"], meta["suns"], strict=True) if sun is not None]
+def _needs_surface(options: ExportOptions, model: FittedModel) -> bool:
+    return bool(model.brdf != "lambert" or options.view or options.sun is not None)
 
 
-def _needs_surface(options: ExportOptions, meta: dict[str, Any]) -> bool:
-    return bool(meta.get("brdf", "lambert") != "lambert" or options.view or options.sun is not None)
-
-
-def _image_maps(scene: Scene, model: _Model, name: str, description: str) -> None:
+def _image_maps(exported: Exported, name: str, description: str) -> None:
     """One map ``[H, W]`` per image, on the ground grid."""
     from sattools.export.novel import view_href
 
+    scene, model = exported.scene, exported.model
     items = {item.id: item for item in scene.items}
-    for item_id, array in zip(model.meta["items"], model.tensors[name].numpy(), strict=True):
+    for item_id, array in zip(model.items, model.image_maps()[name].numpy(), strict=True):
         if item_id in items and np.isfinite(array).any():
             href = view_href(name, item_id)
-            array = model.shown(array)
-            write_cog(scene.output(href), array, model.grid, units="1", descriptions=[description])
+            write_cog(scene.output(href), exported.shown(array), model.grid, units="1", descriptions=[description])
             items[item_id].assets[name] = Asset(href)
 
 
-def _views(scene: Scene, options: ExportOptions, model: _Model, progress: Progress) -> None:
+def _views(exported: Exported, options: ExportOptions, progress: Progress) -> None:
     """Maps of a reflectance model, the images asked for, the scene under another sun."""
     from sattools.export.material import write_material
     from sattools.export.novel import write_relit, write_view
-    from sattools.fit.reflective import ReflectiveScene, restored_model
+    from sattools.fit.reflective import ReflectiveScene
 
     try:
-        surface = restored_model(model.tensors, model.meta)
+        surface = exported.model.surface()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{scene.products['model']}: found a model without what its kind needs ({reason})") from error
+        path, reason = exported.scene.products["model"], " ".join(str(error).split())
+        raise InputError(f"{path}: found a model without what its kind needs ({reason})") from error
     if isinstance(surface, ReflectiveScene):
         progress(0.0, "reflectance")
-        write_material(scene, model.grid, surface, model.tensors, model.valid)
+        write_material(exported, surface)
     for k, name in enumerate(options.view):
         progress((k + 1) / (len(options.view) + 2), f"rendering {name}")
-        write_view(scene, name, surface, model.meta, None)
+        write_view(exported, name, surface, None)
     if options.sun is not None:
-        write_relit(scene, surface, model.meta, options.sun, model.valid)
+        write_relit(exported, surface, options.sun)
         for name in options.view:
-            write_view(scene, name, surface, model.meta, options.sun)
+            write_view(exported, name, surface, options.sun)
 
 
-def _shadows(scene: Scene, model: _Model, progress: Progress) -> None:
+def _shadows(exported: Exported, progress: Progress) -> None:
     """One mask per image, on the ground grid: 1 in cast shadow, 0 lit, 255 unknown."""
     from sattools.export.novel import view_href
     from sattools.render import sun_visibility
 
+    scene, model = exported.scene, exported.model
     items = {item.id: item for item in scene.items}
-    suns = _suns(model.meta)
+    suns = shadow_suns(model)
     for k, (name, sun) in enumerate(suns):
         progress(0.4 + 0.2 * k / len(suns), f"shadow of {name}")
         if name not in items:
             continue
-        lit = sun_visibility(model.height, model.grid.cell_size, (sun[0], sun[1], sun[2])).numpy()
+        lit = sun_visibility(model.height, model.grid.cell_size, sun).numpy()
         href = view_href("shadow", name)
-        mask = np.where(model.valid, lit < 0.5, 255).astype(np.uint8)
+        mask = np.where(exported.valid, lit < 0.5, 255).astype(np.uint8)
         write_cog(scene.output(href), mask, model.grid, nodata=255, descriptions=["1 = cast shadow"])
         items[name].assets["shadow"] = Asset(href)
 

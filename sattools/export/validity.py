@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from sattools.camera.ground import to_geographic
-from sattools.fit.material import line_to
+from sattools.fit.material import view_vector
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.views import Source, line_of_sight, load_sources
@@ -50,11 +50,11 @@ def validity_of(scene: Scene, ids: Sequence[str], grid: Grid, height: NDArray[np
         (source,) = load_sources(scene, [item])
         shown = _shown(source, grid, level)
         slope, _ = line_of_sight(source.rpc, grid, low, (low, max(high, low + 1.0)))
-        open_ = sun_visibility(surface, grid.cell_size, line_to(slope)).numpy() >= 0.5
+        open_ = sun_visibility(surface, grid.cell_size, view_vector(slope)).numpy() >= 0.5
         reached += shown
         seen += shown & open_
-    found = np.where(seen >= NEEDED, MEASURED, FILLED)
-    return np.where(known & (reached >= NEEDED), found, UNSEEN).astype(np.uint8)
+    of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)
+    return np.where(known & (reached >= NEEDED), of_reached, UNSEEN).astype(np.uint8)
 
 
 def _shown(source: Source, grid: Grid, height: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -75,8 +75,10 @@ def _shown(source: Source, grid: Grid, height: NDArray[np.float32]) -> NDArray[n
 
 
 def valid_pixels(image: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels ``[h, w]`` of an image ``[C, h, w]`` that show something: finite, and not of the frame of zeros in all
-    bands that vendors put around an image without saying so."""
+    """Pixels ``[h, w]`` of an image ``[C, h, w]`` that show something.
+
+    They are finite, and not of the frame of zeros in all bands that vendors put around an image without saying so.
+    """
     from scipy.ndimage import label
 
     valid = np.isfinite(image).all(axis=0)

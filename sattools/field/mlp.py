@@ -17,7 +17,7 @@ W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.
 
 
 def positional_encoding(x: Tensor, frequencies: int) -> Tensor:
-    """x and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
+    """X and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
     if frequencies == 0:
         return x
     angle = x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, dtype=x.dtype, device=x.device))
@@ -60,8 +60,11 @@ class MlpField:
             self.head_layers[name] = [self._layer(a, b, random) for a, b in pairwise(sizes)]
 
     def _layer(self, inputs: int, outputs: int, random: torch.Generator, first: bool = False) -> nn.Linear:
-        """SIREN: uniform within sqrt(6 / n), 1 / n in the first layer (its frequency comes with the sine); else
-        torch's own initial weights, within 1 / sqrt(n)."""
+        """First weights, of a SIREN or as torch has them.
+
+        SIREN: uniform within sqrt(6 / n), 1 / n in the first layer (its frequency comes with the sine); else within 1 /
+        sqrt(n).
+        """
         layer = nn.Linear(inputs, outputs)
         bound = inputs**-0.5
         scale = bound
@@ -86,17 +89,17 @@ class MlpField:
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
         """See `Field.look`."""
         given = {"features": features, "sun": sun, "embedding": embedding}
-        found: dict[str, Tensor] = {}
+        outputs: dict[str, Tensor] = {}
         for name, head in self.network.heads.items():
             parts = [given[i] for i in head.inputs]
             if any(part is None for part in parts):
                 continue
             answer = self._answer(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
             if head.activation == "tau and beta":
-                found |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}
+                outputs |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}
             else:
-                found[name] = answer
-        return found
+                outputs[name] = answer
+        return outputs
 
     def _answer(self, head: Head, layers: list[nn.Linear], x: Tensor) -> Tensor:
         for layer in layers[:-1]:

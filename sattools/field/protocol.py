@@ -42,8 +42,15 @@ class Field(Protocol):
         ...
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
-        """Every head's answer ``[N, outputs]``; heads that need a missing sun ``[N, 3]`` or image embedding
-        ``[N, 4]`` are left out."""
+        """Every head's answer ``[N, outputs]``.
+
+        Heads that need a missing sun ``[N, 3]`` or image embedding ``[N, 4]`` are left out.
+
+        Args:
+            features: ``[N, F]`` of the points.
+            sun: ``[N, 3]`` unit vectors, or None.
+            embedding: ``[N, E]`` of the images, or None.
+        """
         ...
 
     def penalty(self) -> Tensor | float:

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from sattools.fit.inversion import ROBUST, Samples, invert, noise_of, predict, solve_amounts, start_members
+from sattools.fit.inversion import ROBUST, Samples, invert, noise_of, predict, solve_amplitudes, start_endmembers
 from sattools.fit.material import Kind
 
 Model = Literal["lambert", "rpv", "hapke"]
@@ -26,7 +26,7 @@ class Choice:
     """The model, and why."""
 
     model: Model
-    remarks: list[str]
+    notes: list[str]
 
 
 def extreme_views(s: Samples) -> list[int]:
@@ -51,7 +51,7 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
     scored = (block % 2 == 1) if relative else torch.ones_like(block, dtype=torch.bool)
     errors: dict[str, list[Tensor]] = {"lambert": [_error(_plain(s, j), s, j, block, relative) for j in held]}
     best: Model = "lambert"
-    remarks = []
+    notes = []
     for kind in LADDER:
         errors[kind] = [_error(_modelled(kind, s, j), s, j, block, relative) for j in held]
         # how much less the richer model errs in every cell, over the held-out views
@@ -59,14 +59,14 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
         before, _ = _typical(torch.stack(errors[best]).mean(0)[scored], block[scored])
         typical, error = _typical(gain[scored], block[scored])
         better = typical > STANDARD_ERRORS * error and typical > LEAST_GAIN * before
-        remarks.append(
+        notes.append(
             f"brdf auto: {kind} changes the error of held-out views by {-100 * typical / max(before, 1e-12):+.1f} % "
             f"(standard error {100 * error / max(before, 1e-12):.1f} %) of {best}'s: "
             + (f"took {kind}" if better else f"kept {best}")
         )
         if better:
             best = kind
-    return Choice(best, remarks)
+    return Choice(best, notes)
 
 
 def _without(s: Samples, j: int) -> Samples:
@@ -83,8 +83,8 @@ def _only(s: Samples, j: int) -> Samples:
 def _plain(s: Samples, j: int) -> Tensor:
     """View j ``[N, C]`` as one colour per cell, from the others: their mean, robust and weighted by noise.
 
-    The amounts of the richer models are found in the same way; were this the plain mean, their robustness alone would
-    be taken for a phase function.
+    The amplitudes of the richer models are found in the same way; were this the plain mean, their robustness alone
+    would be taken for a phase function.
     """
     rest = _without(s, j)
     sigma, given = noise_of(rest), rest.weight[..., None]
@@ -98,9 +98,9 @@ def _plain(s: Samples, j: int) -> Tensor:
 def _modelled(kind: Kind, s: Samples, j: int) -> Tensor:
     """View j ``[N, C]`` by a model fitted to the others."""
     rest = _without(s, j)
-    found = invert(kind, rest, start_members(kind, s.shares.shape[-1], s.normal), rounds=8)
-    amount, _ = solve_amounts(kind, rest, found.members, found.amount, 3)
-    return predict(kind, _only(s, j), amount, found.members)[0]
+    solution = invert(kind, rest, start_endmembers(kind, s.abundances.shape[-1], s.normal), rounds=8)
+    amplitude, _ = solve_amplitudes(kind, rest, solution.endmembers, solution.amplitude, 3)
+    return predict(kind, _only(s, j), amplitude, solution.endmembers)[0]
 
 
 def _error(predicted: Tensor, s: Samples, j: int, block: Tensor, relative: bool) -> Tensor:
@@ -141,7 +141,13 @@ def blocks_of(shape: tuple[int, int]) -> Tensor:
 
 
 def draw(s: Samples, shape: tuple[int, int], seed: int) -> tuple[Samples, Tensor]:
-    """`CELLS` of the cells that three views see, and their blocks."""
+    """`CELLS` of the cells that three views see, and their blocks.
+
+    Args:
+        s: the samples.
+        shape: of their grid [cells].
+        seed: of everything random.
+    """
     usable = torch.nonzero((s.weight > 0).sum(0) >= min(3, len(s.views)))[:, 0]
     order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(seed))[:CELLS]
     chosen = usable[order]

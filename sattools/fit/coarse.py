@@ -9,20 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from sattools.errors import SceneError
-from sattools.fit.checkpoint import load
+from sattools.fit.model import COLOURS, FittedModel
+from sattools.fit.resume import IlluminationOptions
 from sattools.fit.surface import SurfaceScene
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 
 PRODUCT = "coarse"
-COLOURS = ("gain", "offset", "ambient", "pose")
 
 
 @dataclass(frozen=True)
@@ -31,13 +30,13 @@ class Coarse:
 
     Attributes:
         colours: gain, offset and ambient ``[V, C]`` and pose ``[V, 2]`` of the tile's images.
-        settled: how the light is modelled.
+        illumination: how the light is modelled.
         height: ``[H, W]`` heights of the whole area [m]; grid: theirs.
         tile: the tile's grid; no shadow is looked for further away than its edge.
     """
 
     colours: dict[str, Tensor]
-    settled: dict[str, Any]
+    illumination: IlluminationOptions
     height: Tensor
     grid: Grid
     tile: Grid
@@ -50,7 +49,13 @@ class Coarse:
         return surface
 
     def cast(self, height: Tensor, cell_size: float, sun: tuple[float, float, float]) -> Tensor:
-        """`sun_visibility` of the tile's heights, with the coarse surface around them to cast shadows, too."""
+        """`sun_visibility` of the tile's heights, with the coarse surface around them to cast shadows, too.
+
+        Args:
+            height: ``[H, W]`` [m].
+            cell_size: edge of a cell [m].
+            sun: unit vector (east, north, up) to the sun.
+        """
         top, bottom = float(self.height.max()), min(float(self.height.min()), float(height.min()))
         across = math.hypot(sun[0], sun[1])
         if sun[2] <= 0 or across < 1e-6:
@@ -72,15 +77,22 @@ class Coarse:
 
 
 def sampled(array: Tensor, source: Grid, target: Grid, outside: float | None = None) -> Tensor:
-    """A map ``[H, W]`` or ``[H, W, C]`` on another grid, bilinear; beyond the source its border, or a number."""
+    """A map ``[H, W]`` or ``[H, W, C]`` on another grid, bilinear; beyond the source its border, or a number.
+
+    Args:
+        array: see above.
+        source: its grid.
+        target: grid to resample to.
+        outside: value beyond the source; None = that of its border.
+    """
     maps = array[None] if array.ndim == 2 else array.permute(2, 0, 1)
     x = (torch.from_numpy(target.x()) - source.left) / (source.width * source.cell_size) * 2 - 1
     y = (source.top - torch.from_numpy(target.y())) / (source.height * source.cell_size) * 2 - 1
     where = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)[None].float()
-    found = grid_sample(maps[None].float(), where, padding_mode="border", align_corners=False)[0]
+    values = grid_sample(maps[None].float(), where, padding_mode="border", align_corners=False)[0]
     if outside is not None:
-        found[:, (where[0].abs() > 1).any(dim=-1)] = outside
-    return found[0] if array.ndim == 2 else found.permute(1, 2, 0).contiguous()
+        values[:, (where[0].abs() > 1).any(dim=-1)] = outside
+    return values[0] if array.ndim == 2 else values.permute(1, 2, 0).contiguous()
 
 
 def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
@@ -93,14 +105,13 @@ def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
     if PRODUCT not in scene.products:
         return None
     path = scene.path(scene.products[PRODUCT])
-    tensors, meta = load(path)
-    unknown = [name for name in ids if name not in meta["items"]]
+    model = FittedModel.load(path)
+    unknown = [name for name in ids if name not in model.items]
     if unknown:
         raise SceneError(f"{path}: found no image {unknown[0]!r}, expected those of scene {scene.id}")
-    which = [meta["items"].index(name) for name in ids]
-    settled = {"shadow": meta["shadow"], "transient": meta["transient"]}
-    colours = {name: tensors[name][which] for name in COLOURS}
-    return Coarse(colours, settled, tensors["height"], Grid.from_dict(meta["grid"]), scene.need_grid())
+    which = [model.items.index(name) for name in ids]
+    colours = {name: getattr(model, name)[which] for name in COLOURS}
+    return Coarse(colours, model.illumination, model.height, model.grid, scene.require_grid())
 
 
-__all__ = ["COLOURS", "PRODUCT", "Coarse", "read_coarse", "sampled"]
+__all__ = ["PRODUCT", "Coarse", "read_coarse", "sampled"]

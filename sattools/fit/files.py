@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
-from torch import Tensor
-
-from sattools.fit import checkpoint
+from sattools.fit.model import FittedModel
 from sattools.fit.trace import Trace
 from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, record
 from sattools.scene.files import all_or_nothing, write_text
+from sattools.scene.jsonio import JsonObject
 
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
 STATE = "fit/tiles/tiles.json"  # of a fit in tiles that is not finished
 
 
-def save_fit(
-    scene: Scene,
-    path: Path,
-    tensors: dict[str, Tensor],
-    meta: dict[str, Any],
-    trace: Trace,
-    remarks: list[str],
-    made: dict[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Write model and trace; figures for the history, with what was made from what (``made``: the prior's record)."""
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit has come to: the model, what happened on the way, and notes for the history."""
+
+    model: FittedModel
+    trace: Trace
+    notes: list[str]
+
+
+def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None) -> JsonObject:
+    """Write model and trace below the scene's root.
+
+    Args:
+        scene: gets the products.
+        fitted: what to write.
+        made: record of a prior that the fit has made.
+
+    Returns:
+        Figures for the history, with what was made from what.
+    """
+    trace = fitted.trace
     with all_or_nothing():
-        checkpoint.save(path, tensors, meta)
+        fitted.model.save(scene.output(MODEL))
         write_text(scene.output(TRACE), trace.to_csv())
     scene.output(CHECKPOINT).unlink(missing_ok=True)
     scene.products.update(model=MODEL, trace=TRACE)
-    used = [item for item in scene.items if item.id in meta["items"]]
+    used = [item for item in scene.items if item.id in fitted.model.items]
     return {
-        "remarks": remarks,
+        "notes": fitted.notes,
         "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)},
         MADE: {**(made or {}), **record(scene, "fit", used)},
     }
 
 
-__all__ = ["CHECKPOINT", "MODEL", "STATE", "TRACE", "save_fit"]
+__all__ = ["CHECKPOINT", "MODEL", "STATE", "TRACE", "Fitted", "save_fit"]

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from sattools.errors import SceneError
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.material import SHAPE, surface_normals
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene
@@ -42,13 +43,13 @@ def radiance_kind(scene: Scene, items: Sequence[Item]) -> Radiance:
     Raises:
         SceneError: an unknown kind, or items of different kinds.
     """
-    found = {str(item.properties.get("sattools:radiance", "relative")) for item in items}
-    for kind in sorted(found):
+    kinds = {str(item.properties.get("sattools:radiance", "relative")) for item in items}
+    for kind in sorted(kinds):
         if kind not in KINDS:
             raise SceneError(f"scene {scene.id}: found sattools:radiance {kind!r}, expected one of {', '.join(KINDS)}")
-    if len(found) > 1:
-        raise SceneError(f"scene {scene.id}: found images with sattools:radiance {sorted(found)}, expected one kind")
-    return cast(Radiance, found.pop())
+    if len(kinds) > 1:
+        raise SceneError(f"scene {scene.id}: found images with sattools:radiance {sorted(kinds)}, expected one kind")
+    return cast(Radiance, kinds.pop())
 
 
 def light_scale(kind: Radiance, sun: tuple[float, float, float] | None) -> float:
@@ -112,7 +113,7 @@ def views_left_out(scene: Scene, which: str) -> list[str]:
 
 def phase_angles(items: Sequence[Item]) -> np.ndarray:
     """Angle between sun and sensor of every item that has both [degrees]."""
-    found = []
+    angles = []
     for item in items:
         azimuth, tilt = item.properties.get("view:azimuth"), item.properties.get("view:incidence_angle")
         if tilt is None:
@@ -122,12 +123,18 @@ def phase_angles(items: Sequence[Item]) -> np.ndarray:
         a, b = math.radians(item.sun[0] - float(azimuth)), math.radians(float(tilt))
         z = math.radians(90 - item.sun[1])
         cosine = math.cos(z) * math.cos(b) + math.sin(z) * math.sin(b) * math.cos(a)
-        found.append(math.degrees(math.acos(min(1.0, max(-1.0, cosine)))))
-    return np.array(found)
+        angles.append(math.degrees(math.acos(min(1.0, max(-1.0, cosine)))))
+    return np.array(angles)
 
 
 def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) -> list[str]:
     """Remarks about phase and incidence angles and what they allow.
+
+    Args:
+        scene: the scene.
+        items: the training images.
+        kind: what their numbers are.
+        brdf: reflectance model.
 
     Raises:
         SceneError: a reflectance model is asked for and a sun is unknown.
@@ -139,7 +146,7 @@ def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) 
             raise SceneError(f"scene {scene.id}: item {item.id} has no sun angles, expected them for --brdf {brdf}")
     phase = phase_angles(items)
     zeniths = sorted({round(90 - item.sun[1], 1) for item in items if item.sun is not None})
-    remarks = []
+    notes = []
     if len(phase):
         span = float(np.ptp(phase))
         text = (
@@ -150,30 +157,30 @@ def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) 
             text += f": a span of {span:.0f} degrees does not show a phase function; its shape is the prior's"
         elif brdf == "hapke":
             text += ": b and c are known along one line only, the prior says where on it; theta comes from the slopes"
-        remarks.append(text)
+        notes.append(text)
     if kind == "relative":
-        remarks.append("radiance of unknown scale: amounts are relative, their ratios mean something, their level not")
+        notes.append("radiance of unknown scale: amplitudes are relative, their ratios mean something, their level not")
     if zeniths and zeniths[-1] > 70:
-        remarks.append(f"sun only {90 - zeniths[-1]:.0f} degrees high: long shadows, and slopes in grazing light")
-    for text in remarks:
+        notes.append(f"sun only {90 - zeniths[-1]:.0f} degrees high: long shadows, and slopes in grazing light")
+    for text in notes:
         log.info(text)
-    return remarks
+    return notes
 
 
-def material_remarks(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
+def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
     """What was found of the materials' shapes, and which of it the data do not determine."""
     _, shape = scene.values()
-    remarks = [f"{scene.members.shape[0]} end-members"]
+    notes = [f"{scene.endmembers.shape[0]} endmembers"]
     for parameter, value in zip(SHAPE[scene.kind], shape, strict=True):
         spread = float(std[parameter.name].median())
         text = f"{parameter.name} {float(value.min()):.2f} to {float(value.max()):.2f}, std {spread:.2f}"
         if spread > UNKNOWN_SHARE * (parameter.high - parameter.low):
             text += " (not determined by these views: its prior)"
-        remarks.append(text)
-    return ["; ".join(remarks)]
+        notes.append(text)
+    return ["; ".join(notes)]
 
 
-def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid) -> Tensor:
+def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:
     """Normals ``[H, W, 3]`` of the prior's surface, smoothed over `NORMAL_SMOOTHING_M`, on a grid.
 
     Raises:
@@ -183,7 +190,7 @@ def prior_normals(prior: tuple[np.ndarray, np.ndarray, Grid] | None, grid: Grid)
         raise SceneError("--normals prior: found no prior, expected one (--prior-weight above 0)")
     from scipy.ndimage import gaussian_filter
 
-    height, _, own = prior
+    height, own = prior.height.numpy(), prior.grid
     known = np.isfinite(height)
     sigma = NORMAL_SMOOTHING_M / own.cell_size
     weight = gaussian_filter(known.astype(np.float64), sigma, mode="nearest")
@@ -200,7 +207,7 @@ __all__ = [
     "check_light",
     "exposed",
     "light_scale",
-    "material_remarks",
+    "material_notes",
     "phase_angles",
     "prior_normals",
     "radiance_kind",

@@ -15,18 +15,18 @@ import numpy as np
 from sattools import __version__
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.coarse import PRODUCT
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
 from sattools.progress import Progress
-from sattools.scene import Grid, Scene
+from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
 from sattools.scene.document import FIT_ROLE
 from sattools.scene.files import digest
+from sattools.scene.jsonio import JsonObject
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
-OTHER_FIT = "found a checkpoint of other options, images or cameras, expected the same; drop --resume"
-PriorMaps = tuple[np.ndarray, np.ndarray, Grid]
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "budget", "reference")
 
@@ -34,6 +34,11 @@ _HOUSEKEEPING = ("resume", "budget", "reference")
 @contextmanager
 def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[None]:
     """Images that this fit must not see are of the role ``test`` inside; afterwards `FIT_ROLE` names them.
+
+    Args:
+        scene: the scene.
+        holdout: ids of images.
+        views: option of that name.
 
     Raises:
         SceneError: an unknown id, or a ``views`` that cannot be followed.
@@ -45,10 +50,10 @@ def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[No
     out: list[str] = []
     try:
         for ids in (holdout, views):
-            found = views_left_out(scene, ids) if isinstance(ids, str) else list(ids)
-            out += found
+            named = views_left_out(scene, ids) if isinstance(ids, str) else list(ids)
+            out += named
             for item in scene.items:
-                if item.id in found:
+                if item.id in named:
                     item.properties["sattools:role"] = "test"
         yield
     finally:
@@ -88,11 +93,22 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool, begun: Sequenc
 
 
 def load_prior(
-    scene: Scene, options: FitOptions, progress: Progress, overwrite: bool = True
-) -> tuple[PriorMaps | None, dict[str, Any]]:
-    """Height, confidence and grid of the scene's depth prior, and a record of it if it is made here.
+    scene: Scene,
+    options: FitOptions,
+    progress: Progress,
+    overwrite: bool = True,
+    sources: list[Source] | None = None,
+) -> tuple[DepthPrior | None, JsonObject]:
+    """The scene's depth prior, and a record of it if it is made here.
 
     It is made with its defaults where it is missing, or where an earlier fit has made it of other images.
+
+    Args:
+        scene: of the fit.
+        options: of the fit.
+        progress: told the share done.
+        overwrite: replace a prior's files that are there.
+        sources: the training images, if they have been read already.
 
     Raises:
         StaleError: a prior that the user asked for is out of date.
@@ -112,27 +128,35 @@ def load_prior(
                 log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
     from sattools.prior.files import read_prior
 
-    new: dict[str, Any] = {}
+    new: JsonObject = {}
     if "prior_dsm" not in scene.products:
         from sattools.prior import PriorOptions
         from sattools.prior.stage import prior
 
-        new = prior(scene, PriorOptions(), progress, overwrite, implicit=True)[MADE]
-    within = scene.need_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
-    return read_prior(scene, within), new
+        new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
+    within = scene.require_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
+    return DepthPrior.from_arrays(*read_prior(scene, within)), new
 
 
-def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: PriorMaps | None) -> str:
-    """Hash of everything that a continued fit must share with the interrupted one: options, version, images with
-    cameras and suns, prior, grid, heights, what tiles share."""
+def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: DepthPrior | None) -> str:
+    """Hash of everything that a continued fit must share with the interrupted one.
+
+    These are options, version, images with cameras and suns, prior, grid, heights, and what tiles share.
+
+    Args:
+        scene: the scene.
+        options: of the fit.
+        sources: the images.
+        prior: depth supervision, or None.
+    """
     plain = {name: value for name, value in asdict(options).items() if name not in _HOUSEKEEPING}
-    what: list[Any] = [__version__, plain, scene.need_grid().to_dict(), scene.need_height_range()]
+    what: list[Any] = [__version__, plain, scene.require_grid().to_dict(), scene.require_height_range()]
     what += [
-        [s.id, _hash(s.radiance), s.rpc.to_rpc_txt(), s.sun, s.linear, asdict(s.tone) if s.tone else None]
+        [s.id, _hash(s.radiance), s.rpc.to_rpc_txt(), s.sun, s.linear, asdict(s.balance) if s.balance else None]
         for s in sources
     ]
     what += [[item.id, item.properties.get("sattools:radiance")] for item in scene.train_items()]
-    what.append([_hash(prior[0]), _hash(prior[1]), prior[2].to_dict()] if prior else None)
+    what.append([_hash(prior.height.numpy()), _hash(prior.confidence.numpy()), prior.grid.to_dict()] if prior else None)
     what.append(digest(scene.path(scene.products[PRODUCT])) if PRODUCT in scene.products else None)
     return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -141,4 +165,4 @@ def _hash(array: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-__all__ = ["OTHER_FIT", "PriorMaps", "fingerprint", "holding_out", "load_prior", "may_write"]
+__all__ = ["fingerprint", "holding_out", "load_prior", "may_write"]

@@ -49,7 +49,7 @@ def shadow_regularisation(net: Tensor, geometric: Tensor, only_shadowed: bool) -
     return (error * where).sum() / where.sum().clamp_min(1)
 
 
-class Light:
+class IlluminationModel:
     """Trainable light of all views over one grid.
 
     Args:
@@ -60,9 +60,18 @@ class Light:
         self.tensors = tensors
 
     @classmethod
-    def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> Light:
-        """Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
-        transients."""
+    def start(cls, options: FitOptions, shape: tuple[int, int], views: int, device: torch.device) -> IlluminationModel:
+        """Start values.
+
+        Features ``[H, W, 8]`` and a network of 11-32-1 if shadows are learned, ``[V, H, W]`` darkening if there are
+        transients.
+
+        Args:
+            options: of the fit.
+            shape: (rows, columns) [cells].
+            views: number of views.
+            device: to compute on.
+        """
         tensors: dict[str, Tensor] = {}
         random = torch.Generator().manual_seed(options.seed)
         if options.shadow == "learned":
@@ -116,11 +125,17 @@ class Light:
         return torch.sigmoid(torch.relu(hidden) @ t["net.1.weight"] + t["net.1.bias"])[..., 0]
 
     def transmission(self, view: int) -> Tensor | None:
-        """tau ``[H, W]`` in [0, 1] of one view; None without transients."""
+        """Tau ``[H, W]`` in [0, 1] of one view; None without transients."""
         return 1 - self.tensors["transient"][view] if "transient" in self.tensors else None
 
     def visibility(self, view: int, sun: Sequence[float] | None, geometric: Tensor | None) -> Tensor | None:
-        """s = tau * (s_net or s_geo) ``[H, W]``; None = all lit."""
+        """S = tau * (s_net or s_geo) ``[H, W]``; None = all lit.
+
+        Args:
+            view: its index.
+            sun: unit vector (east, north, up), or None.
+            geometric: ``[H, W]`` cast by the heights, in [0, 1], or None.
+        """
         s = self.net(sun) if self.learned and sun is not None else geometric
         tau = self.transmission(view)
         if tau is None:
@@ -140,6 +155,14 @@ class Light:
 
         The weight of the shadow regularisation is meant beside the paper's photometric loss, of which the fit takes
         the ``scale`` squared as its unit.
+
+        Args:
+            view: its index.
+            sun: unit vector (east, north, up), or None.
+            geometric: ``[H, W]`` cast by the heights, in [0, 1], or None.
+            epoch: counted from 1.
+            options: of the fit.
+            scale: unit of the photometric loss.
         """
         total = None
         weight = shadow_weight(options)
@@ -160,24 +183,24 @@ class Light:
     @torch.no_grad()
     def maps(self, suns: Sequence[Sequence[float] | None]) -> dict[str, Tensor]:
         """What the model file keeps: ``s_net`` ``[V, H, W]`` (NaN where a view's sun is unknown), ``tau`` the same."""
-        found = {}
+        model_maps = {}
         if self.learned:
             unknown = torch.full(self.tensors["features"].shape[:2], torch.nan)
-            found["s_net"] = torch.stack([unknown if sun is None else self.net(sun).cpu() for sun in suns])
+            model_maps["s_net"] = torch.stack([unknown if sun is None else self.net(sun).cpu() for sun in suns])
         if "transient" in self.tensors:
-            found["tau"] = 1 - self.tensors["transient"].detach().cpu()
-        return found
+            model_maps["tau"] = 1 - self.tensors["transient"].detach().cpu()
+        return model_maps
 
     @torch.no_grad()
-    def resized(self, shape: tuple[int, int], ratio: float) -> Light:
+    def resized(self, shape: tuple[int, int], ratio: float) -> IlluminationModel:
         """The light on another grid with the same upper left corner; ``ratio`` = new cell over old."""
-        found = {name: tensor.detach().clone() for name, tensor in self.tensors.items()}
+        tensors = {name: tensor.detach().clone() for name, tensor in self.tensors.items()}
         for name in ("features", "transient"):
-            if name in found:
-                maps = found[name].permute(2, 0, 1) if name == "features" else found[name]
+            if name in tensors:
+                maps = tensors[name].permute(2, 0, 1) if name == "features" else tensors[name]
                 finer = _resample(maps, shape, ratio)
-                found[name] = (finer.permute(1, 2, 0) if name == "features" else finer).contiguous()
-        return Light(found)
+                tensors[name] = (finer.permute(1, 2, 0) if name == "features" else finer).contiguous()
+        return IlluminationModel(tensors)
 
 
 def _resample(maps: Tensor, shape: tuple[int, int], ratio: float) -> Tensor:
@@ -190,4 +213,4 @@ def _resample(maps: Tensor, shape: tuple[int, int], ratio: float) -> Tensor:
     return grid_sample(maps[None], where, padding_mode="border", align_corners=False)[0]
 
 
-__all__ = ["FIRST_EPOCH", "WARM_UP_EPOCHS", "Light", "shadow_regularisation", "shadow_weight"]
+__all__ = ["FIRST_EPOCH", "WARM_UP_EPOCHS", "IlluminationModel", "shadow_regularisation", "shadow_weight"]

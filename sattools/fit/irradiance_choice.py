@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from sattools.fit.irradiance import Light
+from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.losses import tone
 from sattools.fit.options import FitOptions
 from sattools.fit.surface import SurfaceScene
@@ -53,29 +53,42 @@ class Shown:
 def choose_light(
     surface: SurfaceScene, views: Sequence[View], cell_size: float, options: FitOptions
 ) -> tuple[FitOptions, list[str]]:
-    """The options with ``auto`` of `shadow` and `transient` resolved, and why."""
+    """The options with ``auto`` of `shadow` and `transient` resolved, and why.
+
+    Args:
+        surface: start surface.
+        views: the views.
+        cell_size: edge of a cell [m].
+        options: of the fit.
+    """
     if "auto" not in (options.shadow, options.transient):
         return options, []
-    remarks = []
+    notes = []
     with torch.no_grad():
         shown = show(surface, views, cell_size)
     if options.shadow == "auto":
         shadow, why = choose_shadow(shown, views, cell_size, options)
         options = replace(options, shadow=shadow)
-        remarks.append(f"shadow {shadow}: {why}")
+        notes.append(f"shadow {shadow}: {why}")
     if options.transient == "auto":
         share = transient_share(shown, surface.height)
         on = share > TRANSIENT_SHARE
         options = replace(options, transient="on" if on else "off")
-        remarks.append(
+        notes.append(
             f"transient {options.transient}: {100 * share:.2f} % of the level, sunlit cells differ from what the other "
             f"dates show ({100 * TRANSIENT_SHARE:g} % is the limit)"
         )
-    return options, remarks
+    return options, notes
 
 
 def show(surface: SurfaceScene, views: Sequence[View], cell_size: float) -> Shown:
-    """Resample the views to the cells of the surface; cells that the surface itself hides from a view do not count."""
+    """Resample the views to the cells of the surface; cells that the surface itself hides from a view do not count.
+
+    Args:
+        surface: start surface.
+        views: the views.
+        cell_size: edge of a cell [m].
+    """
     height = surface.height.detach()
     colours, weights, lights = [], [], []
     for view in views:
@@ -90,7 +103,14 @@ def show(surface: SurfaceScene, views: Sequence[View], cell_size: float) -> Show
 
 
 def choose_shadow(shown: Shown, views: Sequence[View], cell_size: float, options: FitOptions) -> tuple[Shadow, str]:
-    """The richest model of the ladder that is worth its freedom, and why."""
+    """The richest model of the ladder that is worth its freedom, and why.
+
+    Args:
+        shown: what the views show.
+        views: the views.
+        cell_size: edge of a cell [m].
+        options: of the fit.
+    """
     known = [j for j, view in enumerate(views) if view.sun is not None]
     if len(known) < LEAST_VIEWS:
         return "geometric", f"{len(known)} views with a known sun are too few to compare"
@@ -133,7 +153,7 @@ def _held_out_errors(
     train = torch.ones(count, dtype=torch.bool)
     train[list(held)] = False
     middle = (weight[train, :, None] * part.colour[train, 0]).sum(0) / weight[train].sum(0).clamp_min(1)[:, None]
-    light = Light.start(replace(options, transient="off"), (1, cells), count, torch.device("cpu"))
+    light = IlluminationModel.start(replace(options, transient="off"), (1, cells), count, torch.device("cpu"))
     albedo = middle.clone()
     colours = [torch.ones(count, bands), torch.zeros(count, bands), torch.full((count, bands), 0.3)]
     leaves = [albedo, *colours, *light.tensors.values()]
@@ -164,7 +184,7 @@ def _held_out_errors(
     everywhere = torch.ones(cells)
     for _ in range(3):
         fit(leaves, [j for j in range(count) if train[j]], everywhere)
-    found = torch.full((len(held), int(blocks.max()) + 1), torch.nan)
+    errors = torch.full((len(held), int(blocks.max()) + 1), torch.nan)
     for row, j in enumerate(held):
         for half in (west, ~west):
             with torch.no_grad():
@@ -174,11 +194,11 @@ def _held_out_errors(
             with torch.no_grad():
                 error = residual(j).abs().mean(-1)
                 scored = (~half) & (weight[j] > 0)
-                total = torch.zeros(found.shape[1]).index_add_(0, blocks[scored], error[scored])
-                number = torch.zeros(found.shape[1]).index_add_(0, blocks[scored], torch.ones(int(scored.sum())))
+                total = torch.zeros(errors.shape[1]).index_add_(0, blocks[scored], error[scored])
+                number = torch.zeros(errors.shape[1]).index_add_(0, blocks[scored], torch.ones(int(scored.sum())))
                 enough = number >= 5
-                found[row, enough] = (total / number)[enough]
-    return found.flatten()
+                errors[row, enough] = (total / number)[enough]
+    return errors.flatten()
 
 
 @torch.no_grad()

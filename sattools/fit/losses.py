@@ -7,8 +7,7 @@ from torch import Tensor
 
 GAMMA = 2.2
 # Predictions below this radiance get the weight they would have here: it bounds raw-log's weight by 1/(1e-3)^2 = 1e6
-# and raw-gamma's
-# by (1e-3^(1/2.2 - 1) / 2.2)^2 = 387, also where an image's offset makes a prediction zero or negative.
+# and raw-gamma's by (1e-3^(1/2.2 - 1) / 2.2)^2 = 387, also where an image's offset makes a prediction zero or negative.
 FLOOR = 1e-3
 LOG_EPSILON = 1e-6
 
@@ -35,6 +34,11 @@ def robust_scale(name: str, robust: float, typical: float) -> float:
 
     So every loss weighs a pixel of typical brightness the same against the other terms of the fit; they differ in what
     darker and brighter pixels count. ``robust`` = 0 (no residual counts less) keeps the unit of 0.1.
+
+    Args:
+        name: of the loss.
+        robust: residual in tone-mapped units.
+        typical: median radiance of the images.
     """
     robust = robust or 0.1
     x = max(typical, FLOOR)
@@ -46,14 +50,12 @@ def photometric(name: str, predicted: Tensor, target: Tensor, robust: float = 0.
     """Loss per pixel and band.
 
     Args:
-        name: ``mse``: (p - y)^2; ``mse-gamma``: (psi(p) - psi(y))^2; ``raw-gamma``, ``raw-log``: psi'(sg p)^2 (p -
-            y)^2 with
-            psi(x) = x^(1/2.2) or log(x + 1e-6).
+        name: ``mse``: (p - y)^2; ``mse-gamma``: (psi(p) - psi(y))^2; ``raw-gamma``, ``raw-log``: psi'(sg p)^2 (p - y)^2
+            with psi(x) = x^(1/2.2) or log(x + 1e-6).
         predicted: linear radiance, any shape.
         target: linear radiance.
         robust: scale k of a Geman-McClure weight (k^2 / (k^2 + r^2))^2 in the loss's own units of r; 0 = none. The
-            weight has
-            no gradient.
+            weight has no gradient.
 
     Returns:
         The loss in the shape of the inputs.

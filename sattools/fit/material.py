@@ -1,7 +1,7 @@
 """Reflectance of a surface: parameter maps, and the light that every cell sends towards a view.
 
-A model's amount (Hapke's w, Rahman's rho0) is a map per band; its three shape parameters belong to few end-members of
-which every cell holds fixed shares. All are trained in an unbounded form and come out within their ranges by smooth
+A model's amplitude (Hapke's w, Rahman's rho0) is a map per band; its three shape parameters belong to few endmembers of
+which every cell holds fixed abundances. All are trained in an unbounded form and come out within their ranges by smooth
 maps.
 """
 
@@ -21,13 +21,13 @@ Kind = Literal["rpv", "hapke"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """Name, range and usual value of a parameter, with the width of its prior in the unbounded form."""
+    """Name and range of a parameter, with the mean of its prior and its standard deviation in the unbounded form."""
 
     name: str
     low: float
     high: float
-    usual: float
-    width: float = 1.0
+    prior_mean: float
+    prior_sigma: float = 1.0
 
     def bounded(self, raw: Tensor) -> Tensor:
         """Value within the range."""
@@ -39,12 +39,12 @@ class Parameter:
         return torch.log(share / (1 - share))
 
     def slope(self, raw: Tensor) -> Tensor:
-        """d bounded / d raw."""
+        """D bounded / d raw."""
         s = torch.sigmoid(raw)
         return (self.high - self.low) * s * (1 - s)
 
 
-AMOUNT: dict[Kind, Parameter] = {
+AMPLITUDE: dict[Kind, Parameter] = {
     "rpv": Parameter("rho0", 0.0, 1.0, 0.2),
     "hapke": Parameter("w", 0.0, 0.98, 0.4),
 }
@@ -60,32 +60,33 @@ SHAPE: dict[Kind, tuple[Parameter, Parameter, Parameter]] = {
         Parameter("theta", 0.2, 50.0, 20.0, 1.0),
     ),
 }
-"""Prior centres are usual values of rocks and soils; widths are in the unbounded form."""
+"""Prior means are typical values of rocks and soils; sigmas are in the unbounded form."""
 
 
 def radiance_factor(
-    kind: Kind, normal: Tensor, sun: Tensor, view: Tensor, amount: Tensor, shape: tuple[Tensor, Tensor, Tensor]
+    kind: Kind, normal: Tensor, sun: Tensor, view: Tensor, amplitude: Tensor, shape: tuple[Tensor, Tensor, Tensor]
 ) -> Tensor:
     """BRF * cos i = pi L / E ``[..., C]``, E the sun's irradiance across its beam.
 
     Args:
         kind: model.
         normal: ``[..., 3]`` unit vectors.
-        sun, view: ``[3]`` unit vectors.
-        amount: ``[..., C]``.
+        sun: ``[3]`` unit vectors.
+        view: ``[3]`` unit vectors.
+        amplitude: ``[..., C]``.
         shape: three ``[...]``.
     """
     facet = normal[..., None, :]
     parts = [p[..., None] for p in shape]
     model = hapke if kind == "hapke" else rpv
-    return model(facet, sun, view, amount, *parts) * (normal @ sun).clamp_min(0)[..., None]
+    return model(facet, sun, view, amplitude, *parts) * (normal @ sun).clamp_min(0)[..., None]
 
 
-def diffuse(kind: Kind, amount: Tensor) -> Tensor:
+def diffuse(kind: Kind, amplitude: Tensor) -> Tensor:
     """Share of light from all sides that leaves again: Hapke's diffusive reflectance r0, or rho0 itself."""
     if kind == "rpv":
-        return amount
-    root = torch.sqrt(1 - amount)
+        return amplitude
+    root = torch.sqrt(1 - amplitude)
     return (1 - root) / (1 + root)
 
 
@@ -118,20 +119,20 @@ def blurred(maps: Tensor, sigma: float) -> Tensor:
     return torch.nn.functional.conv2d(flat, taps.reshape(1, 1, 1, -1)).reshape(maps.shape)
 
 
-def line_to(slope: tuple[float, float]) -> tuple[float, float, float]:
+def view_vector(slope: tuple[float, float]) -> tuple[float, float, float]:
     """Unit vector to the sensor from its displacement per metre of height."""
     length = (slope[0] ** 2 + slope[1] ** 2 + 1) ** 0.5
     return slope[0] / length, slope[1] / length, 1 / length
 
 
 __all__ = [
-    "AMOUNT",
+    "AMPLITUDE",
     "SHAPE",
     "Kind",
     "Parameter",
     "blurred",
     "diffuse",
-    "line_to",
     "radiance_factor",
     "surface_normals",
+    "view_vector",
 ]

@@ -8,35 +8,41 @@ import torch
 from torch import Tensor
 
 from sattools.fit.inversion import STEP, Samples, Solution, noise_of, predict
-from sattools.fit.material import AMOUNT, SHAPE, Kind
+from sattools.fit.material import AMPLITUDE, SHAPE, Kind
 
 SLOPE_STD = 0.06  # of the surface's slopes, metres per metre: about 3.5 degrees
-TEXTURE_STD = 0.04  # of the amount: texture finer than the surface's own error in place is smeared
+TEXTURE_STD = 0.04  # of the amplitude: texture finer than the surface's own error in place is smeared
 # errors of the geometry are alike in neighbouring cells, which the curvature takes for independent; one factor per
 # shape parameter, set on simulated scenes (theta by itself: with 1.8 its deviations were wider than its errors)
 MEMBER_FACTOR: dict[Kind, tuple[float, float, float]] = {"rpv": (1.8, 1.8, 1.8), "hapke": (1.8, 1.8, 1.1)}
 
 
 @torch.no_grad()
-def parameter_std(kind: Kind, s: Samples, amount: Tensor, found: Solution) -> dict[str, Tensor]:
-    """Standard deviations of the amount ``[N, C]`` and of the three shape parameters ``[N]``, by name.
+def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution) -> dict[str, Tensor]:
+    """Standard deviations of the amplitude ``[N, C]`` and of the three shape parameters ``[N]``, by name.
 
     From the Gauss-Newton curvature of `invert`: cells of one material, with their many slopes, speak together for its
-    shape; a cell's amount has the noise of its own views, the share of the shape's error that it takes up, the error
+    shape; a cell's amplitude has the noise of its own views, the share of the shape's error that it takes up, the error
     of its slope (`SLOPE_STD`), which all views under one sun share, and that of its texture's place (`TEXTURE_STD`).
     Materials that were told apart wrongly are not in it.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        amplitude: ``[N, C]`` unbounded.
+        solution: of the inversion.
     """
-    members = found.members
+    endmembers = solution.endmembers
     sigma = noise_of(s)
-    here = predict(kind, s, amount, members)
+    here = predict(kind, s, amplitude, endmembers)
     residual = (s.seen - here) / sigma
-    j_amount = (predict(kind, s, amount + STEP, members) - here) / STEP / sigma
+    j_amplitude = (predict(kind, s, amplitude + STEP, endmembers) - here) / STEP / sigma
     weight = s.weight[..., None]
-    a = (weight * j_amount**2).sum(0) + 1e-3
+    a = (weight * j_amplitude**2).sum(0) + 1e-3
 
     def answer(change: Tensor) -> Tensor:
-        """How the amounts follow when the prediction changes."""
-        return -(weight * j_amount * change / sigma).sum(0) / a
+        """How the amplitudes follow when the prediction changes."""
+        return -(weight * j_amplitude * change / sigma).sum(0) / a
 
     seen = weight.sum(0).clamp_min(1)
     misfit = ((weight * residual**2).sum(0) / seen).mean(-1, keepdim=True).clamp(0.25, 25)
@@ -45,25 +51,25 @@ def parameter_std(kind: Kind, s: Samples, amount: Tensor, found: Solution) -> di
         normal = s.normal.clone()
         normal[:, axis] += SLOPE_STD * normal[:, 2]
         normal = normal / normal.norm(dim=-1, keepdim=True)
-        variance = variance + answer(predict(kind, replace(s, normal=normal), amount, members) - here) ** 2
-    factor = members.new_tensor(MEMBER_FACTOR[kind]).repeat(members.shape[0])
-    covariance = found.covariance.to(members) * factor * factor[:, None]
-    blocks = covariance.reshape(members.shape[0], 3, members.shape[0], 3)
-    own = torch.einsum("nk,kplq,nl->npq", s.shares, blocks, s.shares)  # [N, 3, 3]
+        variance = variance + answer(predict(kind, replace(s, normal=normal), amplitude, endmembers) - here) ** 2
+    factor = endmembers.new_tensor(MEMBER_FACTOR[kind]).repeat(endmembers.shape[0])
+    covariance = solution.covariance.to(endmembers) * factor * factor[:, None]
+    blocks = covariance.reshape(endmembers.shape[0], 3, endmembers.shape[0], 3)
+    own = torch.einsum("nk,kplq,nl->npq", s.abundances, blocks, s.abundances)  # [N, 3, 3]
     follow = []
     for p in range(3):
-        moved = members.clone()
+        moved = endmembers.clone()
         moved[:, p] += STEP
-        follow.append(answer(predict(kind, s, amount, moved) - here) / STEP)
+        follow.append(answer(predict(kind, s, amplitude, moved) - here) / STEP)
     j = torch.stack(follow, -1)  # [N, C, 3]
     variance = variance + torch.einsum("ncp,npq,ncq->nc", j, own, j)
-    value, slope = AMOUNT[kind].bounded(amount), AMOUNT[kind].slope(amount)
+    value, slope = AMPLITUDE[kind].bounded(amplitude), AMPLITUDE[kind].slope(amplitude)
     variance = variance + (TEXTURE_STD * value / slope) ** 2
     # beyond one unit of the unbounded form the range itself is the limit
-    result = {AMOUNT[kind].name: variance.sqrt().clamp_max(1.5) * slope}
+    result = {AMPLITUDE[kind].name: variance.sqrt().clamp_max(1.5) * slope}
     for p, parameter in enumerate(SHAPE[kind]):
         std = own[:, p, p].sqrt().clamp_max(1.5)
-        result[parameter.name] = std * parameter.slope(s.shares @ members[:, p])
+        result[parameter.name] = std * parameter.slope(s.abundances @ endmembers[:, p])
     return result
 
 

@@ -48,7 +48,7 @@ class FitOptions(RayOptions):
     normals: Literal["analytic", "prior"] = option(
         "analytic", "Normals of the reflectance model: those of the fitted height, or frozen to the prior's."
     )
-    materials: int = option(8, "Most end-members that share b, c, theta (k, asymmetry, rhoc).", minimum=1, maximum=32)
+    materials: int = option(8, "Most endmembers that share b, c, theta (k, asymmetry, rhoc).", minimum=1, maximum=32)
     material_smooth: float = option(0.02, "Weight of the smoothness of w (rho0) within a material.", minimum=0)
     views: str = option("all", "Images to train on: all, or nearest-nadir:N of the training images.")
     resolution: float | None = option(
@@ -75,10 +75,11 @@ class FitOptions(RayOptions):
         minimum=0,
     )
     overlap: float = option(32.0, "With --tile: distance by which a tile reaches into its neighbours [m].", minimum=1)
-    part: Literal["all", "split", "join"] = option(
+    part: Literal["all", "split", "mosaic"] = option(
         "all",
         "With --tile: split = fit the whole coarsely and leave one scene per tile in fit/tiles/*/scene.json, each for "
-        "a `fit` of its own, anywhere; join = put fitted tiles together.",
+        "a `fit` of its own, anywhere; mosaic = put fitted tiles together.",
+        renamed={"join": "mosaic"},
     )
     prior_weight: float = option(0.2, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)

@@ -32,8 +32,7 @@ def remove_gauge(shifts: np.ndarray, slopes: Sequence[tuple[float, float]]) -> n
     """Shifts ``[V, 2]`` less what a common shift and a common change of height would explain.
 
     A surface moved by (dx, dy, dz) is seen by view j moved by (dx, dy) - slope_j * dz: the images cannot tell, so the
-    views must
-    not follow.
+    views must not follow.
     """
     count = len(slopes)
     design = np.zeros((2 * count, 3))

@@ -23,6 +23,7 @@ from __future__ import annotations
 from typing import Any
 
 from sattools.fit.options import FitOptions
+from sattools.scene.jsonio import JsonObject
 
 _NERF: dict[str, Any] = {"field": "mlp", "loss": "mse", "robust": 0.0, "pose": False}
 _GUIDED = {**_NERF, "samples": 64, "guided": 64, "prior_weight": 0.2, "depth_weight": 1 / 3, "shadow": "none"}
@@ -46,12 +47,12 @@ PRESETS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def resolve(preset: str, given: dict[str, Any]) -> FitOptions:
+def resolve(preset: str, given: JsonObject) -> FitOptions:
     """Options of a preset; what is ``given`` wins."""
     return FitOptions(**{**with_preset(preset), **given})
 
 
-def with_preset(preset: str) -> dict[str, Any]:
+def with_preset(preset: str) -> JsonObject:
     """The values that a preset sets."""
     known = set(FitOptions.__dataclass_fields__)
     return {"preset": preset, **{name: value for name, value in PRESETS[preset].items() if name in known}}

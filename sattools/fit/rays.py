@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -48,7 +48,7 @@ class RaySet:
     confidence: Tensor
     normal: Tensor
     suns: Tensor
-    sights: Tensor
+    view_vectors: Tensor
     top: float
 
 
@@ -138,8 +138,8 @@ class RayTrainer:
         mean = {name: (weights[..., None] * value).sum(dim=1) for name, value in look.items()}
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
-        s, extra = self._sunlight(look, mean, surface, sun, known, epoch, random)
-        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.sights[view], share)
+        s, extra = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
+        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.view_vectors[view], share)
         if s is None:
             lit = albedo
         elif "sky" in look:  # Sat-NeRF shades every sample
@@ -166,6 +166,7 @@ class RayTrainer:
         surface: Tensor,
         sun: Tensor,
         known: Tensor,
+        *,
         epoch: int,
         random: torch.Generator,
     ) -> tuple[Tensor | None, Tensor | float]:
@@ -212,12 +213,14 @@ class RayTrainer:
         weights, transmittance = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
         return solar_correction(weights.detach(), transmittance.detach(), s)
 
-    def _reflected(self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, sight: Tensor, share: float) -> Tensor:
+    def _reflected(
+        self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
+    ) -> Tensor:
         """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence) / cos(zenith)."""
         brdf = self.options.brdf
         if brdf == "lambert" or share < self.options.pretrain:
             return mean["albedo"]
-        n, s, v = (x[:, None] for x in (normal, sun, sight))
+        n, s, v = (x[:, None] for x in (normal, sun, view_vector))
         cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / sun[:, 2:].clamp_min(0.05)
         if brdf == "rpv":
             return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
@@ -228,8 +231,14 @@ class RayTrainer:
 
     @torch.no_grad()
     def ground_maps(self, x: Tensor, y: Tensor, z: tuple[float, float], samples: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` at x ``[W]``,
-        y ``[H]`` [m]."""
+        """Height (median of the transmittance), its spread, and albedo of vertical rays ``[H, W]`` [m].
+
+        Args:
+            x: ``[W]`` [m].
+            y: ``[H]`` [m].
+            z: lowest and highest height [m].
+            samples: number of samples per ray.
+        """
         low, high = z
         rows = []
         for north in y:
@@ -249,14 +258,14 @@ class RayTrainer:
 
     def state(self) -> dict[str, Tensor]:
         """Everything that a continued run needs, as flat tensors."""
-        found = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
+        tensors = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
         for name, tensor in self.tensors.items():
             for key, value in self.adam.state.get(tensor, {}).items():
-                found[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
-        return found
+                tensors[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
+        return tensors
 
     @torch.no_grad()
-    def load(self, state: dict[str, Tensor]) -> None:
+    def load(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of `state`."""
         for name, tensor in self.tensors.items():
             tensor.copy_(state[name])
@@ -277,7 +286,13 @@ def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
 
 
 def solar_correction(weights: Tensor, transmittance: Tensor, s: Tensor) -> Tensor:
-    """mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF)."""
+    """Mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
+
+    Args:
+        weights: ``[R, S]`` of the samples, sum at most 1.
+        transmittance: ``[R, S]`` along the sun's rays, in [0, 1].
+        s: ``[R, S]`` learned sun visibility, in [0, 1].
+    """
     return ((transmittance - s) ** 2).sum(dim=1).mean() + (1 - (weights * s).sum(dim=1)).mean()
 
 
@@ -286,17 +301,25 @@ def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confide
 
     It matters where the ray disagrees with the prior by more than the prior's standard deviation, or where its own
     spread is larger. Depths as shares of the path, of which the papers' unit is half.
+
+    Args:
+        weights: ``[R, S]`` of the samples, sum at most 1.
+        t: ``[R, S]`` shares of the path.
+        depth: ``[R]`` composited share of the path.
+        prior: ``[R]`` the prior's share of the path.
+        confidence: ``[R]`` in [0, 1].
+        std: ``[R]`` expected spread, as share of the path.
     """
     spread = ((weights * (t - depth[:, None]) ** 2).sum(dim=1)).clamp_min(0).sqrt()
     matters = ((depth - prior).abs() > std) | (spread > std)
     return (confidence * (2 * (depth - prior)) ** 2 * matters).mean()
 
 
-def join(parts: Sequence[RaySet]) -> RaySet:
+def concatenated(parts: Sequence[RaySet]) -> RaySet:
     """Rays of several views as one set; suns and sights are taken from the first, which knows them all."""
     names = ("start", "path", "target", "view", "depth", "confidence", "normal")
     joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
     return replace(parts[0], **joined)
 
 
-__all__ = ["RaySet", "RayTrainer", "beta_loss", "depth_loss", "join", "solar_correction"]
+__all__ = ["RaySet", "RayTrainer", "beta_loss", "concatenated", "depth_loss", "solar_correction"]

@@ -5,15 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from sattools.fit.inversion import Samples, Solution, invert, material_mean, shape_of, solve_amounts, start_members
-from sattools.fit.material import AMOUNT, Kind, blurred, diffuse, line_to, radiance_factor, surface_normals
+from sattools.fit.endmembers import cluster_endmembers
+from sattools.fit.inversion import (
+    Samples,
+    Solution,
+    invert,
+    material_mean,
+    shape_of,
+    solve_amplitudes,
+    start_endmembers,
+)
+from sattools.fit.material import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals, view_vector
 from sattools.fit.material_std import parameter_std
-from sattools.fit.members import soft_members
 from sattools.fit.surface import SurfaceScene
 from sattools.views import View, shown_on
 
@@ -22,7 +29,7 @@ LIT = 0.95  # sun visibility from which a cell tells of its reflectance
 SAMPLES = 4000
 LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
 SATURATED = 0.999  # a number at full scale is a lower limit, not a value
-TEXTURE = 0.05  # deviation of the log amount, beyond small texture, that one material has anyway
+TEXTURE = 0.05  # deviation of the log amplitude, beyond small texture, that one material has anyway
 NORMAL_CELLS = 1.25  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 
 
@@ -36,21 +43,21 @@ class ReflectiveScene(SurfaceScene):
 
     Attributes:
         kind: model.
-        amount: ``[H, W, C]`` w or rho0 in the unbounded form of `Parameter`.
-        members: ``[K, 3]`` unbounded shape parameters of the end-members; found by `invert`, not by gradient descent.
-        shares: ``[H, W, K]`` of the end-members in each cell; fixed.
-        suns, lines: ``[V, 3]`` unit vectors to sun and sensor; scale: ``[V]``.
+        amplitude: ``[H, W, C]`` w or rho0 in the unbounded form of `Parameter`.
+        endmembers: ``[K, 3]`` unbounded shape parameters of the endmembers; found by `invert`, not by gradient descent.
+        abundances: ``[H, W, K]`` of the endmembers in each cell; fixed.
+        suns, view_vectors: ``[V, 3]`` unit vectors to sun and sensor; scale: ``[V]``.
         cell_size: [m].
         frozen: ``[H, W, 3]`` normals that do not follow the height, or None.
-        smooth: weight of the amounts' smoothness.
+        smooth: weight of the amplitudes' smoothness.
     """
 
     kind: Kind = "hapke"
-    amount: Tensor = field(default_factory=lambda: torch.zeros(0))
-    members: Tensor = field(default_factory=lambda: torch.zeros(0))
-    shares: Tensor = field(default_factory=lambda: torch.zeros(0))
+    amplitude: Tensor = field(default_factory=lambda: torch.zeros(0))
+    endmembers: Tensor = field(default_factory=lambda: torch.zeros(0))
+    abundances: Tensor = field(default_factory=lambda: torch.zeros(0))
     suns: Tensor = field(default_factory=lambda: torch.zeros(0))
-    lines: Tensor = field(default_factory=lambda: torch.zeros(0))
+    view_vectors: Tensor = field(default_factory=lambda: torch.zeros(0))
     scale: Tensor = field(default_factory=lambda: torch.zeros(0))
     cell_size: float = 1.0
     frozen: Tensor | None = None
@@ -73,31 +80,38 @@ class ReflectiveScene(SurfaceScene):
 
     def values(self) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
         """Amount ``[H, W, C]`` and the three shape parameters ``[H, W]``, within their ranges."""
-        return AMOUNT[self.kind].bounded(self.amount), shape_of(self.kind, self.shares, self.members)
+        return AMPLITUDE[self.kind].bounded(self.amplitude), shape_of(self.kind, self.abundances, self.endmembers)
 
     def colour(self, index: int, visibility: Tensor | None) -> Tensor:
         """Radiance ``[H, W, C]`` of every cell towards image ``index``; visibility ``[H, W]`` or None = all lit."""
-        light = self.light(self.suns[index], self.lines[index], visibility, self.ambient[index])
+        light = self.light(self.suns[index], self.view_vectors[index], visibility, self.ambient[index])
         return self.gain[index] * self.scale[index] * light + self.offset[index]
 
-    def light(self, sun: Tensor, line: Tensor, visibility: Tensor | None, ambient: Tensor) -> Tensor:
-        """pi L / E ``[H, W, C]`` towards ``line`` under ``sun`` (unit vectors)."""
-        amount, shape = self.values()
-        light = radiance_factor(self.kind, self.normals(), sun, line, amount, shape)
+    def light(self, sun: Tensor, towards: Tensor, visibility: Tensor | None, ambient: Tensor) -> Tensor:
+        """Pi L / E ``[H, W, C]`` towards ``towards`` under ``sun`` (unit vectors).
+
+        Args:
+            sun: ``[3]`` unit vector to the sun.
+            towards: ``[3]`` unit vector to the sensor.
+            visibility: ``[H, W]`` of the sun, in [0, 1], or None = all lit.
+            ambient: ``[C]`` share of the light that reaches shade.
+        """
+        amplitude, shape = self.values()
+        light = radiance_factor(self.kind, self.normals(), sun, towards, amplitude, shape)
         if visibility is None:
             return light
         v = visibility[..., None]
-        return v * light + (1 - v) * ambient * diffuse(self.kind, amount)
+        return v * light + (1 - v) * ambient * diffuse(self.kind, amplitude)
 
     def trainable(self) -> dict[str, Tensor]:
         """Tensors that gradient descent changes."""
-        found = super().trainable()
-        del found["albedo"]
-        return {**found, "amount": self.amount}
+        leaves = super().trainable()
+        del leaves["albedo"]
+        return {**leaves, "amplitude": self.amplitude}
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors, for saving."""
-        names = ["amount", "members", "shares", "suns", "lines", "scale"]
+        names = ["amplitude", "endmembers", "abundances", "suns", "view_vectors", "scale"]
         own = {name: getattr(self, name) for name in names}
         if self.frozen is not None:
             own["frozen"] = self.frozen
@@ -108,20 +122,26 @@ class ReflectiveScene(SurfaceScene):
         raise NotImplementedError("a reflectance model lives on one grid")
 
     def penalty(self) -> Tensor:
-        """Deviation of the log amount from its material's mean, over the reach of the normals.
+        """Deviation of the log amplitude from its material's mean, over the reach of the normals.
 
         The bands' common change counts: it is what shading could be mistaken for. Smaller texture is free, and steps
         between materials cost nothing.
         """
-        log = torch.log(AMOUNT[self.kind].bounded(self.amount)).mean(-1)
-        mass = self.shares.sum((0, 1)) + 1e-6
-        mean = torch.einsum("hw,hwk->k", log.detach(), self.shares) / mass
-        deviation = blurred(log - self.shares @ mean, NORMAL_CELLS) / TEXTURE
+        log = torch.log(AMPLITUDE[self.kind].bounded(self.amplitude)).mean(-1)
+        mass = self.abundances.sum((0, 1)) + 1e-6
+        mean = torch.einsum("hw,hwk->k", log.detach(), self.abundances) / mass
+        deviation = blurred(log - self.abundances @ mean, NORMAL_CELLS) / TEXTURE
         return self.smooth * (torch.sqrt(1 + deviation * deviation) - 1).mean()
 
     @torch.no_grad()
     def samples(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> Samples:
-        """What the views show of the present surface, as pi L / E; shade and what is outside weighs nothing."""
+        """What the views show of the present surface, as pi L / E; shade and what is outside weighs nothing.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+        """
         height = self.height.detach()
         seen, weight = [], []
         for j, view in enumerate(views):
@@ -136,54 +156,80 @@ class ReflectiveScene(SurfaceScene):
         count = height.numel()
         return Samples(
             self.normals().detach().reshape(count, 3),
-            self.shares.reshape(count, -1),
+            self.abundances.reshape(count, -1),
             torch.stack(seen).reshape(len(views), count, -1),
             torch.stack(weight).reshape(len(views), count),
             list(self.suns),
-            list(self.lines),
+            list(self.view_vectors),
         )
 
     @torch.no_grad()
     def solve(
-        self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float, rounds: int, amounts: bool
+        self,
+        views: Sequence[View],
+        visibility: Sequence[Tensor | None],
+        cell_size: float,
+        rounds: int,
+        amplitudes: bool,
     ) -> tuple[Samples, Solution]:
-        """Find the members anew, from `SAMPLES` cells, and the amounts of all cells if asked for."""
+        """Find the endmembers anew, from `SAMPLES` cells, and the amplitudes of all cells if asked for.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+            rounds: number of Gauss-Newton steps.
+            amplitudes: find them, too.
+        """
         whole = self.samples(views, visibility, cell_size)
         usable = torch.nonzero((whole.weight > 0).sum(0) >= 2)[:, 0]
         if len(usable) == 0:
             usable = torch.arange(whole.normal.shape[0])
         order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(0))[:SAMPLES]
-        found = invert(self.kind, whole.subset(usable[order]), self.members, rounds)
-        self.members.copy_(found.members)
-        if amounts:
-            amount, _ = solve_amounts(self.kind, whole, self.members, rounds=4)
+        solution = invert(self.kind, whole.subset(usable[order]), self.endmembers, rounds)
+        self.endmembers.copy_(solution.endmembers)
+        if amplitudes:
+            amplitude, _ = solve_amplitudes(self.kind, whole, self.endmembers, rounds=4)
             # what no view shows in the sun is taken for its material: were the shade a false one, of a blunder in the
             # prior, any other start would make the patch an outlier that the loss never looks at again
             told = ((whole.weight > 0).sum(0) > 0)[:, None]
-            amount = torch.where(told, amount, material_mean(whole.shares, amount, told.to(amount)))
-            self.amount.copy_(amount.reshape(self.amount.shape))
-        return whole, found
+            amplitude = torch.where(told, amplitude, material_mean(whole.abundances, amplitude, told.to(amplitude)))
+            self.amplitude.copy_(amplitude.reshape(self.amplitude.shape))
+        return whole, solution
 
     def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
-        """The end-members for the present heights."""
-        self.solve(views, visibility, cell_size, 2, amounts=False)
+        """The endmembers for the present heights.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+        """
+        self.solve(views, visibility, cell_size, 2, amplitudes=False)
 
     @torch.no_grad()
     def finish(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> dict[str, Tensor]:
         """Members for the final heights; the albedo becomes the reflectance at standard geometry.
 
-        The amounts stay those of gradient descent, which undoes the blur of the images, but for what they must move
-        along with the members.
+        The amplitudes stay those of gradient descent, which undoes the blur of the images, but for what they must move
+        along with the endmembers.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
 
         Returns:
             Standard deviation of every parameter, by name.
         """
-        before = self.members.clone()
-        whole, found = self.solve(views, visibility, cell_size, 4, amounts=False)
-        flat = self.amount.reshape(whole.normal.shape[0], -1)
-        old, new = (solve_amounts(self.kind, whole, members, flat, 1)[0] for members in (before, self.members))
-        self.amount.copy_((flat + new - old).reshape(self.amount.shape))
-        std = parameter_std(self.kind, whole, self.amount.reshape(whole.normal.shape[0], -1), found)
+        before = self.endmembers.clone()
+        whole, solution = self.solve(views, visibility, cell_size, 4, amplitudes=False)
+        flat = self.amplitude.reshape(whole.normal.shape[0], -1)
+        old, new = (
+            solve_amplitudes(self.kind, whole, endmembers, flat, 1)[0] for endmembers in (before, self.endmembers)
+        )
+        self.amplitude.copy_((flat + new - old).reshape(self.amplitude.shape))
+        std = parameter_std(self.kind, whole, self.amplitude.reshape(whole.normal.shape[0], -1), solution)
         self.albedo = standard_reflectance(self)
         rows, cols = self.height.shape
         return {name: t.reshape(rows, cols, *t.shape[1:]) for name, t in std.items()}
@@ -191,12 +237,12 @@ class ReflectiveScene(SurfaceScene):
 
 def standard_reflectance(scene: ReflectiveScene) -> Tensor:
     """BRF ``[H, W, C]`` of level ground seen from above, the sun `STANDARD_SUN_DEG` from the vertical."""
-    amount, shape = scene.values()
-    up = amount.new_tensor([0.0, 0.0, 1.0])
+    amplitude, shape = scene.values()
+    up = amplitude.new_tensor([0.0, 0.0, 1.0])
     tilt = math.radians(STANDARD_SUN_DEG)
-    sun = amount.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
-    level = up.expand(*amount.shape[:-1], 3)
-    return radiance_factor(scene.kind, level, sun, up, amount, shape) / math.cos(tilt)
+    sun = amplitude.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
+    level = up.expand(*amplitude.shape[:-1], 3)
+    return radiance_factor(scene.kind, level, sun, up, amplitude, shape) / math.cos(tilt)
 
 
 def reflective(
@@ -205,8 +251,9 @@ def reflective(
     views: Sequence[View],
     scale: Sequence[float],
     cell_size: float,
-    frozen: Tensor | None,
-    members: int,
+    frozen: Tensor | None = None,
+    *,
+    endmembers: int,
     smooth: float,
     seed: int,
     solve: bool = True,
@@ -220,10 +267,10 @@ def reflective(
         scale: see `ReflectiveScene`.
         cell_size: [m].
         frozen: normals that stay, or None = those of the height.
-        members: most end-members.
-        smooth: weight of the amounts' smoothness.
+        endmembers: most endmembers.
+        smooth: weight of the amplitudes' smoothness.
         seed: of the clustering.
-        solve: find members and amounts, too.
+        solve: find endmembers and amplitudes, too.
 
     Returns:
         The scene, and the sun's visibility in every view.
@@ -232,7 +279,7 @@ def reflective(
 
     height = scene.height.detach()
     suns = height.new_tensor([view.sun for view in views])
-    lines = height.new_tensor([line_to(view.slope) for view in views])
+    view_vectors = height.new_tensor([view_vector(view.slope) for view in views])
     casting = blurred(height, NORMAL_CELLS)
     cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
     visibility = [cast[view.sun] for view in views if view.sun is not None]
@@ -247,43 +294,41 @@ def reflective(
         mean += weight[..., None] * light / cosine[..., None]
         total += weight
     mean = mean / total.clamp_min(1)[..., None]
-    shares = soft_members(mean.cpu().numpy(), (total > 0).cpu().numpy(), members, seed)
-    found = ReflectiveScene(
+    abundances = cluster_endmembers(mean.cpu().numpy(), (total > 0).cpu().numpy(), endmembers, seed)
+    modelled = ReflectiveScene(
         **scene.tensors(),
         absolute=scene.absolute,
         kind=kind,
-        amount=torch.zeros_like(scene.albedo),
-        members=start_members(kind, shares.shape[-1], height),
-        shares=torch.from_numpy(shares).to(height),
+        amplitude=torch.zeros_like(scene.albedo),
+        endmembers=start_endmembers(kind, abundances.shape[-1], height),
+        abundances=torch.from_numpy(abundances).to(height),
         suns=suns,
-        lines=lines,
+        view_vectors=view_vectors,
         scale=height.new_tensor(scale),
         cell_size=cell_size,
         frozen=frozen,
         smooth=smooth,
     )
     if solve:
-        found.solve(views, visibility, cell_size, 8, amounts=True)
-    return found, visibility
+        modelled.solve(views, visibility, cell_size, 8, amplitudes=True)
+    return modelled, visibility
 
 
 def restored(
     tensors: Mapping[str, Tensor], kind: Kind, cell_size: float, smooth: float, absolute: bool
 ) -> ReflectiveScene:
-    """A scene from its own `ReflectiveScene.tensors`; others are left out."""
+    """A scene from its own `ReflectiveScene.tensors`; others are left out.
+
+    Args:
+        tensors: by name.
+        kind: reflectance model.
+        cell_size: edge of a cell [m].
+        smooth: weight of the amplitudes' smoothness.
+        absolute: whether the images are reflectances.
+    """
     names = {f.name for f in fields(ReflectiveScene)}
     own = {name: t.clone() for name, t in tensors.items() if name in names}
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
 
 
-def restored_model(tensors: Mapping[str, Tensor], meta: Mapping[str, Any]) -> SurfaceScene:
-    """The scene of a model file (tensors and description as `sattools.fit.checkpoint.load` gives them)."""
-    absolute = meta.get("radiance", "relative") != "relative"
-    kind = meta.get("brdf", "lambert")
-    if kind != "lambert":
-        return restored(tensors, kind, float(meta["grid"]["cell_size"]), 0.0, absolute)
-    names = ("height", "albedo", "gain", "offset", "ambient", "pose")
-    return SurfaceScene(**{name: tensors[name] for name in names}, absolute=absolute)
-
-
-__all__ = ["NORMAL_CELLS", "ReflectiveScene", "reflective", "restored", "restored_model", "standard_reflectance"]
+__all__ = ["NORMAL_CELLS", "ReflectiveScene", "reflective", "restored", "standard_reflectance"]

@@ -13,30 +13,29 @@ from sattools.fit.losses import tone
 
 @dataclass(frozen=True)
 class EdgeWeights:
-    """How strongly neighbours are tied: down the rows ``[H - 1, W]`` and along the columns ``[H, W - 1]``, in (0,
-    1]."""
+    """Edge-aware weights of neighbours in (0, 1]: down the rows ``[H - 1, W]``, along the columns ``[H, W - 1]``."""
 
     down: Tensor
     along: Tensor
 
 
 def edge_weights(albedo: Tensor, contrast: float = 0.04, least: float = 0.05) -> EdgeWeights:
-    """Weak ties where the albedo changes, strong ones within a plain surface.
+    """Small weights where the albedo changes, large ones within a uniform surface.
 
     Heights step where colours step (a roof's rim), while a plain roof shows the renderer nothing to hold on to.
 
     Args:
         albedo: ``[H, W, C]`` linear.
-        contrast: tone-mapped step at which the tie falls to 1/e.
-        least: weakest tie.
+        contrast: tone-mapped step at which the weight falls to 1/e.
+        least: smallest weight.
     """
     toned = tone(albedo.detach())
 
-    def ties(axis: int) -> Tensor:
+    def weights_along(axis: int) -> Tensor:
         step = toned.diff(dim=axis).abs().amax(-1)
         return least + (1 - least) * torch.exp(-step / contrast)
 
-    return EdgeWeights(ties(0), ties(1))
+    return EdgeWeights(weights_along(0), weights_along(1))
 
 
 def charbonnier(x: Tensor, scale: float) -> Tensor:
@@ -45,18 +44,24 @@ def charbonnier(x: Tensor, scale: float) -> Tensor:
 
 
 def concave(x: Tensor, scale: float, knee: float = 1.0) -> Tensor:
-    """knee * log(1 + charbonnier(x) / knee): above the knee a large step costs little more than a small one.
+    """Knee * log(1 + charbonnier(x) / knee): above the knee a large step costs little more than a small one.
 
-    Many middling steps cost more than one wall of the same height, so slopes between two levels sharpen into walls.
+    Many middling steps cost more than one wall of the same height, so slopes between two levels steepen into walls.
+
+    Args:
+        x: differences [m].
+        scale: below which they are noise [m].
+        knee: above which they cost little more [m].
     """
     linear = charbonnier(x, scale)
     return linear if math.isinf(knee) else knee * torch.log1p(linear / knee)
 
 
-def roughness(
+def smoothness_penalty(
     height: Tensor,
     cell_size: float,
     weights: EdgeWeights | None = None,
+    *,
     first: float = 0.3,
     second: float = 1.0,
     scale: float = 0.1,
@@ -69,7 +74,7 @@ def roughness(
     Args:
         height: ``[H, W]`` [m].
         cell_size: [m]; the sum of differences along a line does not depend on the grid.
-        weights: ties between neighbours, or None = all 1.
+        weights: of neighbours, see `edge_weights`, or None = all 1.
         first: weight of first differences.
         second: weight of second differences.
         scale: [m] below which differences are noise.
@@ -88,4 +93,4 @@ def roughness(
     return total / cell_size
 
 
-__all__ = ["EdgeWeights", "charbonnier", "concave", "edge_weights", "roughness"]
+__all__ = ["EdgeWeights", "charbonnier", "concave", "edge_weights", "smoothness_penalty"]

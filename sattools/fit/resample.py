@@ -11,8 +11,15 @@ from sattools.scene import Grid
 
 
 def resample_map(array: np.ndarray, source: Grid, target: Grid) -> Tensor:
-    """A map ``[h, w]`` on another grid with the same upper left corner: averaged or bilinear; NaN spreads no
-    further."""
+    """A map ``[h, w]`` on another grid with the same upper left corner.
+
+    It is averaged or bilinear; NaN spreads no further.
+
+    Args:
+        array: ``[h, w]``; NaN = unknown.
+        source: its grid.
+        target: grid to resample to.
+    """
     factor = target.cell_size / source.cell_size
     tensor = torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
     known = torch.isfinite(tensor).float()

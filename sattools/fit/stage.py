@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from sattools.fit.coarse import PRODUCT
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE
 from sattools.fit.inputs import holding_out, may_write
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles import fit_tiled
-from sattools.fit.whole import choose_device, fit_whole, settle
+from sattools.fit.whole import choose_device, fit_whole, set_up
 from sattools.progress import Progress, silent
 from sattools.scene import Scene
 from sattools.scene.dependencies import begin
+from sattools.scene.jsonio import JsonObject
 
 
-def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
+def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Fit a surface to the scene's training images; writes the model and the trace below the root.
+
+    Args:
+        scene: the scene.
+        options: of the fit.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
 
     Returns:
         Remarks and figures for the history.
@@ -29,8 +34,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         return fit_whole(scene, options, progress, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite, (CHECKPOINT, STATE)))
     with holding_out(scene, options.holdout, options.views):
-        settled = settle(scene, options)
-        return fit_tiled(scene, settled.options, progress)
+        setup = set_up(scene, options)
+        return fit_tiled(scene, setup.options, progress)
 
 
 __all__ = ["choose_device", "fit"]

@@ -18,8 +18,7 @@ class SurfaceScene:
     """Everything the fit learns.
 
     The radiance of a cell towards image j is gain_j * (l * albedo) + offset_j with irradiance l = v + (1 - v) *
-    ambient_j and sun
-    visibility v (the EO-NeRF form, with the whole light of a sunlit cell as unit).
+    ambient_j and sun visibility v (the EO-NeRF form, with the whole light of a sunlit cell as unit).
 
     Attributes:
         height: ``[H, W]`` ellipsoidal height [m].
@@ -50,11 +49,11 @@ class SurfaceScene:
 
     def trainable(self) -> dict[str, Tensor]:
         """Tensors that gradient descent changes."""
-        found = {"height": self.height, "albedo": self.albedo}
+        leaves = {"height": self.height, "albedo": self.albedo}
         if self.held:
-            return found
-        found["ambient"] = self.ambient
-        return found if self.absolute else {**found, "gain": self.gain, "offset": self.offset}
+            return leaves
+        leaves["ambient"] = self.ambient
+        return leaves if self.absolute else {**leaves, "gain": self.gain, "offset": self.offset}
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors, for saving."""
@@ -70,14 +69,20 @@ class SurfaceScene:
         return 0.0
 
     def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
-        """Bring up to date what is not trained by gradient; called every few epochs."""
+        """Bring up to date what is not trained by gradient; called every few epochs.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+        """
 
     def to(self, device: torch.device) -> SurfaceScene:
         """The scene on a device."""
         moved: dict[str, Any] = {name: tensor.to(device) for name, tensor in self.tensors().items()}
-        found = replace(self, **moved)
-        found.held = self.held
-        return found
+        moved_scene = replace(self, **moved)
+        moved_scene.held = self.held
+        return moved_scene
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
         """The scene on another grid with the same upper left corner.
@@ -93,7 +98,7 @@ class SurfaceScene:
         x = ((torch.arange(cols) + 0.5) * extent[1]) / old_cols * 2 - 1
         where = torch.stack([x.expand(rows, cols), y[:, None].expand(rows, cols)], dim=-1)[None].to(maps)
         finer = torch.nn.functional.grid_sample(maps, where, padding_mode="border", align_corners=False)[0]
-        found = SurfaceScene(
+        resampled = SurfaceScene(
             finer[0].contiguous(),
             finer[1:].permute(1, 2, 0).contiguous(),
             self.gain.detach().clone(),
@@ -102,14 +107,23 @@ class SurfaceScene:
             self.pose.clone(),
             self.absolute,
         )
-        found.held = self.held
-        return found
+        resampled.held = self.held
+        return resampled
 
 
 def start_scene(
     height: Tensor, albedo: Tensor, gain: Tensor, offset: Tensor, ambient: float, absolute: bool = False
 ) -> SurfaceScene:
-    """A first surface ``[H, W]`` with an albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``."""
+    """A first surface ``[H, W]`` with an albedo ``[H, W, C]`` and the images' colour relations ``[V, C]``.
+
+    Args:
+        height: ``[H, W]`` [m].
+        albedo: ``[H, W, C]``.
+        gain: ``[V, C]``.
+        offset: ``[V, C]`` radiance.
+        ambient: share of the light that reaches shade.
+        absolute: whether the images are reflectances.
+    """
     return SurfaceScene(
         height.clone(),
         albedo.clone(),

@@ -5,29 +5,27 @@ from __future__ import annotations
 import functools
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.errors import SceneError
-from sattools.fit import checkpoint
 from sattools.fit.auto import Choice, choose_model, draw
 from sattools.fit.coarse import Coarse
+from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT
-from sattools.fit.illumination import Radiance, light_scale, material_remarks, prior_normals
-from sattools.fit.inputs import OTHER_FIT, PriorMaps, fingerprint
-from sattools.fit.irradiance import Light
+from sattools.fit.illumination import Radiance, light_scale, material_notes, prior_normals
+from sattools.fit.inputs import fingerprint
+from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.irradiance_choice import choose_light
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene, reflective, restored
-from sattools.fit.resample import resample_map
+from sattools.fit.resume import IlluminationOptions, Interrupted
 from sattools.fit.surface import SurfaceScene, start_scene
-from sattools.fit.trace import Trace
-from sattools.fit.train import REFRESH, Prior, StageSettings, StageTrainer
+from sattools.fit.trace import Row, Trace
+from sattools.fit.train import REFRESH, StageSettings, StageTrainer
 from sattools.progress import Progress
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
@@ -46,7 +44,7 @@ class SurfaceJob:
     sources: list[Source]
     options: FitOptions
     stages: list[StageSettings]
-    prior: PriorMaps | None
+    prior: DepthPrior | None
     z_ref: float
     device: torch.device
     radiance: Radiance = "relative"
@@ -55,67 +53,94 @@ class SurfaceJob:
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
     parameter_std: dict[str, Tensor] = field(default_factory=dict)
-    light: Light = field(default_factory=lambda: Light({}))
-    settled: dict[str, Any] = field(default_factory=dict)
+    light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
+    chosen: IlluminationOptions | None = None
     coarse: Coarse | None = None
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
-        remarks: list[str] = []
+        """Fit all stages; the surface, its grid, and notes."""
+        notes: list[str] = []
         saved = self._resume() if self.options.resume else None
         score = self._scorer()
-        total = sum(s.epochs / s.cell_size**2 for s in self.stages)
         surface: SurfaceScene | None = None
-        grid = self.scene.need_grid()
+        grid = self.scene.require_grid()
         for k, stage in enumerate(self.stages):
-            grid = self.scene.need_grid().resized(stage.cell_size)
+            grid = self.scene.require_grid().resized(stage.cell_size)
             self.last_softness = stage.softness[1]
-            if saved and k < saved[1]["stage"]:
+            if saved and k < saved.stage:
                 continue
             self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
-            self._warn_spread(stage.cell_size, remarks)
-            if surface is None:
-                surface = self._start(grid)
-                remarks += self._choose_light(surface, stage.cell_size, saved)
-                self.light = Light.start(self.resolved, grid.shape, len(self.views), self.device)
-                if self.light.learned and self.prior is not None and self.options.shadow_start == "geometric":
-                    self._follow(surface, stage.cell_size)
-            elif surface.height.shape != grid.shape:
-                ratio = stage.cell_size / self.stages[k - 1].cell_size
-                surface = surface.resized(grid.shape, (ratio, ratio))
-                self.light = self.light.resized(grid.shape, ratio)
-            if stage.reflective:
-                surface = self._reflective(surface, grid, saved[0] if saved else None)
-            cast = self.coarse.cast if self.coarse else sun_visibility
-            trainer = StageTrainer(surface, self.views, stage, self.resolved, self._prior_on(grid), k, self.light, cast)
+            self._warn_parallel(stage.cell_size, notes)
+            surface = self._begin_stage(surface, k, grid, saved, notes)
+            trainer = self._trainer(surface, k, grid)
             start = 0
             if saved:
-                start = saved[1]["epoch"]
-                trainer.load(saved[0])
+                start = saved.epoch
+                trainer.load(saved.tensors)
                 saved = None
-            before = sum(s.epochs / s.cell_size**2 for s in self.stages[:k])
-            if not trainer.run(start, self._after_epoch(trainer, stage, k, before, total, grid, score, progress)):
-                remarks.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
+            if not trainer.run(start, self._after_epoch(trainer, k, grid, score, progress)):
+                notes.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
                 break
         assert surface is not None
         remarks += self._put_back(surface, grid)
         self.height_std = trainer.height_std()
         if isinstance(surface, ReflectiveScene):
-            remarks += self._finish(surface, trainer, grid)
+            notes += self._finish(surface, trainer, grid)
         progress(1.0, "fitted")
-        return surface, grid, remarks
+        return surface, grid, notes
+
+    def _begin_stage(
+        self, surface: SurfaceScene | None, k: int, grid: Grid, saved: Interrupted | None, notes: list[str]
+    ) -> SurfaceScene:
+        """The surface that stage ``k`` starts from: a new one, or the last stage's on the grid of this one."""
+        stage = self.stages[k]
+        if surface is None:
+            surface = self._start(grid)
+            notes += self._choose_light(surface, stage.cell_size, saved)
+            self.illumination = IlluminationModel.start(self.resolved, grid.shape, len(self.views), self.device)
+            if self.illumination.learned and self.prior is not None and self.options.shadow_start == "geometric":
+                self._follow(surface, stage.cell_size)
+        elif surface.height.shape != grid.shape:
+            ratio = stage.cell_size / self.stages[k - 1].cell_size
+            surface = surface.resized(grid.shape, (ratio, ratio))
+            self.illumination = self.illumination.resized(grid.shape, ratio)
+        if stage.reflective:
+            surface = self._reflective(surface, grid, saved.tensors if saved else None)
+        return surface
+
+    def _trainer(self, surface: SurfaceScene, k: int, grid: Grid) -> StageTrainer:
+        cast = self.coarse.cast if self.coarse else sun_visibility
+        prior = self.prior.on(grid, self.device) if self.prior else None
+        return StageTrainer(
+            surface,
+            self.views,
+            self.stages[k],
+            self.resolved,
+            prior,
+            k,
+            illumination=self.illumination,
+            cast=cast,
+        )
+
+    def _work(self, stages: int) -> float:
+        """Work of the first stages, in epochs times cells per square metre."""
+        return sum(s.epochs / s.cell_size**2 for s in self.stages[:stages])
 
     @property
     def resolved(self) -> FitOptions:
-        """The options with everything that was `auto` settled."""
-        return replace(self.options, **self.settled)
+        """The options with everything that was `auto` chosen."""
+        return replace(self.options, **vars(self.chosen)) if self.chosen else self.options
 
-    def _choose_light(self, surface: SurfaceScene, cell: float, saved: tuple[Any, dict[str, Any]] | None) -> list[str]:
-        """Settle the model of the light, as an interrupted fit did; says why."""
-        if saved or self.coarse:
-            self.settled = self.coarse.settled if self.coarse else saved[1]["settled"]  # type: ignore[index]
+    def _choose_light(self, surface: SurfaceScene, cell: float, saved: Interrupted | None) -> list[str]:
+        """Choose the illumination model, or take that of the interrupted fit; the reasons."""
+        if self.coarse:
+            self.chosen = self.coarse.illumination
+            return []
+        if saved:
+            self.chosen = saved.illumination
             return []
         chosen, why = choose_light(surface, self.views, cell, self.options)
-        self.settled = {"shadow": chosen.shadow, "transient": chosen.transient}
+        self.chosen = IlluminationOptions(chosen.shadow, chosen.transient)
         return why
 
     def _follow(self, surface: SurfaceScene, cell: float) -> None:
@@ -124,15 +149,15 @@ class SurfaceJob:
         suns = [view.sun for view in self.views if view.sun]
         if suns:
             with torch.no_grad():
-                found = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
-            self.light.follow(suns, [found[sun] for sun in suns], self.options.seed)
+                visibility = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
+            self.illumination.follow(suns, [visibility[sun] for sun in suns], self.options.seed)
 
     def _start(self, grid: Grid) -> SurfaceScene:
         """The prior's surface, or a flat one; albedo = mean of the colour-matched images where they show it."""
         if self.prior is None:
             height = torch.full(grid.shape, self.z_ref)
         else:
-            height = resample_map(self.prior[0], self.prior[2], grid).nan_to_num(self.z_ref)
+            height = self.prior.on(grid).height.nan_to_num(self.z_ref)
         gain, offset = match_colours(self.views)
         if self.coarse:
             gain, offset = (self.coarse.colours[name].numpy() for name in ("gain", "offset"))
@@ -149,36 +174,51 @@ class SurfaceJob:
         scene.absolute = self.radiance != "relative"
         return (self.coarse.hold(scene) if self.coarse else scene).to(self.device)
 
-    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: dict[str, Tensor] | None) -> ReflectiveScene:
+    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: Mapping[str, Tensor] | None) -> ReflectiveScene:
         options = self.options
         assert options.brdf in ("rpv", "hapke")  # the schedule asks for a model only then
         if saved is not None:
             own = {name.removeprefix("scene."): t for name, t in saved.items() if name.startswith("scene.")}
-            found = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
-            return found.to(self.device)  # type: ignore[return-value]
+            modelled = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
+            return modelled.to(self.device)  # type: ignore[return-value]
         frozen = None
         if options.normals == "prior":
             frozen = prior_normals(self.prior, grid).to(self.device)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
-        found, _ = reflective(
-            surface, options.brdf, self.views, scale, grid.cell_size, frozen, options.materials,
-            options.material_smooth, options.seed,
-        )  # fmt: skip
-        return found
+        modelled, _ = reflective(
+            surface,
+            options.brdf,
+            self.views,
+            scale,
+            grid.cell_size,
+            frozen,
+            endmembers=options.materials,
+            smooth=options.material_smooth,
+            seed=options.seed,
+        )
+        return modelled
 
     def choose_brdf(self, stage: StageSettings) -> Choice:
-        """Settle ``--brdf auto`` on the prior's surface.
+        """Choose the model for ``--brdf auto`` on the prior's surface.
 
         Raises:
             SceneError: there is no prior, or a sun is unknown.
         """
-        grid = self.scene.need_grid().resized(stage.cell_size)
+        grid = self.scene.require_grid().resized(stage.cell_size)
         self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
         surface, lit = reflective(
-            self._start(grid), "rpv", self.views, scale, grid.cell_size,
-            prior_normals(self.prior, grid).to(self.device), self.options.materials, 0.0, self.options.seed, False,
-        )  # fmt: skip
+            self._start(grid),
+            "rpv",
+            self.views,
+            scale,
+            grid.cell_size,
+            prior_normals(self.prior, grid).to(self.device),
+            endmembers=self.options.materials,
+            smooth=0.0,
+            seed=self.options.seed,
+            solve=False,
+        )
         cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
         return choose_model(cells, block, self.radiance == "relative")
 
@@ -197,27 +237,20 @@ class SurfaceJob:
     def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
         """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""
         self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
-        return material_remarks(surface, self.parameter_std)
-
-    def _prior_on(self, grid: Grid) -> Prior | None:
-        if self.prior is None:
-            return None
-        height, confidence, own = self.prior
-        return Prior(*(resample_map(m, own, grid).to(self.device) for m in (height, confidence)))
+        return material_notes(surface, self.parameter_std)
 
     def _after_epoch(
         self,
         trainer: StageTrainer,
-        stage: StageSettings,
         k: int,
-        before: float,
-        total: float,
         grid: Grid,
         score: Callable[[Tensor, Grid], float | None],
         progress: Progress,
     ) -> Callable[[int, float], bool]:
+        stage, before, total = self.stages[k], self._work(k), self._work(len(self.stages))
+
         def call(done: int, loss: float) -> bool:
-            row: dict[str, Any] = {"seconds": round(self.trace.seconds(), 3), "stage": k, "cell_m": stage.cell_size}
+            row: Row = {"seconds": round(self.trace.seconds(), 3), "stage": k, "cell_m": stage.cell_size}
             row |= {"epoch": done, "softness_m": round(trainer.quadrature.softness, 4), "loss": loss}
             error = score(trainer.scene.height, grid)
             if error is not None:
@@ -241,18 +274,18 @@ class SurfaceJob:
         def call(height: Tensor, grid: Grid) -> float:
             # watching must not count as fitting
             pause = time.perf_counter()
-            found = float(compare_dsm(height.detach().cpu().numpy(), truth, grid).figures["mae"])
+            error = float(compare_dsm(height.detach().cpu().numpy(), truth, grid).figures["mae"])
             self.trace.started += time.perf_counter() - pause
-            return found
+            return error
 
         return call
 
-    def _warn_spread(self, cell: float, remarks: list[str]) -> None:
-        worst = max(self.views, key=lambda v: v.spread_m)
-        if worst.spread_m > 0.5 * cell:
-            text = f"{worst.id}: lines of sight are parallel only to {worst.spread_m:.2f} m over this area"
+    def _warn_parallel(self, cell: float, notes: list[str]) -> None:
+        worst = max(self.views, key=lambda v: v.parallel_ray_error_m)
+        if worst.parallel_ray_error_m > 0.5 * cell:
+            text = f"{worst.id}: lines of sight are parallel only to {worst.parallel_ray_error_m:.2f} m over this area"
             log.warning(text)
-            remarks.append(text)
+            notes.append(text)
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 
@@ -261,21 +294,14 @@ class SurfaceJob:
         return fingerprint(self.scene, self.options, self.sources, self.prior)
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
-        meta = {"stage": stage, "epoch": epoch, "fingerprint": self._print, "rows": self.trace.rows}
-        meta["settled"] = self.settled
-        checkpoint.save(self.scene.output(CHECKPOINT), trainer.state(), meta)
+        state = Interrupted(trainer.state(), self._print, self.trace.rows, stage, epoch, illumination=self.chosen)
+        state.save(self.scene.output(CHECKPOINT))
 
-    def _resume(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        path = self.scene.output(CHECKPOINT)
-        if not path.exists():
-            log.warning("%s: no checkpoint, the fit starts anew", path)
-            return None
-        tensors, meta = checkpoint.load(path)
-        if meta.get("fingerprint") != self._print:
-            raise SceneError(f"{path}: {OTHER_FIT}")
-        self.trace.rows = meta["rows"]
-        self.trace.offset = self.trace.rows[-1]["seconds"]
-        return tensors, meta
+    def _resume(self) -> Interrupted | None:
+        saved = Interrupted.load(self.scene.output(CHECKPOINT), self._print)
+        if saved:
+            self.trace.go_on(saved.rows)
+        return saved
 
 
 __all__ = ["SurfaceJob"]

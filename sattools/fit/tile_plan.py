@@ -8,31 +8,31 @@ import logging
 import math
 import shutil
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from sattools import __version__
 from sattools.errors import InputError, SceneError
-from sattools.fit import checkpoint
-from sattools.fit.coarse import COLOURS, PRODUCT
+from sattools.fit.coarse import PRODUCT
 from sattools.fit.files import CHECKPOINT, MODEL, STATE
-from sattools.fit.inputs import OTHER_FIT
+from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
+from sattools.fit.resume import OTHER_FIT
 from sattools.fit.schedule import schedule
 from sattools.fit.whole import fit_whole
-from sattools.progress import Progress, part
-from sattools.scene import Grid, Scene
+from sattools.progress import Progress, subprogress
+from sattools.scene import Asset, Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
-from sattools.scene.jsonio import read_json
+from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import raster_grid
 from sattools.scene.schema import Items, Maybe, Number, Table, Text
-from sattools.scene.tiles import Tile, common_cell, cut
-from sattools.views import TONE_PROPERTY, Source, Tone, load_sources, views_on
+from sattools.scene.tiles import Tile, common_cell, make_tiles
+from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, views_on
 
 log = logging.getLogger(__name__)
 FOLDER, COARSE = "fit/tiles", "coarse"
@@ -42,8 +42,8 @@ FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole sh
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
 _STATE = Table(
-    {"key": Text(), "tiles": Maybe(Items(Text())), "remarks": Items(Text()), "seconds": Number(0)},
-    ("key", "tiles", "remarks"),
+    {"key": Text(), "tiles": Maybe(Items(Text())), "notes": Items(Text()), "seconds": Number(0)},
+    ("key", "tiles", "notes"),
 )
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "part", "device")
@@ -70,13 +70,13 @@ class Plan:
     @classmethod
     def make(cls, scene: Scene, options: FitOptions) -> Plan:
         """Cut a scene. Raises SceneError where no tiles of that size can be cut."""
-        grid = scene.need_grid()
-        stages = schedule(options, grid.cell_size, scene.need_height_range(), options.prior_weight > 0)
+        grid = scene.require_grid()
+        stages = schedule(options, grid.cell_size, scene.require_height_range(), options.prior_weight > 0)
         cells = [grid.cell_size, stages[0].cell_size, stages[-1].cell_size]
         if PRIOR[0] in scene.products and options.prior_weight > 0:
             cells.append(raster_grid(scene.path(scene.products[PRIOR[0]])).cell_size)
         assert options.tile is not None
-        tiles = cut(grid, options.tile, options.overlap, common_cell(cells))
+        tiles = make_tiles(grid, options.tile, options.overlap, common_cell(cells))
         most = max(tile.grid.width * tile.grid.height for tile in tiles)
         factor = max(1, math.ceil(math.sqrt(grid.width * grid.height / most)))
         return cls(scene, options, tiles, stages[-1].cell_size, factor)
@@ -89,7 +89,7 @@ class Plan:
         """Tiles that enough images show; SceneError before `split` has found them."""
         names = (self._state() or {}).get("tiles")
         if names is None:
-            raise SceneError(f"{self.scene.root / STATE}: found no finished --part split, expected one before join")
+            raise SceneError(f"{self.scene.root / STATE}: found no finished --part split, expected one before mosaic")
         return list(names)
 
     def part_scene(self, name: str) -> Scene:
@@ -99,63 +99,63 @@ class Plan:
     # ---- steps ------------------------------------------------------------------------------------------
 
     def split(self, progress: Progress) -> list[str]:
-        """Settle what the tiles share and write their scenes; remarks."""
+        """Find what the tiles share and write their scenes; notes."""
         started = time.perf_counter()
         state = self._state()
         if self.options.resume and state is not None:
             self.check_state(state)
             if state["tiles"] is not None:
-                return list(state["remarks"])
+                return list(state["notes"])
         else:
             self.begin(None)
-        whole = self.scene.need_grid()
+        whole = self.scene.require_grid()
         coarse = self._scene(COARSE, whole.resized(whole.cell_size * self.factor))
         options = replace(self._own_options(coarse), tile=None, resolution=self.finest * self.factor)
         if options.coarsest:
             options = replace(options, coarsest=options.coarsest * self.factor)
         with_pilots = self.factor > FINE_ENOUGH
-        found = fit_whole(
-            coarse, options, saying(part(progress, 0, 0.4 if with_pilots else 1.0), "whole area, coarsely: ")
+        result = fit_whole(
+            coarse, options, saying(subprogress(progress, 0, 0.4 if with_pilots else 1.0), "whole area, coarsely: ")
         )
-        # what is only coarse about the coarse fit is not worth a remark
-        remarks = [text for text in found["remarks"] if "lines of sight" not in text]
+        # what is only coarse about the coarse fit is not worth a note
+        notes = [text for text in result["notes"] if "lines of sight" not in text]
         sources = load_sources(coarse, coarse.train_items())
         unseen = self._unseen(coarse, sources)
-        tensors, meta = checkpoint.load(coarse.root / MODEL)
+        model = FittedModel.load(coarse.root / MODEL)
         pilots: list[Scene] = []
         if with_pilots:
-            pilots, told = self._pilots(unseen, meta["items"], part(progress, 0.4, 1.0))
-            remarks += told
+            pilots, told = self._pilots(unseen, model.items, subprogress(progress, 0.4, 1.0))
+            notes += told
         if pilots:
-            settle(tensors, meta, pilots)
-        checkpoint.save(self.scene.output(COMMON), tensors, meta)
+            model = override_shared(model, [FittedModel.load(one.root / MODEL) for one in pilots])
+        model.save(self.scene.output(COMMON))
         makes_prior = self.options.prior_weight > 0 and PRIOR[0] not in self.scene.products
-        tones = self._tones(coarse, sources, pilots) if makes_prior else {}
+        balances = self._balances(coarse, sources, pilots) if makes_prior else {}
         names = []
         for tile in self.tiles:
             shown = [item.id for item in self.scene.train_items() if item.id not in unseen[tile.name]]
             if len(shown) < 2:
-                remarks.append(f"tile {tile.name}: {len(shown)} images show it, its surface is the coarse one")
-                log.warning(remarks[-1])
+                notes.append(f"tile {tile.name}: {len(shown)} images show it, its surface is the coarse one")
+                log.warning(notes[-1])
                 continue
             one = self._tile_scene(tile, tile.name, unseen)
             one.products[PRODUCT] = str(self.scene.root / COMMON)
             for item in one.items:
-                if item.id in tones:
-                    item.properties[TONE_PROPERTY] = asdict(tones[item.id])
+                if item.id in balances:
+                    item.properties[BALANCE_PROPERTY] = asdict(balances[item.id])
             one.write()
             names.append(tile.name)
         write_text(self.scene.output(WHOLE), self.scene.to_json() + "\n")
-        self._write_state(names, remarks, time.perf_counter() - started)
-        return remarks
+        self._write_state(names, notes, time.perf_counter() - started)
+        return notes
 
     def fit(self, tile: Tile, progress: Progress) -> list[str]:
-        """Fit one tile unless that is done; remarks."""
+        """Fit one tile unless that is done; notes."""
         if tile.name not in self.names() or (self.root(tile.name) / MODEL).exists():
             return []
         scene = self.part_scene(tile.name)
-        found = fit_whole(scene, self._own_options(scene), progress)
-        return [f"tile {tile.name}: {text}" for text in found["remarks"]]
+        result = fit_whole(scene, self._own_options(scene), progress)
+        return [f"tile {tile.name}: {text}" for text in result["notes"]]
 
     # ---- state ------------------------------------------------------------------------------------------
 
@@ -164,9 +164,11 @@ class Plan:
         shutil.rmtree(self.scene.root / FOLDER, ignore_errors=True)
         self._write_state(names, [])
 
-    def spent(self) -> dict[str, Any]:
-        """Seconds of `split` and of the tiles, and the most memory one of them took, where they were fitted by
-        commands of their own."""
+    def spent(self) -> JsonObject:
+        """Seconds of `split` and of the tiles, and the most memory one of them took.
+
+        Empty where they were not fitted by commands of their own.
+        """
         entries = [entry for name in self.names() for entry in self.part_scene(name).history]
         if not entries:
             return {}
@@ -177,12 +179,12 @@ class Plan:
             "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
         }
 
-    def check_state(self, state: dict[str, Any]) -> None:
+    def check_state(self, state: JsonObject) -> None:
         """Raise SceneError where the tiles on disk belong to another fit."""
         if state["key"] != self._key():
             raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
 
-    def _state(self) -> dict[str, Any] | None:
+    def _state(self) -> JsonObject | None:
         path = self.scene.root / STATE
         try:
             state = read_json(path) if path.exists() else None
@@ -192,8 +194,8 @@ class Plan:
         except InputError as error:
             raise SceneError(f"{error} (a list of tiles of `fit --tile`)") from error
 
-    def _write_state(self, names: list[str] | None, remarks: list[str], seconds: float = 0.0) -> None:
-        state = {"key": self._key(), "tiles": names, "remarks": remarks, "seconds": round(seconds, 3)}
+    def _write_state(self, names: list[str] | None, notes: list[str], seconds: float = 0.0) -> None:
+        state = {"key": self._key(), "tiles": names, "notes": notes, "seconds": round(seconds, 3)}
         write_text(self.scene.output(STATE), json.dumps(state, indent=1) + "\n")
 
     def _key(self) -> str:
@@ -210,7 +212,7 @@ class Plan:
                     digests.append(hashlib.file_digest(file, "sha256").hexdigest())
             except OSError as error:
                 raise SceneError(f"{path}: cannot be read ({error.strerror}), expected a file of the scene") from error
-        what: list[Any] = [__version__, options, scene.need_grid().to_dict(), scene.height_range_m, digests]
+        what: list[Any] = [__version__, options, scene.require_grid().to_dict(), scene.height_range_m, digests]
         what += [[item.id, item.properties] for item in items]
         return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -238,21 +240,21 @@ class Plan:
 
     def _unseen(self, coarse: Scene, sources: list[Source]) -> dict[str, set[str]]:
         """Images that show less than `LEAST_SHOWN` of a tile, by its name."""
-        _, meta = checkpoint.load(coarse.root / MODEL)
-        grid = Grid.from_dict(meta["grid"])
-        views = views_on(sources, grid, meta["z_ref"], coarse.need_height_range())
-        found = {}
+        model = FittedModel.load(coarse.root / MODEL)
+        grid = model.grid
+        views = views_on(sources, grid, model.z_ref, coarse.require_height_range())
+        unseen = {}
         for tile in self.tiles:
             rows, cols = grid.window(tile.grid)
-            found[tile.name] = {view.id for view in views if view.mask[rows, cols].mean() < LEAST_SHOWN}
-        return found
+            unseen[tile.name] = {view.id for view in views if view.mask[rows, cols].mean() < LEAST_SHOWN}
+        return unseen
 
     def _pilots(self, unseen: dict[str, set[str]], ids: list[str], progress: Progress) -> tuple[list[Scene], list[str]]:
         """Fit one tile of every quarter of the area by itself: that which most images show, next to the middle.
 
         Only tiles that show the first image, whose colours are the scale of all others, can tell.
         """
-        grid = self.scene.need_grid()
+        grid = self.scene.require_grid()
         chosen: dict[tuple[bool, bool], tuple[int, float, Tile]] = {}
         for tile in self.tiles:
             row, col = (tile.rows.start + tile.rows.stop) / 2, (tile.cols.start + tile.cols.stop) / 2
@@ -262,52 +264,53 @@ class Plan:
             rank = (len(unseen[tile.name]), off)
             if ids[0] not in unseen[tile.name] and (best is None or rank < best[:2]):
                 chosen[quarter] = (*rank, tile)
-        scenes, remarks = [], []
+        scenes, notes = [], []
         for k, (missing, _, tile) in enumerate(chosen.values()):
             if len(ids) - missing < 2:
                 continue
             one = self._tile_scene(tile, f"pilot.{tile.name}", unseen)
             if not (one.root / MODEL).exists():
-                some = part(progress, k / len(chosen), (k + 1) / len(chosen))
+                some = subprogress(progress, k / len(chosen), (k + 1) / len(chosen))
                 options = replace(self._own_options(one), tile=None)
-                told = fit_whole(one, options, saying(some, f"pilot tile {k + 1} of {len(chosen)}: "))["remarks"]
-                remarks += [f"pilot tile {tile.name}: {text}" for text in told]
+                told = fit_whole(one, options, saying(some, f"pilot tile {k + 1} of {len(chosen)}: "))["notes"]
+                notes += [f"pilot tile {tile.name}: {text}" for text in told]
             scenes.append(one)
-        return scenes, remarks
+        return scenes, notes
 
-    def _tones(self, coarse: Scene, sources: list[Source], pilots: list[Scene]) -> dict[str, Tone]:
+    def _balances(self, coarse: Scene, sources: list[Source], pilots: list[Scene]) -> dict[str, RadiometricBalance]:
         """How the images are matched for the priors of the tiles, by item; contrast as it is in tiles."""
         from sattools.prior.options import PriorOptions
-        from sattools.prior.stage import common_tones, make_frame
+        from sattools.prior.stage import common_balance, make_frame
 
-        def tones(scene: Scene, own: list[Source]) -> list[Tone]:
-            _, views = make_frame(own, scene.need_grid(), scene.need_height_range(), PriorOptions().window)
-            return common_tones(own, views)
+        def balances(scene: Scene, own: list[Source]) -> list[RadiometricBalance]:
+            _, views = make_frame(own, scene.require_grid(), scene.require_height_range(), PriorOptions().window)
+            return common_balance(own, views)
 
-        found = tones(coarse, sources)
+        whole = balances(coarse, sources)
         if pilots:
-            fine = [tones(one, load_sources(one, one.train_items()))[0].contrast for one in pilots]
-            found = [replace(tone, contrast=sum(fine) / len(fine)) for tone in found]
-        return dict(zip((s.id for s in sources), found, strict=True))
+            fine = [balances(one, load_sources(one, one.train_items()))[0].contrast for one in pilots]
+            whole = [replace(balance, contrast=sum(fine) / len(fine)) for balance in whole]
+        return dict(zip((s.id for s in sources), whole, strict=True))
 
 
-def settle(tensors: dict[str, Tensor], meta: dict[str, Any], pilots: list[Scene]) -> None:
-    """Replace colours and poses of a coarse fit by the medians of the pilots' where they show an image."""
-    found = [checkpoint.load(one.root / MODEL) for one in pilots]
-    meta |= {name: found[0][1][name] for name in ("shadow", "transient")}
-    for k, name in enumerate(meta["items"]):
-        own = [(model, info["items"].index(name)) for model, info in found if name in info["items"]]
+def override_shared(model: FittedModel, pilots: Sequence[FittedModel]) -> FittedModel:
+    """The coarse fit with the medians of the pilots' colours and poses where they show an image."""
+    shared = {name: getattr(model, name).clone() for name in COLOURS}
+    for k, name in enumerate(model.items):
+        own = [(pilot, pilot.items.index(name)) for pilot in pilots if name in pilot.items]
         for what in COLOURS if own else ():
-            tensors[what][k] = torch.stack([model[what][i] for model, i in own]).median(dim=0).values
+            shared[what][k] = torch.stack([getattr(pilot, what)[i] for pilot, i in own]).median(dim=0).values
         if not own:
-            tensors["pose"][k] = 0.0  # cells of the whole are too large to tell
+            shared["pose"][k] = 0.0  # cells of the whole are too large to tell
+    return replace(model, **shared, shadow=pilots[0].shadow, transient=pilots[0].transient)
 
 
-def _used(assets: dict[str, Any]) -> list[str]:
+def _used(assets: Mapping[str, Asset]) -> list[str]:
     return ["rpc", "radiance" if "radiance" in assets else "image"]
 
 
 def saying(progress: Progress, before: str) -> Progress:
+    """The callback of a step whose messages begin with some words."""
     return lambda fraction, message: progress(fraction, before + message)
 
 

@@ -1,39 +1,44 @@
 """`fit --tile`: an area fitted piece by piece, with the memory of one piece.
 
-A coarse fit of the whole, on no more cells than one tile has, settles what all tiles share: gain, offset and ambient
+A coarse fit of the whole, on no more cells than one tile has, finds what all tiles share: gain, offset and ambient
 light of every image, the shift of its rays, and the surface around a tile that throws shadows into it. Where its cells
-are too large to show shadows and shifts, up to four pilot tiles, fitted by themselves, settle those. Every tile is a
+are too large to show shadows and shifts, up to four pilot tiles, fitted by themselves, find those. Every tile is a
 scene of its own in ``fit/tiles/NAME``, with a grid of its own on the cells of the whole, and is fitted as any other,
-but for what is shared. The maps are then joined with weights that fade where tiles overlap.
+but for what is shared. The maps are then mosaicked with weights that feather where tiles overlap.
 """
 
 from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Any
 
 from sattools.errors import SceneError
-from sattools.fit.join import join
+from sattools.fit.mosaic import mosaic_tiles
 from sattools.fit.options import FitOptions
 from sattools.fit.tile_plan import WHOLE, Plan, saying
 from sattools.fit.whole import fit_whole
-from sattools.progress import Progress, part, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
 
 
-def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) -> dict[str, Any]:
-    """Fit a scene in tiles; called by `sattools.fit.stage.fit`, which has settled the roles of the images.
+def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) -> JsonObject:
+    """Fit a scene in tiles; called by `sattools.fit.stage.fit`, which has set the roles of the images.
+
+    Args:
+        scene: the scene.
+        options: of the fit.
+        progress: told the share done and what is being done.
 
     Returns:
         Remarks and figures for the history.
 
     Raises:
         SceneError: options that do not go with tiles, tiles of another fit with ``resume``, a tile that is not fitted
-            with ``part="join"``.
+            with ``part="mosaic"``.
     """
     check(options)
     plan = Plan.make(scene, options)
@@ -46,14 +51,14 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         return fit_whole(scene, replace(options, tile=None, part="all"), progress)
     steps = len(plan.tiles) + 1
     if options.part in ("all", "split"):
-        remarks = plan.split(part(progress, 0.0, 1 / steps if options.part == "all" else 1.0))
+        notes = plan.split(subprogress(progress, 0.0, 1 / steps if options.part == "all" else 1.0))
     if options.part == "all":
         for k, tile in enumerate(plan.tiles):
-            some = part(progress, (k + 1) / steps, (k + 2) / steps)
-            remarks += plan.fit(tile, saying(some, f"tile {k + 1} of {len(plan.tiles)}: "))
+            some = subprogress(progress, (k + 1) / steps, (k + 2) / steps)
+            notes += plan.fit(tile, saying(some, f"tile {k + 1} of {len(plan.tiles)}: "))
     if options.part == "split":
-        return {"remarks": remarks, "tiles": plan.names()}
-    return join(plan, remarks if options.part == "all" else [], progress)
+        return {"notes": notes, "tiles": plan.names()}
+    return mosaic_tiles(plan, notes if options.part == "all" else [], progress)
 
 
 def check(options: FitOptions) -> None:
@@ -64,10 +69,10 @@ def check(options: FitOptions) -> None:
         ("budget", None, "a tile needs the time it needs"),
         ("reference", None, "the surface is whole only at the end (`sattools compare` scores it)"),
     ):
-        found = getattr(options, name)
-        if found != wanted:
+        given = getattr(options, name)
+        if given != wanted:
             expected = "none" if wanted is None else f"--{name} {wanted}"
-            raise SceneError(f"--tile: found --{name} {found}, expected {expected}: {why}")
+            raise SceneError(f"--tile: found --{name} {given}, expected {expected}: {why}")
 
 
 __all__ = ["check", "fit_tiled"]

@@ -6,20 +6,26 @@ import csv
 import io
 import time
 from dataclasses import dataclass, field
-from typing import Any
+
+Row = dict[str, float | int | str]  # by column
 
 
 @dataclass
 class Trace:
     """What happened when; one row per epoch."""
 
-    rows: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
     offset: float = 0.0  # seconds spent before an interruption
     started: float = field(default_factory=time.perf_counter)
 
     def seconds(self) -> float:
         """Time spent on the fit, earlier runs of a resumed one included."""
         return self.offset + time.perf_counter() - self.started
+
+    def go_on(self, rows: list[Row]) -> None:
+        """Continue after the rows of an interrupted run."""
+        self.rows = rows
+        self.offset = float(rows[-1]["seconds"])
 
     def to_csv(self) -> str:
         """The rows as CSV text."""
@@ -31,4 +37,4 @@ class Trace:
         return text.getvalue()
 
 
-__all__ = ["Trace"]
+__all__ = ["Row", "Trace"]

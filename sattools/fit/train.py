@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,19 +11,20 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from sattools.fit.irradiance import Light
+from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.losses import photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge
-from sattools.fit.regularise import EdgeWeights, edge_weights, roughness
+from sattools.fit.regularise import EdgeWeights, edge_weights, smoothness_penalty
 from sattools.fit.surface import SurfaceScene
-from sattools.render import Quadrature, Rays, render, sun_visibility
+from sattools.render import ParallelRays, Quadrature, render, sun_visibility
 from sattools.views import View
 
 # epochs between refreshes of the sun visibility and of the poses; a checkpoint can only be taken right before one
 REFRESH = 4
 # Adam steps of radiances, which lie in [0, 1]
-RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004, "amount": 0.04}
+RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004, "amplitude": 0.04}
 BETAS = (0.9, 0.99)
 KNEE_M = 1.0
 WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a wall
@@ -31,8 +32,15 @@ WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a
 
 @dataclass(frozen=True)
 class StageSettings:
-    """One step of the schedule: cell [m], epochs, softness [m] at its start and end, height range [m], and whether the
-    surface has a reflectance model."""
+    """One step of the schedule.
+
+    Attributes:
+        cell_size: of the grid [m].
+        epochs: passes over all views.
+        softness: of the surface at the start and the end [m].
+        z_range: lowest and highest height [m].
+        reflective: whether the surface has a reflectance model.
+    """
 
     cell_size: float
     epochs: int
@@ -41,24 +49,29 @@ class StageSettings:
     reflective: bool = False
 
 
-@dataclass
-class Prior:
-    """Depth supervision on the stage's grid: height ``[H, W]`` [m] (NaN = none) and confidence ``[H, W]`` in [0, 1]."""
+def prior_loss(height: Tensor, prior: DepthPrior, limit: float = 1.0) -> Tensor:
+    """Mean of confidence * min(|h - prior|, limit).
 
-    height: Tensor
-    confidence: Tensor
+    Where rendering disagrees by more than the limit, the prior lets go.
 
-
-def prior_loss(height: Tensor, prior: Prior, limit: float = 1.0) -> Tensor:
-    """Mean of confidence * min(|h - prior|, limit): where rendering disagrees by more than the limit, the prior
-    lets go."""
+    Args:
+        height: ``[H, W]`` [m].
+        prior: on the same grid.
+        limit: difference above which it costs no more [m].
+    """
     known = torch.isfinite(prior.height)
     difference = torch.where(known, height - torch.nan_to_num(prior.height), 0.0).abs()
     return (prior.confidence * difference.clamp_max(limit)).mean()
 
 
 def make_quadrature(softness: float, z_range: tuple[float, float], samples: float = 1.5) -> Quadrature:
-    """Samples every softness / ``samples`` from above the highest to below the lowest height."""
+    """Samples every softness / ``samples`` from above the highest to below the lowest height.
+
+    Args:
+        softness: of the surface [m].
+        z_range: lowest and highest height [m].
+        samples: number of samples per softness.
+    """
     return Quadrature(softness, softness / samples, z_range[1] + 6 * softness, z_range[0] - 10 * softness)
 
 
@@ -72,7 +85,7 @@ class StageTrainer:
         options: of the fit.
         prior: depth supervision or None.
         index: number of the stage, for the random order of the views.
-        light: learned shadows and transients; None = neither.
+        illumination: learned shadows and transients; None = neither.
         cast: sun visibility of heights ``[H, W]`` on cells [m] under a sun.
     """
 
@@ -82,24 +95,25 @@ class StageTrainer:
         views: Sequence[View],
         settings: StageSettings,
         options: FitOptions,
-        prior: Prior | None,
+        prior: DepthPrior | None,
         index: int,
-        light: Light | None = None,
+        *,
+        illumination: IlluminationModel | None = None,
         cast: Callable[[Tensor, float, tuple[float, float, float]], Tensor] = sun_visibility,
     ) -> None:
         self.cast = cast
         self.scene, self.views, self.settings, self.options, self.prior, self.index = (
             scene, views, settings, options, prior, index,
         )  # fmt: skip
-        # a good start may have its slopes sharpened into walls; from a flat one, walls would freeze before they are
+        # a good start may have its slopes steepened into walls; from a flat one, walls would freeze before they are
         # found
         self.knee = math.inf if prior is None else KNEE_M
         self.smooth = options.smooth if options.smooth is not None else (0.05 if prior is None else 0.4)
         device = scene.height.device
         self.targets = [torch.from_numpy(v.target).to(device) for v in views]
         self.masks = [torch.from_numpy(v.mask).to(device) for v in views]
-        self.light = light or Light({})
-        self.parameters = scene.trainable() | {f"light.{n}": t for n, t in self.light.tensors.items()}
+        self.illumination = illumination or IlluminationModel({})
+        self.parameters = scene.trainable() | {f"illumination.{n}": t for n, t in self.illumination.tensors.items()}
         seen = torch.cat([t[m > 0].flatten() for t, m in zip(self.targets, self.masks, strict=True)])
         typical = float(seen[:: max(1, seen.numel() // 1_000_000)].median()) if seen.numel() else 1.0
         self.scale = robust_scale(options.loss, options.robust, typical)
@@ -125,9 +139,9 @@ class StageTrainer:
             raise ValueError(f"start epoch {start}: expected a multiple of {REFRESH}")
         for epoch in range(start, self.settings.epochs):
             self._prepare(epoch)
-            ties = edge_weights(self.scene.albedo)
+            edge_aware = edge_weights(self.scene.albedo)
             order = np.random.default_rng([self.options.seed, self.index, epoch]).permutation(len(self.views))
-            losses = [self._step(int(j), ties, epoch) for j in order]
+            losses = [self._step(int(j), edge_aware, epoch) for j in order]
             if not on_epoch(epoch + 1, float(np.mean(losses))):
                 return False
         for p in self.parameters.values():
@@ -135,7 +149,11 @@ class StageTrainer:
         return True
 
     def _rate(self, name: str) -> float:
-        return self.light.rate(name.removeprefix("light.")) if name.startswith("light.") else RATES[name]
+        return (
+            self.illumination.rate(name.removeprefix("illumination."))
+            if name.startswith("illumination.")
+            else RATES[name]
+        )
 
     def _prepare(self, epoch: int) -> None:
         """Softness, step lengths and, every REFRESH epochs, sun visibility and poses."""
@@ -165,28 +183,27 @@ class StageTrainer:
     def _weigh_walls(self) -> None:
         """Rays that meet a wall do not count: a height map has no room for a facade's colours.
 
-        Left in, the facades that oblique views show would be painted on cells beside the wall, and the wall would
-        move out
-        to make room for them.
+        Left in, the facades that oblique views show would be painted on cells beside the wall, and the wall would move
+        out to make room for them.
         """
         height = self.scene.height.detach()[None]
         span = max_pool2d(height, 3, 1, 1) + max_pool2d(-height, 3, 1, 1)
         wall = (span > WALL_SLOPE * 2 * self.settings.cell_size).to(height.dtype)[0][..., None].contiguous()
         for j, view in enumerate(self.views):
             east, north = self.scene.pose[j].tolist()
-            rays = Rays(view.slope, view.z_ref, (east, north))
+            rays = ParallelRays(view.slope, view.z_ref, (east, north))
             share, _, _ = render(self.scene.height, wall, rays, self.quadrature, self.settings.cell_size, self.masks[j])
             self.weights[j] = self.masks[j] * (1 - share[..., 0]).clamp(0, 1)
 
     def _render(self, j: int) -> Tensor:
         view = self.views[j]
         east, north = self.scene.pose[j].tolist()
-        rays = Rays(view.slope, view.z_ref, (east, north))
-        colour = self.scene.colour(j, self.light.visibility(j, view.sun, self.visibility[j]))
+        rays = ParallelRays(view.slope, view.z_ref, (east, north))
+        colour = self.scene.colour(j, self.illumination.visibility(j, view.sun, self.visibility[j]))
         rgb, _, _ = render(self.scene.height, colour, rays, self.quadrature, self.settings.cell_size, self.masks[j])
         return rgb
 
-    def _step(self, j: int, ties: EdgeWeights, epoch: int) -> float:
+    def _step(self, j: int, edge_aware: EdgeWeights, epoch: int) -> float:
         options = self.options
         self.adam.zero_grad(set_to_none=True)
         error = photometric(options.loss, self._render(j), self.targets[j], self.scale if options.robust else 0.0).mean(
@@ -194,14 +211,16 @@ class StageTrainer:
         )
         # in units of the robust scale, so that the other weights mean the same for every loss
         loss = (error * self.weights[j]).sum() / self.masks[j].sum().clamp_min(1) / self.scale**2
-        bumps = roughness(self.scene.height, self.settings.cell_size, ties, knee=self.knee)
-        total = loss + self.smooth * bumps + self.scene.penalty()
+        bending = smoothness_penalty(self.scene.height, self.settings.cell_size, edge_aware, knee=self.knee)
+        total = loss + self.smooth * bending + self.scene.penalty()
         if self.prior is not None:
             total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
         epoch_of_all = epoch + 1 + self.index * self.settings.epochs
-        light = self.light.cost(j, self.views[j].sun, self.visibility[j], epoch_of_all, options, self.scale)
-        if light is not None:
-            total = total + light
+        illumination_cost = self.illumination.cost(
+            j, self.views[j].sun, self.visibility[j], epoch_of_all, options, self.scale
+        )
+        if illumination_cost is not None:
+            total = total + illumination_cost
         total.backward()
         for name in {"gain", "offset"} & self.parameters.keys():
             self.parameters[name].grad[0] = 0  # type: ignore[index]  # the first view is the gauge
@@ -210,7 +229,7 @@ class StageTrainer:
             self.scene.ambient.clamp_(0.02, 1.0)
             self.scene.gain.clamp_(0.05, 20.0)
             self.scene.height.clamp_(*self.settings.z_range)
-        self.light.clamp()
+        self.illumination.clamp()
         return float(loss.detach())
 
     @torch.no_grad()
@@ -233,12 +252,10 @@ class StageTrainer:
     def height_std(self, probes: int = 2, least: float = 0.05) -> Tensor:
         """Standard deviation of the heights ``[H, W]`` [m] from the curvature of the photometric loss.
 
-        The Gauss-Newton diagonal sum_j J_j^T J_j is estimated with random signs z (E[(J^T z)^2] = diag J^T J; Bekas
-        et al.
-        2007, "An estimator for the diagonal of a matrix"), averaged over 3 x 3 cells; the noise is each image's robust
-        residual, and the prior's confidence counts as one observation of a cell's accuracy. Errors of matching (a
-        filled
-        courtyard) are not in it.
+        The Gauss-Newton diagonal sum_j J_j^T J_j is estimated with random signs z (E[(J^T z)^2] = diag J^T J; Bekas et
+        al. 2007, "An estimator for the diagonal of a matrix"), averaged over 3 x 3 cells; the noise is each image's
+        robust residual, and the prior's confidence counts as one observation of a cell's accuracy. Errors of matching
+        (a filled courtyard) are not in it.
         """
         height = self.scene.height
         generator = torch.Generator().manual_seed(self.options.seed)
@@ -264,20 +281,20 @@ class StageTrainer:
 
     def state(self) -> dict[str, Tensor]:
         """Everything that a continued run needs, as flat tensors."""
-        found = {f"scene.{n}": t.detach().cpu().clone() for n, t in self.scene.tensors().items()}
-        found |= {f"light.{n}": t.detach().cpu().clone() for n, t in self.light.tensors.items()}
+        tensors = {f"scene.{n}": t.detach().cpu().clone() for n, t in self.scene.tensors().items()}
+        tensors |= {f"illumination.{n}": t.detach().cpu().clone() for n, t in self.illumination.tensors.items()}
         for name, p in self.parameters.items():
             for key, value in self.adam.state.get(p, {}).items():
-                found[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
-        return found
+                tensors[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
+        return tensors
 
-    def load(self, state: dict[str, Tensor]) -> None:
+    def load(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of `state`."""
         with torch.no_grad():
             for name, tensor in self.scene.tensors().items():
                 tensor.copy_(state[f"scene.{name}"])
-            for name, tensor in self.light.tensors.items():
-                tensor.copy_(state[f"light.{name}"])
+            for name, tensor in self.illumination.tensors.items():
+                tensor.copy_(state[f"illumination.{name}"])
         for name, p in self.parameters.items():
             prefix = f"adam.{name}."
             saved = {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
@@ -285,4 +302,4 @@ class StageTrainer:
                 self.adam.state[p] = {k: v if k == "step" else v.to(p.device) for k, v in saved.items()}
 
 
-__all__ = ["REFRESH", "Prior", "StageSettings", "StageTrainer", "make_quadrature", "prior_loss"]
+__all__ = ["REFRESH", "StageSettings", "StageTrainer", "make_quadrature", "prior_loss"]

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
-import numpy as np
 import torch
 
 from sattools.errors import SceneError
 from sattools.fit.coarse import PRODUCT, read_coarse
-from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, save_fit
+from sattools.fit.depth_prior import DepthPrior, reference_height
+from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, Fitted, save_fit
 from sattools.fit.illumination import Radiance, calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import PriorMaps, holding_out, load_prior, may_write
+from sattools.fit.inputs import holding_out, load_prior, may_write
+from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.schedule import schedule
 from sattools.fit.surface_job import SurfaceJob
-from sattools.fit.trace import Trace
-from sattools.progress import Progress, part, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
+from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, load_sources
-
-# tensors and description of the model, what happened, remarks
-Fitted = tuple[dict[str, torch.Tensor], dict[str, Any], Trace, list[str]]
 
 
 @dataclass(frozen=True)
-class Settled:
+class FitSetup:
     """What is known of a fit before an image is read.
 
     Attributes:
@@ -35,66 +32,68 @@ class Settled:
         radiance: what their numbers are.
         options: with the weights that go with it.
         device: to compute on.
-        remarks: for the history.
+        notes: for the history.
     """
 
     items: list[Item]
     radiance: Radiance
     options: FitOptions
     device: torch.device
-    remarks: list[str]
+    notes: list[str]
 
 
-def settle(scene: Scene, options: FitOptions) -> Settled:
+def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     """Raises SceneError: fewer than two training images, or options that do not go with them."""
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     radiance = radiance_kind(scene, items)
-    remarks = check_light(scene, items, radiance, options.brdf)
-    return Settled(items, radiance, calibrated(options, radiance), choose_device(options.device), remarks)
+    notes = check_light(scene, items, radiance, options.brdf)
+    return FitSetup(items, radiance, calibrated(options, radiance), choose_device(options.device), notes)
 
 
-def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> dict[str, Any]:
-    """Fit the whole area of a scene, whatever `options.tile` says; see `sattools.fit.stage.fit`."""
+def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
+    """Fit the whole area of a scene, whatever `options.tile` says; see `sattools.fit.stage.fit`.
+
+    Args:
+        scene: the scene.
+        options: of the fit.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+    """
     may = may_write(scene, options, overwrite, (CHECKPOINT, STATE))
-    path = begin(scene, "fit", [MODEL, TRACE], may)[MODEL]
+    begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
-        settled = settle(scene, options)
-        sources = load_sources(scene, settled.items)
-        prior, made = load_prior(scene, settled.options, part(progress, 0.0, 0.2), may)
-        told = part(progress, 0.2 if prior else 0.0, 1.0)
-        fitted = _fit_surface if options.field == "surface" else _fit_rays
-        tensors, meta, trace, more = fitted(scene, settled, sources, prior, told)
-        return save_fit(scene, path, tensors, meta, trace, settled.remarks + more, made)
+        setup = set_up(scene, options)
+        sources = load_sources(scene, setup.items)
+        prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
+        told = subprogress(progress, 0.2 if prior else 0.0, 1.0)
+        if options.field == "surface":
+            fitted = _fit_surface(scene, setup, sources, prior, told)
+        else:
+            from sattools.fit.rays_stage import fit_rays
 
-
-def _fit_rays(
-    scene: Scene, settled: Settled, sources: list[Source], prior: PriorMaps | None, progress: Progress
-) -> Fitted:
-    from sattools.fit.rays_stage import fit_rays
-
-    trace = Trace()
-    tensors, meta, more = fit_rays(scene, sources, settled.options, prior, settled.device, trace, progress)
-    return tensors, meta, trace, more
+            fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told)
+        fitted.notes[:0] = setup.notes
+        return save_fit(scene, fitted, made)
 
 
 def _fit_surface(
-    scene: Scene, settled: Settled, sources: list[Source], prior: PriorMaps | None, progress: Progress
+    scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior | None, progress: Progress
 ) -> Fitted:
-    options, radiance = settled.options, settled.radiance
-    remarks: list[str] = []
-    grid, z_range = scene.need_grid(), scene.need_height_range()
-    # amounts of a reflectance model and what tiles share have the unit of the images
+    options, radiance = setup.options, setup.radiance
+    notes: list[str] = []
+    grid, z_range = scene.require_grid(), scene.require_height_range()
+    # amplitudes of a reflectance model and what tiles share have the unit of the images
     plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
-    z_ref = float(np.nanmedian(prior[0])) if prior else z_range[0] + 0.3 * (z_range[1] - z_range[0])
+    z_ref = reference_height(prior, z_range)
     stages = schedule(options, grid.cell_size, z_range, prior is not None)
-    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, settled.device, radiance)
+    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance)
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
-        remarks += choice.remarks
+        notes += choice.notes
         options = job.options = replace(options, brdf=choice.model)
         job.stages = schedule(options, grid.cell_size, z_range, prior is not None)
     surface, finest, more = job.run(progress)
@@ -102,23 +101,34 @@ def _fit_surface(
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     for name in ("albedo", "offset") if plain else ():
         tensors[name] = tensors[name] / exposure
-    tensors["height_std"] = job.height_std.cpu()
-    tensors |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
-    tensors |= job.light.maps([v.sun for v in job.views])
-    meta = {
-        "field": "surface",
-        "grid": finest.to_dict(),
-        "softness": job.last_softness,
-        "items": [s.id for s in sources],
-        "suns": [v.sun for v in job.views],
-        "slopes": [v.slope for v in job.views],
-        "z_ref": z_ref,
-        "shadow": options.shadow,
-        "transient": options.transient,
-        "radiance": radiance,
-        "brdf": options.brdf,
-    }
-    return tensors, meta, job.trace, remarks + more
+    assert options.brdf != "auto"  # it has been chosen
+    suns = [v.sun for v in job.views]
+    maps = job.illumination.maps(suns)
+    extra = {name: tensor for name, tensor in tensors.items() if name not in ("height", "albedo", *COLOURS)}
+    extra |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
+    model = FittedModel(
+        grid=finest,
+        items=[s.id for s in sources],
+        suns=suns,
+        height=tensors["height"],
+        height_std=job.height_std.cpu(),
+        albedo=tensors["albedo"],
+        gain=tensors["gain"],
+        offset=tensors["offset"],
+        ambient=tensors["ambient"],
+        pose=tensors["pose"],
+        slopes=[v.slope for v in job.views],
+        z_ref=z_ref,
+        softness=job.last_softness,
+        shadow=options.shadow,
+        transient=options.transient,
+        radiance=radiance,
+        brdf=options.brdf,
+        s_net=maps.get("s_net"),
+        tau=maps.get("tau"),
+        extra=extra,
+    )
+    return Fitted(model, job.trace, notes + more)
 
 
 def choose_device(name: str) -> torch.device:
@@ -130,4 +140,4 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-__all__ = ["Settled", "choose_device", "fit_whole", "settle"]
+__all__ = ["FitSetup", "choose_device", "fit_whole", "set_up"]

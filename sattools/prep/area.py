@@ -58,7 +58,13 @@ def _from_afar(path: RemotePath, crs: str) -> Bounds:
 
 
 def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | None) -> Bounds:
-    """Bounds in `crs` from `--bounds W S E N`: in the CRS given with them, else in degrees."""
+    """Bounds in `crs` from `--bounds W S E N`: in the CRS given with them, else in degrees.
+
+    Args:
+        numbers: west, south, east, north.
+        crs: projected ground CRS [m].
+        given_crs: in which they are given; None = degrees.
+    """
     west, south, east, north = (float(v) for v in numbers)
     if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
         raise InputError(f"bounds: found {west:g} {south:g} {east:g} {north:g}, expected west < east and south < north")

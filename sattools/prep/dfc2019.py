@@ -36,7 +36,7 @@ def find_images(root: Path, aoi: str, imagery: Imagery = "auto") -> tuple[list[P
     }
     if imagery != "auto":
         choices = {imagery: choices[imagery]}
-    images = next((found for found in choices.values() if found), [])
+    images = next((choice for choice in choices.values() if choice), [])
     if not images:
         pattern = f"{_MSI}/**/{aoi}_*_MSI.tif" if imagery == "msi" else f"{_RGB}/**/{aoi}_*_RGB.tif"
         raise InputError(f"{root}: found no {pattern}, expected the contest's images of {aoi}")
@@ -51,8 +51,8 @@ def is_crop(image: Path) -> bool:
 
 def find_truth(root: Path, aoi: str) -> Path | None:
     """Folder with `<AOI>_DSM.tif`, its `.txt` and class map, or None."""
-    found = _files(root, f"Track3-Truth*/**/{aoi}_DSM.tif")
-    return found[0].parent if found else None
+    files = _files(root, f"Track3-Truth*/**/{aoi}_DSM.tif")
+    return files[0].parent if files else None
 
 
 def _files(root: Path, pattern: str) -> list[Path]:

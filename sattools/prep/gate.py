@@ -5,6 +5,7 @@ Every check compares two things that were found independently of each other, as 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections import Counter
@@ -16,10 +17,10 @@ from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment
-from sattools.camera.ground import ground_sample_distance, view_direction
+from sattools.camera.ground import foreshortening, ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
-from sattools.prep.images import Source
+from sattools.prep.images import SourceImage
 from sattools.scene.grid import Grid
 from sattools.scene.members import FINEST, HEIGHT_LIMITS_M, LEAST_CELLS, MAX_CELLS
 
@@ -31,13 +32,15 @@ _CAMERA_TOLERANCE_PX = 40.0  # vendors' cameras are good to some metres; the wor
 _CAMERA_SHARE = 0.2  # of an image's shorter side
 _VIEW_TOLERANCE_DEG = 2.0
 _PIXEL_M = (0.005, 2000.0)
+_FOOT_M = 0.3048
+_LEAST_STRETCH = 0.02  # of pixels on the ground beyond what heights in metres explain: line rates make up to 0.01
 _LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LARGEST_NUMBER = 1e9
 
 
-def check_sources(sources: Sequence[Source]) -> None:
+def check_sources(sources: Sequence[SourceImage]) -> None:
     """Pixels and dates: what each image says, and whether all say the same. Raises InputError; adds warnings."""
     for source in sources:
         _check_bands(source)
@@ -56,7 +59,7 @@ def check_sources(sources: Sequence[Source]) -> None:
                 source.warn(f"its pixels are {source.dtype}, those of most others {usual_type}: one quantity in all?")
 
 
-def _check_bands(source: Source) -> None:
+def _check_bands(source: SourceImage) -> None:
     for number, meaning in enumerate(source.meanings, 1):
         if meaning == "palette":
             raise InputError(
@@ -75,7 +78,7 @@ def _check_bands(source: Source) -> None:
         source.warn("its mask is not read: give no-data pixels a no-data number")
 
 
-def _check_time(source: Source) -> None:
+def _check_time(source: SourceImage) -> None:
     time = source.metadata.time
     if time is None:
         return
@@ -85,7 +88,7 @@ def _check_time(source: Source) -> None:
         source.warn(f"taken on {time:%Y-%m-%d}, which is still to come: is the date right?")
 
 
-def _check_camera(source: Source) -> None:
+def _check_camera(source: SourceImage) -> None:
     """The camera against another one that the image brings along."""
     rpc, (height, width) = source.rpc, source.size
     lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, rpc.alt_offset)
@@ -118,17 +121,23 @@ def _limit_px(size: tuple[int, int]) -> float:
 
 
 def mirrored(rpc: RPC, lon: float, lat: float) -> bool:
-    """The camera sees the ground from below, or its longitude and latitude are exchanged."""
+    """The camera sees the ground from below, or its longitude and latitude are exchanged.
+
+    Args:
+        rpc: the camera.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+    """
     jac = rpc.jacobian(lon, lat, rpc.alt_offset)[:, :2]
     return bool(np.linalg.det(jac) > 0)
 
 
-def check_places_and_suns(sources: Sequence[Source]) -> list[str]:
-    """Suns of the metadata against those of time and place; remarks on all images together.
+def check_places_and_suns(sources: Sequence[SourceImage]) -> list[str]:
+    """Suns of the metadata against those of time and place; notes on all images together.
 
     Raises: InputError where the sun is below the horizon, or cameras and suns both say that the place is wrong.
     """
-    off: list[tuple[Source, float]] = []
+    off: list[tuple[SourceImage, float]] = []
     compared, flipped = 0, 0
     for source in sources:
         height, width = source.size
@@ -148,7 +157,7 @@ def check_places_and_suns(sources: Sequence[Source]) -> list[str]:
         apart = _apart(sun, sun_position(time, lon, lat, source.rpc.alt_offset))
         if apart > _SUN_TOLERANCE_DEG:
             off.append((source, apart))
-    remarks = []
+    notes = []
     mirror = 2 * flipped > len(sources)
     if off and mirror and 2 * len(off) > compared:
         raise InputError(
@@ -156,17 +165,40 @@ def check_places_and_suns(sources: Sequence[Source]) -> list[str]:
             "them, expected longitudes and latitudes that are not exchanged"
         )
     if mirror:
-        remarks.append("the cameras see the ground mirrored: are longitude and latitude exchanged?")
+        notes.append("the cameras see the ground mirrored: are longitude and latitude exchanged?")
     if compared > 1 and len(off) == compared and min(apart for _, apart in off) > _SUN_FAR_DEG:
         least = min(apart for _, apart in off)
-        remarks.append(
+        notes.append(
             f"the suns of all images stand {least:.0f} degrees or more from where time and place put them: is the "
             "place right (sign of the latitude), and are the times UTC?"
         )
-        return remarks
+        return notes
     for source, apart in off:
         source.warn(f"its sun stands {apart:.0f} degrees from where time and place put it: is the metadata its own?")
-    return remarks
+    return notes
+
+
+def check_height_unit(sources: Sequence[SourceImage]) -> list[str]:
+    """A note where all cameras count heights in feet: their lines of sight look steeper than their pixels do."""
+    found = []
+    for source in sources:
+        height, width = source.size
+        lon, lat = source.rpc.localization((width - 1) / 2, (height - 1) / 2, source.rpc.alt_offset)
+        if math.isfinite(lon) and math.isfinite(lat):
+            with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
+                found.append(foreshortening(source.rpc, lon, lat, source.rpc.alt_offset))
+    tangents, stretches = np.array(found or [(0.0, 1.0)]).T
+
+    def off(unit: float) -> float:
+        return float(np.sqrt(np.mean((stretches - np.hypot(1.0, tangents / unit)) ** 2)))
+
+    if off(1.0) > _LEAST_STRETCH and off(_FOOT_M) < 0.25 * off(1.0):
+        by_heights, by_pixels = (np.degrees(np.arctan(tangents.max() / unit)) for unit in (1.0, _FOOT_M))
+        return [
+            f"the cameras look down {by_heights:.0f} degrees off the vertical by their heights, {by_pixels:.0f} by "
+            "their pixels' shapes: are the heights of the RPCs feet?"
+        ]
+    return []
 
 
 def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
@@ -176,9 +208,9 @@ def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
 
 
-def check_pixels(sources: Sequence[Source], grays: Sequence[NDArray[np.float32]]) -> None:
+def check_pixels(sources: Sequence[SourceImage], grays: Sequence[NDArray[np.float32]]) -> None:
     """Raise InputError where two images are one and the same, or numbers are absurd; warns of few grey levels."""
-    seen: dict[str, Source] = {}
+    seen: dict[str, SourceImage] = {}
     for source, gray in zip(sources, grays, strict=True):
         digest = hashlib.sha256(repr(gray.shape).encode() + gray.tobytes()).hexdigest()
         other = seen.setdefault(digest, source)
@@ -196,20 +228,20 @@ def check_pixels(sources: Sequence[Source], grays: Sequence[NDArray[np.float32]]
             source.warn(f"it has {levels} grey levels only")
 
 
-def check_corrections(result: Adjustment, sources: Sequence[Source]) -> list[str]:
-    """Warn of cameras that were off by more than vendors' are; remarks on all of them."""
-    remarks = []
+def check_corrections(result: Adjustment, sources: Sequence[SourceImage]) -> list[str]:
+    """Warn of cameras that were off by more than vendors' are; notes on all of them."""
+    notes = []
     lengths = [math.hypot(*view.shift_px) for view in result.views]
     if len(lengths) == 2:  # each of them has got half of what they are apart
         lengths = [sum(lengths), 0.0]
     for view, source, length in zip(result.views, sources, lengths, strict=True):
         if not view.weak and length > _limit_px((source.window[3], source.window[2])):
             whose = "; whose camera it is cannot be told from so few" if len(sources) < 4 else ""
-            remarks.append(
+            notes.append(
                 f"{source.id}: its camera and those of the others are {length:.0f} px apart{whose}: the RPC of this "
                 "image and of this part of it?"
             )
-    return remarks
+    return notes
 
 
 def check_cells(grid: Grid, pixel_m: float) -> None:
@@ -231,7 +263,14 @@ def check_cells(grid: Grid, pixel_m: float) -> None:
 
 
 def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> list[str]:
-    """Raise InputError for heights that are not of the Earth or not of this place; remarks where they may be meant."""
+    """Raise InputError for heights that are not of the Earth or not of this place; notes where they may be meant.
+
+    Args:
+        low: lowest [m].
+        high: highest [m].
+        tie_heights: ``[n]`` heights of the tie points [m].
+        given: whether the user gave them.
+    """
     if not low < high:
         raise InputError(f"heights: found lowest {low:g} m and highest {high:g} m, expected lowest < highest")
     if low < HEIGHT_LIMITS_M[0] or high > HEIGHT_LIMITS_M[1]:
@@ -256,6 +295,7 @@ def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> l
 __all__ = [
     "check_cells",
     "check_corrections",
+    "check_height_unit",
     "check_heights",
     "check_pixels",
     "check_places_and_suns",

@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class Source:
+class SourceImage:
     """One input image: its file, what is known about it, and the part of it that is used."""
 
     id: str
@@ -43,15 +43,15 @@ class Source:
     rpc: RPC
     metadata: Metadata
     window: tuple[int, int, int, int] = (0, 0, 0, 0)  # col0, row0, width, height
-    remarks: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     meanings: tuple[str, ...] = ()  # of the bands: gray, red, alpha, palette, ...
     mask_like: bool = False  # the band marked as alpha holds two values at most
     masked: bool = False  # a mask lies beside the bands
     tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used
 
     def warn(self, text: str) -> None:
-        """A remark that the user sees at once."""
-        self.remarks.append(text)
+        """A note that the user sees at once."""
+        self.notes.append(text)
         log.warning("%s: %s", self.id, text)
 
 
@@ -68,8 +68,8 @@ def check_ids(images: Sequence[Path]) -> list[str]:
     for path in images:
         check_there(path)
     if len(images) < 2:
-        found = f"{images[0]}: found this one image only" if images else "prep: found no image"
-        raise InputError(f"{found}, expected at least 2 images of one place")
+        problem = f"{images[0]}: found this one image only" if images else "prep: found no image"
+        raise InputError(f"{problem}, expected at least 2 images of one place")
     ids = [image_id(p) for p in images]
     twice = [i for i, n in Counter(ids).items() if n > 1]
     if twice:
@@ -90,11 +90,16 @@ def check_there(path: Path) -> None:
         raise InputError(f"{path}: no such file, expected an image")
 
 
-def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
+def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage:
     """Open an image, find its camera and metadata.
 
     What `metadata_dir` holds comes before what lies beside the image, and that before the image's own tags.
     Raises InputError: missing, unreadable, no RPC, metadata of another crop.
+
+    Args:
+        path: of the image.
+        name: its id.
+        metadata_dir: folder to look for metadata in, too.
     """
     with opened(path) as data:
         size = (data.height, data.width)
@@ -106,7 +111,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
     metadata = Metadata()
-    remarks = []
+    notes = []
     own = path.parent if not isinstance(path, RemotePath) else None
     folders = [f for f in (metadata_dir, own) if f is not None]
     for sidecar in sidecars(path, folders):
@@ -118,7 +123,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
                 raise
             if sidecar.suffix.lower() == ".json":
                 raise
-            remarks.append(f"{sidecar.name}: not understood, left aside")
+            notes.append(f"{sidecar.name}: not understood, left aside")
             continue
         if part.size is not None and part.size != size:
             raise InputError(
@@ -133,12 +138,12 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> Source:
             raise InputError(f"{path}: found no RPC, expected RPC tags in the image{where}")
         metadata.rpc = RPC.from_tags(rpc_tags, source=str(path))
         metadata.rpc_source = str(path)
-    found = Source(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), remarks)
-    found.meanings, found.mask_like, found.masked = meanings, mask_like, masked
+    source = SourceImage(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), notes)
+    source.meanings, source.mask_like, source.masked = meanings, mask_like, masked
     if rpc_tags and metadata.rpc_source != str(path):
         with suppress(InputError):  # it is not used
-            found.tags_rpc = RPC.from_tags(rpc_tags, source=str(path))
-    return found
+            source.tags_rpc = RPC.from_tags(rpc_tags, source=str(path))
+    return source
 
 
 def _two_values(data: DatasetReader, path: Path, band: int) -> bool:
@@ -158,10 +163,10 @@ def _corners(data: DatasetReader, size: int) -> list[tuple[int, int]]:
     return [(c, r) for c in sorted(cols) for r in sorted(rows)]
 
 
-def read_gray(source: Source) -> NDArray[np.float32]:
+def read_gray(source: SourceImage) -> NDArray[np.float32]:
     """Mean of the bands over the source's window `[H, W]`, NaN where a band has no data.
 
-    Raises InputError: truncated, or a band without any data. Adds a remark where pixels are not finite.
+    Raises InputError: truncated, or a band without any data. Adds a note where pixels are not finite.
     """
     col, row, width, height = source.window
     check_memory(14.0 * height * width, f"{source.path}: {width} x {height} pixels", "give --aoi or --bounds")
@@ -174,7 +179,7 @@ def read_gray(source: Source) -> NDArray[np.float32]:
             good = np.isfinite(values) if np.issubdtype(values.dtype, np.floating) else np.ones(values.shape, bool)
             if not good.all() and band == 1:
                 share = 100.0 * (1.0 - good.mean())
-                source.remarks.append(f"{share:.2g} % of the pixels are NaN and were masked")
+                source.notes.append(f"{share:.2g} % of the pixels are NaN and were masked")
             if data.nodata is not None:
                 good &= values != data.nodata
             low, high = (values[good].min(), values[good].max()) if good.any() else (0, 0)
@@ -190,7 +195,7 @@ def read_gray(source: Source) -> NDArray[np.float32]:
     return np.where(valid & nonzero, total / source.bands, np.nan).astype(np.float32)
 
 
-def value_range(source: Source) -> tuple[float, float]:
+def value_range(source: SourceImage) -> tuple[float, float]:
     """Smallest and largest finite value of the window that is not no-data."""
     col, row, width, height = source.window
     low, high = np.inf, -np.inf
@@ -205,7 +210,7 @@ def value_range(source: Source) -> tuple[float, float]:
     return low, high
 
 
-def significant_bits(source: Source, highest: float) -> int | None:
+def significant_bits(source: SourceImage, highest: float) -> int | None:
     """Bits of the pixel values: the vendor's word if the values agree with it, else the fewest that hold them."""
     if np.issubdtype(np.dtype(source.dtype), np.floating):
         return None
@@ -218,8 +223,13 @@ def significant_bits(source: Source, highest: float) -> int | None:
     return next((b for b in (8, 10, 11, 12, 14, 16) if highest < 2**b), stored)
 
 
-def write_image(source: Source, rpc: RPC, target: Path) -> None:
+def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
+
+    Args:
+        source: the image.
+        rpc: the camera.
+        target: file to write.
 
     Raises: InputError when the source cannot be read; SattoolsError when the target cannot be written.
     """
@@ -240,7 +250,7 @@ def write_image(source: Source, rpc: RPC, target: Path) -> None:
             write_bytes(target, memory.getbuffer())
 
 
-def _read(data: DatasetReader, source: Source, band: int, window: Window) -> NDArray[np.generic]:
+def _read(data: DatasetReader, source: SourceImage, band: int, window: Window) -> NDArray[np.generic]:
     try:
         return np.asarray(data.read(band, window=window))
     except (RasterioError, ValueError):
@@ -251,7 +261,7 @@ def _read(data: DatasetReader, source: Source, band: int, window: Window) -> NDA
 
 
 __all__ = [
-    "Source",
+    "SourceImage",
     "check_ids",
     "image_id",
     "load_source",

@@ -20,10 +20,11 @@ from sattools.camera.ground import (
     view_direction,
 )
 from sattools.camera.sun import sun_position
-from sattools.prep.images import Source, significant_bits, value_range
+from sattools.prep.images import SourceImage, significant_bits, value_range
 from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
+from sattools.scene.jsonio import JsonObject
 
 
 def off_nadir_deg(incidence_deg: float, platform: str | None) -> float:
@@ -35,8 +36,15 @@ def off_nadir_deg(incidence_deg: float, platform: str | None) -> float:
     return math.degrees(math.asin(EARTH_KM / (EARTH_KM + height) * math.sin(math.radians(incidence_deg))))
 
 
-def sun_angles(source: Source, lon: float, lat: float, height: float) -> tuple[float, float, str] | None:
-    """(azimuth, elevation, where from) of the sun: metadata, else time and place; None when neither is known."""
+def sun_angles(source: SourceImage, lon: float, lat: float, height: float) -> tuple[float, float, str] | None:
+    """(azimuth, elevation, where from) of the sun: metadata, else time and place; None when neither is known.
+
+    Args:
+        source: the image.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        height: of the ground [m].
+    """
     meta = source.metadata
     if meta.sun is not None:
         return *meta.sun, "metadata"
@@ -46,10 +54,17 @@ def sun_angles(source: Source, lon: float, lat: float, height: float) -> tuple[f
     return None
 
 
-def describe(source: Source, rpc: RPC, view: ViewAdjustment, grid: Grid, heights: tuple[float, float]) -> Item:
-    """The STAC item of an image; `rpc` is the corrected camera of its window. Adds remarks to the source.
+def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, heights: tuple[float, float]) -> Item:
+    """The STAC item of an image; `rpc` is the corrected camera of its window. Adds notes to the source.
 
     `view:azimuth` is the direction from the ground to the sensor, clockwise from true north, as vendors give it.
+
+    Args:
+        source: the image.
+        rpc: the camera.
+        view: its adjustment.
+        grid: ground grid.
+        heights: lowest and highest height [m].
     """
     width, height = source.window[2], source.window[3]
     middle = 0.5 * (heights[0] + heights[1])
@@ -84,7 +99,7 @@ def describe(source: Source, rpc: RPC, view: ViewAdjustment, grid: Grid, heights
     if meta.platform:
         properties["platform"] = meta.platform
     if meta.time is None:
-        source.remarks.append("time unknown: no metadata and no name says when it was taken")
+        source.notes.append("time unknown: no metadata and no name says when it was taken")
     sun = sun_angles(source, lon, lat, middle)
     if sun is not None and sun[1] <= 0:  # by time and place: `gate` has refused such metadata
         below = f"time and place put the sun {sun[1]:.1f} degrees above the horizon"
@@ -93,7 +108,7 @@ def describe(source: Source, rpc: RPC, view: ViewAdjustment, grid: Grid, heights
     if sun is None:
         properties["sattools:sun"] = "unknown"
         if meta.time is None:
-            source.remarks.append("sun unknown: neither sun angles nor a time were found")
+            source.notes.append("sun unknown: neither sun angles nor a time were found")
     else:
         properties["view:sun_azimuth"], properties["view:sun_elevation"] = sun[0], sun[1]
         properties["sattools:sun"] = sun[2]
@@ -105,7 +120,7 @@ def describe(source: Source, rpc: RPC, view: ViewAdjustment, grid: Grid, heights
     return Item(source.id, mapping_lists(polygon), list(polygon.bounds), properties, assets)
 
 
-def mapping_lists(polygon: Any) -> dict[str, Any]:
+def mapping_lists(polygon: Any) -> JsonObject:
     """GeoJSON geometry with lists, as JSON gives them back."""
     return dict(json.loads(json.dumps(mapping(polygon))))
 

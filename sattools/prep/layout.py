@@ -19,7 +19,14 @@ Window = tuple[int, int, int, int]  # col0, row0, width, height
 
 
 def outline(rpc: RPC, window: Window, height: float, per_side: int = 4) -> Array:
-    """Longitudes and latitudes `[n, 2]` of a window's outer edge at a height; NaN where the camera does not reach."""
+    """Longitudes and latitudes `[n, 2]` of a window's outer edge at a height; NaN where the camera does not reach.
+
+    Args:
+        rpc: the camera.
+        window: (column, row, width, height) [px].
+        height: of the ground [m].
+        per_side: number of points along a side.
+    """
     col, row, width, rows = window
     t = np.arange(per_side) / per_side
     edge = np.concatenate([[t, 0 * t], [1 + 0 * t, t], [1 - t, 1 + 0 * t], [0 * t, 1 - t]], axis=1)
@@ -27,12 +34,25 @@ def outline(rpc: RPC, window: Window, height: float, per_side: int = 4) -> Array
 
 
 def footprint(rpc: RPC, window: Window, height: float) -> Polygon:
-    """Footprint polygon in longitude and latitude, counter-clockwise as GeoJSON wants it."""
+    """Footprint polygon in longitude and latitude, counter-clockwise as GeoJSON wants it.
+
+    Args:
+        rpc: the camera.
+        window: (column, row, width, height) [px].
+        height: of the ground [m].
+    """
     return orient(Polygon(outline(rpc, window, height)))
 
 
 def ground_polygon(rpc: RPC, window: Window, height: float, crs: str) -> Polygon:
-    """Footprint in the ground CRS [m]; empty where the camera does not reach it."""
+    """Footprint in the ground CRS [m]; empty where the camera does not reach it.
+
+    Args:
+        rpc: the camera.
+        window: (column, row, width, height) [px].
+        height: of the ground [m].
+        crs: projected ground CRS [m].
+    """
     points = outline(rpc, window, height)
     if not np.isfinite(points).all():
         return Polygon()
@@ -43,7 +63,7 @@ def ground_polygon(rpc: RPC, window: Window, height: float, crs: str) -> Polygon
 
 def groups(polygons: Sequence[Polygon]) -> list[list[int]]:
     """Indices of polygons that overlap, directly or through others; the largest group first."""
-    left, found = set(range(len(polygons))), []
+    left, result = set(range(len(polygons))), []
     while left:
         seed = min(left)
         group, border = {seed}, [seed]
@@ -53,12 +73,18 @@ def groups(polygons: Sequence[Polygon]) -> list[list[int]]:
             group |= touching
             border += sorted(touching)
         left -= group
-        found.append(sorted(group))
-    return sorted(found, key=lambda g: (-len(g), g))
+        result.append(sorted(group))
+    return sorted(result, key=lambda g: (-len(g), g))
 
 
 def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 400) -> Bounds | None:
-    """Bounding box (west, south, east, north) of what at least `share` of the polygons (and two of them) cover."""
+    """Bounding box (west, south, east, north) of what at least `share` of the polygons (and two of them) cover.
+
+    Args:
+        polygons: footprints [m].
+        share: of the polygons.
+        cells: number along the longer side of the raster that counts.
+    """
     from shapely import contains_xy
 
     boxes = np.array([p.bounds for p in polygons if not p.is_empty])
@@ -102,6 +128,14 @@ def crop_window(
     """Part of an image (height, width) that may show the area at any of the heights, with a margin in pixels.
 
     Width or height is 0 where the image does not see the area.
+
+    Args:
+        rpc: the camera.
+        crs: projected ground CRS [m].
+        bounds: (west, south, east, north) [m].
+        heights: lowest and highest height [m].
+        size: (height, width) of the image [px].
+        margin: around it [px].
     """
     west, south, east, north = bounds
     t = np.linspace(0.0, 1.0, 5)

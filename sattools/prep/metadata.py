@@ -101,6 +101,12 @@ def parse_time(text: Any) -> datetime | None:
 def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> float | None:
     """An angle from a number or text such as "+33.5"; None when missing, or a vendor's word for that such as -999.
 
+    Args:
+        value: number or text.
+        low: smallest angle allowed [degrees].
+        high: largest angle allowed [degrees].
+        source: name for error messages.
+
     Raises: InputError, naming `source`, for a number that is neither that nor within the limits.
     """
     try:
@@ -115,7 +121,13 @@ def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> f
 
 
 def parse_sun(azimuth: Any, elevation: Any, source: str = "sun") -> tuple[float, float] | None:
-    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there; raises as `parse_angle` does."""
+    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there; raises as `parse_angle` does.
+
+    Args:
+        azimuth: number or text [degrees].
+        elevation: number or text [degrees].
+        source: name for error messages.
+    """
     a = parse_angle(azimuth, -360.0, 360.0, f"{source}: azimuth of the sun")
     e = parse_angle(elevation, -90.0, 90.0, f"{source}: elevation of the sun")
     return None if a is None or e is None else (a % 360.0, e)

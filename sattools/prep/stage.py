@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,19 +15,19 @@ from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
-from sattools.camera.tiepoints import View, find_tie_points
+from sattools.camera.tiepoints import TiePointImage, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
 from sattools.prep.gate import (
     check_cells,
     check_corrections,
+    check_height_unit,
     check_heights,
     check_pixels,
     check_places_and_suns,
     check_sources,
 )
-from sattools.prep.images import Source, check_ids, load_source, read_gray, write_image
-from sattools.prep.items import describe, tie_point_features
+from sattools.prep.images import SourceImage, check_ids, load_source, read_gray
 from sattools.prep.layout import (
     Bounds,
     common_bounds,
@@ -40,35 +38,36 @@ from sattools.prep.layout import (
     outline,
 )
 from sattools.prep.options import PrepOptions
-from sattools.progress import Progress, part, silent
+from sattools.prep.outputs import REPORTS, write_images, write_reports
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import begin
-from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
 from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)
 _BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
-_FINAL_MARGIN_PX = 16
 _SEARCH_HEIGHT_M = 600.0
-_REPORTS = {
-    "adjustment": "adjustment.json",
-    "adjustment_report": "adjustment.txt",
-    "tie_points": "tie_points.geojson",
-}
 
 
 def prepare(
     images: Sequence[Path], options: PrepOptions, progress: Progress = silent, overwrite: bool = False
-) -> tuple[Scene, dict[str, Any]]:
+) -> tuple[Scene, JsonObject]:
     """Make a scene of images that show one place.
 
     Below `options.out/<scene id>`: `images/<item>.tif` (same pixels, corrected RPC tags, cropped to the area asked
     for), `rpc/<item>_RPC.TXT`, `tie_points.geojson`, `adjustment.json`, `adjustment.txt`. Everything is checked before
     anything is written.
 
-    Returns: the scene, and remarks and figures for its history.
+    Args:
+        images: files to read.
+        options: of the stage.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+
+    Returns: the scene, and notes and figures for its history.
     Raises: InputError (one line, naming the file) for images that cannot be used; OutputExistsError.
     """
     images = [location(p) for p in images]
@@ -77,57 +76,33 @@ def prepare(
     scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
     begin(scene, "prep", _outputs(ids), overwrite, _inputs(images, options))
     progress(0.0, "reading metadata")
-    remarks: list[str] = []
-    sources, crs, asked = survey(images, ids, options, remarks)
+    notes: list[str] = []
+    sources, crs, asked = survey(images, ids, options, notes)
 
     grays = []
     for k, source in enumerate(sources):
         progress(0.02 + 0.08 * k / len(sources), f"reading {source.id}")
         grays.append(read_gray(source))
     check_pixels(sources, grays)
-    cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
-    views = [View(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
-    model = "shift" if options.correction == "none" else options.correction
-    sizes = [(g.shape[0], g.shape[1]) for g in grays]
-    try:
-        tracks = find_tie_points(views, crs, progress=part(progress, 0.1, 0.55))
-        names = [s.id for s in sources]
-        result = adjust(cameras, names, sizes, tracks, AdjustOptions(model=model), part(progress, 0.55, 0.75))
-    except SattoolsError:
-        raise
-    except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
-        text = " ".join(str(error).split())[:200]
-        raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
+    result = _adjusted(sources, grays, crs, options, subprogress(progress, 0.1, 0.75))
     if options.correction == "none":
-        remarks.append("cameras were left as they are (correction none)")
-        result = replace(result, rpcs=cameras)
-    remarks += result.remarks
-    roles = _roles(options, result, sources, remarks)
-    _warn(check_corrections(result, sources), remarks)
-    heights = _height_range(options, result, grays, crs, asked, part(progress, 0.75, 0.85))
+        notes.append("cameras were left as they are (correction none)")
+    notes += result.notes
+    roles = _roles(options, result, sources, notes)
+    _warn(check_corrections(result, sources), notes)
+    heights = _height_range(options, result, grays, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
-    _warn(check_heights(*heights, result.heights(), given), remarks)
-    grid = _grid(options, sources, result.rpcs, crs, heights, asked)
-
-    scene.grid, scene.height_range_m = grid, heights
-    full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
-    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
-        progress(0.85 + 0.15 * k / len(sources), f"writing {source.id}")
-        if asked is not None:
-            source.window = crop_window(rpc, crs, grid.bounds, heights, source.size, _FINAL_MARGIN_PX)
-            if min(source.window[2:]) < 1:
-                raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
-        camera = rpc.cropped(source.window[0], source.window[1])
-        write_image(source, camera, scene.output(f"images/{source.id}.tif"))
-        write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
-        item = describe(source, camera, result.views[k], grid, heights)
+    _warn(check_heights(*heights, result.heights(), given), notes)
+    scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked)
+    scene.height_range_m = heights
+    write_images(scene, sources, result, asked is not None, subprogress(progress, 0.85, 1.0))
+    for item, source in zip(scene.items, sources, strict=True):
         item.properties["sattools:role"] = roles[source.id]
-        scene.items.append(item)
-        remarks += [f"{source.id}: {r}" for r in source.remarks]
-    _write_reports(scene, result)
+        notes += [f"{source.id}: {r}" for r in source.notes]
+    write_reports(scene, result)
     progress(1.0, "done")
     return scene, {
-        "remarks": remarks,
+        "notes": notes,
         "adjustment": {
             "model": result.model,
             "median_before_px": round(result.median_before_px, 3),
@@ -135,6 +110,30 @@ def prepare(
             "outlier_views": [v.name for v in result.views if v.outlier],
         },
     }
+
+
+def _adjusted(
+    sources: Sequence[SourceImage],
+    grays: Sequence[NDArray[np.float32]],
+    crs: str,
+    options: PrepOptions,
+    progress: Progress,
+) -> Adjustment:
+    """Cameras of the sources' windows, corrected by tie points unless the options forbid it."""
+    cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
+    views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
+    model = "shift" if options.correction == "none" else options.correction
+    sizes = [(g.shape[0], g.shape[1]) for g in grays]
+    try:
+        tracks = find_tie_points(views, crs, progress=subprogress(progress, 0.0, 0.45 / 0.65))
+        last = subprogress(progress, 0.45 / 0.65, 1.0)
+        result = adjust(cameras, [s.id for s in sources], sizes, tracks, AdjustOptions(model=model), last)
+    except SattoolsError:
+        raise
+    except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
+        text = " ".join(str(error).split())[:200]
+        raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
+    return replace(result, rpcs=cameras) if options.correction == "none" else result
 
 
 def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:
@@ -146,25 +145,32 @@ def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:
 
 
 def survey(
-    images: Sequence[Path], ids: Sequence[str], options: PrepOptions, remarks: list[str]
-) -> tuple[list[Source], str, Bounds | None]:
+    images: Sequence[Path], ids: Sequence[str], options: PrepOptions, notes: list[str]
+) -> tuple[list[SourceImage], str, Bounds | None]:
     """All that can be said without reading pixels: the images that show the area, the ground CRS, the area asked for.
 
     Raises InputError for what cannot be used; warns of what is odd.
+
+    Args:
+        images: files to read.
+        ids: their ids.
+        options: of the stage.
+        notes: gets what a user should know.
     """
     metadata_dir = Path(options.metadata) if options.metadata else None
     if metadata_dir is not None and not metadata_dir.is_dir():
         raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
     check_sources(sources)
-    _warn(check_places_and_suns(sources), remarks)
+    _warn(check_places_and_suns(sources), notes)
+    _warn(check_height_unit(sources), notes)
     lon, lat = _middle(sources)
     crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
     check_scale(crs, lon, lat)
     check_places(sources, crs)
     asked = _asked_bounds(options, crs)
     if asked is not None:
-        sources = _cropped_to_area(sources, crs, asked, remarks)
+        sources = _cropped_to_area(sources, crs, asked, notes)
     return sources, crs, asked
 
 
@@ -182,14 +188,16 @@ def _check_options(options: PrepOptions, ids: Sequence[str]) -> None:
         check_heights(options.min_height, options.max_height, np.zeros(0), True)
 
 
-def _warn(found: Sequence[str], remarks: list[str]) -> None:
+def _warn(found: Sequence[str], notes: list[str]) -> None:
     """Remarks that the user sees at once."""
     for text in found:
-        remarks.append(text)
+        notes.append(text)
         log.warning("%s", text)
 
 
-def _roles(options: PrepOptions, result: Adjustment, sources: Sequence[Source], remarks: list[str]) -> dict[str, str]:
+def _roles(
+    options: PrepOptions, result: Adjustment, sources: Sequence[SourceImage], notes: list[str]
+) -> dict[str, str]:
     """Role of every image; one without tie points is set aside, as its camera may be anything.
 
     Raises InputError where fewer than two are left to train on.
@@ -199,10 +207,10 @@ def _roles(options: PrepOptions, result: Adjustment, sources: Sequence[Source], 
         if not view.weak:
             continue
         if options.correction == "none":  # the user vouches for the cameras
-            _warn([f"{view.name}: too few tie points to tell whether its camera is right"], remarks)
+            _warn([f"{view.name}: too few tie points to tell whether its camera is right"], notes)
             continue
         roles[view.name] = "unused"
-        _warn([f"{view.name}: too few tie points with the other images, set aside (role unused)"], remarks)
+        _warn([f"{view.name}: too few tie points with the other images, set aside (role unused)"], notes)
     left = [name for name, role in roles.items() if role == "train"]
     if len(left) < 2:
         raise InputError(
@@ -221,7 +229,7 @@ def common_name(ids: Sequence[str]) -> str:
     return (head[:cut].rstrip("_-.") if cut > 0 else "") or "scene"
 
 
-def check_places(sources: Sequence[Source], crs: str) -> None:
+def check_places(sources: Sequence[SourceImage], crs: str) -> None:
     """Raise InputError when images do not lie together, naming the one whose RPC is of another place."""
     polygons = []
     for s in sources:
@@ -232,17 +240,17 @@ def check_places(sources: Sequence[Source], crs: str) -> None:
                 f"expected the RPC of this image (from {s.metadata.rpc_source})"
             )
         polygons.append(polygon)
-    found = groups(polygons)
-    if len(found) == 1:
+    places = groups(polygons)
+    if len(places) == 1:
         return
-    if len(found[0]) == 1 or len(found[0]) == len(found[1]):
+    if len(places[0]) == 1 or len(places[0]) == len(places[1]):
         raise InputError(
-            f"{sources[found[1][0]].path}: found no overlap with {sources[found[0][0]].path}, "
+            f"{sources[places[1][0]].path}: found no overlap with {sources[places[0][0]].path}, "
             "expected images of one place"
         )
-    stray = found[1][0]
+    stray = places[1][0]
     lon, lat = np.nanmean(outline(sources[stray].rpc, sources[stray].window, sources[stray].rpc.alt_offset), axis=0)
-    distance = polygons[stray].distance(polygons[found[0][0]]) / 1000.0
+    distance = polygons[stray].distance(polygons[places[0][0]]) / 1000.0
     raise InputError(
         f"{sources[stray].path}: found its RPC at {lat:.4f} N {lon:.4f} E, {distance:.1f} km from the other images, "
         f"expected images that overlap (RPC from {sources[stray].metadata.rpc_source})"
@@ -251,20 +259,20 @@ def check_places(sources: Sequence[Source], crs: str) -> None:
 
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
-    found = [Path(name) for name in (options.aoi,) if name]
+    paths = [Path(name) for name in (options.aoi,) if name]
     for image in images:
         folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
         local = [folder for folder in folders if not isinstance(folder, RemotePath) and folder.is_dir()]
-        found += [image, *sidecars(image, local)]
-    return [path for path in found if not isinstance(path, RemotePath)]
+        paths += [image, *sidecars(image, local)]
+    return [path for path in paths if not isinstance(path, RemotePath)]
 
 
 def _outputs(ids: Sequence[str]) -> list[str]:
     """All files that will be written; images that do not show the area are left out."""
-    return [*_REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
+    return [*REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
 
 
-def _middle(sources: Sequence[Source]) -> tuple[float, float]:
+def _middle(sources: Sequence[SourceImage]) -> tuple[float, float]:
     """Longitude and latitude in the middle of the images."""
     centres = [s.rpc.localization((s.size[1] - 1) / 2, (s.size[0] - 1) / 2, s.rpc.alt_offset) for s in sources]
     lon, lat = np.nanmedian(np.array(centres), axis=0)
@@ -281,7 +289,7 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
     return bounds_from_numbers(options.bounds, crs, options.crs) if options.bounds else None
 
 
-def _cropped_to_area(sources: list[Source], crs: str, asked: Bounds, remarks: list[str]) -> list[Source]:
+def _cropped_to_area(sources: list[SourceImage], crs: str, asked: Bounds, notes: list[str]) -> list[SourceImage]:
     """Sources with windows that surely hold the area; those that do not see it are left out."""
     kept = []
     for s in sources:
@@ -290,7 +298,7 @@ def _cropped_to_area(sources: list[Source], crs: str, asked: Bounds, remarks: li
         heights = max(low, middle - _SEARCH_HEIGHT_M), min(high, middle + _SEARCH_HEIGHT_M)
         window = crop_window(s.rpc, crs, asked, heights, s.size, _BIAS_MARGIN_PX)
         if window[2] < 64 or window[3] < 64:
-            remarks.append(f"{s.id}: does not show the area, left out")
+            notes.append(f"{s.id}: does not show the area, left out")
             continue
         s.window = window
         kept.append(s)
@@ -322,14 +330,14 @@ def _height_range(
         bounds = asked or common_bounds(polygons)
         if bounds is None:
             raise InputError("images: found no ground that two of them show, expected images that overlap")
-        found = estimate_height_range(heights, grays, result.rpcs, crs, bounds, progress=progress)
-        low, high = (found[0] if low is None else low), (found[1] if high is None else high)
+        estimate = estimate_height_range(heights, grays, result.rpcs, crs, bounds, progress=progress)
+        low, high = (estimate[0] if low is None else low), (estimate[1] if high is None else high)
     return round(float(low), 2), round(float(high), 2)
 
 
 def _grid(
     options: PrepOptions,
-    sources: Sequence[Source],
+    sources: Sequence[SourceImage],
     rpcs: Sequence[RPC],
     crs: str,
     heights: tuple[float, float],
@@ -355,21 +363,6 @@ def _grid(
     grid = Grid.from_bounds(crs, asked, cell)
     check_cells(grid, pixel)
     return grid
-
-
-def _write_reports(scene: Scene, result: Adjustment) -> None:
-    write_text(scene.output(_REPORTS["adjustment"]), json.dumps(_no_nan(result.to_dict()), indent=1) + "\n")
-    write_text(scene.output(_REPORTS["adjustment_report"]), result.to_text())
-    write_text(scene.output(_REPORTS["tie_points"]), tie_point_features(result))
-    scene.products |= _REPORTS
-
-
-def _no_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _no_nan(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_no_nan(v) for v in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 __all__ = ["PrepOptions", "check_inputs", "check_places", "common_name", "prepare"]

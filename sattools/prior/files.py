@@ -15,6 +15,13 @@ from sattools.scene.raster import read_raster, write_sensor_image
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
     """Write a map ``[rows, columns]`` float32 (NaN = unknown) as tiled GeoTIFF with the image's camera in its RPC tags.
 
+    Args:
+        path: file to write.
+        array: ``[rows, columns]``.
+        rpc: the camera.
+        name: of the band.
+        unit: of the values.
+
     Raises:
         SattoolsError: the file cannot be written.
     """
@@ -45,7 +52,7 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
         if name == "prior_confidence":
             right, what = known.min() >= 0 and known.max() <= 1, "0 to 1"
         else:
-            low, high = scene.need_height_range()
+            low, high = scene.require_height_range()
             span = high - low
             middle = float(np.median(known))
             right, what = low - span <= middle <= high + span, f"heights around {low:g} to {high:g} m"

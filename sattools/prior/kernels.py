@@ -1,4 +1,4 @@
-"""Compiled kernels of the multi-view matching: plane-sweep correlation and what hides what.
+"""Compiled kernels of the multi-view matching: plane-sweep correlation and occlusion.
 
 All views lie on one frame: the ground grid plus a margin on every side, resampled at one reference height. A point of
 cell (row, col) at height z is seen by view v at frame position (margin + row + slope_v * dz, margin + col + ...), dz =
@@ -138,8 +138,10 @@ def _add_pair(
 
 @njit(cache=True, fastmath=FASTMATH)
 def _fill_unseen(column, unseen):
-    """Replace the negative scores of a cell (heights that no pair sees): a hidden height must stay possible, but not
-    beat what is seen to agree, however poorly."""
+    """Replace the negative scores of a cell (heights that no pair sees).
+
+    A hidden height must stay possible, but not beat what is seen to agree, however poorly.
+    """
     best = np.float32(0)
     for k in range(column.shape[0]):
         best = max(best, column[k])
@@ -156,8 +158,8 @@ def correlate(
     heights,
     base,
     z_ref,
-    hits,
-    shades,
+    hit_heights,
+    shadow_heights,
     dark,
     tolerance,
     pairs,
@@ -172,8 +174,9 @@ def correlate(
     mixed,
     volume,
 ):
-    """Agreement of the views at every (cell, height): power mean over the pairs, weighted by whether both see it,
-    either both in the sun or both in shadow.
+    """Agreement of the views at every (cell, height).
+
+    It is a power mean over the pairs, weighted by whether both see the place, either both in the sun or both in shadow.
 
     A pair agrees by structure, (2 cov + noise^2) / (var_a + var_b + noise^2), times brightness,
     1 / (1 + (difference of means / brightness)^2): the two factors of SSIM (Wang et al. 2004) in a robust form.
@@ -189,8 +192,8 @@ def correlate(
         base: ``[H + 2 radius, W + 2 radius]`` float32 surface, with a border as wide as the window, above which the
             heights are meant [m]: planes become parallels of it, and windows follow it; ``[0, 0]`` for planes.
         z_ref: reference height of the frame [m].
-        hits: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
-        shades: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
+        hit_heights: ``[V, Hf, Wf]`` float32 height at which the ray first meets the surface; very low = unknown.
+        shadow_heights: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow; very low = unknown.
         dark: ``[V]`` float32 radiance of shadows; very low = unknown.
         tolerance: depth below it that still counts as seen [m].
         pairs: ``[P, 2]`` int64.
@@ -233,8 +236,8 @@ def correlate(
                             z = base[r0 + i + radius, j + radius] + heights[k]
                             nr = margin + r0 + i + round(slopes[v, 0] * (z - z_ref))
                             nc = margin + j + round(slopes[v, 1] * (z - z_ref))
-                            lit = np.float32(1) if z >= shades[v, r0 + i, j] else np.float32(-1)
-                            near = hits[v, nr, nc] <= z + tolerance
+                            lit = np.float32(1) if z >= shadow_heights[v, r0 + i, j] else np.float32(-1)
+                            near = hit_heights[v, nr, nc] <= z + tolerance
                             seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) * (np.float32(1) if near else weak)
                     _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
                     continue
@@ -242,10 +245,10 @@ def correlate(
                 _translate(images[v], margin + r0 - radius, margin - radius, dr, dc, moved[v])
                 nr, nc = margin + r0 + round(dr), margin + round(dc)
                 for i in range(rows):
-                    mask, hit = masks[v, nr + i, nc : nc + width], hits[v, nr + i, nc : nc + width]
-                    shade, target = shades[v, r0 + i], seen[v, i]
+                    mask, hit = masks[v, nr + i, nc : nc + width], hit_heights[v, nr + i, nc : nc + width]
+                    shadow, target = shadow_heights[v, r0 + i], seen[v, i]
                     for j in range(width):
-                        lit = np.float32(1) if heights[k] >= shade[j] else np.float32(-1)
+                        lit = np.float32(1) if heights[k] >= shadow[j] else np.float32(-1)
                         target[j] = lit * np.float32(mask[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
                 _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
             total[:] = 0
@@ -269,15 +272,16 @@ def correlate(
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
-def first_hits(surface, slopes, z_ref, z_top, z_bottom, hits):
+def first_hit_heights(surface, slopes, z_ref, z_top, z_bottom, first_hit_height):
     """Height at which the ray through every frame position of every view first meets the surface.
 
     Args:
         surface: ``[Hf, Wf]`` float32 heights on the frame [m].
         slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
         z_ref: reference height of the frame [m].
-        z_top, z_bottom: where rays start and end [m].
-        hits: ``[V, Hf, Wf]`` float32, filled.
+        z_top: where rays start and end [m].
+        z_bottom: where rays start and end [m].
+        first_hit_height: ``[V, Hf, Wf]`` float32, filled.
     """
     views = slopes.shape[0]
     rows, cols = surface.shape
@@ -287,16 +291,16 @@ def first_hits(surface, slopes, z_ref, z_top, z_bottom, hits):
         for row in prange(rows):
             for col in range(cols):
                 z = z_top
-                found = z_bottom
+                hit = z_bottom
                 while z > z_bottom:
                     dz = z - z_ref
                     r = round(row - slopes[v, 0] * dz)
                     c = round(col - slopes[v, 1] * dz)
                     if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
-                        found = min(surface[r, c], z + step)
+                        hit = min(surface[r, c], z + step)
                         break
                     z -= step
-                hits[v, row, col] = found
+                first_hit_height[v, row, col] = hit
 
 
 @njit(parallel=True, cache=True)
@@ -305,7 +309,10 @@ def descend(surface, bottom, top, low, high, depth, where):
 
     Args:
         surface: ``[H, W]`` float32 heights [m]; -inf = unknown.
-        bottom, top: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        bottom: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        top: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
+        low: lower height [m].
+        high: upper height [m].
         depth: ``[h, w]`` float32, filled with the height met; NaN = none.
         where: ``[h, w, 2]`` int64, filled with the cell met; (0, 0) if none.
     """
@@ -332,7 +339,7 @@ def descend(surface, bottom, top, low, high, depth, where):
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
-def shade_heights(surface, sun, cell, top, shade):
+def shadow_heights(surface, sun, cell, top, shadow):
     """Height below which a point over each cell lies in the shadow of the other cells.
 
     Args:
@@ -340,7 +347,7 @@ def shade_heights(surface, sun, cell, top, shade):
         sun: ``[3]`` float64 (east, north, up) to the sun.
         cell: edge of a cell [m].
         top: highest surface [m].
-        shade: ``[H, W]`` float32, filled; far below the ground where the sun is free down to it.
+        shadow: ``[H, W]`` float32, filled; far below the ground where the sun is free down to it.
     """
     rows, cols = surface.shape
     flat = max(math.hypot(sun[0], sun[1]), 1e-9)
@@ -355,7 +362,7 @@ def shade_heights(surface, sun, cell, top, shade):
                     break
                 best = max(best, np.float32(surface[r, c] - t * rise))
                 t += 1.0
-            shade[row, col] = best
+            shadow[row, col] = best
 
 
-__all__ = ["correlate", "descend", "first_hits", "shade_heights"]
+__all__ = ["correlate", "descend", "first_hit_heights", "shadow_heights"]

@@ -12,7 +12,7 @@ FEWEST_CELLS = 100  # below which a correlation says nothing
 def left_out_agreement(frame: Frame, height: np.ndarray) -> list[float | None]:
     """Correlation of each view with the mean of all others where they show the surface.
 
-    The view takes part in finding the surface, but not in its own prediction; what hides what is left out of account.
+    The view takes part in finding the surface, but not in its own prediction; occlusion is left out of account.
     A view with a wrong camera, clouds or another season stands out by a low number, a wrong surface lowers all.
 
     Args:
@@ -35,16 +35,16 @@ def left_out_agreement(frame: Frame, height: np.ndarray) -> list[float | None]:
         seen[k] = cv2.remap(mask, c, r, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
     shown[~seen] = 0.0
     total, count = shown.sum(axis=0), seen.sum(axis=0)
-    found: list[float | None] = []
+    correlations: list[float | None] = []
     for own, valid in zip(shown, seen, strict=True):
         both = valid & (count > 1)
         if both.sum() < FEWEST_CELLS:
-            found.append(None)
+            correlations.append(None)
             continue
         others = (total - own)[both] / (count[both] - 1)
         flat = min(own[both].std(), others.std()) < 1e-6
-        found.append(0.0 if flat else float(np.corrcoef(own[both], others)[0, 1]))
-    return found
+        correlations.append(0.0 if flat else float(np.corrcoef(own[both], others)[0, 1]))
+    return correlations
 
 
 __all__ = ["left_out_agreement"]

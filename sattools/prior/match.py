@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter, minimum_filter
 
-from sattools.prior.courts import open_courts
-from sattools.prior.edges import sharpen
+from sattools.prior.consistency import RayMinima, count_consistent_views, filled
+from sattools.prior.courtyards import RoughSurface, open_courtyards
+from sattools.prior.edges import snap_edges
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import UNKNOWN, at_surface, hide, measure_dark, nothing_hidden, thinned
 from sattools.prior.options import PriorOptions
-from sattools.prior.rays import Rays, filled, witnesses
-from sattools.prior.settle import settle
-from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, in_blocks, narrow
-from sattools.progress import Progress, part, silent
+from sattools.prior.subplane import refine_subplane
+from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
+from sattools.prior.visibility import UNKNOWN, all_visible, at_surface, compute_visibility, erode, measure_dark
+from sattools.progress import Progress, silent, subprogress
 
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
-SETTLED = 0.002  # share of cells that may still change when the rough passes stop
-OPENING_PASSES = 1  # rough passes after which roofs of courts are looked for
+CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
+OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
 
 
@@ -31,20 +31,28 @@ class Match:
     Attributes:
         height: ``[H, W]`` float32 [m].
         score: ``[H, W]`` float32 agreement of the images there, in [0, 1].
-        rival: ``[H, W]`` float32 aggregated cost, per path, by which the best height two planes away or more is dearer.
+        uniqueness: ``[H, W]`` float32 aggregated cost, per path, by which the best height two planes away or more is
+            dearer.
         views: ``[H, W]`` uint8 number of images that see the surface there.
-        witnesses: ``[H, W]`` uint8 number of these whose rays have their best place there (see `rays`).
+        consistent_views: ``[H, W]`` uint8 number of these whose rays have their best place there (see `minima`).
     """
 
     height: np.ndarray
     score: np.ndarray
-    rival: np.ndarray
+    uniqueness: np.ndarray
     views: np.ndarray
-    witnesses: np.ndarray
+    consistent_views: np.ndarray
 
 
 def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
-    """Margin in cells, even, so that no point within the heights leaves the frame with its window."""
+    """Margin in cells, even, so that no point within the heights leaves the frame with its window.
+
+    Args:
+        slopes: ``[V, 2]`` (row, column) cells per metre of height.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+        window: half width of the matching window [cells].
+    """
     reach = max(abs(z_range[0] - z_ref), abs(z_range[1] - z_ref))
     cells = math.ceil(float(np.abs(slopes).max()) * reach) + 2 * window + 4
     return cells + cells % 2
@@ -53,7 +61,7 @@ def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], w
 def match(
     frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions, progress: Progress = silent
 ) -> Match:
-    """Find the surface: rough passes settle what hides what, a last one the heights.
+    """Find the surface: rough passes find the occlusions, a last one the heights.
 
     Args:
         frame: the views; at least two.
@@ -62,54 +70,83 @@ def match(
         options: see `PriorOptions`.
         progress: told the share done.
     """
+    task = _prepared(frame, pairs, z_range, options)
+    frame, step = task.frame, task.step
+    visibility = all_visible(frame)
+    guide = ceiling = None
+    if options.rough_passes:
+        z_range, surface = _rough_passes(task, progress)
+        task = replace(task, z_range=z_range)
+        visibility = surface.visibility.doubled()
+        guide = _doubled(surface.height)
+        ceiling = None if surface.ceiling is None else _doubled(surface.ceiling)
+    last = subprogress(progress, 0.4, 1.0)
+    minima = RayMinima.unknown(frame)
+    height, score, uniqueness = sweep_blocks(task, visibility, last, guide=guide, ceiling=ceiling, minima=minima)
+    height = median_filter(height, SMOOTH, mode="nearest")
+    hits, tolerance = visibility.first_hit_height, task.options.tolerance
+    agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
+    # beyond the images nothing is known that could be on the lower side of anything
+    everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
+    beyond_images = ~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0)
+    height = filled(height, (2 * agreeing > views) | beyond_images, frame.cell)
+    height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
+    if options.edges:
+        height = snap_edges(frame, hits, height, tolerance, options.edges)
+    agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
+    return Match(height, score, uniqueness, views, agreeing)
+
+
+def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:
+    """The task of the last pass.
+
+    Images have lost their mean, masks the windows that reach beyond an image, and the margin is such that no height of
+    any pass leaves the frame.
+    """
     images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
     fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin, frame.suns)
     step = options.step or plane_distance(frame, pairs)
-    # the first surface is known to the planes of the rough passes: what is nearer must not count as hidden
+    # the first surface is known to the planes of the rough passes: what is nearer must not count as occluded
     options = replace(options, tolerance=max(options.tolerance, 2 * step))
     # the kernels test no bounds: the highest and lowest planes of the roughest pass must stay within the frame
     beyond = 2 * BEYOND_PLANES * step
     reached = (z_range[0] - beyond, z_range[1] + beyond)
     fine = fine.widened(margin_for(fine.slopes, fine.z_ref, reached, options.window))
-    hidden = nothing_hidden(fine)
-    guide = ceiling = None
-    if options.rough_passes:
-        rough = fine.halved()
-        seen = nothing_hidden(rough)
-        before = None
-        for k in range(options.rough_passes):
-            progress(0.4 * k / options.rough_passes, f"rough pass {k + 1} of {options.rough_passes}")
-            surface, score, _ = in_blocks(rough, seen, pairs, z_range, 2 * step, options, silent, before, ceiling)
-            surface = median_filter(surface, 3, mode="nearest")
-            if k == 0:
-                z_range = narrow(surface[score > SURE], z_range, KEEP_PLANES * 2 * step, 2 * step)
-            thin = thinned(surface, options.erode / rough.cell)
-            hide(rough, thin, z_range, options.tolerance, seen)
-            measure_dark(rough, surface, options.tolerance, seen)
-            if k < OPENING_PASSES:
-                surface, ceiling = open_courts(rough, surface, thin, score, pairs, z_range, 2 * step, options, seen)
-            if before is not None and np.mean(np.abs(surface - before) > step) < SETTLED:
-                break
-            before = surface
-        hidden = seen.doubled()
-        guide = surface.repeat(2, axis=0).repeat(2, axis=1)
-        if ceiling is not None:
-            ceiling = ceiling.repeat(2, axis=0).repeat(2, axis=1)
-    last = part(progress, 0.4, 1.0)
-    rays = Rays.unknown(fine)
-    height, score, rival = in_blocks(fine, hidden, pairs, z_range, step, options, last, guide, ceiling, rays)
-    height = median_filter(height, SMOOTH, mode="nearest")
-    agreeing, views = witnesses(fine, hidden.hits, rays, height, options.tolerance, step)
-    # beyond the images nothing is known that could be on the lower side of anything
-    everything_seen = np.broadcast_to(np.float32(UNKNOWN), fine.images.shape)
-    beyond_images = ~at_surface(fine, everything_seen, height, options.tolerance)[1].any(axis=0)
-    height = filled(height, (2 * agreeing > views) | beyond_images, fine.cell)
-    height = median_filter(settle(fine, hidden, pairs, height, step, options), SMOOTH, mode="nearest")
-    if options.edges:
-        height = sharpen(fine, hidden.hits, height, options.tolerance, options.edges)
-    return Match(height, score, rival, *witnesses(fine, hidden.hits, rays, height, options.tolerance, step)[::-1])
+    return MatchTask(fine, pairs, z_range, step, options)
+
+
+def _rough_passes(task: MatchTask, progress: Progress) -> tuple[tuple[float, float], RoughSurface]:
+    """Match at twice the cell until the surface and its occlusions agree; the heights it lies in, and the surface."""
+    frame, options, passes = task.frame.halved(), task.options, task.options.rough_passes
+    rough = replace(task, frame=frame, step=2 * task.step)
+    visibility = all_visible(frame)
+    before = ceiling = None
+    for k in range(passes):
+        progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
+        height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling)
+        height = median_filter(height, 3, mode="nearest")
+        if k == 0:
+            rough = replace(
+                rough, z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step)
+            )
+        eroded = erode(height, options.erode / frame.cell)
+        visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
+        dark = measure_dark(frame, height, options.tolerance, visibility)
+        surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
+        if k < OPENING_PASSES:
+            surface = open_courtyards(rough, surface)
+        visibility, ceiling = surface.visibility, surface.ceiling
+        if before is not None and np.mean(np.abs(surface.height - before) > task.step) < CONVERGED:
+            break
+        before = surface.height
+    return rough.z_range, surface
+
+
+def _doubled(rough: np.ndarray) -> np.ndarray:
+    """Maps of heights [m] on cells of half the size."""
+    return rough.repeat(2, axis=0).repeat(2, axis=1)
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:

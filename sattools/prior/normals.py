@@ -20,11 +20,11 @@ def normals(height: np.ndarray, cell: float) -> np.ndarray:
     Returns:
         ``[3, H, W]`` float32 unit vectors (east, north, up); NaN where no triangle is known.
     """
-    found = np.empty((3, *height.shape), np.float32)
+    maps = np.empty((3, *height.shape), np.float32)
     for row in range(0, len(height), STRIP):
         first, last = max(0, row - 1), min(len(height), row + STRIP + 1)
-        found[:, row : row + STRIP] = _normals(height[first:last], cell)[:, row - first : row - first + STRIP]
-    return found
+        maps[:, row : row + STRIP] = _normals(height[first:last], cell)[:, row - first : row - first + STRIP]
+    return maps
 
 
 def _normals(height: np.ndarray, cell: float) -> np.ndarray:

@@ -20,7 +20,7 @@ class PriorOptions:
     pairs: int = option(60, "Largest number of image pairs that are correlated, besides a few narrow ones.", minimum=1)
     min_angle: float = option(
         12.0,
-        "Smallest intersection angle of a pair [degrees]; a few narrower ones look into courts.",
+        "Smallest intersection angle of a pair [degrees]; a few narrower ones look into courtyards.",
         minimum=0,
         maximum=90,
     )
@@ -56,9 +56,11 @@ class PriorOptions:
         minimum=0,
     )
     rough_passes: int = option(
-        5, "Passes, at most, at twice the cell that find what hides what; 0 = ignore hiding.", minimum=0, maximum=100
+        5, "Passes, at most, at twice the cell that find the occlusions; 0 = ignore occlusion.", minimum=0, maximum=100
     )
-    erode: float = option(3.0, "Radius by which the surface is thinned before it hides anything [m].", minimum=0)
+    erode: float = option(
+        3.0, "Radius by which the surface is eroded before its occlusions are computed [m].", minimum=0
+    )
     tolerance: float = option(
         2.0, "Depth below the visible surface from which a point is hidden [m]; at least two planes.", minimum=0
     )

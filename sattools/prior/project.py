@@ -49,9 +49,12 @@ def seen_by(
 
     def cells(points: np.ndarray) -> np.ndarray:
         """Grid (row, column) of all pixels' points, ``[rows, columns, 2]`` float32."""
-        found = (grid.top - points[..., 1], points[..., 0] - grid.left)
+        positions = (grid.top - points[..., 1], points[..., 0] - grid.left)
         return np.stack(
-            [cv2.remap((p / grid.cell_size - 0.5).astype(np.float32), map_c, map_r, cv2.INTER_LINEAR) for p in found],
+            [
+                cv2.remap((p / grid.cell_size - 0.5).astype(np.float32), map_c, map_r, cv2.INTER_LINEAR)
+                for p in positions
+            ],
             axis=-1,
         )
 

@@ -101,7 +101,7 @@ def lowest(total, heights, height, index):
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
-def rival(total, index, gap):
+def second_best_margin(total, index, gap):
     """How much dearer the cheapest height is that is not a neighbour of the best one.
 
     Args:
@@ -120,4 +120,4 @@ def rival(total, index, gap):
             gap[row, col] = least - total[row, col, best] if least < np.float32(1e9) else np.float32(0)
 
 
-__all__ = ["aggregate", "lowest", "rival"]
+__all__ = ["aggregate", "lowest", "second_best_margin"]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 import numpy as np
 
 from sattools.errors import SceneError
-from sattools.prior.confidence import confidence
+from sattools.prior.confidence import match_confidence
 from sattools.prior.files import write_sensor_map
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
@@ -17,18 +16,28 @@ from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
 from sattools.prior.pairs import choose_pairs
 from sattools.prior.project import seen_by
-from sattools.progress import Progress, part, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.document import GEOTIFF_TYPE
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_cog
-from sattools.views import Source, Tone, View, check_seen, line_of_sight, load_sources, match_colours, views_on
+from sattools.views import (
+    RadiometricBalance,
+    Source,
+    View,
+    check_seen,
+    line_of_sight,
+    load_sources,
+    match_colours,
+    views_on,
+)
 
 log = logging.getLogger(__name__)
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 Z_REF_SHARE = 0.3  # share of the height range below the reference height: most of a scene is near the ground
 
-USUAL_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
+REFERENCE_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
 
 
 def prior(
@@ -37,7 +46,8 @@ def prior(
     progress: Progress = silent,
     overwrite: bool = True,
     implicit: bool = False,
-) -> dict[str, Any]:
+    sources: list[Source] | None = None,
+) -> JsonObject:
     """Match the scene's training images; writes height, confidence and normals below ``prior/`` of the root.
 
     Args:
@@ -46,9 +56,10 @@ def prior(
         progress: share done.
         overwrite: replace products that are there.
         implicit: whether another stage asks for it, which may then make it anew for other images.
+        sources: the training images, if they have been read already.
 
     Returns:
-        Remarks and figures for the history.
+        Notes and figures for the history.
 
     Raises:
         SceneError: fewer than two usable images, or none from different directions.
@@ -61,36 +72,36 @@ def prior(
     begin(scene, "prior", outputs, overwrite)
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
-    whole = scene.need_grid()
+    whole = scene.require_grid()
     grid = whole.resized(options.resolution or whole.cell_size)
-    z_range = scene.need_height_range()
+    z_range = scene.require_height_range()
     progress(0.0, "reading images")
-    sources = load_sources(scene, items)
+    sources = load_sources(scene, items) if sources is None else sources
     frame, views = make_frame(sources, grid, z_range, options.window)
     limits = (options.min_angle, options.max_angle)
     pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
     if not len(pairs):
         raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")
-    found = match(frame, pairs, z_range, options, part(progress, 0.2, 0.9))
-    agreement = left_out_agreement(frame, found.height)
-    found = Match(**{name: crop(array, grid.shape) for name, array in vars(found).items()})
-    trust = confidence(found)
-    # a height without two witnesses among the images is a guess: it stays, without confidence, for the fit to judge
-    height = found.height
+    matched = match(frame, pairs, z_range, options, subprogress(progress, 0.2, 0.9))
+    agreement = left_out_agreement(frame, matched.height)
+    matched = Match(**{name: crop(array, grid.shape) for name, array in vars(matched).items()})
+    confidence = match_confidence(matched)
+    # a height without two consistent views is a guess: it stays, without confidence, for the fit to judge
+    height = matched.height
 
     progress(0.9, "writing")
-    write_maps(scene, height, trust, grid)
+    write_maps(scene, height, confidence, grid)
     if options.per_image:
-        _per_image(scene, sources, grid, height, trust, z_range, part(progress, 0.92, 1.0))
+        _per_image(scene, sources, grid, height, confidence, z_range, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
-    completeness = float((found.views >= 2).mean())
+    completeness = float((matched.views >= 2).mean())
     return {
-        "remarks": _remarks(views, grid, completeness),
+        "notes": _notes(views, grid, completeness),
         "prior": {
             "pairs": [[views[a].id, views[b].id] for a, b in pairs],
             "seen_by_two": round(completeness, 4),
-            "witnessed_by_two": round(float((found.witnesses >= 2).mean()), 4),
-            "mean_confidence": round(float(trust.mean()), 4),
+            "consistent_in_two": round(float((matched.consistent_views >= 2).mean()), 4),
+            "mean_confidence": round(float(confidence.mean()), 4),
             "left_out_agreement": {
                 view.id: None if value is None else round(value, 4)
                 for view, value in zip(views, agreement, strict=True)
@@ -100,12 +111,26 @@ def prior(
     }
 
 
-def write_maps(scene: Scene, height: np.ndarray, trust: np.ndarray, grid: Grid) -> None:
-    """Write height [m], confidence and the height's normals as the scene's prior; ``height``, ``trust``: ``[H, W]``."""
+def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
+    """Write height [m] and confidence, both ``[H, W]``, and the height's normals as the scene's prior.
+
+    Args:
+        scene: gets the products.
+        height: ``[H, W]`` [m].
+        confidence: ``[H, W]`` in [0, 1].
+        grid: of the maps.
+    """
     targets = {name: scene.output(name) for name in (DSM, CONFIDENCE, NORMALS)}
     tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
     write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
-    write_cog(targets[CONFIDENCE], trust, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=["confidence"])
+    write_cog(
+        targets[CONFIDENCE],
+        confidence,
+        grid,
+        units="1",
+        tags={"SOFTWARE": "sattools"},
+        descriptions=["confidence"],
+    )
     names = ["normal east", "normal north", "normal up"]
     slant = normals(height, grid.cell_size)
     write_cog(targets[NORMALS], slant, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=names)
@@ -117,17 +142,23 @@ def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return array[: shape[0], : shape[1]]
 
 
-def to_eye(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: float | None = None) -> np.ndarray:
+def gamma_encode(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: float | None = None) -> np.ndarray:
     """Grey images with a tone curve, scaled to a usual contrast, so that thresholds mean the same for every sensor.
 
     Linear radiance hides the texture of shadows in a sliver of its range; 8-bit images bring their tone curve along.
     ``contrast``: of all images before, where it is known; else that of these.
+
+    Args:
+        images: ``[V, H, W]`` radiance.
+        masks: ``[V, H, W]`` 1 = valid.
+        linear: whether they are linear radiance.
+        contrast: see above.
     """
-    curve = with_tone(images, linear)
-    return (curve * (USUAL_CONTRAST / (contrast or contrast_of(curve, masks)))).astype(np.float32)
+    curve = gamma_encoded(images, linear)
+    return (curve * (REFERENCE_CONTRAST / (contrast or contrast_of(curve, masks)))).astype(np.float32)
 
 
-def with_tone(images: np.ndarray, linear: bool) -> np.ndarray:
+def gamma_encoded(images: np.ndarray, linear: bool) -> np.ndarray:
     """The images with a tone curve, if they have none yet."""
     return np.maximum(images, 0.0) ** (1 / 2.2) if linear else images
 
@@ -138,13 +169,13 @@ def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
     return max(high - low, 1e-6)
 
 
-def common_tones(sources: list[Source], views: list[View]) -> list[Tone]:
+def common_balance(sources: list[Source], views: list[View]) -> list[RadiometricBalance]:
     """How each view becomes grey as the others are, from all that they show; for parts of an area to agree on."""
     gain, offset = match_colours(views)
     grey = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
-    contrast = float(contrast_of(with_tone(grey, all(s.linear for s in sources)), masks))
-    return [Tone(a.tolist(), b.tolist(), contrast) for a, b in zip(gain, offset, strict=True)]
+    contrast = float(contrast_of(gamma_encoded(grey, all(s.linear for s in sources)), masks))
+    return [RadiometricBalance(a.tolist(), b.tolist(), contrast) for a, b in zip(gain, offset, strict=True)]
 
 
 def make_frame(
@@ -153,14 +184,20 @@ def make_frame(
     """Resample all images to the grid and a margin around it, so that high and low points at its border are seen too.
 
     Rows and columns are made even, as matching halves them.
+
+    Args:
+        sources: the images.
+        grid: ground grid.
+        z_range: lowest and highest height [m].
+        window: half width of the matching window [cells].
     """
     z_ref = z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
     cell = grid.cell_size
-    lines = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
-    for source, line in zip(sources, lines, strict=True):
-        check_seen(source.id, np.isfinite(line))  # a camera of another place has no line of sight here
+    view_slopes = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
+    for source, view_slope in zip(sources, view_slopes, strict=True):
+        check_seen(source.id, np.isfinite(view_slope))  # a camera of another place has no line of sight here
     # from the ground to the sensor: what stands higher is displaced the other way; rows count southward
-    slopes = np.array([(north, -east) for east, north in lines]) / cell
+    slopes = np.array([(north, -east) for east, north in view_slopes]) / cell
     margin = margin_for(slopes, z_ref, z_range, window)
     wide = Grid(
         grid.crs,
@@ -172,9 +209,12 @@ def make_frame(
     )
     views = views_on(sources, wide, z_ref, z_range)
     slopes = np.array([(north, -east) for east, north in (view.slope for view in views)]) / cell
-    tones = [s.tone for s in sources if s.tone]
-    if len(tones) == len(sources):
-        gain, offset = np.array([t.gain for t in tones], np.float32), np.array([t.offset for t in tones], np.float32)
+    balances = [s.balance for s in sources if s.balance]
+    if len(balances) == len(sources):
+        gain, offset = (
+            np.array([t.gain for t in balances], np.float32),
+            np.array([t.offset for t in balances], np.float32),
+        )
     else:
         gain, offset = match_colours(views)
     images = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
@@ -182,7 +222,7 @@ def make_frame(
     inside = slice(margin, -margin or None)
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
-    images = to_eye(images, masks, all(s.linear for s in sources), tones[0].contrast if tones else None)
+    images = gamma_encode(images, masks, all(s.linear for s in sources), balances[0].contrast if balances else None)
     return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin, tuple(v.sun for v in views)), views
 
 
@@ -191,8 +231,9 @@ def _per_image(
     sources: list[Source],
     grid: Grid,
     height: np.ndarray,
-    trust: np.ndarray,
+    confidence: np.ndarray,
     z_range: tuple[float, float],
+    *,
     progress: Progress,
 ) -> None:
     """Write the assets `depth` and `confidence` of every matched image, pixel by pixel of the image."""
@@ -201,8 +242,10 @@ def _per_image(
     low, high = min(z_range[0], float(np.nanmin(height))) - 1.0, max(z_range[1], float(np.nanmax(height))) + 1.0
     for k, source in enumerate(sources):
         progress(k / len(sources), f"depth of {source.id}")
-        depth, (sure,) = seen_by(source.rpc, source.radiance.shape[1:], grid, height, [trust], (low, high))
-        for name, array, unit in (("depth", depth, "m"), ("confidence", sure, "1")):
+        depth, (image_confidence,) = seen_by(
+            source.rpc, source.radiance.shape[1:], grid, height, [confidence], (low, high)
+        )
+        for name, array, unit in (("depth", depth, "m"), ("confidence", image_confidence, "1")):
             href = _per_image_href(name, source.id)
             write_sensor_map(scene.output(href), array, source.rpc, name, unit)
             items[source.id].assets[name] = Asset(href, GEOTIFF_TYPE)
@@ -212,18 +255,20 @@ def _per_image_href(name: str, item_id: str) -> str:
     return f"prior/{name}/{item_id}.tif"
 
 
-def _remarks(views: list[View], grid: Grid, completeness: float) -> list[str]:
-    remarks = []
-    worst = max(views, key=lambda v: v.spread_m)
-    if worst.spread_m > 0.5 * grid.cell_size:
-        remarks.append(f"{worst.id}: lines of sight are parallel only to {worst.spread_m:.2f} m over this area")
+def _notes(views: list[View], grid: Grid, completeness: float) -> list[str]:
+    notes = []
+    worst = max(views, key=lambda v: v.parallel_ray_error_m)
+    if worst.parallel_ray_error_m > 0.5 * grid.cell_size:
+        notes.append(
+            f"{worst.id}: lines of sight are parallel only to {worst.parallel_ray_error_m:.2f} m over this area"
+        )
     if len(views) == 2:
-        remarks.append("two images only: what one of them does not show is taken from lower ground around it")
+        notes.append("two images only: what one of them does not show is taken from lower ground around it")
     if completeness < 0.9:
-        remarks.append(f"{100 * (1 - completeness):.0f} % of the area is seen by fewer than two images")
-    for text in remarks:
+        notes.append(f"{100 * (1 - completeness):.0f} % of the area is seen by fewer than two images")
+    for text in notes:
         log.warning(text)
-    return remarks
+    return notes
 
 
-__all__ = ["CONFIDENCE", "DSM", "common_tones", "make_frame", "prior", "write_maps"]
+__all__ = ["CONFIDENCE", "DSM", "common_balance", "make_frame", "prior", "write_maps"]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sattools.prior.consistency import RayMinima, update_minima
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import Hidden, dark_noise
 from sattools.prior.options import PriorOptions
-from sattools.prior.rays import Rays, follow
+from sattools.prior.visibility import Visibility, dark_noise
 from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
@@ -69,102 +69,134 @@ def _blocks(shape: tuple[int, int], volume: int, planes_wanted: int, guided: boo
     ]
 
 
-def in_blocks(
-    frame: Frame,
-    hidden: Hidden,
-    pairs: np.ndarray,
-    z_range: tuple[float, float],
-    step: float,
-    options: PriorOptions,
+@dataclass(frozen=True)
+class MatchTask:
+    """What a pass of the matching is about.
+
+    Attributes:
+        frame: the views.
+        pairs: ``[P, 2]`` indices of the views to correlate.
+        z_range: lowest and highest height to try [m].
+        step: distance of the height planes [m].
+        options: see `PriorOptions`.
+    """
+
+    frame: Frame
+    pairs: np.ndarray
+    z_range: tuple[float, float]
+    step: float
+    options: PriorOptions
+
+
+def sweep_blocks(
+    task: MatchTask,
+    visibility: Visibility,
     progress: Progress = silent,
+    *,
     guide: np.ndarray | None = None,
     ceiling: np.ndarray | None = None,
-    rays: Rays | None = None,
+    minima: RayMinima | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One pass over the whole grid: height, score and rival ``[H, W]``.
+    """One pass over the whole grid.
 
     Args:
+        task: what is matched.
+        visibility: what is occluded and shaded.
+        progress: told the share done.
         guide: ``[H, W]`` heights of an earlier pass [m]; blocks of a hilly area look only near them.
         ceiling: ``[H, W]`` heights above which nothing is looked for [m].
-        rays: filled in, if given, with the best place on every ray.
+        minima: filled in, if given, with the best place on every ray.
+
+    Returns:
+        Height [m], score and uniqueness, each ``[H, W]`` float32 (see `Match`).
     """
-    wanted = len(planes(z_range, step))
+    frame, step, margin = task.frame, task.step, task.frame.margin
+    wanted = len(planes(task.z_range, step))
     # two volumes of single precision live at a time
-    blocks = _blocks(frame.shape, int(options.memory * 1e6 / 8), wanted, guide is not None)
-    found: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
+    blocks = _blocks(frame.shape, int(task.options.memory * 1e6 / 8), wanted, guide is not None)
+    maps: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
     for k, (rows, cols) in enumerate(blocks):
-        progress(k / len(blocks), f"matching {len(pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
+        progress(k / len(blocks), f"matching {len(task.pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
         top, left = max(0, rows.start - OVERLAP), max(0, cols.start - OVERLAP)
         bottom, right = min(frame.shape[0], rows.stop + OVERLAP), min(frame.shape[1], cols.stop + OVERLAP)
-        near = z_range
+        near = task.z_range
         if guide is not None and len(blocks) > 1:
-            near = narrow(guide[top:bottom, left:right].ravel(), z_range, KEEP_PLANES * step, step)
-        window = (slice(None), slice(top, bottom + 2 * frame.margin), slice(left, right + 2 * frame.margin))
-        piece = replace(frame, images=frame.images[window], masks=frame.masks[window])
-        inside = Hidden(hidden.hits[window], hidden.shades[:, top:bottom, left:right], hidden.dark)
-        lid = None if ceiling is None else ceiling[top:bottom, left:right]
+            near = narrow(guide[top:bottom, left:right].ravel(), near, KEEP_PLANES * step, step)
+        window = (slice(None), slice(top, bottom + 2 * margin), slice(left, right + 2 * margin))
+        piece = replace(task, frame=replace(frame, images=frame.images[window], masks=frame.masks[window]))
+        inside = Visibility(
+            visibility.first_hit_height[window], visibility.shadow_height[:, top:bottom, left:right], visibility.dark
+        )
         heights = planes(near, step)
-        *new, total = sweep(piece, inside, pairs, heights, options, lid)
+        *new, total = sweep(piece, inside, heights, None if ceiling is None else ceiling[top:bottom, left:right])
         inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
-        for whole, part_found in zip(found, new, strict=True):
-            whole[rows, cols] = part_found[inner]
-        if rays is not None:
-            corner = (frame.margin + rows.start, frame.margin + cols.start)
-            follow(total[inner], frame.slopes, heights, frame.z_ref, *corner, rays.cost, rays.height)
-    return found[0], found[1], found[2]
+        for whole, part in zip(maps, new, strict=True):
+            whole[rows, cols] = part[inner]
+        if minima is not None:
+            corner = (margin + rows.start, margin + cols.start)
+            update_minima(total[inner], frame.slopes, heights, frame.z_ref, *corner, minima.cost, minima.height)
+    return maps[0], maps[1], maps[2]
 
 
 def sweep(
-    frame: Frame,
-    hidden: Hidden,
-    pairs: np.ndarray,
-    heights: np.ndarray,
-    options: PriorOptions,
-    ceiling: np.ndarray | None = None,
+    task: MatchTask, visibility: Visibility, heights: np.ndarray, ceiling: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Correlate at all heights, aggregate, choose.
 
-    Returns:
-        height [m], score in [0, 1] and rival, each ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
-    """
-    from sattools.prior.sgm import aggregate, lowest, rival
+    Args:
+        task: what is matched.
+        visibility: what is occluded and shaded.
+        heights: ``[D]`` float64 to try [m].
+        ceiling: ``[H, W]`` heights above which nothing is looked for [m].
 
-    volume = agreement(frame, hidden, pairs, heights, options)
+    Returns:
+        height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
+    """
+    from sattools.prior.sgm import aggregate, lowest, second_best_margin
+
+    options = task.options
+    volume = agreement(task, visibility, heights)
     if ceiling is not None:
         volume[heights > ceiling[..., None]] = 0
     total = np.empty_like(volume)
-    aggregate(volume, np.float32(options.small_jump), np.float32(options.large_jump * scarcity(len(pairs))), total)
-    height = np.empty(frame.shape, np.float32)
-    index = np.empty(frame.shape, np.int64)
+    large_jump = options.large_jump * scarcity(len(task.pairs))
+    aggregate(volume, np.float32(options.small_jump), np.float32(large_jump), total)
+    height = np.empty(task.frame.shape, np.float32)
+    index = np.empty(task.frame.shape, np.int64)
     lowest(total, heights, height, index)
     score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
-    gap = np.empty(frame.shape, np.float32)
-    rival(total, index, gap)
+    gap = np.empty(task.frame.shape, np.float32)
+    second_best_margin(total, index, gap)
     return height, np.clip(score, 0, 1), gap / 8, total
 
 
-def agreement(
-    frame: Frame,
-    hidden: Hidden,
-    pairs: np.ndarray,
-    heights: np.ndarray,
-    options: PriorOptions,
-    base: np.ndarray = PLANES,
-) -> np.ndarray:
-    """Agreement of the views at every cell and height, ``[H, W, D]`` float32 (see `kernels.correlate`)."""
+def agreement(task: MatchTask, visibility: Visibility, heights: np.ndarray, base: np.ndarray = PLANES) -> np.ndarray:
+    """Agreement of the views at every cell and height (see `kernels.correlate`).
+
+    Args:
+        task: what is matched.
+        visibility: what is occluded and shaded.
+        heights: ``[D]`` float64 [m].
+        base: surface to which the heights are relative, ``[H + 2 window, W + 2 window]`` [m]; empty = none.
+
+    Returns:
+        ``[H, W, D]`` float32, at most 1.
+    """
     from sattools.prior.kernels import correlate
 
-    shadow_noise = dark_noise(frame, hidden.dark, options.brightness / 2, options.noise)
+    frame, options = task.frame, task.options
+    shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)
     volume = np.empty((*frame.shape, len(heights)), np.float32)
     correlate(
-        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, hidden.hits, hidden.shades, hidden.dark,
-        options.tolerance, pairs, options.window, options.noise, shadow_noise, options.brightness, frame.margin,
-        np.float32(options.unseen), *trust_in(len(pairs), options), volume,
+        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, visibility.first_hit_height,
+        visibility.shadow_height, visibility.dark, options.tolerance, task.pairs, options.window, options.noise,
+        shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
+        *pair_weights(len(task.pairs), options), volume,
     )  # fmt: skip
     return volume
 
 
-def trust_in(pairs: int, options: PriorOptions) -> tuple[int, np.float32, np.float32]:
+def pair_weights(pairs: int, options: PriorOptions) -> tuple[int, np.float32, np.float32]:
     """Half the exponent of the mean over so many pairs, weight of hidden views, and of pairs in different light.
 
     Many pairs outvote what the surface of an earlier pass got wrong; among few, the one that agrees best by chance or
@@ -180,4 +212,4 @@ def scarcity(pairs: int) -> float:
     return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
 
 
-__all__ = ["agreement", "in_blocks", "narrow", "planes", "scarcity", "sweep", "trust_in"]
+__all__ = ["MatchTask", "agreement", "narrow", "pair_weights", "planes", "scarcity", "sweep", "sweep_blocks"]

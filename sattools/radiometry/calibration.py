@@ -71,14 +71,14 @@ def _imd_groups(text: str) -> dict[str, dict[str, str]]:
 
 
 def _digitalglobe(path: Path, groups: dict[str, dict[str, str]]) -> list[BandCalibration]:
-    found = []
+    rows = []
     for name, values in groups.items():
         if "ABSCALFACTOR" not in values or "EFFECTIVEBANDWIDTH" not in values:
             continue
         factor = _positive(path, f"absCalFactor of band {name}", values["ABSCALFACTOR"])
         width = _positive(path, f"effectiveBandwidth of band {name}", values["EFFECTIVEBANDWIDTH"])
-        found.append(BandCalibration(name, factor / width))
-    return found
+        rows.append(BandCalibration(name, factor / width))
+    return rows
 
 
 def _dimap(path: Path, root: object) -> list[BandCalibration]:
@@ -89,13 +89,13 @@ def _dimap(path: Path, root: object) -> list[BandCalibration]:
     radiance, sun = table("Band_Radiance", "GAIN"), table("Band_Solar_Irradiance", "VALUE")
     places = table("Raster_Index", "BAND_INDEX")
     order = sorted(radiance, key=lambda b: int(places[b]["BAND_INDEX"])) if set(radiance) <= set(places) else radiance
-    found = []
+    entries = []
     for name in order:
         gain = _positive(path, f"GAIN of band {name}", radiance[name]["GAIN"])
         bias = radiance[name].get("BIAS") or "0"
         irradiance = _positive(path, f"solar irradiance of band {name}", sun[name]["VALUE"]) if name in sun else None
-        found.append(BandCalibration(name, 1 / gain, float(bias), irradiance))
-    return found
+        entries.append(BandCalibration(name, 1 / gain, float(bias), irradiance))
+    return entries
 
 
 def _positive(path: Path, what: str, text: str) -> float:
@@ -124,7 +124,7 @@ def earth_sun_distance(time: datetime) -> float:
 def reflectance(
     numbers: np.ndarray, bands: Sequence[BandCalibration], distance: float, sun_elevation_deg: float | None
 ) -> np.ndarray:
-    """pi L d^2 / (E cos theta_sun), or pi L d^2 / E without a sun elevation; float32, nothing clipped.
+    """Pi L d^2 / (E cos theta_sun), or pi L d^2 / E without a sun elevation; float32, nothing clipped.
 
     Args:
         numbers: ``[C, H, W]`` digital numbers less the black level.

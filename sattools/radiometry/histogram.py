@@ -15,7 +15,15 @@ COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:purple", "tab:brown", "tab:p
 def histogram_figure(
     numbers: Sequence[np.ndarray], radiance: Sequence[np.ndarray], labels: tuple[str, str], title: str, path: Path
 ) -> None:
-    """PNG with one line per band: left the digital numbers ``[N]`` per band, right the radiance ``[N]`` per band."""
+    """PNG with one line per band: left the digital numbers ``[N]`` per band, right the radiance ``[N]`` per band.
+
+    Args:
+        numbers: digital numbers of each band.
+        radiance: of each band.
+        labels: of the two axes.
+        title: of the picture.
+        path: file to write.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

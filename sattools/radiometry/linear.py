@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+
+from sattools.scene.jsonio import JsonObject
 
 DEFAULT_BITS = 11  # WorldView, GeoEye, QuickBird products in 16-bit files
 
 
-def item_bits(properties: dict[str, Any]) -> int:
+def item_bits(properties: JsonObject) -> int:
     """Significant bits of an item's digital numbers: its own statement, else 8 or 11 by file type."""
     bits = properties.get("sattools:bits")
     if bits:

@@ -7,7 +7,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bi
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_image, write_image_like
 from sattools.scene.sidecars import sidecars
 
@@ -58,14 +58,20 @@ class _Job:
 
 def normalise(
     scene: Scene, options: NormaliseOptions, progress: Progress = silent, overwrite: bool = True
-) -> dict[str, Any]:
+) -> JsonObject:
     """Write a linear float32 `radiance` asset for every image; NaN where it has no data or is saturated.
 
     Sets per item `sattools:radiance` (``toa_reflectance``, ``reflectance_factor`` or ``relative``) and
     `sattools:tone` (``linear``, or ``tone-mapped`` for 8-bit images left as they are). Nothing is clipped.
 
+    Args:
+        scene: the scene.
+        options: of the stage.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
+
     Returns:
-        Shares of masked pixels per image, and remarks, for the history.
+        Shares of masked pixels per image, and notes, for the history.
 
     Raises:
         SceneError: no images, bands that are not there, or a calibration asked for that the metadata do not allow.
@@ -74,27 +80,27 @@ def normalise(
     items = [item for item in scene.items if "image" in item.assets]
     if not items:
         raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
-    remarks: list[str] = []
+    notes: list[str] = []
     calibrations = {item.id: _calibration(scene, item, options) for item in items}
-    quantity = _quantity(scene, items, options, calibrations, remarks)
-    job = _Job(scene, options, quantity, calibrations, _bits(items, options, remarks))
+    quantity = _quantity(scene, items, options, calibrations, notes)
+    job = _Job(scene, options, quantity, calibrations, _bits(items, options, notes))
     paths = begin(scene, "normalise", [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], overwrite)
     shares = {}
     for k, item in enumerate(items):
         progress(k / len(items), item.id)
-        shares[item.id] = _one(job, item, paths[f"radiance/{item.id}.tif"], remarks)
+        shares[item.id] = _one(job, item, paths[f"radiance/{item.id}.tif"], notes)
     pooled = [[np.concatenate(band) for band in zip(*part, strict=True)] for part in (job.numbers, job.radiance)]
     label = LABELS[job.quantity]
     histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", paths[FIGURE])
     scene.products["radiance_histogram"] = FIGURE
-    for text in remarks:
+    for text in notes:
         log.warning("%s", text)
     progress(1.0, "normalised")
     made = record(scene, "normalise", items)
-    return {"remarks": remarks, "quantity": job.quantity, "images": shares, MADE: made}
+    return {"notes": notes, "quantity": job.quantity, "images": shares, MADE: made}
 
 
-def _one(job: _Job, item: Item, output: Path, remarks: list[str]) -> dict[str, float]:
+def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, float]:
     options, bits = job.options, job.bits[item.id]
     path = job.scene.path(item.assets["image"].href)
     everything = read_image(path)
@@ -124,7 +130,7 @@ def _one(job: _Job, item: Item, output: Path, remarks: list[str]) -> dict[str, f
     item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
     if tone_mapped:
         what = "left as they are (give --gamma)" if left else f"linearised by the exponent {options.gamma:g}, a guess"
-        remarks.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
+        notes.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
     job.numbers.append(_sample(job, bands))
     job.radiance.append(_sample(job, radiance))
     known = radiance[np.isfinite(radiance)]
@@ -137,7 +143,7 @@ def _one(job: _Job, item: Item, output: Path, remarks: list[str]) -> dict[str, f
     if not known.size:
         raise SceneError(f"{path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)")
     if shares["saturated"] > 0.05:
-        remarks.append(f"{item.id}: {100 * shares['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
+        notes.append(f"{item.id}: {100 * shares['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
     return {name: round(share, 6) for name, share in shares.items()}
 
 
@@ -150,25 +156,25 @@ def _sample(job: _Job, bands: np.ndarray) -> list[np.ndarray]:
 def _match(job: _Job, radiance: np.ndarray) -> np.ndarray:
     """The image brought to the first one's middle and spread."""
     low, middle, high = np.nanpercentile(radiance, [16, 50, 84], axis=(1, 2))
-    found = np.stack([middle, high - low])
+    level_and_spread = np.stack([middle, high - low])
     if job.reference is None:
-        job.reference = found
-    gain, offset = gain_and_offset(found, job.reference)
+        job.reference = level_and_spread
+    gain, offset = gain_and_offset(level_and_spread, job.reference)
     return np.asarray((radiance * gain[:, None, None] + offset[:, None, None]).astype(np.float32))
 
 
-def _bits(items: list[Item], options: NormaliseOptions, remarks: list[str]) -> dict[str, int]:
+def _bits(items: list[Item], options: NormaliseOptions, notes: list[str]) -> dict[str, int]:
     """Significant bits per image; images of one sensor share the largest, as a dark scene's values prove nothing."""
-    found = {item.id: options.bits or item_bits(item.properties) for item in items}
+    bits_of = {item.id: options.bits or item_bits(item.properties) for item in items}
     groups = {item.id: (item.properties.get("platform"), item.properties.get("sattools:dtype")) for item in items}
     for group in set(groups.values()):
-        members = [i for i in found if groups[i] == group]
-        highest = max(found[i] for i in members)
+        members = [i for i in bits_of if groups[i] == group]
+        highest = max(bits_of[i] for i in members)
         for name in members:
-            if found[name] < highest:
-                remarks.append(f"{name}: values fit {found[name]} bits, taken as {highest} like its sensor's others")
-                found[name] = highest
-    return found
+            if bits_of[name] < highest:
+                notes.append(f"{name}: values fit {bits_of[name]} bits, taken as {highest} like its sensor's others")
+                bits_of[name] = highest
+    return bits_of
 
 
 def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> list[int]:
@@ -205,7 +211,7 @@ def _quantity(
     items: list[Item],
     options: NormaliseOptions,
     calibrations: dict[str, list[BandCalibration]],
-    remarks: list[str],
+    notes: list[str],
 ) -> str:
     """The quantity asked for, or the best that all images allow."""
 
@@ -238,7 +244,7 @@ def _quantity(
             name, reason = next(iter(missing.items()))
             raise SceneError(f"scene {scene.id}: {quantity} was asked for, but of {name} {reason}")
     commonest = Counter(r for r in reasons.values() if r).most_common(1)[0][0]
-    remarks.append(f"linear up to an unknown factor: {commonest}")
+    notes.append(f"linear up to an unknown factor: {commonest}")
     return "relative"
 
 

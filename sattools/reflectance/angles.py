@@ -65,7 +65,14 @@ def pair(sun: Tensor, view: Tensor) -> Pair:
 
 
 def measure(normal: Tensor, sun: Tensor, view: Tensor, known: Pair | None = None) -> Angles:
-    """`Angles` of unit vectors ``[..., 3]`` (broadcast against each other); ``known``: their `pair`."""
+    """`Angles` of unit vectors ``[..., 3]`` (broadcast against each other); ``known``: their `pair`.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+        known: see above.
+    """
     n = [part.contiguous() for part in normal.unbind(-1)]
     s, v = sun.unbind(-1), view.unbind(-1)
     x, plus2, minus2 = known or pair(sun, view)
@@ -84,6 +91,14 @@ def pull_back(
     """Gradients of normal, sun and view ``[..., 3]`` from gradients of their `Angles` (reverse of `measure`).
 
     The results have the broadcast shape; ``needed`` says which of the three to compute, the others are None.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+        known: `pair` of sun and view.
+        grad: of the `Angles`.
+        needed: whether each operand needs its gradient.
     """
     shape = torch.broadcast_shapes(*[v.shape[:-1] for v in (normal, sun, view)], *[g.shape for g in grad])
     n, s, v = normal.unbind(-1), sun.unbind(-1), view.unbind(-1)
@@ -108,6 +123,12 @@ def pull_back(
 
 def as_tensors(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> list[Tensor]:
     """All arguments as tensors of one floating type on the normal's device; plain numbers do not widen the type.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+        *parameters: of a model.
 
     Raises:
         TypeError: the type is neither float32 nor float64.

@@ -23,8 +23,8 @@ def numpy_too(model: F) -> F:
         given = (*arguments, *options.values())
         if not any(isinstance(value, np.ndarray) for value in given):
             return model(*arguments, **options)
-        found = model(*map(_tensor, arguments), **{name: _tensor(value) for name, value in options.items()})
-        return found if any(isinstance(value, torch.Tensor) for value in given) else found.numpy()
+        result = model(*map(_tensor, arguments), **{name: _tensor(value) for name, value in options.items()})
+        return result if any(isinstance(value, torch.Tensor) for value in given) else result.numpy()
 
     return call  # type: ignore[return-value]
 

@@ -38,5 +38,11 @@ class Blocks:
         return len(self.ranges) > 1 and operand.ndim >= -axis and operand.shape[axis] > 1
 
     def cut(self, operand: Tensor, block: tuple[int, int], trailing: int = 0) -> Tensor:
-        """The part of an operand that takes part in a block (a view)."""
+        """The part of an operand that takes part in a block (a view).
+
+        Args:
+            operand: tensor, broadcastable.
+            block: first and last row.
+            trailing: number of axes that are not cut.
+        """
         return operand.narrow(self.axis - trailing, *block) if self.is_cut(operand, trailing) else operand

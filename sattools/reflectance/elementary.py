@@ -16,13 +16,13 @@ MAGIC = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to an integer, which 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def at_least(value, bound):
-    """max that keeps NaN."""
+    """Max that keeps NaN."""
     return bound if value < bound else value
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def at_most(value, bound):
-    """min that keeps NaN."""
+    """Min that keeps NaN."""
     return bound if value > bound else value
 
 

@@ -22,7 +22,7 @@ Kinks, where one of the two one-sided derivatives or their mean is returned:
 - g = 0 with b0 > 0, with respect to sun and view only: B is a cone; 0 is returned for its part;
 - i = 90 or e = 90 degrees: the BRF drops to 0; the derivative from above the horizon is returned;
 - i = e = 90 degrees: at psi = 180 the BRF tends to 0 at a rate that depends on the direction of approach; at psi = 0
-  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.roughness.Z_MIN`.
+  it is infinite (the radiance is not) and the denominator is held at `sattools.reflectance.hapke_limits.Z_MIN`.
 
 First derivatives only, through `torch.autograd`.
 """
@@ -116,18 +116,15 @@ def _h_rates(m: _Multiple, x: Tensor, log: Tensor, h: Tensor, g_h: Tensor) -> tu
     return g_x, g_w
 
 
-def _tangent(theta_deg: Tensor) -> Tensor:
-    return torch.tan(theta_deg.clamp(THETA_MIN, THETA_MAX) * _DEGREE)
-
-
 def _stop(grad: Tensor, value: Tensor, low: float, high: float) -> Tensor:
     """The gradient where the value lies between the bounds, else 0 (the reverse of clamp, in one pass)."""
     return torch.ops.aten.hardtanh_backward(*torch.broadcast_tensors(grad, value), low, high)
 
 
 class _Hapke(torch.autograd.Function):
-    """The model with its reverse written out, block by block; operands in the order of `hapke`, b0 None for no
-    opposition.
+    """The model with its reverse written out, block by block.
+
+    Operands are in the order of `hapke`, b0 None for no opposition.
 
     Without an axis of bands the derivatives are worked out along with the value, while everything is in the cache,
     and eight numbers a sample are kept. With bands the intermediate values are kept instead, so that gradients are
@@ -147,7 +144,7 @@ class _Hapke(torch.autograd.Function):
             parts = _cut(blocks, block, operands)
             n, s, v, w, b, c, theta, b0, h = parts
             angles = measure(n, s, v, known)
-            t = _tangent(theta)
+            t = roughness.tangent_of(theta)
             facet = roughness.forward(angles, t)
             lobes = _lobes(angles, b, c, b0, h)
             multiple = _multiple(facet, w, t)
@@ -175,15 +172,15 @@ class _Hapke(torch.autograd.Function):
             state = kept[number * each : (number + 1) * each]
             grad = blocks.cut(grads[0], block)
             parts = _cut(blocks, block, operands)
-            found: list[Tensor | None]
+            gradients: list[Tensor | None]
             if ctx.direct:
-                found = [
+                gradients = [
                     None if rate is None else rate * (grad if index > 2 else grad[..., None])
                     for index, rate in enumerate(state)
                 ]
             else:
-                found = _reverse(parts, known, _unpack(state), grad, needed)
-            for index, gradient in enumerate(found):
+                gradients = _reverse(parts, known, _unpack(state), grad, needed)
+            for index, gradient in enumerate(gradients):
                 if gradient is not None and needed[index]:
                     _collect(total, index, gradient.sum_to_size(parts[index].shape), operands[index], blocks, block)
         return (None, *total)
@@ -218,33 +215,22 @@ def _known(blocks: Blocks, operands: tuple) -> Pair | None:
     return None if blocks.is_cut(sun, 1) or blocks.is_cut(view, 1) else pair(sun, view)
 
 
-def _reverse(
-    parts: list, known: Pair | None, state: tuple, grad: Tensor | None, needed: tuple[bool, ...]
-) -> list[Tensor | None]:
-    """Gradients of the nine operands of a block, before sums over broadcast axes; ``grad`` None stands for 1."""
-    n, s, v, w, b, c, theta, b0, h = parts
-    known = known or pair(s, v)
-    t, facet, o, m, inner = state
-    geometry = any(needed[:3])
+def _reverse_phase(
+    parts: list, known: Pair, o: _Lobes, g_inner: Tensor, needed: tuple[bool, ...], gradients: list[Tensor | None]
+) -> tuple[Tensor | None, Tensor | None]:
+    """Gradients of b, c, B0 and h, filled in; those of (1 -+ cos g) / 2 where a direction needs them."""
+    _, _, _, _, b, c, _, b0, h = parts
     directions = needed[1] or needed[2]
-    found: list[Tensor | None] = [None] * 9
-
-    base = 0.25 * facet.lit if grad is None else grad * (0.25 * facet.lit)
-    scaled = base * facet.k
-    g_inner = scaled * m.w
-    g_w = scaled * inner
-    g_k = (base * m.w * inner).sum_to_size(facet.k.shape)
-
-    # phase function; summed over bands first
+    # summed over bands first
     g_p = g_inner.sum_to_size(torch.broadcast_shapes(o.p.shape, () if o.boost is None else o.boost.shape))
     g_minus2 = g_plus2 = None
     if o.boost is not None:
         g_boost = g_p * o.p
         g_p = (g_p * o.boost).sum_to_size(o.p.shape)
         damp = h * o.plus * o.rate
-        found[7] = g_boost * damp if needed[7] else None
+        gradients[7] = g_boost * damp if needed[7] else None
         slope = g_boost * b0 * o.rate * o.rate
-        found[8] = slope * o.plus * o.minus if needed[8] else None
+        gradients[8] = slope * o.plus * o.minus if needed[8] else None
         if directions:
             g_minus2 = -0.5 * slope * h * o.plus / o.minus
             g_plus2 = 0.5 * slope * h * o.minus / o.plus
@@ -252,37 +238,58 @@ def _reverse(
         front2, back2 = o.front * o.front, o.back * o.back
         front3, back3 = front2 * o.front, back2 * o.back
         weighted = g_p * o.width
-        found[5] = weighted * (back3 - front3) if needed[5] else None
+        gradients[5] = weighted * (back3 - front3) if needed[5] else None
         if needed[4] or directions:
             a, z = (1 - c) * front3, c * back3
             fall_a, fall_z = -1.5 * weighted * a * front2, -1.5 * weighted * z * back2
             gap = 2 * (o.b - 1)
             g_b = fall_a * (gap + known.plus2) + fall_z * (gap + known.minus2) - 2 * g_p * o.b * (a + z)
             if needed[4]:
-                found[4] = _stop(g_b, b, -B_MAX, B_MAX)
+                gradients[4] = _stop(g_b, b, -B_MAX, B_MAX)
             if directions:
                 g_plus2 = _add(fall_a * o.b, g_plus2)
                 g_minus2 = _add(fall_z * o.b, g_minus2)
+    return g_minus2, g_plus2
+
+
+def _reverse(
+    parts: list, known: Pair | None, state: tuple, grad: Tensor | None, needed: tuple[bool, ...]
+) -> list[Tensor | None]:
+    """Gradients of the nine operands of a block, before sums over broadcast axes; ``grad`` None stands for 1."""
+    n, s, v, w, _, _, theta, _, _ = parts
+    known = known or pair(s, v)
+    t, facet, o, m, inner = state
+    geometry = any(needed[:3])
+    directions = needed[1] or needed[2]
+    gradients: list[Tensor | None] = [None] * 9
+
+    base = 0.25 * facet.lit if grad is None else grad * (0.25 * facet.lit)
+    scaled = base * facet.k
+    g_inner = scaled * m.w
+    g_w = scaled * inner
+    g_k = (base * m.w * inner).sum_to_size(facet.k.shape)
+
+    g_minus2, g_plus2 = _reverse_phase(parts, known, o, g_inner, needed, gradients)
 
     # H functions; from here on gradients have the shape of the geometry
     x_lo, w_lo = _h_rates(m, m.xlo, m.log_lo, m.hlo, g_inner * m.hhi)
     x_hi, w_hi = _h_rates(m, m.xhi, m.log_hi, m.hhi, g_inner * m.hlo)
     if needed[3]:
-        found[3] = _stop(g_w + w_lo + w_hi, w, -math.inf, W_MAX)
+        gradients[3] = _stop(g_w + w_lo + w_hi, w, -math.inf, W_MAX)
     if not geometry and not needed[6]:
-        return found
+        return gradients
     x_lo, x_hi = x_lo.sum_to_size(facet.a_lo.shape), x_hi.sum_to_size(facet.a_hi.shape)
     g_t, g_angles = roughness.reverse(facet, t, x_lo * m.shrink, x_hi * m.shrink, g_k, geometry)
     tt = t * t
     # shrink = (1 + pi t^2)^(-1/2)
     g_t = g_t - math.pi * t * m.shrink * m.shrink * (x_lo * m.xlo + x_hi * m.xhi)
     if needed[6]:
-        found[6] = _stop(g_t * (_DEGREE + _DEGREE * tt), theta, THETA_MIN, THETA_MAX)
+        gradients[6] = _stop(g_t * (_DEGREE + _DEGREE * tt), theta, THETA_MIN, THETA_MAX)
     if g_angles is not None:
         if directions:
             g_angles = g_angles._replace(minus2=_add(g_angles.minus2, g_minus2), plus2=_add(g_angles.plus2, g_plus2))
-        found[:3] = pull_back(n, s, v, known, g_angles, needed)
-    return found
+        gradients[:3] = pull_back(n, s, v, known, g_angles, needed)
+    return gradients
 
 
 def _add(a: Tensor, b: Tensor | None) -> Tensor:
@@ -303,12 +310,18 @@ def hapke(
     """BRF of Hapke's model.
 
     Args:
-        normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
-        w: single scattering albedo, 0 to 0.99. b: width of the lobes, 0 to 0.99. c: weight of the back lobe, 0 to 1.
-        theta_deg: mean slope angle theta-bar in degrees, 1e-4 to 60.
-        b0, h: amplitude and angular width (> 0) of the opposition effect; b0 = 0 leaves it out.
-            All broadcastable to ``[...]``. With bands, give the directions an axis of 1 (``normal[..., None, :]``):
-            what does not depend on the band is then computed once.
+        normal: unit vectors ``[..., 3]`` away from the surface.
+        sun: unit vectors ``[..., 3]`` away from the surface.
+        view: unit vectors ``[..., 3]`` away from the surface.
+        w: single-scattering albedo, 0 to 0.99; this and all that follow broadcastable to ``[...]``.
+        b: width of the phase function's lobes, 0 to 0.99.
+        c: weight of the back lobe, 0 to 1.
+        theta_deg: mean slope angle theta-bar [degrees], 1e-4 to 60.
+        b0: amplitude of the opposition effect; 0 leaves it out.
+        h: angular width of the opposition effect, above 0.
+
+    With bands, give the directions an axis of 1 (``normal[..., None, :]``): what does not depend on the band is then
+    computed once.
 
     Returns:
         Bidirectional reflectance factor pi L / E, E the irradiance of the facet (beam irradiance times cos i); 0
@@ -327,7 +340,14 @@ def hapke(
 
 
 def plain_hapke(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | float) -> Tensor:
-    """`hapke` by the formulas of this module on any device: the readable twin of what is compiled for processors."""
+    """`hapke` by the formulas of this module on any device: what is compiled for processors, in torch.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+        *parameters: as of `hapke`, from w on.
+    """
     opposition = (0.0, 1.0)[len(parameters) - 4 :]  # b0 and h, where they are not given
     operands, needed = _operands(normal, sun, view, *parameters, *opposition)
     return _Hapke.apply(needed, *operands)
@@ -348,26 +368,3 @@ def _shapes(operands: Sequence[Any]) -> tuple[torch.Size, torch.Size]:
     """Broadcast shapes of the geometry (directions and theta-bar) and of the result."""
     facets = torch.broadcast_shapes(*[o.shape[:-1] for o in operands[:3]], operands[6].shape)
     return facets, torch.broadcast_shapes(facets, *[p.shape for p in operands[3:] if p is not None])
-
-
-def effective_cosines(
-    normal: Tensor, sun: Tensor, view: Tensor, theta_deg: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
-
-    They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
-
-    Raises:
-        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
-    """
-    with torch.no_grad():
-        normal, sun, view, theta_deg = as_tensors(normal, sun, view, theta_deg)
-        angles = measure(normal, sun, view)
-        t = _tangent(theta_deg)
-        facet = roughness.forward(angles, t)
-        shrink = torch.rsqrt(1 + math.pi * t * t)
-        sun_is_low = angles.mu0 >= angles.mu
-        mu0e = shrink * torch.where(sun_is_low, facet.a_lo, facet.a_hi)
-        mue = shrink * torch.where(sun_is_low, facet.a_hi, facet.a_lo)
-        # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
-        return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)

@@ -18,8 +18,20 @@ from torch.autograd.function import once_differentiable
 
 from sattools.compiled import njit, prange
 from sattools.reflectance.elementary import angle, at_least, at_most, exp, expm1, log, sign, tan
-from sattools.reflectance.hapke_limits import B_MAX, THETA_MAX, THETA_MIN, W_MAX
-from sattools.reflectance.roughness import A_MIN, D_MIN, EXPONENT_MAX, R2_MIN, SIN2_MIN, T_MAX, U_MAX, Z_MIN
+from sattools.reflectance.hapke_limits import (
+    A_MIN,
+    B_MAX,
+    D_MIN,
+    EXPONENT_MAX,
+    R2_MIN,
+    SIN2_MIN,
+    T_MAX,
+    THETA_MAX,
+    THETA_MIN,
+    U_MAX,
+    W_MAX,
+    Z_MIN,
+)
 
 DEGREE = math.pi / 180
 TINY = float(np.finfo(np.float64).tiny)
@@ -197,14 +209,14 @@ def _sample(n0, n1, n2, s0, s1, s2, v0, v1, v2, w, b, c, theta, b0, h):
 
 
 @njit(cache=True, error_model="numpy")
-def _lanes(known, found):
+def _lanes(known, results):
     """`_sample` of `LANES` samples, operands and results side by side; free of branches, so that it becomes vectors."""
     for j in range(LANES):
         (
-            found[0 * LANES + j], found[1 * LANES + j], found[2 * LANES + j], found[3 * LANES + j],
-            found[4 * LANES + j], found[5 * LANES + j], found[6 * LANES + j], found[7 * LANES + j],
-            found[8 * LANES + j], found[9 * LANES + j], found[10 * LANES + j], found[11 * LANES + j],
-            found[12 * LANES + j], found[13 * LANES + j], found[14 * LANES + j], found[15 * LANES + j],
+            results[0 * LANES + j], results[1 * LANES + j], results[2 * LANES + j], results[3 * LANES + j],
+            results[4 * LANES + j], results[5 * LANES + j], results[6 * LANES + j], results[7 * LANES + j],
+            results[8 * LANES + j], results[9 * LANES + j], results[10 * LANES + j], results[11 * LANES + j],
+            results[12 * LANES + j], results[13 * LANES + j], results[14 * LANES + j], results[15 * LANES + j],
         ) = _sample(
             known[0 * LANES + j], known[1 * LANES + j], known[2 * LANES + j], known[3 * LANES + j],
             known[4 * LANES + j], known[5 * LANES + j], known[6 * LANES + j], known[7 * LANES + j],
@@ -234,16 +246,16 @@ def _load3(vectors, start, size, known, row):
 
 
 @njit(cache=True)
-def _store(found, row, start, size, target):
+def _store(results, row, start, size, target):
     for j in range(size):
-        target[start + j] = found[row * LANES + j]
+        target[start + j] = results[row * LANES + j]
 
 
 @njit(cache=True)
-def _store3(found, row, start, size, target):
+def _store3(results, row, start, size, target):
     for j in range(size):
-        target[start + j, 0], target[start + j, 1] = found[row * LANES + j], found[(row + 1) * LANES + j]
-        target[start + j, 2] = found[(row + 2) * LANES + j]
+        target[start + j, 0], target[start + j, 1] = results[row * LANES + j], results[(row + 1) * LANES + j]
+        target[start + j, 2] = results[(row + 2) * LANES + j]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -256,7 +268,7 @@ def evaluate(n, s, v, w, b, c, theta, b0, h, needed, out, gn, gs, gv, gw, gb, gc
     count = len(out)
     for part in prange((count + PART - 1) // PART):
         known = np.empty(15 * LANES)
-        found = np.empty(16 * LANES)
+        results = np.empty(16 * LANES)
         for start in range(part * PART, min(count, (part + 1) * PART), LANES):
             size = min(LANES, count - start)
             _load3(n, start, size, known, 0)
@@ -268,27 +280,27 @@ def evaluate(n, s, v, w, b, c, theta, b0, h, needed, out, gn, gs, gv, gw, gb, gc
             _load(theta, start, size, known, 12)
             _load(b0, start, size, known, 13)
             _load(h, start, size, known, 14)
-            _lanes(known, found)
+            _lanes(known, results)
             for j in range(size):
-                out[start + j] = found[0 * LANES + j]
+                out[start + j] = results[0 * LANES + j]
             if needed[0]:
-                _store3(found, 1, start, size, gn)
+                _store3(results, 1, start, size, gn)
             if needed[1]:
-                _store3(found, 4, start, size, gs)
+                _store3(results, 4, start, size, gs)
             if needed[2]:
-                _store3(found, 7, start, size, gv)
+                _store3(results, 7, start, size, gv)
             if needed[3]:
-                _store(found, 10, start, size, gw)
+                _store(results, 10, start, size, gw)
             if needed[4]:
-                _store(found, 11, start, size, gb)
+                _store(results, 11, start, size, gb)
             if needed[5]:
-                _store(found, 12, start, size, gc)
+                _store(results, 12, start, size, gc)
             if needed[6]:
-                _store(found, 13, start, size, gt)
+                _store(results, 13, start, size, gt)
             if needed[7]:
-                _store(found, 14, start, size, gb0)
+                _store(results, 14, start, size, gb0)
             if needed[8]:
-                _store(found, 15, start, size, gh)
+                _store(results, 15, start, size, gh)
 
 
 def _flat(operand: Tensor | None, shape: torch.Size, like: Tensor, trailing: tuple[int, ...]) -> np.ndarray:
@@ -328,14 +340,14 @@ class CompiledHapke(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        found: list[Tensor | None] = [None, None]
+        gradients: list[Tensor | None] = [None, None]
         rates = iter(ctx.saved_tensors)
         for k, (need, shape) in enumerate(zip(ctx.needed, ctx.shapes, strict=True)):
             if not need:
-                found.append(None)
+                gradients.append(None)
                 continue
-            found.append((next(rates) * (grads[0] if k > 2 else grads[0][..., None])).sum_to_size(shape))
-        return tuple(found)
+            gradients.append((next(rates) * (grads[0] if k > 2 else grads[0][..., None])).sum_to_size(shape))
+        return tuple(gradients)
 
 
 __all__ = ["CompiledHapke"]

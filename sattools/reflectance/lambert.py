@@ -12,7 +12,9 @@ def lambert(normal: Tensor, sun: Tensor, view: Tensor, albedo: Tensor | float) -
     """BRF of a Lambertian surface: its albedo, with the horizon rule of `sattools.reflectance.angles`.
 
     Args:
-        normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
+        normal: unit vectors ``[..., 3]`` away from the surface.
+        sun: unit vectors ``[..., 3]`` away from the surface.
+        view: unit vectors ``[..., 3]`` away from the surface.
         albedo: broadcastable to ``[...]``.
 
     Returns:

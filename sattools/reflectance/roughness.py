@@ -24,22 +24,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sattools.reflectance.angles import Angles
-
-# exponents end here: exp(-60) = 9e-27 is 0 beside anything it is added to, and denormal numbers would be slow
-EXPONENT_MAX = 60.0
-U_MAX = EXPONENT_MAX * math.pi / 2
-# sin^2 and |projections|^2 below these leave no weight to the azimuth (E1 and E2 at their least);
-# they only keep quotients finite
-SIN2_MIN = 1e-12
-R2_MIN = 1e-24
-# both vanish only at i = e = 90 degrees, psi = 180 degrees, where the effective cosines go to 0 with them
-D_MIN = 1e-7
-A_MIN = 1e-12
-T_MAX = EXPONENT_MAX / 2
-# lit and seen along its own plane from one side (i = e = 90 degrees, psi = 0) a facet has an infinite BRF: pi L / (E
-# cos i)
-Z_MIN = 1e-6
+from sattools.reflectance.angles import Angles, as_tensors, measure
+from sattools.reflectance.hapke_limits import (
+    A_MIN,
+    D_MIN,
+    EXPONENT_MAX,
+    R2_MIN,
+    SIN2_MIN,
+    T_MAX,
+    THETA_MAX,
+    THETA_MIN,
+    U_MAX,
+    Z_MIN,
+)
 
 
 class Facet(NamedTuple):
@@ -75,6 +72,11 @@ class Facet(NamedTuple):
     a_lo: Tensor
     a_hi: Tensor
     k: Tensor
+
+
+def tangent_of(theta_deg: Tensor) -> Tensor:
+    """tan(theta-bar) of a roughness [degrees], held within its bounds."""
+    return torch.tan(theta_deg.clamp(THETA_MIN, THETA_MAX) * (math.pi / 180))
 
 
 def forward(angles: Angles, t: Tensor) -> Facet:
@@ -125,6 +127,14 @@ def reverse(
     """Gradients of t and, if ``geometry``, of the `Angles`, from those of a_lo, a_hi and K.
 
     Those of ``minus2`` and ``plus2`` are what comes through cos g = (plus2 - minus2) / 4.
+
+    Args:
+        facet: of the forward pass.
+        t: tan of the roughness.
+        g_a_lo: gradient of a_lo.
+        g_a_hi: gradient of a_hi.
+        g_k: gradient of K.
+        geometry: whether the angles need theirs.
     """
     o = facet
     g_kk = g_k * o.k
@@ -179,3 +189,32 @@ def reverse(
     mean, half = 0.5 * (g_clo + g_chi), 0.5 * o.order * (g_clo - g_chi)
     quarter = 0.25 * g_x
     return g_t, Angles(mean + half, mean - half, g_triple, -quarter, quarter)
+
+
+def effective_cosines(
+    normal: Tensor, sun: Tensor, view: Tensor, theta_deg: Tensor | float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
+
+    They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
+
+    Args:
+        normal: ``[..., 3]`` unit vectors.
+        sun: unit vector (east, north, up) to the sun.
+        view: unit vector(s) to the sensor.
+        theta_deg: macroscopic roughness [degrees].
+
+    Raises:
+        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
+    """
+    with torch.no_grad():
+        normal, sun, view, theta_deg = as_tensors(normal, sun, view, theta_deg)
+        angles = measure(normal, sun, view)
+        t = tangent_of(theta_deg)
+        facet = forward(angles, t)
+        shrink = torch.rsqrt(1 + math.pi * t * t)
+        sun_is_low = angles.mu0 >= angles.mu
+        mu0e = shrink * torch.where(sun_is_low, facet.a_lo, facet.a_hi)
+        mue = shrink * torch.where(sun_is_low, facet.a_hi, facet.a_lo)
+        # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
+        return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)

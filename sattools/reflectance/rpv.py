@@ -34,10 +34,13 @@ def rpv(
     """BRF of the Rahman-Pinty-Verstraete model; Lambert is k = 1, theta = 0, rhoc = 1.
 
     Args:
-        normal, sun, view: unit vectors ``[..., 3]`` away from the surface.
-        rho0: amplitude, 0 to 1. k: exponent, 0 to 2. theta: asymmetry, -1 (back) to 1 (forward). rhoc: hot spot, 0 to
-            1,
-            1 = none. All broadcastable to ``[...]``.
+        normal: unit vectors ``[..., 3]`` away from the surface.
+        sun: unit vectors ``[..., 3]`` away from the surface.
+        view: unit vectors ``[..., 3]`` away from the surface.
+        rho0: amplitude, 0 to 1; this and all that follow broadcastable to ``[...]``.
+        k: exponent, 0 to 2; below 1 a bowl, above 1 a bell.
+        theta: asymmetry, -1 (back) to 1 (forward).
+        rhoc: hot spot, 0 to 1; 1 = none.
 
     Returns:
         Bidirectional reflectance factor pi L / E, E the irradiance of the facet; 0 where the facet faces

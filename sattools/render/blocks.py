@@ -46,9 +46,15 @@ class Sampling(NamedTuple):
 
 
 def coefficients(function: Callable[[np.ndarray], np.ndarray], degree: int, domain: tuple[float, float]) -> tuple:
-    """Of a polynomial close to the function on the domain, as float32, the constant one first."""
-    found = np.polynomial.Chebyshev.interpolate(function, degree, domain)
-    return tuple(np.float32(c) for c in found.convert(kind=np.polynomial.Polynomial).coef)
+    """Of a polynomial close to the function on the domain, as float32, the constant one first.
+
+    Args:
+        function: to follow.
+        degree: of the polynomial.
+        domain: from, to.
+    """
+    series = np.polynomial.Chebyshev.interpolate(function, degree, domain)
+    return tuple(np.float32(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
 
 
 @lru_cache(maxsize=64)
@@ -57,7 +63,6 @@ def absorption(thickness: float) -> tuple[np.float32, ...]:
 
     thickness: step / softness. The relative error is below 1e-7 up to a thickness of 1, and 3e-6 up to 2.
     """
-
     return coefficients(lambda q: -np.expm1(-thickness * (q + 1) / 2) * 2 / (q + 1), 6, (-1, 1))
 
 
@@ -68,8 +73,11 @@ def packed_width(cols: int) -> int:
 
 @njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
 def pack(height, colour, maps):
-    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C]: height, ceiling (the highest
-    surface within REACH cells) and colours, one after the other, with the edge columns repeated on both sides."""
+    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C].
+
+    They hold height, ceiling (the highest surface within REACH cells) and colours, one after the other, with the edge
+    columns repeated on both sides.
+    """
     rows, cols = height.shape
     across = np.empty((rows, cols), np.float32)
     for row in prange(rows):

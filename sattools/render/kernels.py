@@ -3,9 +3,9 @@
 Positions are in cells of the height grid (column = east, row = south), heights in metres. Rays of one view are
 parallel: the ray of output cell (row, col) passes `(col + offset_x + slope_x * (z - z_ref), row + offset_y + slope_y *
 (z - z_ref))` at height z. All samples lie on common height planes, so that on one plane neighbouring rays read
-neighbouring cells with the same bilinear weights. The kernels therefore lead `LANES` neighbouring rays of a row down
-together, plane by plane: every loop over lanes reads and writes contiguous numbers without a branch, and the compiler
-turns it into vector instructions. `sattools.render.blocks` lays out the maps for that.
+neighbouring cells with the same bilinear weights. The kernels therefore march packets of `LANES` neighbouring rays of a
+row in lockstep, plane by plane: every loop over lanes reads and writes contiguous numbers without a branch, and the
+compiler turns it into vector instructions. `sattools.render.blocks` lays out the maps for that.
 """
 
 from __future__ import annotations
@@ -40,8 +40,10 @@ def _workspace(places):
 
 @njit(fastmath=FASTMATH, inline="always")
 def _plane(v, k, row, rows, col, cols):
-    """Height of plane k, and where the block that begins at (row, col) reads it: both rows, first packed column, and
-    the fractions of the bilinear read; clamped to the edge."""
+    """Height of plane k, and where the block that begins at (row, col) reads it.
+
+    That is both rows, first packed column, and the fractions of the bilinear read; clamped to the edge.
+    """
     z = v.z_top - np.float32(k) * v.step
     x = v.offset_x + v.slope_x * (z - v.z_ref)
     y = np.float32(row) + (v.offset_y + v.slope_y * (z - v.z_ref))
@@ -82,9 +84,11 @@ def _alpha(p, a):
 
 
 @njit(fastmath=FASTMATH, error_model="numpy")
-def _look(s, maps, at, k, z, v, largest):
-    """Mark the rays that are close to the surface on plane k, and send the others to where they must look again;
-    returns the number of the close ones."""
+def _skip_empty_space(s, maps, at, k, z, v, largest):
+    """Mark the rays that are close to the surface on plane k; returns their number.
+
+    The others are sent to where they must look again.
+    """
     limit = z - np.float32(EMPTY) * v.softness
     here, one, zero = np.float32(k), np.float32(1.0), np.float32(0.0)
     close = np.int32(0)
@@ -102,11 +106,11 @@ def _look(s, maps, at, k, z, v, largest):
 @njit(fastmath=FASTMATH)
 def _next(s, planes):
     """The plane on which the first ray must look again; `planes` where no light is left."""
-    found = np.float32(planes)
+    plane = np.float32(planes)
     for j in range(np.uint64(LANES)):
         mine = s[_NEXT + j] if s[_T + j] > np.float32(MIN_TRANSMITTANCE) else np.float32(planes)
-        found = mine if mine < found else found
-    return int(found)
+        plane = mine if mine < plane else plane
+    return int(plane)
 
 
 @njit(fastmath=FASTMATH, error_model="numpy")
@@ -129,7 +133,7 @@ def _weigh(s, maps, upper, lower, z, fx, fy, softness, absorb):
 
 
 @njit(fastmath=FASTMATH)
-def _shine(s, maps, upper, lower, fx, fy, weight, to):
+def _accumulate_colour(s, maps, upper, lower, fx, fy, weight, to):
     """Add one colour of the samples of a plane, times what is at `weight`, to what is at `to`."""
     one = np.float32(1.0)
     w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
@@ -169,7 +173,7 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
                     z, r0, r1, x, fx, fy = _plane(v, k, row, rows, col, cols)
                     upper = np.uint64(r0 * maps.shape[1] * width + x)
                     lower = np.uint64(r1 * maps.shape[1] * width + x)
-                    close = _look(s, flat, upper + np.uint64(CEILING * width), k, z, v, largest)
+                    close = _skip_empty_space(s, flat, upper + np.uint64(CEILING * width), k, z, v, largest)
                     count += close
                     if close == 0:
                         k = _next(s, v.planes)
@@ -178,7 +182,9 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
                         first, last = min(first, k), k + 1
                         for c in range(bands):
                             channel = np.uint64((COLOUR + c) * width)
-                            _shine(s, flat, upper + channel, lower + channel, fx, fy, _W, _RGB + np.uint64(c * LANES))
+                            _accumulate_colour(
+                                s, flat, upper + channel, lower + channel, fx, fy, _W, _RGB + np.uint64(c * LANES)
+                            )
                     k += 1
                 spans[row, block, 0], spans[row, block, 1] = first, last
                 for j in range(inside):
@@ -192,8 +198,10 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
 
 @njit(fastmath=FASTMATH, error_model="numpy")
 def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
-    """Weights of the samples of one plane, their v so far, and the change of sigma * step with the height, for the
-    gradient; returns how many weights are not 0."""
+    """Weights of the samples of one plane, for the gradient; returns how many are not 0.
+
+    Their v so far, and the change of sigma * step with the height, are left as well.
+    """
     one, zero = np.float32(1.0), np.float32(0.0)
     inverse = one / softness
     steepness = thickness * inverse
@@ -212,7 +220,7 @@ def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
 
 
 @njit(fastmath=FASTMATH)
-def _pass(s):
+def _transmit(s):
     """Lead the rays through a plane; leaves what a sample changes behind it, per sigma * step, at _BEHIND."""
     for j in range(np.uint64(LANES)):
         left = s[_LEFT + j] - s[_WEIGHT + j] * s[_VALUE + j]
@@ -224,8 +232,10 @@ def _pass(s):
 
 @njit(fastmath=FASTMATH)
 def _scatter(s, grads, to, fx, share, a, b):
-    """Hand a share of the product of what is at a and b to the cells of one row that every sample was read from; there
-    is a 0 before a. (Both rows in one loop would take twice as long: the compiler cannot know that they differ.)"""
+    """Hand a share of the product of what is at a and b to the cells of one row that every sample was read from.
+
+    There is a 0 before a. Both rows in one loop would take twice as long: the compiler cannot know that they differ.
+    """
     one = np.float32(1.0)
     for j in range(np.uint64(LANES)):
         grads[to + j] += (s[a + j] * s[b + j] * (one - fx) + s[a - U1 + j] * s[b - U1 + j] * fx) * share
@@ -306,8 +316,8 @@ def march_backward(
                     to_upper, to_lower = np.uint64(begin + r0 * own + x), np.uint64(begin + r1 * own + x)
                     for b in range(bands):
                         channel, grad = np.uint64((COLOUR + b) * width), _GRAD_RGB + np.uint64(b * LANES)
-                        _shine(s, flat, upper + channel, lower + channel, fx, fy, grad, _VALUE)
-                    _pass(s)
+                        _accumulate_colour(s, flat, upper + channel, lower + channel, fx, fy, grad, _VALUE)
+                    _transmit(s)
                     for b in range(bands):
                         to, grad = np.uint64((1 + b) * width), _GRAD_RGB + np.uint64(b * LANES)
                         _scatter(s, grads, to_upper + to, fx, one - fy, _WEIGHT, grad)

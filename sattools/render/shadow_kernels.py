@@ -21,8 +21,10 @@ _BASE, _OWN, _BEST, _WIDE, _WHERE = (np.uint64(k * LANES) for k in range(5))
 
 @njit(fastmath=FASTMATH, inline="always")
 def _limited(before, here, after):
-    """Slope of a cell from its neighbours: the flatter of both, 0 where they disagree (minmod), so that a slope stays
-    one and a wall stays a step between level cells."""
+    """Slope of a cell from its neighbours: the flatter of both, 0 where they disagree (minmod).
+
+    So a slope stays one, and a wall stays a step between level cells.
+    """
     back, ahead = here - before, after - here
     if back * ahead <= 0:
         return np.float32(0.0)
@@ -44,8 +46,11 @@ def limited_slopes(height, slope_x, slope_y):
 
 @njit(fastmath=FASTMATH)
 def _path(dx, dy, rows, cols):
-    """Cells that a ray from the middle of a cell passes: columns and rows from there [n], and path lengths at which it
-    enters each [n + 1]; the ray leaves a cell where it enters the next one."""
+    """Cells that a ray from the middle of a cell passes.
+
+    Columns and rows from there [n], and path lengths at which it enters each [n + 1]; the ray leaves a cell where it
+    enters the next one.
+    """
     half, never = np.float32(0.5), np.float32(1e30)
     step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
     delta_c = np.float32(1.0) / abs(dx) if abs(dx) > np.float32(1e-6) else never

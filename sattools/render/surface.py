@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from sattools.render.reference import render_planes
-from sattools.render.view import Quadrature, Rays
+from sattools.render.view import ParallelRays, Quadrature
 
 
 def render(
     height: Tensor,
     colour: Tensor,
-    rays: Rays,
+    rays: ParallelRays,
     quadrature: Quadrature,
     cell_size: float,
     mask: Tensor | None = None,
@@ -53,7 +53,7 @@ class _Compiled(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, height: Tensor, colour: Tensor, rays: Rays, q: Quadrature, cell: float, mask: Tensor | None
+        ctx: Any, height: Tensor, colour: Tensor, rays: ParallelRays, q: Quadrature, cell: float, mask: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         from sattools.render import blocks, kernels
 
@@ -90,7 +90,7 @@ def _call(kernel: Any, arguments: tuple) -> Any:
     return kernel(*arguments)
 
 
-def _sampling(rays: Rays, q: Quadrature, cell: float, highest: float) -> Any:
+def _sampling(rays: ParallelRays, q: Quadrature, cell: float, highest: float) -> Any:
     """`blocks.Sampling` of a view over a surface that is nowhere above `highest` [m]."""
     from sattools.render import blocks
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Rays:
+class ParallelRays:
     """Parallel rays of one view, one per cell of the ground grid.
 
-    The ray of cell (row, col) crosses the height `z_ref` at the centre of that cell, moved by `offset`. Over a tile
-    the lines of
-    sight of an orbiting camera are parallel to within a few centimetres (see `sattools.camera.rays`).
+    The ray of cell (row, col) crosses the height `z_ref` at the centre of that cell, moved by `offset`. Over a tile the
+    lines of sight of an orbiting camera are parallel to within a few centimetres (see `sattools.views.line_of_sight`).
 
     Attributes:
         slope: (east, north) displacement per metre of height, from the ground to the sensor.
@@ -41,4 +40,4 @@ class Quadrature:
     z_bottom: float
 
 
-__all__ = ["Quadrature", "Rays"]
+__all__ = ["ParallelRays", "Quadrature"]

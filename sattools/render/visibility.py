@@ -30,8 +30,7 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
 
     Returns:
         ``[H, W]`` in [0, 1], 1 = lit; all 0 with the sun at or below the horizon. Gradients reach the cell (higher =
-        more light)
-        and the cell that casts the deciding shadow (higher = less).
+        more light) and the cell that casts the deciding shadow (higher = less).
     """
     east, north, up = (float(v) for v in sun)
     horizontal = math.hypot(east, north)
@@ -45,8 +44,11 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
 
 
 def plate_slopes(height: Tensor) -> tuple[Tensor, Tensor]:
-    """Rise of every cell per cell eastwards and southwards ``[H, W]`` [m] as far as its neighbours on both sides agree,
-    else 0 (minmod): a plane keeps its slope, and beside a wall the ground and the roof stay level."""
+    """Rise of every cell per cell eastwards and southwards ``[H, W]`` [m].
+
+    It holds as far as the neighbours on both sides agree, else it is 0 (minmod): a plane keeps its slope, and beside a
+    wall the ground and the roof stay level.
+    """
     from sattools.render import shadow_kernels
 
     h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)

@@ -26,13 +26,26 @@ class RayBatch:
 
 
 def stratified(rays: int, samples: int, random: torch.Generator | None) -> Tensor:
-    """One share in [0, 1] in each of ``samples`` equal parts, ``[R, S]``; in the middle without a generator."""
+    """One share in [0, 1] in each of ``samples`` equal parts, ``[R, S]``; in the middle without a generator.
+
+    Args:
+        rays: number of rays.
+        samples: number of samples per ray.
+        random: random numbers, or None for the middles.
+    """
     inner = torch.full((rays, samples), 0.5) if random is None else torch.rand(rays, samples, generator=random)
     return (torch.arange(samples) + inner) / samples
 
 
 def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator) -> Tensor:
-    """Shares ``[R, S]`` from N(mean, std) within three standard deviations (SparseSat-NeRF, section 3.2), in [0, 1]."""
+    """Shares ``[R, S]`` from N(mean, std) within three standard deviations (SparseSat-NeRF, section 3.2), in [0, 1].
+
+    Args:
+        mean: ``[R]`` shares of the path.
+        std: ``[R]`` shares of the path.
+        samples: number of samples per ray.
+        random: random numbers, or None for the middles.
+    """
     normal = torch.randn(len(mean), samples, generator=random).clamp(-3, 3)
     return (mean[:, None] + std[:, None] * normal).clamp(0, 1)
 
@@ -66,7 +79,13 @@ def median_share(weights: Tensor, t: Tensor) -> Tensor:
 
 
 def towards_sun(points: Tensor, sun: Tensor, top: float) -> RayBatch:
-    """Rays from points ``[R, 3]`` along unit vectors to the sun ``[R, 3]`` up to the height ``top``."""
+    """Rays from points ``[R, 3]`` along unit vectors to the sun ``[R, 3]`` up to the height ``top``.
+
+    Args:
+        points: ``[R, 3]`` [m].
+        sun: ``[R, 3]`` unit vectors.
+        top: height at which a ray ends [m].
+    """
     climb = (top - points[:, 2]).clamp_min(0.01) / sun[:, 2].clamp_min(0.05)
     return RayBatch(points, sun * climb[:, None])
 

@@ -13,7 +13,7 @@ from sattools.batch.table import SHORT
 from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.document import check_id
-from sattools.scene.jsonio import read_text
+from sattools.scene.jsonio import JsonObject, read_text
 from sattools.scene.raster import read_raster
 
 SHOWN = 24  # difference maps of more runs would make a page that no browser likes
@@ -27,7 +27,7 @@ def batch_page(folder: Path) -> str:
     return render(f"Batch {folder.resolve().name}", sections)
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
+def read_rows(path: Path) -> list[JsonObject]:
     """The rows of a batch's table, numbers as numbers, empty cells as None."""
     try:
         rows = list(csv.DictReader(io.StringIO(read_text(path))))
@@ -42,18 +42,18 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         check_id(row["scene"], f"{path}: scene")
         check_id(row["configuration"], f"{path}: configuration")
     try:
-        found = [{k: (float(v) if k in NUMBERS else v) if v else None for k, v in row.items()} for row in rows]
+        parsed = [{k: (float(v) if k in NUMBERS else v) if v else None for k, v in row.items()} for row in rows]
     except ValueError as error:
         raise InputError(f"{path}: found text where a number belongs ({error})") from error
-    for row in found:
+    for row in parsed:
         for name in NUMBERS & row.keys():
             value = row[name]
             if isinstance(value, float) and not math.isfinite(value):
                 raise InputError(f"{path}: found {name} {value} of {row['scene']}, expected a finite number")
-    return found
+    return parsed
 
 
-def _speed(rows: list[dict[str, Any]]) -> Section:
+def _speed(rows: list[JsonObject]) -> Section:
     section = Section("Error against time")
     figure = speed_error_figure(rows)
     if figure is not None:
@@ -65,14 +65,14 @@ def _speed(rows: list[dict[str, Any]]) -> Section:
     return section
 
 
-def _table(rows: list[dict[str, Any]]) -> Section:
+def _table(rows: list[JsonObject]) -> Section:
     shown = [name for name in SHORT if any(row.get(name) is not None for row in rows)]
     cells = [[_text(name, row.get(name)) for name in shown] for row in rows]
     caption = "Errors against the reference; time from images to surface model; table.csv has all columns."
     return Section("Results", [Table([SHORT[name] for name in shown], cells, caption)])
 
 
-def _surfaces(folder: Path, rows: list[dict[str, Any]]) -> Section:
+def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     from sattools.compare.picture import difference_figure
     from sattools.export.hillshade import picture
 
@@ -93,7 +93,7 @@ def _surfaces(folder: Path, rows: list[dict[str, Any]]) -> Section:
     return section
 
 
-def _commands(folder: Path, rows: list[dict[str, Any]]) -> Section:
+def _commands(folder: Path, rows: list[JsonObject]) -> Section:
     section = Section("How it was made")
     for name in dict.fromkeys(row["configuration"] for row in rows):
         scene = next((r["scene"] for r in rows if r["configuration"] == name and r["status"] == "done"), None)

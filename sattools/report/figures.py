@@ -58,7 +58,13 @@ def directions(suns: Sequence[tuple[float, float]], views: Sequence[tuple[float,
 
 
 def residuals(names: Sequence[str], before: Sequence[float], after: Sequence[float]) -> Any:
-    """Median residual of every image's tie points before and after the adjustment, in pixels."""
+    """Median residual of every image's tie points before and after the adjustment, in pixels.
+
+    Args:
+        names: of the images.
+        before: of each image [px].
+        after: of each image [px].
+    """
     figure = new_figure(6.4, 1.4 + 0.22 * len(names))
     axes = figure.subplots()
     rows = np.arange(len(names))
@@ -90,7 +96,13 @@ def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
 
 
 def map_figure(array: np.ndarray, grid: Grid, label: str) -> Any:
-    """A map `[B, H, W]`: three bands as colours, one with a ramp; `label` says what it is, with its unit."""
+    """A map `[B, H, W]`: three bands as colours, one with a ramp; `label` says what it is, with its unit.
+
+    Args:
+        array: ``[H, W]`` or ``[B, H, W]``.
+        grid: ground grid.
+        label: what it is, with its unit.
+    """
     from matplotlib import colormaps
 
     figure = new_figure(5.6, 5.6 * grid.height / grid.width if grid.width else 5.6)

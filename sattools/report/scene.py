@@ -16,7 +16,7 @@ from sattools.report.commands import pipeline
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
-from sattools.scene.jsonio import read_json, read_text
+from sattools.scene.jsonio import JsonObject, read_json, read_text
 from sattools.scene.raster import read_image, read_raster
 from sattools.scene.schema import Items, Maybe, Number, Text
 from sattools.scene.schema import Table as Members
@@ -130,16 +130,17 @@ def _adjustment(scene: Scene) -> Section:
     path = _beside_images(scene, "adjustment.json")
     if path is None:
         return section
-    found = read_json(path, "a report of `sattools prep`")
-    _ADJUSTMENT.check(found, str(path))
-    views = [v for v in found.get("views", []) if v.get("median_before_px") and v.get("median_after_px")]
+    adjustment = read_json(path, "a report of `sattools prep`")
+    _ADJUSTMENT.check(adjustment, str(path))
+    views = [v for v in adjustment.get("views", []) if v.get("median_before_px") and v.get("median_after_px")]
     if views:
         figure = figures.residuals(
             [v["id"] for v in views], [v["median_before_px"] for v in views], [v["median_after_px"] for v in views]
         )
         caption = (
-            f"Residuals of {found['observations']} observations of {found['ground_points']} ground points: median "
-            f"{found['median_before_px']:.2f} pixels before, {found['median_after_px']:.2f} after ({found['model']})."
+            f"Residuals of {adjustment['observations']} observations of {adjustment['ground_points']} ground points: "
+            f"median {adjustment['median_before_px']:.2f} pixels before, "
+            f"{adjustment['median_after_px']:.2f} after ({adjustment['model']})."
         )
         section.parts.append(Picture(figure, "Residuals of every image before and after", caption))
     return section
@@ -188,26 +189,26 @@ def _errors(scene: Scene) -> Section:
     path = _product(scene, "errors")
     if path is None:
         return section
-    found = read_json(path, "a table of `sattools compare`")
-    _ERRORS.check(found, str(path))
-    rows = [_error_row("all", found, found.get("cells"))]
-    rows += [_error_row(name, own, own["n"]) for name, own in (found.get("classes") or {}).items() if own.get("n")]
-    east, north, up = found["shift_m"]
+    figures = read_json(path, "a table of `sattools compare`")
+    _ERRORS.check(figures, str(path))
+    rows = [_error_row("all", figures, figures.get("cells"))]
+    rows += [_error_row(name, own, own["n"]) for name, own in (figures.get("classes") or {}).items() if own.get("n")]
+    east, north, up = figures["shift_m"]
     caption = (
-        f"Protocol {found['protocol']}, reference {found['reference']}; scored: {found['mask']}. "
+        f"Protocol {figures['protocol']}, reference {figures['reference']}; scored: {figures['mask']}. "
         f"Registered by {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up. "
-        f"Completeness {100 * found['completeness']:.2f} %, within 1 m {100 * found['within_1m']:.1f} %."
+        f"Completeness {100 * figures['completeness']:.2f} %, within 1 m {100 * figures['within_1m']:.1f} %."
     )
     section.parts.append(Table(["cells", "MAE [m]", "median [m]", "RMSE [m]", "NMAD [m]", "n"], rows, caption))
-    if "near_steps" in found:
-        section.parts.append(_step_table(found))
+    if "near_steps" in figures:
+        section.parts.append(_step_table(figures))
     return section
 
 
-def _step_table(found: dict[str, Any]) -> Table:
+def _step_table(figures: JsonObject) -> Table:
     """Errors beside height steps and away from them."""
     rows = []
-    for name, own in {"all": found, **(found.get("classes") or {})}.items():
+    for name, own in {"all": figures, **(figures.get("classes") or {})}.items():
         near, away = own.get("near_steps") or {}, own.get("away_from_steps") or {}
         shown = [own.get("mae_centred"), own.get("mae_capped_5m"), near.get("share"), near.get("signed")]
         shown += [near.get("absolute"), away.get("signed"), away.get("absolute")]
@@ -261,13 +262,13 @@ def _history(scene: Scene) -> Section:
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
     section.parts.append(Code(pipeline(scene.history), text))
-    remarks = [f"{entry['command']}: {remark}" for entry in scene.history for remark in entry.get("remarks", [])]
-    section.parts.extend(remarks)
+    notes = [f"{entry['command']}: {note}" for entry in scene.history for note in entry.get("notes", [])]
+    section.parts.extend(notes)
     return section
 
 
-def _error_row(name: str, found: dict[str, Any], cells: int | None) -> list[str]:
-    return [name, *(_number(found.get(key), 3) for key in ("mae", "median", "rmse", "nmad")), str(cells or "")]
+def _error_row(name: str, figures: JsonObject, cells: int | None) -> list[str]:
+    return [name, *(_number(figures.get(key), 3) for key in ("mae", "median", "rmse", "nmad")), str(cells or "")]
 
 
 def _area(scene: Scene) -> list[list[float]] | None:

@@ -18,6 +18,7 @@ from sattools.errors import StaleError
 from sattools.scene.document import FIT_ROLE, Item, Scene
 from sattools.scene.files import check_outputs, digest
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import JsonObject
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def files_of(scene: Scene) -> list[Path]:
     return sorted({scene.path(href) for href in [*hrefs, *scene.products.values()]})
 
 
-def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) -> dict[str, dict[str, Any]]:
+def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) -> dict[str, JsonObject]:
     """What a stage has made from what, for `made` of the history entry.
 
     Args:
@@ -119,7 +120,7 @@ def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) ->
     return {stage: {"inputs": _inputs(scene, stage, ids), "items": ids, "outputs": _outputs(scene, stage), **more}}
 
 
-def latest(scene: Scene, stage: str) -> dict[str, Any] | None:
+def latest(scene: Scene, stage: str) -> JsonObject | None:
     """The record of what a stage has made, None where there is none or it is out of date by the history's order."""
     for entry in reversed(scene.history):
         made = entry.get(MADE) or {}
@@ -130,7 +131,7 @@ def latest(scene: Scene, stage: str) -> dict[str, Any] | None:
     return None
 
 
-def current_entry(scene: Scene, command: str) -> dict[str, Any] | None:
+def current_entry(scene: Scene, command: str) -> JsonObject | None:
     """The last history entry of a command, None where a later command has made it out of date."""
     for entry in reversed(scene.history):
         if entry.get("command") == command:
@@ -153,15 +154,15 @@ def check_current(scene: Scene, stage: str) -> None:
 def stale(scene: Scene, stage: str) -> str | None:
     """Why a stage's products must not be used, None where they may."""
     for name in ORDER[1 : ORDER.index(stage) + 1]:
-        found = latest(scene, name)
-        if found is None or not _has_outputs(scene, name):
+        entry = latest(scene, name)
+        if entry is None or not _has_outputs(scene, name):
             continue
         now = _outputs(scene, name)
-        changed = [n for n, hash_ in found["outputs"].items() if n in now and now[n] not in (hash_, None)]
+        changed = [n for n, hash_ in entry["outputs"].items() if n in now and now[n] not in (hash_, None)]
         again = f"expected what `sattools {name}` left (run it again with --overwrite)"
         if changed:
             return f"found another file for {changed[0]} than the history knows, {again}"
-        if _inputs(scene, name, found["items"]) != found["inputs"]:
+        if _inputs(scene, name, entry["items"]) != entry["inputs"]:
             return f"found that what {name} was made from has changed since, {again}"
     return None
 
@@ -192,8 +193,10 @@ def _names(made: Stage) -> set[str]:
 
 
 def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
-    """Hash of what a stage reads: for matching and fitting the images with their cameras and suns, else the products
-    of the stage before."""
+    """Hash of what a stage reads.
+
+    For matching and fitting that is the images with their cameras and suns, else the products of the stage before.
+    """
     what: list[Any] = [stage]
     if stage in ("normalise", "prior", "fit"):
         if stage != "normalise":

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 from sattools.errors import InputError, SceneError
 from sattools.scene.grid import Grid
-from sattools.scene.jsonio import parse_json, read_text
+from sattools.scene.jsonio import JsonObject, parse_json, read_text
 from sattools.scene.location import check_allowed, is_remote, location
 from sattools.scene.members import check_members
+from sattools.scene.versions import FORMAT_VERSION, READABLE, upgraded
 
 if TYPE_CHECKING:
     import xarray
 
-FORMAT_VERSION = 1
 FIT_ROLE = "sattools:fit_role"  # of an image that the last fit held out, whatever its role is
 COG_TYPE = "image/tiff; application=geotiff; profile=cloud-optimized"
 GEOTIFF_TYPE = "image/tiff; application=geotiff"
@@ -50,7 +50,7 @@ class Asset:
     roles: list[str] = field(default_factory=lambda: ["data"])
     extra: dict[str, Any] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """STAC form."""
         return {"href": self.href, "type": self.type, "roles": self.roles, **self.extra}
 
@@ -73,7 +73,7 @@ class Item:
 
     @property
     def role(self) -> str:
-        """``train``, ``test`` (held out) or ``unused`` (set aside, as its camera could not be settled).
+        """``train``, ``test`` (held out) or ``unused`` (set aside, as its camera could not be corrected).
 
         That is the scene's word; a fit may hold out more, see `held_out`.
         """
@@ -93,7 +93,7 @@ class Item:
             return None
         return float(azimuth), float(elevation)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """STAC form."""
         return {
             "type": "Feature",
@@ -135,7 +135,7 @@ class Scene:
         grid: ground grid of the scene.
         height_range_m: lowest and highest ellipsoidal height to look for the surface [m].
         products: name -> href of scene-wide outputs (dsm, albedo, ...).
-        history: one entry a command: options, seconds, peak memory, versions, remarks.
+        history: one entry a command: options, seconds, peak memory, versions, notes.
         origin: file that the document was read from, None for one from a pipe.
     """
 
@@ -154,7 +154,7 @@ class Scene:
 
     # ---- JSON -------------------------------------------------------------------------------------------
 
-    def to_dict(self, root: str | None = None) -> dict[str, Any]:
+    def to_dict(self, root: str | None = None) -> JsonObject:
         """The document as plain JSON types; ``root`` in place of the absolute one."""
         boxes = [item.bbox for item in self.items if item.bbox]
         document: dict[str, Any] = {
@@ -205,9 +205,11 @@ class Scene:
                 "(a FeatureCollection written by a sattools command)"
             )
         ours = data["sattools"]
-        if not isinstance(ours, dict) or ours.get("version") != FORMAT_VERSION:
-            found = ours.get("version") if isinstance(ours, dict) else ours
-            raise SceneError(f"{source}: found scene version {found!r}, expected {FORMAT_VERSION}")
+        version = ours.get("version") if isinstance(ours, dict) else ours
+        if isinstance(version, bool) or version not in READABLE:
+            raise SceneError(f"{source}: found scene version {version!r}, expected {FORMAT_VERSION} or an older one")
+        data = upgraded(data)
+        ours = data["sattools"]
         if not isinstance(data.get("features"), list):
             raise SceneError(f"{source}: found no list of features, expected a FeatureCollection of STAC Items")
         try:
@@ -321,13 +323,13 @@ class Scene:
         """Items that are not held out."""
         return [item for item in self.items if item.role == "train"]
 
-    def need_grid(self) -> Grid:
+    def require_grid(self) -> Grid:
         """The grid; SceneError when the scene has none yet."""
         if self.grid is None:
             raise SceneError(f"scene {self.id}: found no grid, expected one made by `sattools prep`")
         return self.grid
 
-    def need_height_range(self) -> tuple[float, float]:
+    def require_height_range(self) -> tuple[float, float]:
         """The height range; SceneError when the scene has none yet."""
         if self.height_range_m is None:
             raise SceneError(f"scene {self.id}: found no height range, expected one made by `sattools prep`")

@@ -8,6 +8,7 @@ there (`all_or_nothing`).
 
 from __future__ import annotations
 
+import atexit
 import contextvars
 import fcntl
 import functools
@@ -17,6 +18,7 @@ import logging
 import os
 import socket
 import stat
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -29,6 +31,7 @@ _MARK = ".tmp-sattools"
 _PIECE = 1 << 20
 _WHOLE = 256 << 20  # bytes up to which a digest is that of the whole file
 _SAMPLES = 128
+_temporary: set[Path] = set()  # of this process, for the case that an interrupt keeps a cleaning from its work
 _held_back: contextvars.ContextVar[list[tuple[Path, Path]] | None] = contextvars.ContextVar("held_back", default=None)
 
 
@@ -48,6 +51,7 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
         if path.is_dir():
             raise IsADirectoryError(21, "is a folder")
         _remove_orphans(path)
+        _temporary.add(temporary)
         try:
             _write(temporary, memoryview(data).cast("B"))
             waiting = _held_back.get()
@@ -56,7 +60,7 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
             else:
                 waiting.append((temporary, path))
         except BaseException:
-            temporary.unlink(missing_ok=True)
+            _discard(temporary)
             raise
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror or error})") from error
@@ -100,7 +104,7 @@ def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False
     finally:
         _held_back.reset(token)
         for temporary, _ in waiting:
-            temporary.unlink(missing_ok=True)
+            _discard(temporary)
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrite: bool = False) -> None:
@@ -120,8 +124,8 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrit
     taken: dict[tuple[int, int], Path] = {}
     for path in inputs:
         with suppress(OSError, ValueError):
-            found = os.stat(path)
-            taken[found.st_dev, found.st_ino] = Path(path)
+            status = os.stat(path)
+            taken[status.st_dev, status.st_ino] = Path(path)
     outputs = [Path(path) for path in outputs]
     named: set[str] = set()
     exists = None
@@ -130,17 +134,17 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrit
             raise OutputIsInputError(f"{path}: would be written twice, expected different names")
         named.add(str(path))
         try:
-            found = os.stat(path)
+            status = os.stat(path)
         except OSError:
             if path.is_symlink() and exists is None:  # it leads nowhere, but it is somebody's
                 exists = path
             _check_folder(path)
             continue
-        source = taken.get((found.st_dev, found.st_ino))
+        source = taken.get((status.st_dev, status.st_ino))
         if source is not None:
             same = "is an input too" if os.path.abspath(source) == os.path.abspath(path) else f"is the input {source}"
             raise OutputIsInputError(f"{path}: {same}, expected outputs in another place; nothing was written")
-        if stat.S_ISDIR(found.st_mode):
+        if stat.S_ISDIR(status.st_mode):
             raise SattoolsError(f"{path}: found a folder, expected a file name to write to")
         exists = exists or path
         _check_folder(path)
@@ -212,6 +216,7 @@ def _write(path: Path, data: memoryview) -> None:
 def _rename(pairs: list[tuple[Path, Path]]) -> None:
     for temporary, path in pairs:
         os.replace(temporary, path)
+        _temporary.discard(temporary)
     for folder in {path.parent for _, path in pairs}:
         with suppress(OSError):  # not every file system can sync a folder
             handle = os.open(folder, os.O_RDONLY)
@@ -221,28 +226,57 @@ def _rename(pairs: list[tuple[Path, Path]]) -> None:
                 os.close(handle)
 
 
-def _remove_orphans(path: Path) -> None:
-    """Remove what a killed process of this machine left of the same file."""
+def _discard(temporary: Path) -> None:
+    temporary.unlink(missing_ok=True)
+    _temporary.discard(temporary)
+
+
+@atexit.register
+def _discard_all() -> None:
+    for temporary in list(_temporary):
+        if f"-{os.getpid()}-" in temporary.name:  # not what a forked child knows of its parent's
+            with suppress(OSError):
+                _discard(temporary)
+
+
+def _remove_orphans(path: Path) -> bool:
+    """Remove what a killed process of this machine left of the same file; whether one is left that still runs."""
+    running = False
     for orphan in path.parent.glob(f".{glob.escape(path.name)}.*{_MARK}"):
         host, number, *_ = [*orphan.name.removesuffix(_MARK).rpartition(".")[2].split("-"), ""]
-        if host == _host() and number.isdigit() and not _alive(int(number)):
-            orphan.unlink(missing_ok=True)
+        if host == _host() and number.isdigit():
+            if _alive(int(number)):
+                running |= int(number) != os.getpid()
+            else:
+                orphan.unlink(missing_ok=True)
+    return running
 
 
-def remove_orphans(folder: Path) -> None:
-    """Remove temporary files that killed processes of this machine left anywhere below a folder."""
-    for orphan in Path(folder).rglob(f".*{_MARK}"):
-        _remove_orphans(orphan.with_name(orphan.name[1:].removesuffix(_MARK).rpartition(".")[0]))
+def remove_orphans(folder: Path, patience_s: float = 0.0) -> None:
+    """Remove temporary files that killed processes of this machine left anywhere below a folder.
+
+    Args:
+        folder: where to look.
+        patience_s: how long to wait for processes that are about to end.
+    """
+    deadline = time.monotonic() + patience_s
+    while True:
+        found = list(Path(folder).rglob(f".*{_MARK}"))
+        names = {orphan.with_name(orphan.name[1:].removesuffix(_MARK).rpartition(".")[0]) for orphan in found}
+        if not sum(_remove_orphans(name) for name in names) or time.monotonic() > deadline:
+            return
+        time.sleep(0.1)
 
 
 def _alive(number: int) -> bool:
     try:
         os.kill(number, 0)
+        # after the name in brackets, which may be anything, stands the state: Z has ended and was not waited for
+        return Path(f"/proc/{number}/stat").read_text(errors="replace").rpartition(") ")[2][:1] != "Z"
     except ProcessLookupError:
         return False
-    except (PermissionError, OverflowError):
+    except (OSError, OverflowError):
         return True
-    return True
 
 
 @functools.cache

@@ -11,6 +11,7 @@ import numpy as np
 from affine import Affine
 
 from sattools.errors import SceneError
+from sattools.scene.jsonio import JsonObject
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,13 @@ class Grid:
 
     @classmethod
     def from_bounds(cls, crs: str, bounds: tuple[float, float, float, float], cell_size: float) -> Grid:
-        """Smallest grid that covers ``bounds`` (west, south, east, north), edges on multiples of the cell size."""
+        """Smallest grid that covers ``bounds`` (west, south, east, north), edges on multiples of the cell size.
+
+        Args:
+            crs: projected ground CRS [m].
+            bounds: (west, south, east, north) [m].
+            cell_size: edge of a cell [m].
+        """
         west, south, east, north = bounds
         if not (east > west and north > south):
             raise SceneError(f"grid: found bounds {bounds}, expected west < east and south < north")
@@ -110,7 +117,7 @@ class Grid:
             raise SceneError(f"grid: found bounds {other.bounds} outside {self.bounds}, expected some within")
         return slice(r0, r1), slice(c0, c1)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form."""
         return asdict(self)
 

@@ -44,6 +44,11 @@ def decode(data: bytes, source: str, *, strict: bool = True) -> str:
     """Text of UTF-8, with or without byte order mark, or of UTF-16 or UTF-32 with one; else InputError.
 
     With `strict` off, bytes of another encoding are taken for Latin-1, as vendors' metadata may have them.
+
+    Args:
+        data: of the file.
+        source: name for error messages.
+        strict: refuse control characters.
     """
     marks = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
     encoding = next((name for mark, name in marks if data.startswith(mark)), "utf-8-sig")
@@ -59,13 +64,24 @@ def decode(data: bytes, source: str, *, strict: bool = True) -> str:
 
 
 def read_text(path: Path | str, limit: int = TEXT_LIMIT, *, strict: bool = True) -> str:
-    """Text of a file with plain line ends; see `read_bytes` and `decode` for what is refused."""
+    """Text of a file with plain line ends; see `read_bytes` and `decode` for what is refused.
+
+    Args:
+        path: of the file.
+        limit: bytes, at most.
+        strict: refuse control characters.
+    """
     text = decode(read_bytes(path, limit), str(path), strict=strict)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
     """The value that a JSON text stands for.
+
+    Args:
+        text: of the document.
+        source: name for error messages.
+        expected: what it should be, for error messages.
 
     Raises: InputError, naming `source`: no JSON, too deeply nested, or with numbers or text that cannot be kept.
     """
@@ -76,15 +92,18 @@ def parse_json(text: str, source: str, expected: str = "JSON") -> Any:
     return _checked(parse, source, "JSON", expected)
 
 
-def read_json(path: Path | str, expected: str = "a JSON object") -> dict[str, Any]:
+JsonObject = dict[str, Any]  # of JSON, TOML or an options dataclass: members by name, for a schema to check
+
+
+def read_json(path: Path | str, expected: str = "a JSON object") -> JsonObject:
     """A JSON object from a file. Raises InputError when it is not one; see `parse_json`."""
-    found = parse_json(read_text(path, strict=False), str(path), expected)
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: found a JSON {type(found).__name__}, expected {expected}")
-    return found
+    document = parse_json(read_text(path, strict=False), str(path), expected)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: found a JSON {type(document).__name__}, expected {expected}")
+    return document
 
 
-def read_toml(path: Path | str) -> dict[str, Any]:
+def read_toml(path: Path | str) -> JsonObject:
     """A TOML file's tables. Raises InputError as `read_json` does."""
     text = read_text(path, CONFIG_LIMIT)
     return dict(_checked(lambda: tomllib.loads(text), str(path), "TOML", "TOML"))

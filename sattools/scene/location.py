@@ -32,6 +32,7 @@ class RemotePath(PosixPath):
     text: str
 
     def __new__(cls, *parts: str) -> RemotePath:
+        """Keep the text as it is: a path would make one slash of two."""
         made = super().__new__(cls, *parts)
         made.text = str(parts[0]) if len(parts) == 1 else "/".join(map(str, parts))
         return made

@@ -72,7 +72,7 @@ PROPERTIES: Mapping[str, Any] = {
     "sattools:sun": Maybe(Text()),
     "sattools:sun_direction": Maybe(_VECTOR),
     "sattools:view_direction": Maybe(_VECTOR),
-    "sattools:tone_match": Maybe(
+    "sattools:radiometric_balance": Maybe(
         Table(
             {"gain": Items(Number(), 1), "offset": Items(Number(), 1), "contrast": Number(1e-9, 1e9)},
             ("gain", "offset", "contrast"),
@@ -113,7 +113,7 @@ _ENTRY = Table(
         "seconds": Number(0),
         "peak_memory_mb": Number(0),
         "versions": Table(other=Text()),
-        "remarks": Items(Text(empty=True, longest=100_000)),
+        "notes": Items(Text(empty=True, longest=100_000)),
         "parts": Table({"seconds": Number(0), "peak_memory_mb": Number(0)}, ("seconds", "peak_memory_mb")),
         "errors": Table({"classes": Table(other=Table())}),
     },

@@ -31,7 +31,13 @@ def available() -> int | None:
 
 
 def check_memory(needed: float, what: str, remedy: str) -> None:
-    """Raise SattoolsError where `needed` bytes are more than there are."""
+    """Raise SattoolsError where `needed` bytes are more than there are.
+
+    Args:
+        needed: memory [bytes].
+        what: needs it, for the message.
+        remedy: what the user can do.
+    """
     there = available()
     if there is not None and needed > there:
         raise SattoolsError(

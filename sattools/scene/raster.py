@@ -182,6 +182,12 @@ def _means(blocks: np.ndarray) -> np.ndarray:
 def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Sequence[str] | None = None) -> None:
     """Write a float32 image ``[B, H, W]`` (NaN = no data) in the sensor geometry of another one, whose RPC it takes.
 
+    Args:
+        path: file to write.
+        array: ``[B, H, W]``.
+        like: image of the same size.
+        descriptions: of the bands.
+
     Raises:
         InputError: ``like`` cannot be read.
         SattoolsError: the file cannot be written.
@@ -233,7 +239,15 @@ def write_sensor_image(
 
 
 def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, nodata: float | None) -> dict[str, Any]:
-    """rasterio profile of an image in sensor geometry, without its camera."""
+    """Rasterio profile of an image in sensor geometry, without its camera.
+
+    Args:
+        dtype: of the pixels.
+        bands: number of bands.
+        height: rows [px].
+        width: columns [px].
+        nodata: value, or None.
+    """
     profile: dict[str, Any] = {"driver": "GTiff", "dtype": dtype, "count": bands, "height": height, "width": width}
     profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate"}
     profile["predictor"] = 3 if np.issubdtype(np.dtype(dtype), np.floating) else 2

@@ -1,5 +1,7 @@
-"""How a stage is run on a scene, from the command line and from Python alike: alone in the scene, all files of it
-together, with an entry in the history."""
+"""How a stage is run on a scene, from the command line and from Python alike.
+
+It is alone in the scene, all its files appear together, and an entry goes to the history.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +19,7 @@ from sattools.errors import SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
+from sattools.scene.jsonio import JsonObject
 from sattools.settings import as_dict
 
 Work = Callable[[Scene, Progress], dict[str, Any] | None]
@@ -41,10 +44,15 @@ class Step:
     at_once: bool = True
 
 
-def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, dict[str, Any]]:
+def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
     """Work on a scene while no other process does; the scene and its new history entry.
 
     The scene's folder is what counts: what another command has added to its document since this one was read is kept.
+
+    Args:
+        scene: the scene.
+        step: what is run, and how.
+        work: what is done.
 
     Raises:
         SceneError: the scene's folder is not there, or holds the document of something else.
@@ -65,9 +73,15 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, dict[str, Any]]
 
 
 def run_first(
-    step: Step, make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]], inputs: Iterable[Path] = ()
+    step: Step, make: Callable[[Progress], tuple[Scene, JsonObject | None]], inputs: Iterable[Path] = ()
 ) -> Scene:
-    """Make a scene; ``inputs`` are files that it must not write onto."""
+    """Make a scene; ``inputs`` are files that it must not write onto.
+
+    Args:
+        step: what is run, and how.
+        make: gives the scene and its history entry.
+        inputs: see above.
+    """
     start = time.perf_counter()
     with all_or_nothing(inputs, step.overwrite):
         scene, extra = make(step.progress)
@@ -81,19 +95,19 @@ def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
     if not path.exists():
         return None
     try:
-        found = Scene.from_file(path)
+        existing = Scene.from_file(path)
     except SceneError as error:
         if overwrite:
             return None
         raise SceneError(f"{error}; it would be replaced: give --overwrite, or another root") from error
-    if found.id != scene.id and not overwrite:
+    if existing.id != scene.id and not overwrite:
         raise SceneError(
-            f"{path}: found scene {found.id}, expected {scene.id}; give --overwrite to replace its document"
+            f"{path}: found scene {existing.id}, expected {scene.id}; give --overwrite to replace its document"
         )
-    return found if found.id == scene.id else None
+    return existing if existing.id == scene.id else None
 
 
-def _note(scene: Scene, step: Step, start: float, extra: dict[str, Any] | None) -> dict[str, Any]:
+def _note(scene: Scene, step: Step, start: float, extra: JsonObject | None) -> JsonObject:
     """Add the history entry and write the document."""
     entry = {
         "command": step.command,
@@ -110,12 +124,12 @@ def _note(scene: Scene, step: Step, start: float, extra: dict[str, Any] | None) 
 
 
 def _versions() -> dict[str, str]:
-    found = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
+    versions = {"sattools": __version__, "python": ".".join(map(str, sys.version_info[:3]))}
     for name in ("numpy", "torch", "rasterio"):
         # only what the command really used: importing torch for its version costs seconds
         if name in sys.modules:
-            found[name] = str(sys.modules[name].__version__)
-    return found
+            versions[name] = str(sys.modules[name].__version__)
+    return versions
 
 
 def _plain(value: Any) -> Any:

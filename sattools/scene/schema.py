@@ -179,7 +179,13 @@ def shown(value: Any) -> str:
 
 
 def meant(found: Any, known: Iterable[str], closeness: float = 0.6) -> str:
-    """` (did you mean 'x'?)` where a known name is close to the one found, else nothing."""
+    """` (did you mean 'x'?)` where a known name is close to the one found, else nothing.
+
+    Args:
+        found: in a document.
+        known: names.
+        closeness: in [0, 1] from which it is meant.
+    """
     names = {str(name).lower(): name for name in known}
     close = difflib.get_close_matches(str(found)[:100].lower(), list(names), 1, closeness)
     return f" (did you mean {names[close[0]]!r}?)" if close else ""

@@ -17,11 +17,11 @@ def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
     names += [f"{stem}_metadata.json", f"{stem}_rpc.xml", f"{stem}.rpc"]
     for c in dict.fromkeys((core, core_tile)):
         names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
-    found = []
+    beside = []
     for folder in folders:
         listing = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file()}
-        found += [listing[n] for n in dict.fromkeys(names) if n in listing and listing[n] != image]
-    return list(dict.fromkeys(found))
+        beside += [listing[n] for n in dict.fromkeys(names) if n in listing and listing[n] != image]
+    return list(dict.fromkeys(beside))
 
 
 __all__ = ["sidecars"]

@@ -33,7 +33,7 @@ def summary(scene: Scene) -> str:
     for entry in scene.history:
         seconds, memory = entry.get("seconds", 0.0), entry.get("peak_memory_mb", 0.0)
         lines.append(f"  {entry['command']:10s} {seconds:8.1f} s  {memory:7.0f} MB")
-        lines.extend(f"    {remark}" for remark in entry.get("remarks", []))
+        lines.extend(f"    {note}" for note in entry.get("notes", []))
     return printable("\n".join(line.replace("\n", " ") for line in lines))
 
 

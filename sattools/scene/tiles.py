@@ -54,11 +54,11 @@ class Tile:
 
 def common_cell(cells: Sequence[float]) -> float:
     """The smallest cell that is a whole multiple of all cells [m]."""
-    found = [Fraction(cell).limit_denominator(10_000) for cell in cells]
-    return float(Fraction(math.lcm(*(f.numerator for f in found)), math.gcd(*(f.denominator for f in found))))
+    fractions = [Fraction(cell).limit_denominator(10_000) for cell in cells]
+    return float(Fraction(math.lcm(*(f.numerator for f in fractions)), math.gcd(*(f.denominator for f in fractions))))
 
 
-def cut(grid: Grid, tile_m: float, overlap_m: float, step_m: float) -> list[Tile]:
+def make_tiles(grid: Grid, tile_m: float, overlap_m: float, step_m: float) -> list[Tile]:
     """Tiles that cover a grid, row by row.
 
     Args:
@@ -111,4 +111,4 @@ def _ramp(count: int, ratio: float, cells: int, before: int, after: int) -> np.n
     return weight
 
 
-__all__ = ["LEAST_STEPS", "Tile", "common_cell", "cut"]
+__all__ = ["LEAST_STEPS", "Tile", "common_cell", "make_tiles"]

@@ -69,15 +69,25 @@ def rpv(i: float, e: float, psi: float, g: float, rho0: float, k: float, asymmet
 @_jit
 def radiance_factor(
     model: int, nx: float, ny: float, nz: float, sx: float, sy: float, sz: float, vx: float, vy: float, vz: float,
-    amount: float, p1: float, p2: float, p3: float,
+    amplitude: float, p1: float, p2: float, p3: float,
 ) -> float:  # fmt: skip
     """BRF * cos i = pi L / E of a facet, E the irradiance across the beam; 0 where it faces away from sun or sensor.
 
     Args:
         model: LAMBERT, RPV or HAPKE.
-        nx, ny, nz, sx, sy, sz, vx, vy, vz: unit vectors: normal, to the sun, to the sensor.
-        amount: albedo, rho0 or w.
-        p1, p2, p3: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+        nx: unit vectors: normal, to the sun, to the sensor.
+        ny: unit vectors: normal, to the sun, to the sensor.
+        nz: unit vectors: normal, to the sun, to the sensor.
+        sx: unit vectors: normal, to the sun, to the sensor.
+        sy: unit vectors: normal, to the sun, to the sensor.
+        sz: unit vectors: normal, to the sun, to the sensor.
+        vx: unit vectors: normal, to the sun, to the sensor.
+        vy: unit vectors: normal, to the sun, to the sensor.
+        vz: unit vectors: normal, to the sun, to the sensor.
+        amplitude: albedo, rho0 or w.
+        p1: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+        p2: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+        p3: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
     """
     cos_i = nx * sx + ny * sy + nz * sz
     cos_e = nx * vx + ny * vy + nz * vz
@@ -85,15 +95,15 @@ def radiance_factor(
         return 0.0
     cos_i, cos_e = min(cos_i, 1.0), min(cos_e, 1.0)
     if model == LAMBERT:
-        return amount * cos_i
+        return amplitude * cos_i
     i, e = math.acos(cos_i), math.acos(cos_e)
     cos_g = min(max(sx * vx + sy * vy + sz * vz, -1.0), 1.0)
     g = math.acos(cos_g)
     sines = math.sin(i) * math.sin(e)
     psi = math.acos(min(max((cos_g - cos_i * cos_e) / sines, -1.0), 1.0)) if sines > _TINY else 0.0
     if model == RPV:
-        return rpv(i, e, psi, g, amount, p1, p2, p3) * cos_i
-    return hapke(i, e, psi, g, amount, p1, p2, math.radians(max(p3, 1e-3))) * cos_i
+        return rpv(i, e, psi, g, amplitude, p1, p2, p3) * cos_i
+    return hapke(i, e, psi, g, amplitude, p1, p2, math.radians(max(p3, 1e-3))) * cos_i
 
 
 __all__ = ["HAPKE", "LAMBERT", "RPV", "chandrasekhar", "hapke", "radiance_factor", "rpv"]

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sattools.camera.ground import from_geographic, to_geographic
-from sattools.camera.rpc import RPC, monomials
+from sattools.camera.rpc import RPC
+from sattools.camera.rpc_polynomials import monomials
 
 ORBIT_M = 617_000.0  # WorldView-3
 VALIDITY_DEG = 0.01
@@ -37,6 +38,13 @@ class Pushbroom:
         """A camera whose middle pixel sees `target`, from the direction `view` (unit vector to the sensor).
 
         `pixel_m`: edge of a pixel across the line of sight; `yaw_deg` turns the rows' direction from south to west.
+
+        Args:
+            target: ``[3]`` (easting, northing, height) [m].
+            view: ``[3]`` unit vector to the sensor.
+            pixel_m: see above.
+            shape: (rows, columns) [px].
+            yaw_deg: see above.
         """
         yaw = np.radians(yaw_deg)
         track = np.array([-np.sin(yaw), -np.cos(yaw), 0.0])
@@ -72,6 +80,11 @@ def fit_rpc(camera: Pushbroom, crs: str, centre: tuple[float, float, float]) -> 
 
     Valid to 0.01° and 500 m about the centre, as wide as a vendor's, so that its limits tell nothing about the scene.
     The denominators are 1: over this cube a cubic describes the perspective to far below a thousandth of a pixel.
+
+    Args:
+        camera: to be expressed.
+        crs: projected ground CRS [m].
+        centre: (easting, northing, height) [m].
     """
     lon, lat = (float(v) for v in to_geographic(crs, centre[0], centre[1]))
     lon, lat, alt = round(lon, 4), round(lat, 4), float(round(centre[2]))

@@ -19,6 +19,12 @@ def with_cars(world: World, count: int, half_size_m: float, rng: np.random.Gener
     """The world with `count` cars along its streets, within `half_size_m` of its middle where there is room.
 
     Raises InputError where there are no streets.
+
+    Args:
+        world: without cars.
+        count: number of cars.
+        half_size_m: see above [m].
+        rng: random numbers.
     """
     if world.streets is None or not world.streets.any():
         raise InputError("--cars: found no streets in this terrain, expected --terrain city")

@@ -1,4 +1,4 @@
-"""A small city: blocks of houses, slabs, courts, a park and a tower between streets."""
+"""A small city: blocks of houses, slabs, courtyards, a park and a tower between streets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GROUND, TREES, BUILDING, WATER = 2, 5, 6, 9
 STREET_M = 13.0
 BLOCK_M = 45.0
 TOWER_M = 35.0
-NEIGHBOURS = ("park", "houses", "houses", "houses", "court", "court", "slabs", "slabs")
+NEIGHBOURS = ("park", "houses", "houses", "houses", "courtyard", "courtyard", "slabs", "slabs")
 
 
 @dataclass
@@ -118,6 +118,7 @@ def build_city(
     cell_size: float,
     base_m: float,
     rng: np.random.Generator,
+    *,
     rotation_deg: float = 11.0,
     margin_m: float = 45.0,
     trees: bool = True,
@@ -125,6 +126,16 @@ def build_city(
     """A city that covers a north-up square of `size_m` metres and `margin_m` around it; the tower stands in its middle.
 
     `base_m` is the height of the ground. The blocks are turned by `rotation_deg`, so that no wall follows the grid.
+
+    Args:
+        centre: (easting, northing) [m].
+        size_m: edge of the square [m].
+        cell_size: edge of a cell [m].
+        base_m: height of the ground [m].
+        rng: random numbers.
+        rotation_deg: of the streets [degrees].
+        margin_m: see above [m].
+        trees: plant some.
     """
     angle = math.radians(rotation_deg)
     side = size_m * (abs(math.cos(angle)) + abs(math.sin(angle))) + 2 * margin_m
@@ -180,8 +191,8 @@ def _block(canvas: _Canvas, kind: str, x: float, y: float, rng: np.random.Genera
     canvas.paint(canvas.box(x + 2.5, y + 2.5, x + BLOCK_M - 2.5, y + BLOCK_M - 2.5), "grass")
     if kind == "houses":
         _houses(canvas, x, y, rng)
-    elif kind == "court":
-        _court(canvas, x + 4, y + 4, BLOCK_M - 8, float(rng.uniform(11, 17)), float(rng.uniform(9, 13)), rng)
+    elif kind == "courtyard":
+        _court(canvas, (x + 4, y + 4), BLOCK_M - 8, float(rng.uniform(11, 17)), float(rng.uniform(9, 13)), rng)
     elif kind == "tower":
         _tower(canvas, x, y, rng)
     elif kind == "park":
@@ -211,20 +222,26 @@ def _slabs(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> Non
     wall = _wall(rng)
     canvas.flat(area, base + lower, roof, wall)
     canvas.flat(canvas.box(x + 5, y + 5, x + 21, y + 40), base + upper, "gravel", wall)
-    _roof_units(canvas, x + 6, y + 6, 14, 32, base + upper, 4, rng)
-    _roof_units(canvas, x + 22, y + 6, 16, 14, base + lower, 2, rng)
+    _roof_units(canvas, (x + 6, y + 6), (14, 32), base + upper, 4, rng)
+    _roof_units(canvas, (x + 22, y + 6), (16, 14), base + lower, 2, rng)
 
 
 def _court(
-    canvas: _Canvas, x: float, y: float, side: float, height: float, court: float, rng: np.random.Generator
+    canvas: _Canvas,
+    corner: tuple[float, float],
+    side: float,
+    height: float,
+    courtyard: float,
+    rng: np.random.Generator,
 ) -> None:
+    x, y = corner
     area = canvas.box(x, y, x + side, y + side)
     base, wall = canvas.level(area), _wall(rng)
     canvas.flat(area, base + height, "tar", wall, float(rng.uniform(1.0, 1.8)))
     canvas.flat(canvas.box(x, y, x + side, y + side * 0.3), base + height * 0.75, "gravel", wall)
-    _roof_units(canvas, x + 1, y + side * 0.75, side - 2, side * 0.2, base + height, 3, rng)
-    low = (side - court) / 2
-    inner = canvas.box(x + low, y + low, x + low + court, y + low + court)
+    _roof_units(canvas, (x + 1, y + side * 0.75), (side - 2, side * 0.2), base + height, 3, rng)
+    low = (side - courtyard) / 2
+    inner = canvas.box(x + low, y + low, x + low + courtyard, y + low + courtyard)
     canvas.height[inner] = canvas.ground[inner]
     canvas.slope_y[inner], canvas.slope_x[inner] = (g[inner] for g in np.gradient(canvas.ground, canvas.cell))
     canvas.classes[inner], canvas.windows[inner] = GROUND, 0
@@ -232,12 +249,12 @@ def _court(
 
 
 def _tower(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
-    """A tower and three wings about a court of 8 m."""
-    _court(canvas, x + 4, y + 4, BLOCK_M - 8, 16.0, 8.0, rng)
+    """A tower and three wings about a courtyard of 8 m."""
+    _court(canvas, (x + 4, y + 4), BLOCK_M - 8, 16.0, 8.0, rng)
     area = canvas.box(x + 5, y + 5, x + 18, y + 31)
     top = canvas.level(area) + TOWER_M
     canvas.flat(area, top, "membrane", np.array([0.36, 0.37, 0.4], np.float32), 0.8)
-    _roof_units(canvas, x + 6, y + 6, 11, 24, top, 3, rng)
+    _roof_units(canvas, (x + 6, y + 6), (11, 24), top, 3, rng)
 
 
 def _park(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
@@ -255,9 +272,15 @@ def _park(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None
 
 
 def _roof_units(
-    canvas: _Canvas, x: float, y: float, w: float, d: float, top: float, count: int, rng: np.random.Generator
+    canvas: _Canvas,
+    corner: tuple[float, float],
+    size: tuple[float, float],
+    top: float,
+    count: int,
+    rng: np.random.Generator,
 ) -> None:
     """Plant rooms and air conditioners."""
+    (x, y), (w, d) = corner, size
     for _ in range(count):
         uw, ud = rng.uniform(1.5, 3.5, 2)
         ux, uy = x + rng.uniform(0, max(w - uw, 0.1)), y + rng.uniform(0, max(d - ud, 0.1))

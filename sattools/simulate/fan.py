@@ -18,7 +18,7 @@ from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_na
 from sattools.simulate.natural_trace import render_natural
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
-from sattools.simulate.views import View, framed, take_all, write_view
+from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
 
 HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track
@@ -37,13 +37,24 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
 
     Digital number 4095 is a reflectance factor pi L / E of 1, E the sun's irradiance across its beam. The most nadir
     `options.train` views are for training, the others are held out.
+
+    Args:
+        scene: without items.
+        options: of the simulation.
+        progress: told the share done and what is being done.
     """
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
     grid, world = build_natural(
-        options.size, options.gsd, options.units, options.slope, options.reflectance,
-        (options.lon, options.lat), options.dsm, np.random.default_rng(seeds[0]),
-    )  # fmt: skip
+        options.size,
+        options.gsd,
+        options.units,
+        options.slope,
+        reflectance=options.reflectance,
+        lonlat=(options.lon, options.lat),
+        dsm=options.dsm,
+        rng=np.random.default_rng(seeds[0]),
+    )
     low, high = float(world.height.min()), float(world.height.max())
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
@@ -57,8 +68,15 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
 
 def plan_fan(
     options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
-) -> list[View]:
-    """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle."""
+) -> list[SimulatedView]:
+    """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle.
+
+    Args:
+        options: of the simulation.
+        grid: ground grid.
+        heights: lowest and highest height [m].
+        rng: random numbers.
+    """
     west, south, east, north = grid.bounds
     x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
     lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
@@ -84,7 +102,7 @@ def plan_fan(
         rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
         angle, radius = rng.uniform(0, 2 * np.pi), options.bias_px * np.sqrt(rng.uniform())
         views.append(
-            View(
+            SimulatedView(
                 f"{options.id}_{k + 1:03d}", start + timedelta(seconds=SECONDS_BETWEEN * k),
                 (options.sun_azimuth, options.sun_elevation), sensor, camera, rpc, error, shape,
                 Radiometry(np.ones(3), np.zeros(3)),
@@ -98,6 +116,12 @@ def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime
     """A time in 2020 when the sun stands there (degrees, azimuth from true north), to a degree; else `START`.
 
     The sun's declination follows from the triangle of pole, zenith and sun, the day from the declination.
+
+    Args:
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        azimuth: of the sun [degrees].
+        elevation: of the sun [degrees].
     """
     phi, a, e = np.radians([lat, azimuth, elevation])
     declination = np.sin(phi) * np.sin(e) + np.cos(phi) * np.cos(e) * np.cos(a)
@@ -114,7 +138,7 @@ def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime
 
 
 def _take(
-    scene: Scene, options: SimulateOptions, world: NaturalWorld, view: View, seed: np.random.SeedSequence
+    scene: Scene, options: SimulateOptions, world: NaturalWorld, view: SimulatedView, seed: np.random.SeedSequence
 ) -> Item:
     """Render one view and write its files."""
     assert scene.grid is not None  # set before the views are taken
@@ -131,7 +155,7 @@ def _take(
     sigma = options.noise * np.sqrt(READ_NOISE_DN**2 + SHOT_NOISE_DN * signal)
     noisy = signal + sigma * np.random.default_rng(seed).standard_normal(signal.shape)
     image = np.clip(np.rint(noisy), 0, full).astype(np.uint16)
-    item = write_view(scene, view, image, lit, height, sun, options.gsd)
+    item = write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
     item.properties["sattools:radiance"] = "reflectance_factor"
     return item
 
@@ -144,7 +168,14 @@ def spread(image: np.ndarray) -> np.ndarray:
 
 
 def write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance: str) -> None:
-    """Truth of the reflectance parameters, units and normals on the scene's grid, as products ``truth_<name>``."""
+    """Truth of the reflectance parameters, units and normals on the scene's grid, as products ``truth_<name>``.
+
+    Args:
+        scene: gets the products.
+        world: what is seen.
+        grid: ground grid.
+        reflectance: model of all units.
+    """
     maps: dict[str, np.ndarray] = {AMOUNT[reflectance]: _pooled(world, world.albedo, grid).transpose(2, 0, 1)}
     shape = world.on_grid(world.parameters, grid)
     maps |= {name: shape[..., k] for k, name in enumerate(PARAMETERS[reflectance])}

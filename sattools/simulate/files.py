@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,14 +12,24 @@ from sattools.camera.rpc_names import SCALARS, VECTORS
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_cog
 from sattools.simulate.world import World
 
 
 def sat_nerf_metadata(
     name: str, rpc: RPC, shape: tuple[int, int], sun: tuple[float, float], date: str, corners: list[list[float]]
-) -> dict[str, Any]:
-    """The JSON that Sat-NeRF keeps beside an image; sun = (azimuth, elevation) in degrees, corners as [lon, lat]."""
+) -> JsonObject:
+    """The JSON that Sat-NeRF keeps beside an image; sun = (azimuth, elevation) in degrees, corners as [lon, lat].
+
+    Args:
+        name: of the image.
+        rpc: the camera.
+        shape: (rows, columns) [px].
+        sun: see above.
+        date: of the image.
+        corners: see above.
+    """
     middle = np.mean(corners, axis=0).tolist()
     members = {name: getattr(rpc, name) for name in (*SCALARS.values(), *VECTORS.values())}
     return {
@@ -36,7 +45,13 @@ def sat_nerf_metadata(
 
 
 def write_truth(scene: Scene, world: World, grid: Grid) -> None:
-    """`truth/<id>_DSM.tif`, `_CLS.tif`, `_ALBEDO.tif` and `_DSM.txt` (the contest's layout); names them as products."""
+    """`truth/<id>_DSM.tif`, `_CLS.tif`, `_ALBEDO.tif` and `_DSM.txt` (the contest's layout); names them as products.
+
+    Args:
+        scene: gets the products.
+        world: what is seen.
+        grid: ground grid.
+    """
     east, north = np.meshgrid(grid.x(), grid.y())
     rasters: dict[str, tuple[str, np.ndarray, float | None, str | None]] = {
         "truth_dsm": ("DSM", world.surface(east, north).astype(np.float32), float("nan"), "m"),
@@ -52,6 +67,6 @@ def write_truth(scene: Scene, world: World, grid: Grid) -> None:
     write_text(scene.output(f"truth/{scene.id}_DSM.txt"), text)
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
+def write_json(path: Path, document: JsonObject) -> None:
     """A JSON file, one member a line."""
     write_text(path, json.dumps(document, indent=1) + "\n")

@@ -42,7 +42,13 @@ def code(name: str) -> int:
 
 
 def grain(shape: tuple[int, int], cell_size: float, rng: np.random.Generator) -> np.ndarray:
-    """Multi-scale noise [H, W] of unit variance, so that matching finds texture at every resolution."""
+    """Multi-scale noise [H, W] of unit variance, so that matching finds texture at every resolution.
+
+    Args:
+        shape: (rows, columns) [cells].
+        cell_size: edge of a cell [m].
+        rng: random numbers.
+    """
     from scipy.ndimage import gaussian_filter
 
     total = np.zeros(shape, np.float32)
@@ -53,7 +59,14 @@ def grain(shape: tuple[int, int], cell_size: float, rng: np.random.Generator) ->
 
 
 def albedo_map(codes: np.ndarray, tint: np.ndarray, cell_size: float, rng: np.random.Generator) -> np.ndarray:
-    """Reflectance [H, W, 3] of a map of material codes [H, W], times `tint` [H, W], with grain; within 0.01 to 0.95."""
+    """Reflectance [H, W, 3] of a map of material codes [H, W], times `tint` [H, W], with grain; within 0.01 to 0.95.
+
+    Args:
+        codes: ``[H, W]`` materials.
+        tint: ``[H, W]`` factor.
+        cell_size: edge of a cell [m].
+        rng: random numbers.
+    """
     base = np.array([MATERIALS[name].albedo for name in NAMES], np.float32)[codes]
     strength = np.array([MATERIALS[name].grain for name in NAMES], np.float32)[codes]
     factor = tint * np.exp(strength * grain(codes.shape, cell_size, rng))

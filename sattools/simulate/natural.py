@@ -68,6 +68,7 @@ def build_natural(
     gsd: float,
     units: int,
     slope_deg: float,
+    *,
     reflectance: Literal["lambert", "rpv", "hapke"],
     lonlat: tuple[float, float],
     dsm: str | None,
@@ -99,7 +100,7 @@ def build_natural(
         count = height.shape[0]
     west, south, east, north = grid.bounds
     slope_y, slope_x = (np.asarray(g) for g in np.gradient(height, cell))
-    codes, amount, parameters = paint(count, cell, units, reflectance, rng)
+    codes, amplitude, parameters = paint(count, cell, units, reflectance, rng)
     world = NaturalWorld(
         ((west + east) / 2, (south + north) / 2),
         0.0,
@@ -108,7 +109,7 @@ def build_natural(
         slope_x.astype(np.float32),
         slope_y.astype(np.float32),
         np.full(height.shape, GROUND, np.uint8),
-        amount,
+        amplitude,
         np.zeros((1, 1, 3), np.float32),
         np.zeros((1, 1), np.uint8),
         model=MODELS[reflectance],
@@ -145,6 +146,12 @@ def fractal(count: int, cell: float, slope_deg: float, rng: np.random.Generator)
     """Relief ``[count, count]`` in metres about 0: amplitude ~ wavelength^1.9, none below `SMOOTHEST_M`.
 
     Its mean slope is `slope_deg`.
+
+    Args:
+        count: cells along an edge.
+        cell: edge of a cell [m].
+        slope_deg: mean slope [degrees].
+        rng: random numbers.
     """
     fy, fx = np.fft.fftfreq(count, cell)[:, None], np.fft.rfftfreq(count, cell)[None]
     f = np.hypot(fx, fy)
@@ -169,6 +176,13 @@ def paint(
     """Unit codes ``[H, W]``, amount ``[H, W, 3]`` and parameters ``[H, W, 3]`` of patches about 100 m wide.
 
     Every unit's values are drawn within 12 % of the library's, so that two seeds are two places.
+
+    Args:
+        count: cells along an edge.
+        cell: edge of a cell [m].
+        units: number of geological units.
+        reflectance: model of all units.
+        rng: random numbers.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -183,7 +197,7 @@ def paint(
     fields /= fields.std(axis=(1, 2), keepdims=True)
     codes = np.array(chosen, np.uint8)[fields.argmax(axis=0)]
     texture = grain((count, count), cell, rng)
-    amount = np.zeros((count, count, 3), np.float32)
+    amplitude = np.zeros((count, count, 3), np.float32)
     parameters = np.zeros((count, count, 3), np.float32)
     for number in chosen:
         unit, here = UNITS[names[number]], codes == number
@@ -191,12 +205,12 @@ def paint(
         shape = np.array(unit.rpv if reflectance == "rpv" else unit.hapke) * rng.uniform(0.88, 1.12, 3)
         if reflectance == "rpv":
             shape[2] = min(shape[2], 1.0)
-        amount[here] = w * np.exp(unit.grain * texture[here])[:, None]
+        amplitude[here] = w * np.exp(unit.grain * texture[here])[:, None]
         parameters[here] = shape
-    amount = np.clip(amount, *LIMITS_W)
+    amplitude = np.clip(amplitude, *LIMITS_W)
     if reflectance != "hapke":
-        amount *= 0.5  # a reflectance, where w is a probability
-    return codes, amount.astype(np.float32), parameters
+        amplitude *= 0.5  # a reflectance, where w is a probability
+    return codes, amplitude.astype(np.float32), parameters
 
 
 __all__ = ["AMOUNT", "MODELS", "PARAMETERS", "UNITS", "NaturalWorld", "build_natural", "fractal", "paint"]

@@ -15,7 +15,7 @@ GAP_SHARE = 0.12  # plates of a curved slope part by some centimetres: what dips
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def render_natural(
-    height: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, amount: np.ndarray, parameters: np.ndarray,
+    height: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, amplitude: np.ndarray, parameters: np.ndarray,
     model: int, cell: float, centre: np.ndarray, origin: np.ndarray, velocity: np.ndarray, look: np.ndarray,
     across: np.ndarray, focal: float, col0: float, row0: float, shape: tuple[int, int], samples: int, sun: np.ndarray,
     z_low: float, z_high: float,
@@ -71,7 +71,7 @@ def render_natural(
                 for b in range(3):
                     image[b, row, col] += radiance_factor(
                         model, ne, nn, nz, sun[0], sun[1], sun[2], -de / length, -dn / length, -dz / length,
-                        amount[r, c, b], parameters[r, c, 0], parameters[r, c, 1], parameters[r, c, 2],
+                        amplitude[r, c, b], parameters[r, c, 0], parameters[r, c, 1], parameters[r, c, 2],
                     )  # fmt: skip
     return image / (samples * samples), lit / (samples * samples), surface
 

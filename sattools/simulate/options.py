@@ -19,7 +19,7 @@ class SimulateOptions:
     id: str = option("SIM_001", "Name of the scene.")
     out: str = option(".", "Folder in which the scene's own folder is made.")
     terrain: Literal["city", "natural"] = option(
-        "city", "What is built: city (streets, houses, courts, a tower), or natural (relief with geological units)."
+        "city", "What is built: city (streets, houses, courtyards, a tower), or natural (relief with geological units)."
     )
     dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.")
     classes: str | None = option(None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.")

@@ -65,6 +65,14 @@ def digital_numbers(
     """Digital numbers of a radiance [3, H, W]: uint16 of `bits` = 11, or uint8 tone-mapped to the 99.8 % quantile.
 
     `noise` scales shot noise of variance 0.1 DN and read noise of 2 DN (of 2047).
+
+    Args:
+        radiance: ``[3, H, W]``.
+        radiometry: of the image.
+        noise: factor of the sensor's noise.
+        bits: 8 or 11.
+        rng: random numbers.
+        exposure: factor of the radiance.
     """
     full = 2**11 - 1
     at_sensor = radiometry.gain[:, None, None] * radiance + radiometry.haze[:, None, None]

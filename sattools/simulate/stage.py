@@ -21,7 +21,7 @@ from sattools.simulate.fan import simulate_natural
 from sattools.simulate.files import write_truth
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
-from sattools.simulate.views import View, framed, take_all, write_view
+from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
 from sattools.simulate.world import World
 
 SKY_STRIDE = 8
@@ -37,6 +37,12 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     Writes `images/` (digital numbers, RPC tags with the bias asked for), `metadata/` (Sat-NeRF JSON with the same
     RPCs), `rpc/` (the true RPCs, which the scene's items use), `truth/` (DSM, classes, albedo on the scene's grid;
     per view the share of sunlit ground and the height seen). Raises OutputExistsError where a scene is there already.
+
+    Args:
+        options: of the simulation.
+        root: folder in which the scene's own is made.
+        progress: told the share done and what is being done.
+        overwrite: replace outputs that are there.
     """
     scene = Scene(options.id, Path(root))
     check_outputs([scene.output("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
@@ -57,7 +63,7 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     sky = sky_share(world, SKY_STRIDE)
     views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
 
-    def take(number: int, view: View, seed: np.random.SeedSequence) -> Item:
+    def take(number: int, view: SimulatedView, seed: np.random.SeedSequence) -> Item:
         return _take(scene, options, _on_the_day(options, world, number), sky, view, seed)
 
     take_all(scene, views, seeds[2], take, progress)
@@ -66,8 +72,15 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
 
 def plan_views(
     options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
-) -> list[View]:
-    """Cameras, dates and suns: directions spread by the golden angle, mornings some 60 days apart."""
+) -> list[SimulatedView]:
+    """Cameras, dates and suns: directions spread by the golden angle, mornings some 60 days apart.
+
+    Args:
+        options: of the simulation.
+        grid: ground grid.
+        heights: lowest and highest height [m].
+        rng: random numbers.
+    """
     west, south, east, north = grid.bounds
     x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
     lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
@@ -98,7 +111,7 @@ def plan_views(
         angle = rng.uniform(0, 2 * np.pi)
         bias = options.bias_px * np.sqrt(rng.uniform()) * np.array([np.cos(angle), np.sin(angle)])
         views.append(
-            View(
+            SimulatedView(
                 f"{options.id}_{k + 1:03d}", time, sun_position(time, lon, lat), sensor, camera, rpc,
                 error, shape, dates[date], (float(bias[0]), float(bias[1])),
                 "test" if k in test and len(test) < options.views else "train",
@@ -155,7 +168,12 @@ def _on_the_day(options: SimulateOptions, world: World, number: int) -> World:
 
 
 def _take(
-    scene: Scene, options: SimulateOptions, world: World, sky: np.ndarray, view: View, seed: np.random.SeedSequence
+    scene: Scene,
+    options: SimulateOptions,
+    world: World,
+    sky: np.ndarray,
+    view: SimulatedView,
+    seed: np.random.SeedSequence,
 ) -> Item:
     """Render one view and write its files."""
     from sattools.simulate.trace import render
@@ -173,7 +191,7 @@ def _take(
     rng = np.random.default_rng(seed)
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
-    return write_view(scene, view, image, lit, height, sun, options.gsd)
+    return write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
 
 
-__all__ = ["SimulateOptions", "View", "plan_views", "simulate"]
+__all__ = ["SimulateOptions", "SimulatedView", "plan_views", "simulate"]

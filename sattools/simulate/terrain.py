@@ -26,6 +26,13 @@ def build_terrain(
     Unknown heights take the nearest known one. Slopes are joined linearly, steps of more than 1.5 m stay walls.
     Colours are drawn by class (2 ground, 5 trees, 6 building, 9 water; everything is ground without `classes`).
     Raises InputError where no height is known.
+
+    Args:
+        heights: ``[H, W]`` [m].
+        grid: of the heights.
+        classes: ``[H, W]`` class codes, or None.
+        cell_size: edge of a cell [m].
+        rng: random numbers.
     """
     known = np.isfinite(heights)
     if not known.any():
@@ -117,6 +124,11 @@ def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tupl
 
     Third: the rows and columns of `grid` that fill the wider one; beyond its edge they run backwards, as in a mirror.
     Raises InputError where `grid` is smaller than 16 m.
+
+    Args:
+        grid: ground grid.
+        size_m: edge of the square [m].
+        margin_m: more on every side [m].
     """
     cells = min(round(size_m / grid.cell_size), grid.width, grid.height)
     if cells * grid.cell_size < 16:

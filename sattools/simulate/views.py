@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from sattools.camera.rpc import RPC
 from sattools.progress import Progress
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_sensor_image
 from sattools.simulate.camera import Pushbroom
 from sattools.simulate.files import sat_nerf_metadata, write_json
@@ -25,7 +25,7 @@ BORDER_PX = 8
 
 
 @dataclass(frozen=True)
-class View:
+class SimulatedView:
     """One image to be taken.
 
     Attributes:
@@ -50,12 +50,20 @@ class View:
 
 def take_all(
     scene: Scene,
-    views: Sequence[View],
+    views: Sequence[SimulatedView],
     seed: np.random.SeedSequence,
-    take: Callable[[int, View, np.random.SeedSequence], Item],
+    take: Callable[[int, SimulatedView, np.random.SeedSequence], Item],
     progress: Progress,
 ) -> None:
-    """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise."""
+    """Append the item of every view to the scene; ``take`` gets its number, the view and a seed for its noise.
+
+    Args:
+        scene: gets the items.
+        views: the views.
+        seed: of all noise.
+        take: see above.
+        progress: told the share done and what is being done.
+    """
     with ThreadPoolExecutor(max_workers=min(len(views), threads())) as pool:
         # files that are held back until the scene is whole are so in every thread
         jobs = [
@@ -77,13 +85,35 @@ def framed(camera: Pushbroom, corners: np.ndarray) -> tuple[Pushbroom, tuple[int
     return replace(camera, col0=camera.col0 - left, row0=camera.row0 - top), shape
 
 
-def write_view(
-    scene: Scene, view: View, image: np.ndarray, lit: np.ndarray, height: np.ndarray, sun: np.ndarray, gsd: float
-) -> Item:
-    """Write the files of one view: image [B, H, W], share of sunlit ground and heights [H, W]; its item."""
-    assert scene.grid is not None  # set before the views are taken
+@dataclass(frozen=True)
+class Rendered:
+    """What was seen of the world in one view.
+
+    Attributes:
+        image: ``[B, H, W]`` digital numbers.
+        lit: ``[H, W]`` share of sunlit ground in a pixel.
+        height: ``[H, W]`` height that the pixel's middle shows [m].
+    """
+
+    image: np.ndarray
+    lit: np.ndarray
+    height: np.ndarray
+
+
+def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.ndarray, gsd: float) -> Item:
+    """Write the files of one view.
+
+    Args:
+        scene: gets the files.
+        view: when and from where it was taken.
+        rendered: what it shows.
+        sun: unit vector (east, north, up) to the sun.
+        gsd: edge of a pixel [m].
+
+    Returns:
+        The view's item.
+    """
     delivered = view.rpc.shifted(*view.bias)
-    date = view.time.strftime("%Y-%m-%dT%H:%M:%SZ")
     files = {
         "image": f"images/{view.id}.tif",
         "rpc": f"rpc/{view.id}_RPC.TXT",
@@ -92,17 +122,38 @@ def write_view(
         "truth_height": f"truth/views/{view.id}_HEIGHT.tif",
     }
     taken = {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
-    write_sensor_image(scene.output(files["image"]), image, delivered.to_tags(), tags=taken)
+    write_sensor_image(scene.output(files["image"]), rendered.image, delivered.to_tags(), tags=taken)
     write_text(scene.output(files["rpc"]), view.rpc.to_rpc_txt())
-    corners = _footprint(view, float(np.median(height)))
+    corners = _footprint(view, float(np.median(rendered.height)))
     metadata = sat_nerf_metadata(
         f"{view.id}.tif", delivered, view.shape, view.sun, view.time.strftime("%Y%m%d%H%M%S"), corners
     )
     write_json(scene.output(files["metadata"]), metadata)
-    write_sensor_image(scene.output(files["truth_lit"]), lit[None].astype(np.float32))
-    write_sensor_image(scene.output(files["truth_height"]), height[None])
-    properties: dict[str, Any] = {
-        "datetime": date,
+    write_sensor_image(scene.output(files["truth_lit"]), rendered.lit[None].astype(np.float32))
+    write_sensor_image(scene.output(files["truth_height"]), rendered.height[None])
+    assets = {
+        "image": Asset(files["image"], GEOTIFF_TYPE, ["data"]),
+        "rpc": Asset(files["rpc"], "text/plain", ["metadata"]),
+        "metadata": Asset(files["metadata"], "application/json", ["metadata"]),
+        "truth_lit": Asset(files["truth_lit"], GEOTIFF_TYPE, ["truth"]),
+        "truth_height": Asset(files["truth_height"], GEOTIFF_TYPE, ["truth"]),
+    }
+    lons, lats = [c[0] for c in corners], [c[1] for c in corners]
+    ring = [*corners, corners[0]]
+    return Item(
+        view.id,
+        {"type": "Polygon", "coordinates": [ring]},
+        [min(lons), min(lats), max(lons), max(lats)],
+        _properties(scene, view, rendered.image, sun, gsd),
+        assets,
+    )
+
+
+def _properties(scene: Scene, view: SimulatedView, image: np.ndarray, sun: np.ndarray, gsd: float) -> JsonObject:
+    """STAC properties of a view."""
+    assert scene.grid is not None  # set before the views are taken
+    return {
+        "datetime": view.time.strftime("%Y-%m-%dT%H:%M:%SZ"),
         "platform": "simulated",
         "gsd": gsd,
         "proj:code": scene.grid.crs,
@@ -127,25 +178,9 @@ def write_view(
             "rpc_fit_error_px": view.rpc_error_px,
         },
     }
-    assets = {
-        "image": Asset(files["image"], GEOTIFF_TYPE, ["data"]),
-        "rpc": Asset(files["rpc"], "text/plain", ["metadata"]),
-        "metadata": Asset(files["metadata"], "application/json", ["metadata"]),
-        "truth_lit": Asset(files["truth_lit"], GEOTIFF_TYPE, ["truth"]),
-        "truth_height": Asset(files["truth_height"], GEOTIFF_TYPE, ["truth"]),
-    }
-    lons, lats = [c[0] for c in corners], [c[1] for c in corners]
-    ring = [*corners, corners[0]]
-    return Item(
-        view.id,
-        {"type": "Polygon", "coordinates": [ring]},
-        [min(lons), min(lats), max(lons), max(lats)],
-        properties,
-        assets,
-    )
 
 
-def _footprint(view: View, height: float) -> list[list[float]]:
+def _footprint(view: SimulatedView, height: float) -> list[list[float]]:
     """[lon, lat] of the image's corners at a height, anticlockwise as GeoJSON wants it."""
     rows, columns = view.shape
     col = np.array([-0.5, -0.5, columns - 0.5, columns - 0.5])
@@ -155,8 +190,9 @@ def _footprint(view: View, height: float) -> list[list[float]]:
 
 
 def threads() -> int:
+    """Number of threads that the user allows, else of the processors there are."""
     asked = os.environ.get("NUMBA_NUM_THREADS", "")
     return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
 
 
-__all__ = ["BORDER_PX", "View", "framed", "take_all", "threads", "write_view"]
+__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "threads", "write_view"]

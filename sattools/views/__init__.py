@@ -1,12 +1,12 @@
 """Images of a scene resampled to its ground grid."""
 
-from sattools.views.load import TONE_PROPERTY, Source, Tone, check_seen, load_sources, views_on
+from sattools.views.load import BALANCE_PROPERTY, RadiometricBalance, Source, check_seen, load_sources, views_on
 from sattools.views.resample import View, line_of_sight, make_view, match_colours, read_at, shown_on
 
 __all__ = [
-    "TONE_PROPERTY",
+    "BALANCE_PROPERTY",
+    "RadiometricBalance",
     "Source",
-    "Tone",
     "View",
     "check_seen",
     "line_of_sight",

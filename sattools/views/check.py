@@ -25,6 +25,12 @@ def check_scene(scene: Scene, items: Sequence[Item], cameras: Sequence[RPC], sha
     """Raise SceneError where the items, their cameras and the (rows, columns) of their images contradict the document.
 
     A scene without grid or height range is left to those who need them.
+
+    Args:
+        scene: the scene.
+        items: the images.
+        cameras: of the images.
+        shapes: (rows, columns) of the images [px].
     """
     for item, shape in zip(items, shapes, strict=True):
         _check_item(scene, item, shape)
@@ -92,8 +98,12 @@ def _check_direction(scene: Scene, item: Item, rpc: RPC, lon: float, lat: float,
     tilt, turn = math.radians(incidence), math.radians(azimuth)
     said = np.array([math.sin(tilt) * math.sin(turn), math.sin(tilt) * math.cos(turn), math.cos(tilt)])
     with np.errstate(all="ignore"):
-        found = view_direction(rpc, lon, lat, height)
-    apart = math.degrees(math.acos(max(-1.0, min(1.0, float(found @ said))))) if np.isfinite(found).all() else math.nan
+        direction = view_direction(rpc, lon, lat, height)
+    apart = (
+        math.degrees(math.acos(max(-1.0, min(1.0, float(direction @ said)))))
+        if np.isfinite(direction).all()
+        else math.nan
+    )
     if apart > _TURNED_DEG:
         raise SceneError(
             f"scene {scene.id}: item {item.id}: found a camera that looks {apart:.1f} degrees away from view:azimuth "
@@ -102,7 +112,14 @@ def _check_direction(scene: Scene, item: Item, rpc: RPC, lon: float, lat: float,
 
 
 def check_cells(grid: Grid, pixel_m: float, bands: int, images: int) -> None:
-    """Raise SattoolsError where images resampled to a grid have absurdly many cells, or more than memory holds."""
+    """Raise SattoolsError where images resampled to a grid have absurdly many cells, or more than memory holds.
+
+    Args:
+        grid: ground grid.
+        pixel_m: edge of a pixel on the ground [m].
+        bands: of an image.
+        images: number of images.
+    """
     if math.isfinite(pixel_m) and grid.cell_size < FINEST * pixel_m:
         raise SceneError(
             f"grid: found cells of {grid.cell_size:g} m for pixels of {pixel_m:.2g} m, expected at least "

@@ -20,15 +20,18 @@ from sattools.views.check import check_cells, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
-TONE_PROPERTY = "sattools:tone_match"
+BALANCE_PROPERTY = "sattools:radiometric_balance"
 _SPARE_CELLS = 40  # around what is looked at: windows of the matching reach over the border
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about what `prep` chooses a cell by
 
 
 @dataclass(frozen=True)
-class Tone:
-    """How an image becomes comparable with the others of a large area: gain and offset per band, and the contrast of
-    all of them; the property ``sattools:tone_match`` of the images of a tile, which shows too little of it."""
+class RadiometricBalance:
+    """How an image becomes comparable with the others of a large area.
+
+    Gain and offset per band, and the contrast of all images; the property ``sattools:radiometric_balance`` of the
+    images of a tile, which shows too little of it.
+    """
 
     gain: list[float]
     offset: list[float]
@@ -44,7 +47,7 @@ class Source:
     rpc: RPC
     sun: tuple[float, float] | None
     linear: bool = True
-    tone: Tone | None = None
+    balance: RadiometricBalance | None = None
 
 
 def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
@@ -80,8 +83,8 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
         # `normalise` says so where it left a tone-mapped image as it was
         toned = item.properties.get("sattools:tone") == "tone-mapped"
         linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
-        given = item.properties.get(TONE_PROPERTY)
-        sources.append(Source(item.id, radiance, rpc, item.sun, linear, Tone(**given) if given else None))
+        given = item.properties.get(BALANCE_PROPERTY)
+        sources.append(Source(item.id, radiance, rpc, item.sun, linear, RadiometricBalance(**given) if given else None))
     bands = Counter(s.radiance.shape[0] for s in sources)
     if len(bands) > 1:
         usual = bands.most_common(1)[0][0]
@@ -94,8 +97,10 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
 
 
 def _surroundings(scene: Scene, cameras: Sequence[RPC]) -> Grid | None:
-    """The scene's grid, wider by what points of the height range are displaced in any image; None = no grid yet, or a
-    camera of another place, which is told where its pixels are looked for."""
+    """The scene's grid, wider by what points of the height range are displaced in any image.
+
+    None = no grid yet, or a camera of another place, which is told where its pixels are looked for.
+    """
     if scene.grid is None or scene.height_range_m is None:
         return None
     grid, z_range = scene.grid, scene.height_range_m
@@ -115,8 +120,8 @@ def _needed(
         return whole
     west, south, east, north = around.bounds
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5)))
-    found = np.concatenate([np.stack(project(rpc, around.crs, x, y, z)) for z in z_range], axis=1)
-    (c0, r0), (c1, r1) = np.floor(found.min(axis=1)), np.ceil(found.max(axis=1)) + 1
+    corners = np.concatenate([np.stack(project(rpc, around.crs, x, y, z)) for z in z_range], axis=1)
+    (c0, r0), (c1, r1) = np.floor(corners.min(axis=1)), np.ceil(corners.max(axis=1)) + 1
     rows, cols = slice(max(0, int(r0)), min(shape[0], int(r1))), slice(max(0, int(c0)), min(shape[1], int(c1)))
     if rows.start >= rows.stop or cols.start >= cols.stop:
         return whole
@@ -128,6 +133,12 @@ def _needed(
 def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple[float, float]) -> list[View]:
     """All sources resampled to a grid; see `make_view`.
 
+    Args:
+        sources: the images.
+        grid: ground grid.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
+
     Raises:
         SceneError: an image shows nothing of the grid.
     """
@@ -135,7 +146,7 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
         lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
         pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)
         check_cells(grid, pixel, sources[0].radiance.shape[0], len(sources))
-    views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, s.sun) for s in sources]
+    views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, sun=s.sun) for s in sources]
     for view in views:
         check_seen(view.id, view.mask)
     return views
@@ -150,4 +161,4 @@ def check_seen(item_id: str, mask: np.ndarray) -> None:
         )
 
 
-__all__ = ["TONE_PROPERTY", "Source", "Tone", "check_seen", "load_sources", "views_on"]
+__all__ = ["BALANCE_PROPERTY", "RadiometricBalance", "Source", "check_seen", "load_sources", "views_on"]

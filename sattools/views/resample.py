@@ -24,7 +24,8 @@ class View:
         slope: (east, north) displacement per metre of height, from the ground to the sensor.
         z_ref: reference height [m].
         sun: unit vector (east, north, up) in the grid's frame, or None if unknown.
-        spread_m: largest deviation of a true line of sight from the parallel one within the height range [m].
+        parallel_ray_error_m: largest deviation of a true line of sight from the parallel one within the height range
+            [m].
     """
 
     id: str
@@ -33,13 +34,19 @@ class View:
     slope: tuple[float, float]
     z_ref: float
     sun: tuple[float, float, float] | None
-    spread_m: float
+    parallel_ray_error_m: float
 
 
 def line_of_sight(
     rpc: RPC, grid: Grid, z_ref: float, z_range: tuple[float, float]
 ) -> tuple[tuple[float, float], float]:
     """Common slope of a view's rays over the grid, and how far a ray strays from it [m].
+
+    Args:
+        rpc: the camera.
+        grid: ground grid.
+        z_ref: reference height [m].
+        z_range: lowest and highest height [m].
 
     Returns:
         (east, north) metres per metre of height, and the largest deviation within ``z_range``.
@@ -61,7 +68,8 @@ def read_at(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> tuple[np.nda
 
     Args:
         image: ``[C, h, w]`` float32, NaN where invalid.
-        col, row: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
+        col: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
+        row: ``[H, W]`` positions of the cells' centres [pixels]; neighbours in the raster are neighbours here.
 
     Returns:
         ``[H, W, C]`` float32, 0 where there is no valid pixel, and ``[H, W]`` uint8, 1 where there is.
@@ -100,6 +108,7 @@ def make_view(
     grid: Grid,
     z_ref: float,
     z_range: tuple[float, float],
+    *,
     sun: tuple[float, float] | None,
 ) -> View:
     """Resample an image to the grid at height ``z_ref``, averaged over a cell.

@@ -7,7 +7,7 @@ from synthetic_views import ALT0, EAST_M, LAT0, LON0, NORTH_M, hills, parallel_r
 from sattools.camera import RPC
 from sattools.camera.adjust import AdjustOptions, adjust
 from sattools.camera.bundle import robust_gauge
-from sattools.camera.tiepoints import TiePointOptions, View, find_tie_points
+from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
 
@@ -52,7 +52,7 @@ def test_a_view_that_is_far_off_is_found_and_does_not_drag_the_others():
     # The mean of the errors is 6 px; a plain mean of zero would spread that over all views.
     assert np.abs(shifts - biases).max() < 0.1
     assert [v.name for v in result.views if v.outlier] == ["v3"]
-    assert any("v3" in r and "36" in r for r in result.remarks)
+    assert any("v3" in r and "36" in r for r in result.notes)
     assert result.views[3].median_before_px > 10
     # 0.2 px noise per axis: median length 0.235 px, less what the points absorb
     assert all(0.1 < v.median_after_px < 0.26 for v in result.views)
@@ -99,7 +99,7 @@ def test_a_view_without_enough_tie_points_keeps_its_camera_and_is_reported():
     few[np.flatnonzero(tracks.view == 5)[5:]] = False
     result = run(raw, tracks.kept(few)[0])
     assert result.views[5].shift_px == (0.0, 0.0)
-    assert "too few tie points" in result.views[5].remark
+    assert "too few tie points" in result.views[5].note
     assert result.rpcs[5].to_tags() == raw[5].to_tags()
 
 
@@ -110,7 +110,7 @@ def test_two_groups_of_views_without_common_points_are_reported():
     split = Tracks(apart[order], tracks.view[order], tracks.pixel[order])
     _, numbers = np.unique(split.point, return_inverse=True)
     split = Tracks(numbers, split.view, split.pixel).kept(np.ones(len(order), bool))[0]
-    assert any("2 groups" in r for r in run(raw, split).remarks)
+    assert any("2 groups" in r for r in run(raw, split).notes)
 
 
 def test_too_few_tie_points_are_an_error_that_says_what_to_check():
@@ -150,7 +150,7 @@ def test_images_to_corrected_cameras():
     views = []
     for k, (r, b) in enumerate(zip(RUNS[:4], bias, strict=True)):
         image = render(ground, r) * (1.0 + 0.3 * k) + 10.0 * k
-        views.append(View(f"v{k}", image, parallel_rpc(r).shifted(*b)))
+        views.append(TiePointImage(f"v{k}", image, parallel_rpc(r).shifted(*b)))
     tracks = find_tie_points(views, "EPSG:32633", TiePointOptions(max_height_m=60, max_bias_px=40))
     result = adjust([v.rpc for v in views], [v.name for v in views], [(240, 260)] * 4, tracks)
     # Corrections undo the errors up to one common movement of the ground.
@@ -171,7 +171,7 @@ def jax_068(data_dir):
     views = []
     for path in sorted((data_dir / "dfc2019/Track3-RGB-crops/JAX_068").glob("*.tif")):
         with rasterio.open(path) as image:
-            views.append(View(path.stem, image.read().mean(0).astype(np.float32), RPC.from_file(path)))
+            views.append(TiePointImage(path.stem, image.read().mean(0).astype(np.float32), RPC.from_file(path)))
     return views
 
 

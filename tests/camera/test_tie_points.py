@@ -6,8 +6,8 @@ from synthetic_views import parallel_rpc, render, texture
 
 from sattools.camera.matching import corridor_matches, free_matches, vote
 from sattools.camera.tiepoints import (
+    TiePointImage,
     TiePointOptions,
-    View,
     choose_pairs,
     coarse_bias,
     find_tie_points,
@@ -36,8 +36,8 @@ def two_views(n=60, run=(0.0, 0.4), across=0.0, seed=0):
 def test_both_searches_find_every_true_match():
     a, d, b, e, truth = two_views()
     run = np.array([0.0, 0.4])
-    free = free_matches(a, d, b, e, run, 20.0, 10.0)
-    narrow, _ = corridor_matches(a, d, b, e, run, 15.0, 1.0)
+    free = free_matches(a, d, b, e, run, half_height=20.0, half_bias=10.0)
+    narrow, _ = corridor_matches(a, d, b, e, run, half_height=15.0, half_width=1.0)
     for found in (free, narrow):
         assert len(found) == 60
         assert (found[:, 1] == truth[found[:, 0]]).all()
@@ -45,14 +45,16 @@ def test_both_searches_find_every_true_match():
 
 def test_a_match_outside_its_corridor_is_not_found():
     a, d, b, e, _ = two_views(across=3.0)
-    found, _ = corridor_matches(a, d, b, e, np.array([0.0, 0.4]), 15.0, 1.0)
+    found, _ = corridor_matches(a, d, b, e, np.array([0.0, 0.4]), half_height=15.0, half_width=1.0)
     assert len(found) == 0
 
 
 def test_the_same_descriptor_twice_within_reach_is_no_match():
     d = unit_descriptors(1)
     b = np.array([[0.0, 0.5], [0.0, -0.5]])
-    found, _ = corridor_matches(np.zeros((1, 2)), d, b, np.repeat(d, 2, 0), np.array([0.0, 0.4]), 15.0, 1.0)
+    found, _ = corridor_matches(
+        np.zeros((1, 2)), d, b, np.repeat(d, 2, 0), np.array([0.0, 0.4]), half_height=15.0, half_width=1.0
+    )
     assert len(found) == 0
 
 
@@ -138,13 +140,13 @@ def test_contrast_is_the_same_after_gain_and_offset_and_masks_nan():
 
 def test_one_view_has_no_tie_points():
     with pytest.raises(InputError, match="found 1 image"):
-        find_tie_points([View("a", np.ones((64, 64), np.float32), parallel_rpc())], "EPSG:32633")
+        find_tie_points([TiePointImage("a", np.ones((64, 64), np.float32), parallel_rpc())], "EPSG:32633")
 
 
 def test_tie_points_are_the_same_on_every_run():
     ground = texture()
     runs = [(0.3, 0.0), (-0.2, 0.2)]
-    views = [View(str(k), render(ground, r), parallel_rpc(r)) for k, r in enumerate(runs)]
+    views = [TiePointImage(str(k), render(ground, r), parallel_rpc(r)) for k, r in enumerate(runs)]
     first, second = (find_tie_points(views, "EPSG:32633", TiePointOptions(max_height_m=60)) for _ in range(2))
     assert first.n_points > 100
     assert np.array_equal(first.pixel, second.pixel)

@@ -90,3 +90,13 @@ def test_wrong_usage_exits_with_2(arguments):
     result = run(*arguments)
     assert result.exit_code == 2
     assert result.stdout == ""
+
+
+def test_a_choice_under_its_former_name_works_and_says_its_present_one():
+    result = run("fit", "--tile", "100", "--part", "join", "--print-config")
+    assert result.exit_code == 0
+    assert 'part = "mosaic"' in result.stdout
+    assert "--part join is now called --part mosaic" in result.stderr
+    assert (
+        "join" not in CliRunner().invoke(main, ["fit", "--help"]).stdout.split("--part")[1].split("--prior-weight")[0]
+    )

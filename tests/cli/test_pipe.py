@@ -28,7 +28,7 @@ def touch(scenes, overwrite, dry_run, print_config, fail):
         progress(0.5, "half")
         begin(scene, "fit", ["touched"], overwrite)["touched"].write_text(scene.id)
         scene.products["touched"] = "touched"
-        return {"remarks": ["it was easy"]}
+        return {"notes": ["it was easy"]}
 
     run_scenes(Run("touch", None, dry_run, print_config, overwrite), scenes, work, plan="touch a file")
 
@@ -58,7 +58,7 @@ def test_one_scene_is_one_line_with_its_history(line, tmp_path):
     assert document["products"] == {"touched": "touched"}
     entry = document["history"][-1]
     assert entry["command"] == "touch"
-    assert entry["remarks"] == ["it was easy"]
+    assert entry["notes"] == ["it was easy"]
     assert entry["seconds"] >= 0
     assert 5 < entry["peak_memory_mb"] < 100000
     assert entry["versions"]["python"] == ".".join(map(str, sys.version_info[:3]))

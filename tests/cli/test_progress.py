@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sattools.progress import make_progress, part
+from sattools.progress import make_progress, subprogress
 
 
 def test_json_lines_are_records_with_the_share_held_in_0_to_1(capsys):
@@ -39,7 +39,7 @@ def test_nothing_is_said_when_stderr_is_no_terminal(capsys, mode):
 
 def test_a_step_reports_its_part_of_the_whole():
     heard = []
-    step = part(lambda fraction, message: heard.append((fraction, message)), 0.2, 0.6)
+    step = subprogress(lambda fraction, message: heard.append((fraction, message)), 0.2, 0.6)
     step(0.0, "a")
     step(0.5, "b")
     step(1.0, "c")

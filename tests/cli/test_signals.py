@@ -1,12 +1,18 @@
 """Interruption and progress of a real command in its own process."""
 
+import ctypes
 import json
+import os
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 from patience import HANGING_S
+
+from sattools.cli.interrupts import checked, listening
+from sattools.progress import silent
 
 
 @pytest.fixture
@@ -58,3 +64,46 @@ def test_a_signal_while_the_interpreter_shuts_down_does_not_undo_what_is_done():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_an_interrupt_during_a_callback_of_c_code_is_not_lost(number, capfd):
+    """Python reports what is raised there as ignored and goes on."""
+    callback = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number))
+    wait = threading.Event().wait
+    with pytest.raises(SystemExit) as stop, listening():
+        wait(HANGING_S if callback() is None else 0)
+    assert stop.value.code == 128 + number
+    assert capfd.readouterr().err == ""
+
+
+def test_an_interrupt_that_somebody_swallowed_counts_with_the_next_sign_of_progress():
+    with listening():
+        with pytest.raises(SystemExit):
+            os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(SystemExit) as stop:
+            checked(silent)(0.5, "")
+    assert stop.value.code == 143
+    with listening():
+        checked(silent)(0.5, "")  # of another run
+
+
+def test_other_ignored_exceptions_are_still_told(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    with listening():
+        ctypes.CFUNCTYPE(None)(lambda: 1 / 0)()
+    assert [told.exc_type for told in told] == [ZeroDivisionError]
+
+
+def test_an_interrupt_that_became_an_import_error_ends_with_its_own_status():
+    code = (
+        "import os, signal, sys; sys.argv = ['sattools', 'fit', 'scene.json']; import sattools.scene as scene\n"
+        "def broken(*_):\n"
+        "  try:\n    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "  except SystemExit: raise ImportError('initialization failed') from None\n"
+        "scene.Scene.from_file = broken\n"
+        "from sattools.cli import entry; entry()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (143, "", "")

@@ -38,8 +38,8 @@ def scene(tmp_path):
 
 
 def test_the_surface_model_is_a_map_with_units_and_datum(scene):
-    remarks = export(scene, ExportOptions())
-    assert remarks["vertical_datum"] == "WGS84 ellipsoid"
+    notes = export(scene, ExportOptions())
+    assert notes["vertical_datum"] == "WGS84 ellipsoid"
     with rasterio.open(scene.path(scene.products["dsm"])) as data:
         assert data.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert data.units == ("m",)

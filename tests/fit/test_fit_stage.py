@@ -29,7 +29,7 @@ def height(scene):
 
 def test_model_and_trace_are_written_and_named(make_town):
     scene = make_town()
-    remarks = fit(scene, QUICK)
+    notes = fit(scene, QUICK)
     assert scene.products["model"] == "fit/model.safetensors"
     tensors, meta = load(scene.path(scene.products["model"]))
     grid = Grid.from_dict(meta["grid"])
@@ -45,7 +45,7 @@ def test_model_and_trace_are_written_and_named(make_town):
     seconds = [float(r["seconds"]) for r in rows]
     assert seconds == sorted(seconds)
     assert float(rows[-1]["loss"]) < float(rows[0]["loss"])
-    assert remarks["fit"]["epochs"] == 5
+    assert notes["fit"]["epochs"] == 5
 
 
 def test_a_held_out_image_has_no_influence(make_town):
@@ -86,8 +86,8 @@ def test_watching_the_error_does_not_change_the_fit(make_town):
 
 def test_a_budget_stops_the_fit_and_keeps_what_it_has(make_town):
     scene = make_town()
-    remarks = fit(scene, replace(QUICK, epochs=[100000], budget=0.5))
-    assert remarks["remarks"] == ["stopped by the budget of 0.5 s at cell 2 m"]
+    notes = fit(scene, replace(QUICK, epochs=[100000], budget=0.5))
+    assert notes["notes"] == ["stopped by the budget of 0.5 s at cell 2 m"]
     assert torch.isfinite(height(scene)).all()
 
 

@@ -31,7 +31,7 @@ def change_images(scene: Scene, function) -> None:
 
 def check(scene: Scene, options: FitOptions = FIT) -> tuple[dict[str, np.ndarray], list[str]]:
     """Fit and export; every number finite, every parameter within its range. The maps and the remarks."""
-    remarks = fit(scene, options)["remarks"]
+    notes = fit(scene, options)["notes"]
     tensors, _ = load(scene.path(scene.products["model"]))
     for name, tensor in tensors.items():
         assert torch.isfinite(tensor).all(), name
@@ -42,7 +42,7 @@ def check(scene: Scene, options: FitOptions = FIT) -> tuple[dict[str, np.ndarray
         assert np.isfinite(array).all(), name
     for name, high in (("w", 0.98), ("b", 0.9), ("c", 1.0), ("theta", 50.0)):
         assert 0 <= maps[name].min() <= maps[name].max() <= high
-    return maps, remarks
+    return maps, notes
 
 
 def test_flat_ground_without_texture_has_no_structure_to_hold_on_to(tmp_path):
@@ -65,8 +65,8 @@ def test_a_saturated_band_counts_as_unseen(tmp_path):
 
 @pytest.mark.slow
 def test_a_low_sun(tmp_path):
-    _, remarks = check(scene_of(tmp_path, sun_elevation=12.0))
-    assert any("12 degrees high" in text for text in remarks)
+    _, notes = check(scene_of(tmp_path, sun_elevation=12.0))
+    assert any("12 degrees high" in text for text in notes)
 
 
 @pytest.mark.slow
@@ -77,8 +77,8 @@ def test_near_opposition(tmp_path):
 
 @pytest.mark.slow
 def test_a_narrow_span_of_phase_angles_is_said(tmp_path):
-    _, remarks = check(scene_of(tmp_path, off_nadir=10.0, sun_azimuth=100.0, sun_elevation=60.0))
-    assert any("does not show a phase function" in text for text in remarks)
+    _, notes = check(scene_of(tmp_path, off_nadir=10.0, sun_azimuth=100.0, sun_elevation=60.0))
+    assert any("does not show a phase function" in text for text in notes)
 
 
 @pytest.mark.slow

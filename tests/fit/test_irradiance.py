@@ -10,7 +10,7 @@ import torch
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import load
-from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, Light, shadow_regularisation, shadow_weight
+from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, IlluminationModel, shadow_regularisation, shadow_weight
 from sattools.fit.irradiance_choice import Shown, transient_share
 from sattools.fit.losses import GAMMA, photometric, robust_scale
 from sattools.fit.options import FitOptions
@@ -47,21 +47,21 @@ def test_the_weight_is_the_papers_unless_one_is_given():
 
 def test_the_regularisation_begins_in_the_second_epoch_and_narrows_after_the_warm_up():
     options = FitOptions(shadow="learned", shadow_weight=2.0)
-    light = Light.start(options, (3, 4), 1, torch.device("cpu"))
+    model = IlluminationModel.start(options, (3, 4), 1, torch.device("cpu"))
     dark = torch.zeros(3, 4)
-    costs = [light.cost(0, SUN, dark, epoch, options, 1.0) for epoch in range(1, 20)]
+    costs = [model.cost(0, SUN, dark, epoch, options, 1.0) for epoch in range(1, 20)]
     assert costs[0] is None
-    net = light.net(SUN).detach()
+    net = model.net(SUN).detach()
     assert float(net.min()) > 0.5
     assert float(costs[FIRST_EPOCH - 1]) == pytest.approx(2 * float(net.square().mean()))
     assert float(costs[FIRST_EPOCH + WARM_UP_EPOCHS]) == 0.0
-    assert light.cost(0, None, dark, 5, options, 1.0) is None  # a sun that is unknown
+    assert model.cost(0, None, dark, 5, options, 1.0) is None  # a sun that is unknown
 
 
 def test_a_learned_shadow_is_within_0_and_1_and_depends_on_the_sun():
-    light = Light.start(FitOptions(shadow="learned"), (8, 8), 1, torch.device("cpu"))
-    light.tensors["features"].mul_(1000)
-    morning, evening = light.net((0.7, 0.1, 0.7)), light.net((-0.7, 0.1, 0.7))
+    model = IlluminationModel.start(FitOptions(shadow="learned"), (8, 8), 1, torch.device("cpu"))
+    model.tensors["features"].mul_(1000)
+    morning, evening = model.net((0.7, 0.1, 0.7)), model.net((-0.7, 0.1, 0.7))
     for net in (morning, evening):
         assert float(net.min()) >= 0
         assert float(net.max()) <= 1
@@ -70,45 +70,45 @@ def test_a_learned_shadow_is_within_0_and_1_and_depends_on_the_sun():
 
 def test_a_learned_shadow_begins_as_the_surface_casts_it_under_every_sun():
     """Two suns and opposite shadows of a wall; before, everything is lit (0.88)."""
-    light = Light.start(FitOptions(shadow="learned"), (6, 8), 2, torch.device("cpu"))
+    model = IlluminationModel.start(FitOptions(shadow="learned"), (6, 8), 2, torch.device("cpu"))
     west = torch.ones(6, 8)
     west[:, 3:5] = 0
     suns = (SUN, (0.0, -0.6, 0.8))
-    assert float(light.net(suns[0]).min()) > 0.8
-    light.follow(suns, (west, west.flip(1).roll(2, dims=1)), seed=0)
+    assert float(model.net(suns[0]).min()) > 0.8
+    model.follow(suns, (west, west.flip(1).roll(2, dims=1)), seed=0)
     for sun, cast in zip(suns, (west, west.flip(1).roll(2, dims=1)), strict=True):
-        assert float((light.net(sun) - cast).abs().max()) < 0.1
-    assert not any(tensor.requires_grad for tensor in light.tensors.values())
+        assert float((model.net(sun) - cast).abs().max()) < 0.1
+    assert not any(tensor.requires_grad for tensor in model.tensors.values())
 
 
 def test_transients_only_darken_and_are_the_images_own():
     options = FitOptions(transient="on")
-    light = Light.start(options, (2, 2), 2, torch.device("cpu"))
+    model = IlluminationModel.start(options, (2, 2), 2, torch.device("cpu"))
     half = torch.full((2, 2), 0.5)
-    assert light.visibility(0, SUN, half).tolist() == half.tolist()
-    light.tensors["transient"][1] = torch.tensor([[0.4, 0.0], [1.7, -0.2]])
-    light.clamp()
-    assert light.visibility(1, SUN, half).tolist() == [[pytest.approx(0.3), 0.5], [0.0, 0.5]]
-    assert light.visibility(0, SUN, None).tolist() == [[1.0, 1.0], [1.0, 1.0]]
-    assert light.visibility(1, SUN, None)[0].tolist() == pytest.approx([0.6, 1.0])
-    assert float(light.cost(1, SUN, None, 1, options, 1.0)) > float(light.cost(0, SUN, None, 1, options, 1.0)) == 0
+    assert model.visibility(0, SUN, half).tolist() == half.tolist()
+    model.tensors["transient"][1] = torch.tensor([[0.4, 0.0], [1.7, -0.2]])
+    model.clamp()
+    assert model.visibility(1, SUN, half).tolist() == [[pytest.approx(0.3), 0.5], [0.0, 0.5]]
+    assert model.visibility(0, SUN, None).tolist() == [[1.0, 1.0], [1.0, 1.0]]
+    assert model.visibility(1, SUN, None)[0].tolist() == pytest.approx([0.6, 1.0])
+    assert float(model.cost(1, SUN, None, 1, options, 1.0)) > float(model.cost(0, SUN, None, 1, options, 1.0)) == 0
 
 
 def test_without_learned_shadows_and_transients_the_light_is_the_geometric_one():
-    light = Light.start(FitOptions(), (2, 2), 1, torch.device("cpu"))
+    model = IlluminationModel.start(FitOptions(), (2, 2), 1, torch.device("cpu"))
     geometric = torch.rand(2, 2)
-    assert light.tensors == {}
-    assert light.visibility(0, SUN, geometric) is geometric
-    assert light.cost(0, SUN, geometric, 9, FitOptions(), 1.0) is None
+    assert model.tensors == {}
+    assert model.visibility(0, SUN, geometric) is geometric
+    assert model.cost(0, SUN, geometric, 9, FitOptions(), 1.0) is None
 
 
 def test_the_light_on_a_finer_grid_keeps_its_values():
-    light = Light.start(FitOptions(shadow="learned", transient="on"), (4, 4), 2, torch.device("cpu"))
-    light.tensors["features"] = torch.ones(4, 4, 8) * torch.arange(8.0)
-    light.tensors["transient"][1] = 0.25
-    finer = light.resized((8, 8), 0.5)
+    model = IlluminationModel.start(FitOptions(shadow="learned", transient="on"), (4, 4), 2, torch.device("cpu"))
+    model.tensors["features"] = torch.ones(4, 4, 8) * torch.arange(8.0)
+    model.tensors["transient"][1] = 0.25
+    finer = model.resized((8, 8), 0.5)
     assert finer.tensors["features"].shape == (8, 8, 8)
-    assert finer.net(SUN)[3, 3] == pytest.approx(float(light.net(SUN)[1, 1]), abs=1e-6)
+    assert finer.net(SUN)[3, 3] == pytest.approx(float(model.net(SUN)[1, 1]), abs=1e-6)
     assert finer.tensors["transient"][1].unique().tolist() == [0.25]
 
 
@@ -168,7 +168,7 @@ def test_auto_settles_the_light_and_says_why(make_town):
     scene = make_town()
     found = fit(scene, replace(QUICK, epochs=[1], shadow="auto", transient="auto"))
     meta = load(scene.path("fit/model.safetensors"))[1]
-    shadow, transient = found["remarks"][:2]
+    shadow, transient = found["notes"][:2]
     assert shadow.startswith(f"shadow {meta['shadow']}: geometric ")
     assert shadow.endswith("(tone-mapped error of held-out views)")
     assert transient.startswith(f"transient {meta['transient']}: ")

@@ -127,7 +127,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_end(make_town):
 def test_a_budget_stops_the_training(make_town):
     scene = make_town()
     found = fit(scene, tiny("eonerf", steps=100000, budget=0.5))
-    assert found["remarks"][0].startswith("stopped by the budget of 0.5 s at step ")
+    assert found["notes"][0].startswith("stopped by the budget of 0.5 s at step ")
 
 
 @pytest.mark.parametrize(

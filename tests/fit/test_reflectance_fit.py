@@ -10,10 +10,10 @@ import torch
 from sattools.errors import SceneError
 from sattools.fit.auto import blocks_of, choose_model, extreme_views
 from sattools.fit.checkpoint import load
+from sattools.fit.endmembers import cluster_endmembers
 from sattools.fit.illumination import light_scale, phase_angles, radiance_kind, views_left_out
-from sattools.fit.inversion import Samples, invert, material_mean, predict, shape_of, solve_amounts, start_members
-from sattools.fit.material import AMOUNT, SHAPE, blurred, line_to, radiance_factor, surface_normals
-from sattools.fit.members import soft_members
+from sattools.fit.inversion import Samples, invert, material_mean, predict, shape_of, solve_amplitudes, start_endmembers
+from sattools.fit.material import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals, view_vector
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.schedule import schedule
@@ -49,19 +49,19 @@ def unit(v) -> torch.Tensor:
     return v / v.norm(dim=-1, keepdim=True)
 
 
-def made_up(kind: str, members: torch.Tensor, cells: int = 1500) -> tuple[Samples, torch.Tensor]:
+def made_up(kind: str, endmembers: torch.Tensor, cells: int = 1500) -> tuple[Samples, torch.Tensor]:
     """Cells of random slope and amount, seven views of a fan, no noise; and the true unbounded amounts."""
     g = torch.Generator().manual_seed(0)
     normal = unit(torch.cat([0.35 * torch.randn(cells, 2, generator=g), torch.ones(cells, 1)], 1))
-    shares = torch.zeros(cells, len(members), dtype=torch.float64)
-    shares[torch.arange(cells), torch.randint(len(members), (cells,), generator=g)] = 1
-    amount = AMOUNT[kind].raw(0.15 + 0.5 * torch.rand(cells, 3, generator=g, dtype=torch.float64))
+    abundances = torch.zeros(cells, len(endmembers), dtype=torch.float64)
+    abundances[torch.arange(cells), torch.randint(len(endmembers), (cells,), generator=g)] = 1
+    amplitude = AMPLITUDE[kind].raw(0.15 + 0.5 * torch.rand(cells, 3, generator=g, dtype=torch.float64))
     tilts = np.radians(np.linspace(-25, 25, 7))
     views = [unit((np.sin(t), 0.05, np.cos(t))) for t in tilts]
     suns = [unit((0.5, -0.4, 0.75))] * 7
     empty = torch.zeros(7, cells, 3, dtype=torch.float64)
-    samples = Samples(normal, shares, empty, torch.ones(7, cells, dtype=torch.float64), suns, views)
-    return replace(samples, seen=predict(kind, samples, amount, members)), amount
+    samples = Samples(normal, abundances, empty, torch.ones(7, cells, dtype=torch.float64), suns, views)
+    return replace(samples, seen=predict(kind, samples, amplitude, endmembers)), amplitude
 
 
 def test_light_of_a_cell_is_the_models_brf_times_the_cosine_of_incidence():
@@ -83,7 +83,7 @@ def test_normals_of_a_plane_are_exact_up_to_its_edge():
 
 
 def test_ranges_hold_and_come_back():
-    for parameter in (*SHAPE["hapke"], *SHAPE["rpv"], AMOUNT["hapke"]):
+    for parameter in (*SHAPE["hapke"], *SHAPE["rpv"], AMPLITUDE["hapke"]):
         value = torch.linspace(parameter.low + 0.01, parameter.high - 0.01, 5, dtype=torch.float64)
         assert torch.allclose(parameter.bounded(parameter.raw(value)), value)
         far = parameter.bounded(torch.tensor([-50.0, 50.0]))
@@ -92,10 +92,10 @@ def test_ranges_hold_and_come_back():
 
 @pytest.mark.parametrize("kind", ["hapke", "rpv"])
 def test_amounts_are_found_exactly_where_the_shapes_are_known(kind):
-    members = start_members(kind, 2, torch.zeros(1, dtype=torch.float64))
-    samples, amount = made_up(kind, members, 200)
-    found, _ = solve_amounts(kind, samples, members, rounds=12)
-    values = [AMOUNT[kind].bounded(a) for a in (found, amount)]
+    endmembers = start_endmembers(kind, 2, torch.zeros(1, dtype=torch.float64))
+    samples, amplitude = made_up(kind, endmembers, 200)
+    found, _ = solve_amplitudes(kind, samples, endmembers, rounds=12)
+    values = [AMPLITUDE[kind].bounded(a) for a in (found, amplitude)]
     assert torch.allclose(*values, atol=2e-3)
 
 
@@ -103,13 +103,13 @@ def test_slopes_tell_the_roughness_of_materials():
     """theta-bar of two materials, 8 and 30 degrees, from seven views within 50 degrees of each other."""
     b, c, theta = SHAPE["hapke"]
     one = [b.raw(torch.tensor(0.3)), c.raw(torch.tensor(0.5))]
-    members = torch.tensor([[*one, theta.raw(torch.tensor(t))] for t in (8.0, 30.0)], dtype=torch.float64)
-    samples, amount = made_up("hapke", members)
-    found = invert("hapke", samples, start_members("hapke", 2, members))
-    assert theta.bounded(found.members[:, 2]).tolist() == pytest.approx([8, 30], abs=2.0)
-    w, truth = (AMOUNT["hapke"].bounded(a) for a in (found.amount, amount))
+    endmembers = torch.tensor([[*one, theta.raw(torch.tensor(t))] for t in (8.0, 30.0)], dtype=torch.float64)
+    samples, amplitude = made_up("hapke", endmembers)
+    found = invert("hapke", samples, start_endmembers("hapke", 2, endmembers))
+    assert theta.bounded(found.endmembers[:, 2]).tolist() == pytest.approx([8, 30], abs=2.0)
+    w, truth = (AMPLITUDE["hapke"].bounded(a) for a in (found.amplitude, amplitude))
     assert float(((w - truth) ** 2).mean().sqrt()) < 0.02
-    _, _, cell = shape_of("hapke", samples.shares, found.members)
+    _, _, cell = shape_of("hapke", samples.abundances, found.endmembers)
     assert cell.min() >= 0.2
     assert cell.max() <= 50
 
@@ -120,11 +120,13 @@ def test_materials_are_told_apart_by_colour_not_by_shading():
     truth[:, 40:] = 1
     colours = np.array([[0.30, 0.22, 0.16], [0.28, 0.27, 0.26]])
     shading = rng.uniform(0.75, 1.25, (60, 80, 1))
-    shares = soft_members(colours[truth] * shading * rng.normal(1, 0.02, (60, 80, 3)), np.ones((60, 80), bool))
-    assert np.allclose(shares.sum(-1), 1, atol=1e-5)
-    left, right = shares[:, :35].mean((0, 1)), shares[:, 45:].mean((0, 1))
+    abundances = cluster_endmembers(
+        colours[truth] * shading * rng.normal(1, 0.02, (60, 80, 3)), np.ones((60, 80), bool)
+    )
+    assert np.allclose(abundances.sum(-1), 1, atol=1e-5)
+    left, right = abundances[:, :35].mean((0, 1)), abundances[:, 45:].mean((0, 1))
     assert np.abs(left - right).sum() / 2 > 0.95
-    plain = soft_members(np.full((20, 20, 3), 0.3), np.ones((20, 20), bool))
+    plain = cluster_endmembers(np.full((20, 20, 3), 0.3), np.ones((20, 20), bool))
     assert plain.shape == (20, 20, 1)
 
 
@@ -169,21 +171,21 @@ def test_the_model_comes_in_after_a_share_of_the_last_stage():
 
 def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_hill):
     whole, broken = make_hill("WHOLE"), make_hill("BROKEN")
-    remarks = fit(whole, SHORT)["remarks"]
+    notes = fit(whole, SHORT)["notes"]
     tensors, meta = load(whole.root / "fit/model.safetensors")
     assert meta["brdf"] == "hapke"
     assert meta["radiance"] == "reflectance_factor"
-    assert any("phase angles" in r for r in remarks)
+    assert any("phase angles" in r for r in notes)
     assert all(torch.isfinite(t).all() for t in tensors.values())
     assert (tensors["gain"] == 1).all()
     assert (tensors["offset"] == 0).all()
     truth = read_raster(whole.path(whole.products["truth_w"]))[0]
-    w = AMOUNT["hapke"].bounded(tensors["amount"]).permute(2, 0, 1).numpy()
+    w = AMPLITUDE["hapke"].bounded(tensors["amplitude"]).permute(2, 0, 1).numpy()
     truth = truth.reshape(3, 48, 2, 48, 2).mean((2, 4))
     # cells twice as large as the truth's; the target for the scene as a whole is 0.1 (benchmarks/reflectance_recovery)
     assert np.sqrt(((w - truth) ** 2).mean()) / truth.mean() < 0.2
     assert np.corrcoef(w.ravel(), truth.ravel())[0, 1] > 0.9
-    assert tensors["w_std"].shape == tensors["amount"].shape
+    assert tensors["w_std"].shape == tensors["amplitude"].shape
     assert (tensors["theta_std"] > 0).all()
 
     class Interrupted(Exception):
@@ -204,7 +206,7 @@ def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_h
 
 
 def test_line_of_sight_is_a_unit_vector_to_the_sensor():
-    assert line_to((0.75, 0.0)) == pytest.approx((0.6, 0.0, 0.8))
+    assert view_vector((0.75, 0.0)) == pytest.approx((0.6, 0.0, 0.8))
 
 
 def test_a_model_without_a_sun_is_refused(make_hill):
@@ -220,27 +222,27 @@ def seen_by_noise(samples: Samples) -> Samples:
     return replace(samples, seen=samples.seen + 0.01 * samples.seen * noise)
 
 
-@pytest.mark.parametrize(("members", "expected"), [((0.3, 0.5, 25.0), ("rpv", "hapke")), (None, ("lambert",))])
-def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(members, expected):
-    if members is None:
-        samples, amount = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
+@pytest.mark.parametrize(("endmembers", "expected"), [((0.3, 0.5, 25.0), ("rpv", "hapke")), (None, ("lambert",))])
+def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(endmembers, expected):
+    if endmembers is None:
+        samples, amplitude = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
         cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
-        seen = 0.4 * AMOUNT["hapke"].bounded(amount) * cosine[..., None]
+        seen = 0.4 * AMPLITUDE["hapke"].bounded(amplitude) * cosine[..., None]
     else:
-        raw = [p.raw(torch.tensor(v, dtype=torch.float64)) for p, v in zip(SHAPE["hapke"], members, strict=True)]
+        raw = [p.raw(torch.tensor(v, dtype=torch.float64)) for p, v in zip(SHAPE["hapke"], endmembers, strict=True)]
         samples, _ = made_up("hapke", torch.stack(raw)[None], 900)
         seen = samples.seen
     samples = seen_by_noise(replace(samples, seen=seen))
     choice = choose_model(samples, torch.arange(900) // 9, relative=False)
     assert choice.model in expected
-    assert len(choice.remarks) == 2
-    assert all("held-out views" in text and "standard error" in text for text in choice.remarks)
+    assert len(choice.notes) == 2
+    assert all("held-out views" in text and "standard error" in text for text in choice.notes)
 
 
 def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function():
-    samples, amount = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
+    samples, amplitude = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
     cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
-    seen = 0.4 * AMOUNT["hapke"].bounded(amount) * cosine[..., None]
+    seen = 0.4 * AMPLITUDE["hapke"].bounded(amplitude) * cosine[..., None]
     random = torch.Generator().manual_seed(7)
     wrong = torch.rand(seen.shape[:2], generator=random) < 0.05  # heights a cell off: views that show something else
     seen = torch.where(wrong[..., None], 1.6 * seen, seen)
@@ -250,9 +252,9 @@ def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function():
 
 def test_auto_does_not_take_the_parallax_of_wrong_heights_for_a_phase_function():
     """A fifth of the blocks drifts by up to 9 % from the first view to the last, as flattened relief does."""
-    samples, amount = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
+    samples, amplitude = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
     cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
-    seen = 0.4 * AMOUNT["hapke"].bounded(amount) * cosine[..., None]
+    seen = 0.4 * AMPLITUDE["hapke"].bounded(amplitude) * cosine[..., None]
     block = torch.arange(900) // 9
     drift = torch.where(block % 5 == 0, torch.linspace(-0.09, 0.09, 7, dtype=torch.float64)[:, None], 0.0)
     samples = seen_by_noise(replace(samples, seen=seen * (1 + drift[..., None])))
@@ -266,33 +268,33 @@ def test_what_lies_in_shade_is_of_the_material_that_lies_nearest():
     known = np.ones((20, 20), bool)
     known[5:10, 2:7] = False
     colour[~known] = 0.0
-    shares = soft_members(colour, known, most=3, blur=0.1)
-    left, right = (shares[:, columns].mean(axis=(0, 1)) for columns in (slice(0, 8), slice(12, 20)))
+    abundances = cluster_endmembers(colour, known, most=3, blur=0.1)
+    left, right = (abundances[:, columns].mean(axis=(0, 1)) for columns in (slice(0, 8), slice(12, 20)))
     assert left @ right < 0.02
-    assert shares[5:10, 2:7].reshape(-1, shares.shape[-1]) @ right == pytest.approx(0, abs=0.02)
+    assert abundances[5:10, 2:7].reshape(-1, abundances.shape[-1]) @ right == pytest.approx(0, abs=0.02)
 
 
 def test_cells_that_no_view_shows_in_the_sun_have_no_say_in_their_materials_mean():
-    shares = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    amount = torch.tensor([[0.5], [-7.0], [2.0]])
+    abundances = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    amplitude = torch.tensor([[0.5], [-7.0], [2.0]])
     counted = torch.tensor([[1.0], [0.0], [1.0]])
-    assert material_mean(shares, amount, counted)[:, 0].tolist() == pytest.approx([0.5, 0.5, 2.0], rel=1e-5)
+    assert material_mean(abundances, amplitude, counted)[:, 0].tolist() == pytest.approx([0.5, 0.5, 2.0], rel=1e-5)
 
 
 def test_bumps_that_the_normals_do_not_show_cast_no_shadow():
     height = torch.zeros(30, 30)
     height[15, 15] = 3.0
     low_sun = (0.94, 0.0, 0.34)
-    maps = {"amount": torch.zeros(30, 30, 3), "shares": torch.ones(30, 30, 1), "members": torch.zeros(1, 3)}
+    maps = {"amplitude": torch.zeros(30, 30, 3), "abundances": torch.ones(30, 30, 1), "endmembers": torch.zeros(1, 3)}
     none = torch.zeros(1, 3)
-    rest = {"albedo": maps["amount"], "gain": none, "offset": none, "ambient": none, "pose": torch.zeros(1, 2)}
+    rest = {"albedo": maps["amplitude"], "gain": none, "offset": none, "ambient": none, "pose": torch.zeros(1, 2)}
     scene = ReflectiveScene(height=height, kind="hapke", cell_size=2.0, **maps, **rest)
     assert float(sun_visibility(scene.height, 2.0, low_sun).min()) == 0
     assert float(sun_visibility(scene.casting(), 2.0, low_sun).min()) > 0.9
 
 
 def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles():
-    samples, _ = made_up("hapke", start_members("hapke", 1, torch.zeros(1, dtype=torch.float64)), 20)
+    samples, _ = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 20)
     assert sorted(extreme_views(samples)) == [0, 6]
     few = replace(
         samples, seen=samples.seen[:2], weight=samples.weight[:2], suns=samples.suns[:2], views=samples.views[:2]

@@ -145,11 +145,11 @@ def test_resuming_on_another_prior_is_refused(make_town):
     scene = make_town()
     with_prior = replace(SHORT, prior_weight=1.0)
     shutil.copy(scene.path(scene.products["truth_dsm"]), scene.root / "prior.tif")
-    write_cog(scene.root / "sure.tif", np.ones(scene.need_grid().shape), scene.need_grid())
+    write_cog(scene.root / "sure.tif", np.ones(scene.require_grid().shape), scene.require_grid())
     scene.products |= {"prior_dsm": "prior.tif", "prior_confidence": "sure.tif"}
     with pytest.raises(Interrupted):
         fit(scene, with_prior, interrupt_after(6))
-    write_cog(scene.root / "sure.tif", np.full(scene.need_grid().shape, 0.5), scene.need_grid())
+    write_cog(scene.root / "sure.tif", np.full(scene.require_grid().shape, 0.5), scene.require_grid())
     with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
         fit(scene, replace(with_prior, resume=True))
 

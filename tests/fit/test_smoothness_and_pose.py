@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.pose import image_shift, remove_gauge
-from sattools.fit.regularise import edge_weights, roughness
+from sattools.fit.regularise import edge_weights, smoothness_penalty
 from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
 
@@ -20,39 +20,39 @@ def plane(rows=20, cols=24, east=0.7, south=-0.3):
 
 def test_second_differences_leave_a_tilted_plane_alone():
     # sqrt(scale^2 + 0) - scale and the plane's own rounding
-    assert float(roughness(plane(), 1.0, first=0.0)) == pytest.approx(0, abs=1e-9)
-    assert float(roughness(plane(), 1.0)) > 0.01
+    assert float(smoothness_penalty(plane(), 1.0, first=0.0)) == pytest.approx(0, abs=1e-9)
+    assert float(smoothness_penalty(plane(), 1.0)) > 0.01
 
 
 def test_flat_ground_is_perfectly_smooth():
-    assert float(roughness(torch.full((9, 9), -21.0), 0.5)) == 0
+    assert float(smoothness_penalty(torch.full((9, 9), -21.0), 0.5)) == 0
 
 
 def test_noise_is_rougher_than_the_plane_it_lies_on():
     noisy = plane() + 0.5 * torch.randn(20, 24, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    assert float(roughness(noisy, 1.0)) > float(roughness(plane(), 1.0)) + 0.1
+    assert float(smoothness_penalty(noisy, 1.0)) > float(smoothness_penalty(plane(), 1.0)) + 0.1
 
 
 def test_ties_are_weak_where_the_albedo_steps_and_strong_within_a_surface():
     albedo = torch.full((10, 12, 3), 0.1)
     albedo[:, 6:] = 0.5
-    ties = edge_weights(albedo)
-    assert ties.along.shape == (10, 11)
-    assert ties.down.shape == (9, 12)
-    assert float(ties.down.min()) == 1
-    assert float(ties.along[:, 5].max()) < 0.06
-    assert float(ties.along[:, :5].min()) == float(ties.along[:, 6:].min()) == 1
+    edge_aware = edge_weights(albedo)
+    assert edge_aware.along.shape == (10, 11)
+    assert edge_aware.down.shape == (9, 12)
+    assert float(edge_aware.down.min()) == 1
+    assert float(edge_aware.along[:, 5].max()) < 0.06
+    assert float(edge_aware.along[:, :5].min()) == float(edge_aware.along[:, 6:].min()) == 1
 
 
 def test_a_wall_where_the_albedo_steps_costs_less_than_one_on_plain_ground():
     albedo = torch.full((10, 12, 3), 0.1)
     albedo[:, 6:] = 0.5
-    ties = edge_weights(albedo)
+    edge_aware = edge_weights(albedo)
     costs = []
     for column in (6, 3):
         height = torch.zeros(10, 12)
         height[:, column:] = 8.0
-        costs.append(float(roughness(height, 1.0, ties)))
+        costs.append(float(smoothness_penalty(height, 1.0, edge_aware)))
     assert costs[0] < 0.2 * costs[1]
 
 

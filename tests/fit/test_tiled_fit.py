@@ -53,7 +53,7 @@ def test_tiles_leave_what_a_fit_of_the_whole_leaves(both):
     assert about.keys() == about_other.keys()
     assert about["grid"] == about_other["grid"]
     assert tiled.products.keys() == whole.products.keys()
-    assert "4 tiles of up to 32 m" in said["remarks"]
+    assert "4 tiles of up to 32 m" in said["notes"]
     assert not (tiled.root / "fit/tiles").exists()
     for name in ("dsm", "confidence", "normals"):
         assert (tiled.root / f"prior/{name}.tif").exists()
@@ -62,7 +62,7 @@ def test_tiles_leave_what_a_fit_of_the_whole_leaves(both):
 def test_tiles_are_as_good_as_the_whole_and_show_no_seam(both):
     (whole, _), (tiled, _) = both
     truth = read_reference(whole.path(whole.products["truth_dsm"]))
-    grid = whole.need_grid().resized(1.0)
+    grid = whole.require_grid().resized(1.0)
     heights = [model(scene)[0]["height"].numpy() for scene in (whole, tiled)]
     errors = [compare_dsm(height, truth, grid).figures["mae"] for height in heights]
     # tiles of 48 cells are mostly border: half of a per cent of the height range; benchmarks/tiles.py has real sizes
@@ -106,10 +106,10 @@ def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(both, make_town
     documents = fit(scene, replace(TILED, part="split"))["tiles"]
     assert documents == ["r0c0", "r0c1", "r1c0", "r1c1"]
     with pytest.raises(SceneError, match=r"r0c0/fit/model\.safetensors: no such file, expected the model of a fitted"):
-        fit(scene, replace(TILED, part="join"))
+        fit(scene, replace(TILED, part="mosaic"))
     for name in reversed(documents):
         fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), TILED)
-    fit(scene, replace(TILED, part="join"))
+    fit(scene, replace(TILED, part="mosaic"))
     found, expected = model(scene)[0], model(both[1][0])[0]
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
@@ -152,7 +152,7 @@ def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_town):
             # UTM's north lies up in these images: what is right of the middle is east of it
             numbers[:, :, numbers.shape[2] // 2 - 16 :] = 0
             image.write(numbers)
-    said = fit(scene, replace(TILED, epochs=[2]))["remarks"]
+    said = fit(scene, replace(TILED, epochs=[2]))["notes"]
     assert [text for text in said if text.startswith("tile")][:2] == [
         "tile r0c1: 1 images show it, its surface is the coarse one",
         "tile r1c1: 1 images show it, its surface is the coarse one",
@@ -191,7 +191,7 @@ def test_a_map_on_another_grid_keeps_its_place():
     ("options", "words"),
     [
         (["--tile", "32", "--overlap", "16"], "found 16 m, expected less than half of --tile 32 m"),
-        (["--part", "join"], "found join, expected --tile beside it"),
+        (["--part", "mosaic"], "found mosaic, expected --tile beside it"),
         (["--tile", "-1"], "-1.0 is not in the range"),
     ],
 )

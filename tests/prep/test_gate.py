@@ -106,7 +106,7 @@ def warned(town, *words, options=("--dry-run",)):
 def made(town, *words, options=()):
     """A whole prep that warns on stderr and in the history; the scene."""
     scene = Scene.from_json(warned(town, *words, options=options).stdout)
-    assert any(all(word in remark for word in words) for remark in scene.history[-1]["remarks"])
+    assert any(all(word in note for word in words) for note in scene.history[-1]["notes"])
     return scene
 
 
@@ -274,6 +274,16 @@ def test_heights_of_another_unit_or_datum(town):
     made(town, "heights 0 to 160 m hold", "are they metres", options=["--min-height", "0", "--max-height", "160"])
 
 
+def in_feet(rpc):
+    return replace(rpc, alt_offset=rpc.alt_offset / 0.3048, alt_scale=rpc.alt_scale / 0.3048)
+
+
+def test_cameras_that_count_heights_in_feet(town):
+    """Their pixels lie on the ground as long as at 30 degrees off nadir, their lines of sight seem to be at 10."""
+    town.all("camera", in_feet)
+    warned(town, "are the heights of the RPCs feet?")
+
+
 def test_heights_that_the_earth_has_not(town):
     refused(town, "'--min-height'", options=["--min-height", "-1e308"], code=2)
     refused(town, "'--max-height'", options=["--max-height", "nan"], code=2)
@@ -345,7 +355,7 @@ def test_an_image_that_cannot_be_tied_to_the_others_is_set_aside(town, kind):
     scene = made(town, "TOWN_002: too few tie points with the other images, set aside (role unused)")
     assert roles(scene) == ["train", "unused", "train", "train"]
     if kind == "one bit":
-        assert any("grey levels only" in remark for remark in scene.history[-1]["remarks"])
+        assert any("grey levels only" in note for note in scene.history[-1]["notes"])
     # and nothing that comes after it uses the image
     for command, *options in (
         ("normalise",),
@@ -429,10 +439,10 @@ def test_a_dry_run_fails_where_the_run_would(tmp_path):
 def test_simulated_scenes_get_no_false_error_and_no_warning(tmp_path, caplog, kind):
     scene = simulate(SimulateOptions(**{"id": "S", "size": 48.0, "views": 4, "dates": 2, "seed": 5} | kind), tmp_path)
     paths = sorted((scene.root / "images").glob("*.tif"))
-    remarks = []
-    sources, _, _ = survey(paths, [p.stem for p in paths], PrepOptions(metadata=str(scene.root / "metadata")), remarks)
+    notes = []
+    sources, _, _ = survey(paths, [p.stem for p in paths], PrepOptions(metadata=str(scene.root / "metadata")), notes)
     check_pixels(sources, [read_gray(source) for source in sources])
-    assert remarks == []
+    assert notes == []
     assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING" and "compiling" not in r.msg] == []
 
 
@@ -448,9 +458,9 @@ def test_simulated_scenes_get_no_false_error_and_no_warning(tmp_path, caplog, ki
 def test_real_scenes_get_no_false_error_and_no_warning(data_dir, caplog, images, metadata):
     paths = sorted((data_dir / images).glob("*.tif"))
     assert len(paths) >= 3
-    remarks = []
+    notes = []
     options = PrepOptions(metadata=str(data_dir / metadata) if metadata else None)
-    sources, _, _ = survey(paths, [p.stem for p in paths], options, remarks)
+    sources, _, _ = survey(paths, [p.stem for p in paths], options, notes)
     assert len(sources) == len(paths)
-    assert remarks == []
+    assert notes == []
     assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == []

@@ -92,7 +92,7 @@ def test_a_scene_with_corrected_cameras(images, pixels, options):
     assert p["view:azimuth"] == pytest.approx(80.54, abs=0.01)
     assert (p["sattools:bits"], p["sattools:dtype"], p["sattools:bands"]) == (8, "uint16", 1)  # none above 255
     assert extra["adjustment"]["median_after_px"] < 0.2
-    assert "city_1: sun unknown: neither sun angles nor a time were found" in extra["remarks"]
+    assert "city_1: sun unknown: neither sun angles nor a time were found" in extra["notes"]
     points = json.loads(scene.path("tie_points.geojson").read_text())
     assert points["features"][0]["geometry"]["coordinates"][0] == pytest.approx(LON0, abs=0.01)
     assert "median residual" in scene.path("adjustment.txt").read_text()
@@ -138,7 +138,7 @@ def test_an_area_crops_images_and_their_cameras(images, options):
 def test_correction_none_keeps_the_cameras(images, options):
     scene, extra = prepare(images, replace(options, correction="none"))
     assert RPC.from_file(scene.path("rpc/city_2_RPC.TXT")).to_tags() == RPC.from_file(images[2]).to_tags()
-    assert "cameras were left as they are (correction none)" in extra["remarks"]
+    assert "cameras were left as they are (correction none)" in extra["notes"]
 
 
 def test_an_existing_scene_is_kept_unless_told_otherwise(images, options, tmp_path):
@@ -200,7 +200,7 @@ def test_nan_pixels_are_masked_and_mentioned(images, options, pixels):
     holed[50:80, 60:110] = np.nan
     write(images[1], holed, parallel_rpc(RUNS[1]))
     scene, extra = prepare(images, options)
-    assert any(r.startswith("city_1: 2.4 % of the pixels are NaN") for r in extra["remarks"])
+    assert any(r.startswith("city_1: 2.4 % of the pixels are NaN") for r in extra["notes"])
     assert scene.items[1].properties["sattools:value_range"][1] > 0
 
 

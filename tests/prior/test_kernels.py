@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import reference
 
-from sattools.prior.kernels import correlate, descend, first_hits, shade_heights
-from sattools.prior.sgm import aggregate, lowest, rival
+from sattools.prior import reference
+from sattools.prior.kernels import correlate, descend, first_hit_heights, shadow_heights
+from sattools.prior.sgm import aggregate, lowest, second_best_margin
 from sattools.prior.sweep import PLANES
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
@@ -18,20 +18,20 @@ def a_frame(seed=0, views=4):
     images = rng.normal(0, 0.1, (views, 17, 19)).astype(np.float32)
     masks = (rng.random(images.shape) > 0.15).astype(np.uint8)
     slopes = rng.uniform(-0.5, 0.5, (views, 2))
-    hits = np.where(rng.random(images.shape) > 0.3, LOW, 4.0).astype(np.float32)
-    return images, masks, slopes, hits
+    first_hit_height = np.where(rng.random(images.shape) > 0.3, LOW, 4.0).astype(np.float32)
+    return images, masks, slopes, first_hit_height
 
 
 def run_correlate(
     images,
     masks,
     slopes,
-    hits,
+    first_hit_height,
     pairs,
     heights,
     z_ref=1.0,
     tolerance=0.5,
-    shades=None,
+    shadow_height=None,
     dark=None,
     base=PLANES,
     **changed,
@@ -41,24 +41,40 @@ def run_correlate(
     volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
     order = (s["radius"], s["noise"], s["shadow_noise"], s["brightness"], m, np.float32(s["unseen"]))
     order += (s["power"], np.float32(s["weak"]), np.float32(s["mixed"]))
-    if shades is None:
-        shades = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
+    if shadow_height is None:
+        shadow_height = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
     if dark is None:
         dark = np.full(len(images), LOW, np.float32)
-    correlate(images, masks, slopes, heights, base, z_ref, hits, shades, dark, tolerance, pairs, *order, volume)
+    correlate(
+        images,
+        masks,
+        slopes,
+        heights,
+        base,
+        z_ref,
+        first_hit_height,
+        shadow_height,
+        dark,
+        tolerance,
+        pairs,
+        *order,
+        volume,
+    )
     return volume
 
 
 @pytest.mark.parametrize("radius", [1, 2])
 def test_correlation_is_that_of_the_plain_twin(radius):
-    images, masks, slopes, hits = a_frame()
+    images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
-    shades = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
+    shadow_height = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
     dark = np.array([-0.2, -0.15, LOW, -0.25], np.float32)
-    fast = run_correlate(images, masks, slopes, hits, pairs, heights, radius=radius, shades=shades, dark=dark)
+    fast = run_correlate(
+        images, masks, slopes, first_hit_height, pairs, heights, radius=radius, shadow_height=shadow_height, dark=dark
+    )
     settings = SETTINGS | {"radius": radius}
     slow = reference.correlate(
-        images.astype(float), masks, slopes, heights, 1.0, hits, shades, dark, 0.5, pairs, **settings
+        images.astype(float), masks, slopes, heights, 1.0, first_hit_height, shadow_height, dark, 0.5, pairs, **settings
     )
     assert (slow == 0.3).any(), "the case must contain points that no pair sees"
     # single precision, running sums
@@ -67,67 +83,80 @@ def test_correlation_is_that_of_the_plain_twin(radius):
 
 @pytest.mark.parametrize("power", [1, 3])
 def test_a_weighted_power_mean_is_that_of_the_plain_twin(power):
-    images, masks, slopes, hits = a_frame()
+    images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
-    shades = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
+    shadow_height = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
     dark = np.full(4, LOW, np.float32)
     robust = {"power": power, "weak": 0.05, "mixed": 0.1}
-    fast = run_correlate(images, masks, slopes, hits, pairs, heights, shades=shades, **robust)
+    fast = run_correlate(images, masks, slopes, first_hit_height, pairs, heights, shadow_height=shadow_height, **robust)
     settings = SETTINGS | robust
     slow = reference.correlate(
-        images.astype(float), masks, slopes, heights, 1.0, hits, shades, dark, 0.5, pairs, **settings
+        images.astype(float), masks, slopes, heights, 1.0, first_hit_height, shadow_height, dark, 0.5, pairs, **settings
     )
     np.testing.assert_allclose(fast, slow, atol=5e-4)
 
 
 def test_what_no_image_can_contradict_is_worth_what_the_hidden_images_show():
-    images, masks, slopes, hits = a_frame()
-    hits[:] = 3.0  # nothing below 3 m is seen
+    images, masks, slopes, first_hit_height = a_frame()
+    first_hit_height[:] = 3.0  # nothing below 3 m is seen
     masks[:] = 1
     images[1:] = -images[:1]  # and there the images disagree
-    arguments = (images, masks, slopes * 0, hits, np.array([(0, 1)]), np.array([0.0]))
-    seen = run_correlate(images, masks, slopes * 0, hits, np.array([(0, 1)]), np.array([4.0]))
+    arguments = (images, masks, slopes * 0, first_hit_height, np.array([(0, 1)]), np.array([0.0]))
+    seen = run_correlate(images, masks, slopes * 0, first_hit_height, np.array([(0, 1)]), np.array([4.0]))
     np.testing.assert_allclose(run_correlate(*arguments, weak=0.05), seen, atol=1e-5)
 
 
 def test_with_the_sixth_power_pairs_that_agree_outvote_those_that_are_disturbed():
-    images, masks, slopes, hits = a_frame()
-    masks[:], hits[:], images[1] = 1, LOW, images[0]  # views 0 and 1 are equal, 2 and 3 are not like them
+    images, masks, slopes, first_hit_height = a_frame()
+    masks[:], first_hit_height[:], images[1] = 1, LOW, images[0]  # views 0 and 1 are equal, 2 and 3 are not like them
     pairs = np.array([(0, 1), (0, 2), (0, 3), (2, 3)])
-    square = run_correlate(images, masks, slopes * 0, hits, pairs, np.array([0.0]))
-    sixth = run_correlate(images, masks, slopes * 0, hits, pairs, np.array([0.0]), power=3)
+    square = run_correlate(images, masks, slopes * 0, first_hit_height, pairs, np.array([0.0]))
+    sixth = run_correlate(images, masks, slopes * 0, first_hit_height, pairs, np.array([0.0]), power=3)
     assert sixth.min() > 0.25 ** (1 / 6) - 1e-3  # one pair in four agrees fully
     assert (sixth >= square - 1e-5).all()
 
 
 def test_correlation_along_a_surface_is_that_of_the_plain_twin():
-    images, masks, slopes, hits = a_frame()
+    images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-1.0, 0.0, 1.0])
     base = np.random.default_rng(4).uniform(-1, 3, (9, 11)).astype(np.float32)  # 7 x 9 cells and a border of one
-    fast = run_correlate(images, masks, slopes, hits, pairs, heights, base=base)
+    fast = run_correlate(images, masks, slopes, first_hit_height, pairs, heights, base=base)
     no_shade, no_dark = np.full((4, 7, 9), LOW), np.full(4, LOW)
     slow = reference.correlate(
-        images.astype(float), masks, slopes, heights, 1.0, hits, no_shade, no_dark, 0.5, pairs, **SETTINGS, base=base
+        images.astype(float),
+        masks,
+        slopes,
+        heights,
+        1.0,
+        first_hit_height,
+        no_shade,
+        no_dark,
+        0.5,
+        pairs,
+        **SETTINGS,
+        base=base,
     )
     np.testing.assert_allclose(fast, slow, atol=2e-4)
 
 
 def test_a_level_surface_is_a_plane():
-    images, masks, slopes, hits = a_frame()
+    images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (2, 3)]), np.array([-1.0, 0.5, 2.0])
-    planes = run_correlate(images, masks, slopes, hits, pairs, heights + 0.75)
-    level = run_correlate(images, masks, slopes, hits, pairs, heights, base=np.full((9, 11), 0.75, np.float32))
+    planes = run_correlate(images, masks, slopes, first_hit_height, pairs, heights + 0.75)
+    level = run_correlate(
+        images, masks, slopes, first_hit_height, pairs, heights, base=np.full((9, 11), 0.75, np.float32)
+    )
     np.testing.assert_allclose(level, planes, atol=1e-5)
 
 
 def test_correlation_over_many_tiles_is_that_of_one():
     rng = np.random.default_rng(1)
     images = rng.normal(0, 0.1, (2, 70, 30)).astype(np.float32)
-    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
     slopes, heights = np.array([(0.3, 0.1), (-0.3, 0.2)]), np.array([0.0, 1.0, 2.0])
     pairs = np.array([(0, 1)])
-    whole = run_correlate(images, masks, slopes, hits, pairs, heights)
-    part = run_correlate(images[:, 40:], masks[:, 40:], slopes, hits[:, 40:], pairs, heights)
+    whole = run_correlate(images, masks, slopes, first_hit_height, pairs, heights)
+    part = run_correlate(images[:, 40:], masks[:, 40:], slopes, first_hit_height[:, 40:], pairs, heights)
     np.testing.assert_allclose(whole[40:], part, atol=1e-5)
 
 
@@ -136,18 +165,20 @@ def test_equal_images_agree_fully_where_they_lie_on_each_other():
     images = np.stack(
         [image, np.roll(image, 2, axis=1)]
     )  # the second is displaced by two columns: 4 m at half a column
-    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
     slopes = np.array([(0.0, 0.0), (0.0, 0.5)])
-    volume = run_correlate(images, masks, slopes, hits, np.array([(0, 1)]), np.array([1.0, 3.0, 5.0, 7.0]))
+    volume = run_correlate(images, masks, slopes, first_hit_height, np.array([(0, 1)]), np.array([1.0, 3.0, 5.0, 7.0]))
     assert (volume.argmax(axis=2) == 2).all()
     np.testing.assert_allclose(volume[..., 2], 1.0, atol=1e-3)
 
 
 def test_an_unseen_height_never_beats_what_is_seen():
-    images, masks, slopes, hits = a_frame()
-    hits[:] = 3.0  # nothing below 3 m is seen
+    images, masks, slopes, first_hit_height = a_frame()
+    first_hit_height[:] = 3.0  # nothing below 3 m is seen
     images[1:] = -images[:1]  # and what is seen above disagrees wherever it can
-    volume = run_correlate(images, masks, slopes * 0, hits, np.array([(0, 1)]), np.array([0.0, 2.0, 4.0]), unseen=0.9)
+    volume = run_correlate(
+        images, masks, slopes * 0, first_hit_height, np.array([(0, 1)]), np.array([0.0, 2.0, 4.0]), unseen=0.9
+    )
     assert (volume[..., 0] <= volume[..., 2]).all()
 
 
@@ -181,7 +212,7 @@ def test_a_parabola_finds_the_height_between_two_planes():
 def test_the_rival_is_the_best_height_that_is_no_neighbour():
     total = np.array([[[5.0, 3.0, 1.0, 2.0, 4.0]]], np.float32)
     gap = np.empty((1, 1), np.float32)
-    rival(total, np.array([[2]]), gap)
+    second_best_margin(total, np.array([[2]]), gap)
     assert gap[0, 0] == 3.0
 
 
@@ -189,13 +220,13 @@ def test_a_tower_hides_the_ground_behind_it():
     """A line of sight that leans by one cell a metre enters a tower of 10 m ten columns before its foot."""
     surface = np.zeros((5, 40), np.float32)
     surface[:, 20:24] = 10.0
-    hits = np.empty((1, 5, 40), np.float32)
+    first_hit_height = np.empty((1, 5, 40), np.float32)
     # what stands at height z in column c is seen at frame column c + z
-    first_hits(surface, np.array([(0.0, 1.0)]), 0.0, 12.0, -2.0, hits)
-    assert (hits[0, :, :20] == 0).all()
-    assert (hits[0, :, 30:34] == 10).all()  # the roof
-    assert (hits[0, :, 24:30] > 0).all()  # the wall, in front of hidden ground
-    assert (hits[0, :, 35:] == 0).all()
+    first_hit_heights(surface, np.array([(0.0, 1.0)]), 0.0, 12.0, -2.0, first_hit_height)
+    assert (first_hit_height[0, :, :20] == 0).all()
+    assert (first_hit_height[0, :, 30:34] == 10).all()  # the roof
+    assert (first_hit_height[0, :, 24:30] > 0).all()  # the wall, in front of hidden ground
+    assert (first_hit_height[0, :, 35:] == 0).all()
 
 
 def test_lines_of_sight_end_on_roof_and_ground():
@@ -217,11 +248,13 @@ def test_lines_of_sight_end_on_roof_and_ground():
 def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow():
     image = np.random.default_rng(2).normal(0, 0.1, (17, 19)).astype(np.float32)
     images = np.stack([image, image])
-    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
-    shades = np.full((2, 7, 9), LOW, np.float32)
-    shades[1, :, :4] = 10.0  # the western half is in shadow in the second image, up to a height of 10 m
+    masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    shadow_height = np.full((2, 7, 9), LOW, np.float32)
+    shadow_height[1, :, :4] = 10.0  # the western half is in shadow in the second image, up to a height of 10 m
     heights = np.array([8.0, 12.0])
-    volume = run_correlate(images, masks, np.zeros((2, 2)), hits, np.array([(0, 1)]), heights, shades=shades)
+    volume = run_correlate(
+        images, masks, np.zeros((2, 2)), first_hit_height, np.array([(0, 1)]), heights, shadow_height=shadow_height
+    )
     assert volume[:, 4:].min() == pytest.approx(1.0, abs=1e-4)
     assert volume[:, :4, 1].min() == pytest.approx(1.0, abs=1e-4)
     assert volume[:, :4, 0] == pytest.approx(0.3)  # as a point that no pair sees
@@ -230,13 +263,15 @@ def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow():
 def test_two_images_of_one_shadow_agree_though_haze_makes_it_brighter_on_one_date():
     noise = np.random.default_rng(4).normal(0, 0.002, (2, 17, 19))
     images = (noise + np.array([-0.4, -0.25])[:, None, None]).astype(np.float32)
-    masks, hits = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
-    shades = np.full((2, 7, 9), 10.0, np.float32)
+    masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    shadow_height = np.full((2, 7, 9), 10.0, np.float32)
     heights = np.array([8.0, 12.0])  # in the shadow and in the sun above it
 
     def agreement(dark):
-        case = (images, masks, np.zeros((2, 2)), hits, np.array([(0, 1)]), heights)
-        return run_correlate(*case, shades=shades, dark=np.array(dark, np.float32), noise=0.001).mean(axis=(0, 1))
+        case = (images, masks, np.zeros((2, 2)), first_hit_height, np.array([(0, 1)]), heights)
+        return run_correlate(*case, shadow_height=shadow_height, dark=np.array(dark, np.float32), noise=0.001).mean(
+            axis=(0, 1)
+        )
 
     # nothing but noise: no structure is asked for below 0.03, and the 0.15 between the shadows are known
     assert agreement([-0.4, -0.25])[0] > 0.95
@@ -247,9 +282,28 @@ def test_two_images_of_one_shadow_agree_though_haze_makes_it_brighter_on_one_dat
 def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line():
     surface = np.zeros((5, 12), np.float32)
     surface[:, 8] = 6.0
-    shade = np.empty_like(surface)
-    shade_heights(surface, np.array([0.6, 0.0, 0.8]), 0.5, 6.0, shade)  # sun in the east, 4 m up for 3 m along
+    shadow = np.empty_like(surface)
+    shadow_heights(surface, np.array([0.6, 0.0, 0.8]), 0.5, 6.0, shadow)  # sun in the east, 4 m up for 3 m along
     # one cell further from the wall the line is 0.5 m * 4 / 3 lower
-    assert shade[2, 4:8].tolist() == pytest.approx([6 - 8 / 3, 6 - 2, 6 - 4 / 3, 6 - 2 / 3], abs=1e-5)
-    assert shade[2, 9:].max() < 0  # only the ground's own line, below the ground
-    assert shade[2, 8] < 0
+    assert shadow[2, 4:8].tolist() == pytest.approx([6 - 8 / 3, 6 - 2, 6 - 4 / 3, 6 - 2 / 3], abs=1e-5)
+    assert shadow[2, 9:].max() < 0  # only the ground's own line, below the ground
+    assert shadow[2, 8] < 0
+
+
+def test_first_hits_are_those_of_the_plain_twin():
+    rng = np.random.default_rng(5)
+    surface = rng.uniform(0, 6, (14, 12)).astype(np.float32)
+    slopes = np.array([[0.4, -0.7], [-1.2, 0.1], [0.0, 0.0]])
+    fast = np.empty((3, *surface.shape), np.float32)
+    first_hit_heights(surface, slopes, 2.0, 7.0, -1.0, fast)
+    np.testing.assert_allclose(fast, reference.first_hit_heights(surface, slopes, 2.0, 7.0, -1.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("sun", [(0.6, 0.3, 0.5), (-0.1, -0.8, 0.4), (0.7, 0.0, 0.7)])
+def test_shadow_heights_are_those_of_the_plain_twin(sun):
+    surface = np.random.default_rng(6).uniform(0, 9, (15, 11)).astype(np.float32)
+    fast = np.empty_like(surface)
+    shadow_heights(surface, np.array(sun), 0.5, float(surface.max()), fast)
+    slow = reference.shadow_heights(surface, np.array(sun), 0.5)
+    lower = slow < surface.min() - 20  # as far below, the kernel stops looking
+    np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)

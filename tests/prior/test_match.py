@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rendered import CELL, RANGE, views_of
 
-from sattools.prior.confidence import confidence
+from sattools.prior.confidence import match_confidence
+from sattools.prior.consistency import filled
 from sattools.prior.frame import Frame
 from sattools.prior.kernels import correlate
 from sattools.prior.match import match
 from sattools.prior.options import PriorOptions
-from sattools.prior.rays import filled
-from sattools.prior.sweep import BLOCK, ROBUST_PAIRS, _blocks, trust_in
+from sattools.prior.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +61,10 @@ def test_with_two_views_ground_behind_a_wall_is_taken_from_the_ground_and_is_not
     error = np.abs(found.height - height)
     # 3.6 cells on either side are hidden from one view; smeared roofs alone leave 1.6 m there
     assert error[np.r_[12:20, 42:50], 24:44].mean() < 1.3
-    guessed = found.witnesses < 2
+    guessed = found.consistent_views < 2
     assert error[guessed].mean() > 5 * error[~guessed].mean()
-    assert confidence(found)[guessed].max() == 0
-    assert confidence(found)[5:10, 5:15].min() > 0
+    assert match_confidence(found)[guessed].max() == 0
+    assert match_confidence(found)[5:10, 5:15].min() > 0
 
 
 def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house):
@@ -133,12 +133,38 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypat
     _, frame = house
     seen = []
 
-    def spy(images, masks, slopes, heights, base, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest):
+    def spy(
+        images,
+        masks,
+        slopes,
+        heights,
+        base,
+        z_ref,
+        first_hit_height,
+        shadow_height,
+        dark,
+        tolerance,
+        pairs,
+        radius,
+        *rest,
+    ):
         margin = rest[3]
         reached = np.add.outer(heights, base.ravel() if base.size else [0.0])
         seen.append(margin - radius - 1 - np.abs(slopes).max() * np.abs(reached - z_ref).max())
         return correlate(
-            images, masks, slopes, heights, base, z_ref, hits, shades, dark, tolerance, pairs, radius, *rest
+            images,
+            masks,
+            slopes,
+            heights,
+            base,
+            z_ref,
+            first_hit_height,
+            shadow_height,
+            dark,
+            tolerance,
+            pairs,
+            radius,
+            *rest,
         )
 
     monkeypatch.setattr("sattools.prior.kernels.correlate", spy)
@@ -149,5 +175,5 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypat
 
 def test_few_pairs_count_only_what_is_surely_seen():
     options = PriorOptions()
-    assert trust_in(ROBUST_PAIRS - 1, options) == (1, 0.0, 0.0)
-    assert trust_in(ROBUST_PAIRS, options) == pytest.approx((3, 0.05, 0.1))
+    assert pair_weights(ROBUST_PAIRS - 1, options) == (1, 0.0, 0.0)
+    assert pair_weights(ROBUST_PAIRS, options) == pytest.approx((3, 0.05, 0.1))

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sattools.prior.confidence import confidence
+from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import disk
 from sattools.prior.match import Match, margin_for, plane_distance
 from sattools.prior.normals import normals
 from sattools.prior.pairs import angle_deg, choose_pairs
-from sattools.prior.stage import to_eye
+from sattools.prior.stage import gamma_encode
 from sattools.prior.sweep import narrow, planes, scarcity
+from sattools.prior.visibility import disk
 
 
 def lean(angle):
@@ -132,26 +132,26 @@ def test_normals_leave_out_what_is_unknown():
 
 def a_match(**changed):
     shape = (9, 9)
-    parts = {"height": 5.0, "score": 0.9, "rival": 1.0, "views": 10, "witnesses": 10} | changed
-    counts = ("views", "witnesses")
+    parts = {"height": 5.0, "score": 0.9, "uniqueness": 1.0, "views": 10, "consistent_views": 10} | changed
+    counts = ("views", "consistent_views")
     return Match(*(np.full(shape, parts[n], np.uint8 if n in counts else np.float32) for n in parts))
 
 
 def test_confidence_falls_with_every_doubt():
     def of(**changed):
-        return float(confidence(a_match(**changed))[4, 4])
+        return float(match_confidence(a_match(**changed))[4, 4])
 
     assert 0.9 < of() <= 1.0
     assert of(score=0.45) == pytest.approx(of() / 2, rel=1e-4)
-    assert of(rival=0.1) < 0.5 * of()
-    assert 0 < of(witnesses=2) < of(witnesses=3) < of()
-    assert of(witnesses=1) == of(witnesses=0) == of(rival=0.0) == of(score=0.0) == 0.0
+    assert of(uniqueness=0.1) < 0.5 * of()
+    assert 0 < of(consistent_views=2) < of(consistent_views=3) < of()
+    assert of(consistent_views=1) == of(consistent_views=0) == of(uniqueness=0.0) == of(score=0.0) == 0.0
 
 
 def test_confidence_is_halved_beside_a_step_of_three_metres():
     match = a_match()
     match.height[:, 5:] = 8.0
-    c = confidence(match)
+    c = match_confidence(match)
     assert c[4, 4] == pytest.approx(c[4, 1] / 2, rel=1e-4)
     assert c[4, 8] == pytest.approx(c[4, 1])
 
@@ -160,11 +160,11 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
     images = np.linspace(0.01, 0.5, 7 * 1000, dtype=np.float32).reshape(1, 70, 100)
     masks = np.ones(images.shape, np.uint8)
     for scale in (1.0, 0.1):
-        eye = to_eye(images * scale, masks, linear=True)
+        eye = gamma_encode(images * scale, masks, linear=True)
         low, high = np.percentile(eye, [2, 98])
         assert high - low == pytest.approx(0.83, abs=0.01)
-    dark = to_eye(images, masks, linear=True)[0].ravel()
-    straight = to_eye(images, masks, linear=False)[0].ravel()
+    dark = gamma_encode(images, masks, linear=True)[0].ravel()
+    straight = gamma_encode(images, masks, linear=False)[0].ravel()
     assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])
 
 

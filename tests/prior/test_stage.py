@@ -32,7 +32,7 @@ def test_surface_confidence_and_normals_lie_on_the_grid(matched):
     scene, entry = matched
     for name, bands in (("prior_dsm", 1), ("prior_confidence", 1), ("prior_normals", 3)):
         array, grid = product(scene, name)
-        assert grid == scene.need_grid()
+        assert grid == scene.require_grid()
         assert array.shape == (bands, *grid.shape)
     confidence, _ = product(scene, "prior_confidence")
     assert confidence.min() >= 0
@@ -71,10 +71,10 @@ def test_depth_per_image_is_the_height_that_its_pixel_sees(matched):
         with rasterio.open(scene.path(item.assets["image"].href)) as image:
             assert depth.shape == image.shape
         with rasterio.open(scene.path(item.assets["confidence"].href)) as data:
-            sure = data.read(1)
+            image_confidence = data.read(1)
         seen = np.isfinite(depth)
         assert seen.mean() > 0.3  # images reach beyond the grid
-        assert np.array_equal(seen, np.isfinite(sure))
+        assert np.array_equal(seen, np.isfinite(image_confidence))
         # the quartiles of what a view sees are those of the town, nearly
         assert np.percentile(depth[seen], 25) == pytest.approx(np.percentile(truth, 25), abs=1.5)
 
@@ -83,7 +83,7 @@ def test_two_images_give_a_surface_and_say_what_that_means(make_town):
     scene = make_town()
     scene.items = scene.items[:2]
     entry = prior(scene, PriorOptions())
-    assert any("two images only" in text for text in entry["remarks"])
+    assert any("two images only" in text for text in entry["notes"])
     assert np.isfinite(product(scene, "prior_dsm")[0]).all()
 
 
@@ -117,7 +117,8 @@ def test_existing_products_are_kept_unless_told(matched):
 def test_the_fit_makes_its_own_prior_where_there_is_none(make_town):
     scene = make_town()
     assert load_prior(scene, FitOptions(prior_weight=0), silent) == (None, {})
-    (height, confidence, grid), made = load_prior(scene, FitOptions(prior_weight=0.1), silent)
+    prior, made = load_prior(scene, FitOptions(prior_weight=0.1), silent)
+    height, confidence, grid = prior.height.numpy(), prior.confidence.numpy(), prior.grid
     assert made["prior"]["implicit"]
     assert height.shape == confidence.shape == grid.shape
     assert "prior_dsm" in scene.products

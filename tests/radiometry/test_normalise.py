@@ -78,7 +78,7 @@ def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene
     item = scene.items[0]
     assert (item.properties["sattools:radiance"], item.properties["sattools:tone"]) == ("relative", "linear")
     assert item.assets["radiance"].href == "radiance/i0.tif"
-    assert found["remarks"] == [
+    assert found["notes"] == [
         "linear up to an unknown factor: no metadata with a calibration and a solar irradiance were found"
     ]
     assert scene.path(scene.products["radiance_histogram"]).read_bytes()[:4] == b"\x89PNG"
@@ -164,7 +164,7 @@ def test_eight_bit_images_are_recognised_and_linearised_only_when_asked(make_sce
     found = normalise(scene, NormaliseOptions())
     assert result(scene)[0, 1] == pytest.approx(0.2)
     assert scene.items[0].properties["sattools:tone"] == "tone-mapped"
-    assert "8-bit numbers: found a tone-mapped image, left as they are" in found["remarks"][-1]
+    assert "8-bit numbers: found a tone-mapped image, left as they are" in found["notes"][-1]
     normalise(scene, NormaliseOptions(gamma=2.2))
     assert result(scene)[0, 1] == pytest.approx(0.2**2.2)
     assert scene.items[0].properties["sattools:tone"] == "linear"
@@ -179,7 +179,7 @@ def test_images_of_one_sensor_share_their_bits(make_scene):
     scene.items[1].properties["sattools:bits"] = 10
     found = normalise(scene, NormaliseOptions())
     assert result(scene, "i1")[0, 0] == result(scene, "i0")[0, 0]
-    assert "i1: values fit 10 bits, taken as 11 like its sensor's others" in found["remarks"]
+    assert "i1: values fit 10 bits, taken as 11 like its sensor's others" in found["notes"]
 
 
 def test_dates_are_brought_to_the_first_one(make_scene):

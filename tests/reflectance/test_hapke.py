@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sattools.reflectance import hapke
-from sattools.reflectance.hapke import effective_cosines
+from sattools.reflectance.roughness import effective_cosines
 
 # incidence, emission, azimuth, theta-bar in degrees; mu0e, mue, S, BRF for w = 0.6, b = 0.3, c = 0.4, no opposition
 GOLDEN = [

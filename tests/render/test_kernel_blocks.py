@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch.nn.functional import max_pool2d
 
-from sattools.render import Quadrature, Rays, render
+from sattools.render import ParallelRays, Quadrature, render
 from sattools.render.blocks import LANES, absorption
 from sattools.render.surface import COUNTER
 
@@ -74,11 +74,11 @@ def follow(height, colour, rays, mask):
 
 SHAPES = [(9, LANES - 1), (9, LANES), (9, LANES + 1), (7, 2 * LANES + 5), (12, 3), (2, 2), (1, 9), (9, 1)]
 VIEWS = [
-    Rays((0.0, 0.0), 0.5),
-    Rays((0.375, -0.25), 0.5, (0.125, -1.5)),
-    Rays((-0.625, 0.5), 0.0, (-0.75, 0.25)),
-    Rays((3.0, 2.25), 0.25),  # steep: a plane lies up to 40 cells aside of the next block, beyond the map
-    Rays((-5.0, 0.125), 0.25, (64.0, -2.0)),
+    ParallelRays((0.0, 0.0), 0.5),
+    ParallelRays((0.375, -0.25), 0.5, (0.125, -1.5)),
+    ParallelRays((-0.625, 0.5), 0.0, (-0.75, 0.25)),
+    ParallelRays((3.0, 2.25), 0.25),  # steep: a plane lies up to 40 cells aside of the next block, beyond the map
+    ParallelRays((-5.0, 0.125), 0.25, (64.0, -2.0)),
 ]
 
 
@@ -125,11 +125,11 @@ import hashlib, sys
 from sattools.cli import set_threads
 set_threads(int(sys.argv[1]))
 import torch
-from sattools.render import Quadrature, Rays, render
+from sattools.render import ParallelRays, Quadrature, render
 noise = torch.Generator().manual_seed(0)
 height = (5 * torch.rand(260, 256, generator=noise)).requires_grad_()  # four chunks of rows
 colour = torch.rand(260, 256, 2, generator=noise).requires_grad_()
-rgb, depth, opacity = render(height, colour, Rays((0.375, -0.25), 0.5), Quadrature(0.5, 1 / 3, 8.0, -5.0), 1.0)
+rgb, depth, opacity = render(height, colour, ParallelRays((0.375, -0.25), 0.5), Quadrature(0.5, 1 / 3, 8.0, -5.0), 1.0)
 (rgb.square().sum() + depth.sum()).backward()
 parts = [t.detach().numpy().tobytes() for t in (rgb, depth, opacity, height.grad, colour.grad)]
 print(hashlib.sha256(b"".join(parts)).hexdigest())

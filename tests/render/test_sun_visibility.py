@@ -8,7 +8,7 @@ import torch
 
 from sattools.camera.ground import grid_direction, project, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.render import plate_slopes, sun_visibility
+from sattools.render import plate_slopes, reference, sun_visibility
 from sattools.scene.raster import read_image, read_raster
 
 
@@ -158,3 +158,12 @@ def test_a_shadow_does_not_depend_on_where_in_the_map_it_lies(azimuth, left, abo
 
     for moved, still in zip(shadows(left, above), shadows(0, 0), strict=True):
         assert torch.equal(moved, still)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(40, 25), (137, 50), (251, 12), (333, 70)])
+def test_shadows_are_those_of_the_plain_twin(azimuth, elevation):
+    height = np.random.default_rng(azimuth).uniform(0, 3, (23, 37)).cumsum(axis=1) % 11
+    fast = sun_visibility(torch.from_numpy(height).float(), 0.5, sun_at(azimuth, elevation)).numpy()
+    slow = reference.sun_visibility(height, 0.5, sun_at(azimuth, elevation))
+    assert 0.1 < (slow < 0.5).mean() < 0.9, "else this map proves nothing"
+    np.testing.assert_allclose(fast, slow, atol=1e-4)

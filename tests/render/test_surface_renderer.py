@@ -10,14 +10,14 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from sattools.render import Quadrature, Rays, render
+from sattools.render import ParallelRays, Quadrature, render
 from sattools.render.reference import render_planes
 
 TRUNCATION = 4e-3
 
 
 def vertical(z_ref=0.0):
-    return Rays((0.0, 0.0), z_ref)
+    return ParallelRays((0.0, 0.0), z_ref)
 
 
 def town(seed=0, shape=(40, 48)):
@@ -48,7 +48,9 @@ def test_the_mean_depth_of_a_flat_surface_is_its_height(softness, slope):
     step = softness / 20
     height = torch.full((12, 12), 3.0, dtype=torch.float64)
     q = Quadrature(softness, step, 3 + 30 * softness + step / 2, 3 - 40 * softness)
-    _, depth, opacity = render_planes(height, torch.ones(12, 12, 1, dtype=torch.float64), Rays(slope, 0.0), q, 1.0)
+    _, depth, opacity = render_planes(
+        height, torch.ones(12, 12, 1, dtype=torch.float64), ParallelRays(slope, 0.0), q, 1.0
+    )
     assert opacity.numpy() == pytest.approx(1.0, abs=1e-9)
     # the rectangle rule places a step's weight at its middle: second order in the step
     assert depth.numpy() == pytest.approx(3.0, abs=1e-3 * softness)
@@ -60,7 +62,7 @@ def test_a_view_shows_the_roof_displaced_along_the_line_of_sight():
     height[10:20, 30:40] = 10.0
     colour = torch.zeros(30, 60, 1)
     colour[10:20, 30:40] = 1.0
-    rgb, _, _ = render(height, colour, Rays((0.5, 0.0), 0.0), Quadrature(0.2, 0.1, 13.0, -3.0), 1.0)
+    rgb, _, _ = render(height, colour, ParallelRays((0.5, 0.0), 0.0), Quadrature(0.2, 0.1, 13.0, -3.0), 1.0)
     columns = rgb[15, :, 0].numpy()
     # a ray at column c reaches the roof's height at c + 5; east of the roof the wall facing the sensor is coloured too
     assert columns[26:34].min() > 0.95
@@ -73,7 +75,7 @@ def test_offset_moves_all_rays_east_and_north():
     colour = torch.zeros(20, 20, 1)
     colour[8, 12] = 1.0
     q = Quadrature(0.2, 0.1, 2.0, -3.0)
-    rgb, _, _ = render(height, colour, Rays((0.0, 0.0), 0.0, (4.0, 2.0)), q, 2.0)
+    rgb, _, _ = render(height, colour, ParallelRays((0.0, 0.0), 0.0, (4.0, 2.0)), q, 2.0)
     # 4 m east = 2 columns, 2 m north = 1 row up: the ray of (9, 10) meets cell (8, 12)
     assert tuple(np.unravel_index(int(rgb.argmax()), (20, 20))) == (9, 10)
 
@@ -89,7 +91,7 @@ CASES = [
 @pytest.mark.parametrize(("slope", "offset", "softness", "cell"), CASES)
 def test_compiled_and_readable_renderer_show_the_same(slope, offset, softness, cell):
     height, colour = town()
-    rays = Rays(slope, 2.0, offset)
+    rays = ParallelRays(slope, 2.0, offset)
     q = Quadrature(softness, softness / 1.5, 17 + 6 * softness, -8 - 10 * softness)
     rgb, depth, opacity = render(height, colour, rays, q, cell)
     twin_rgb, twin_depth, twin_opacity = render_planes(height.double(), colour.double(), rays, q, cell)
@@ -105,7 +107,7 @@ def gradients(function, kind, case, loss):
     slope, offset, softness, cell = case
     height, colour = (t.to(kind, copy=True).requires_grad_() for t in town())
     q = Quadrature(softness, softness / 1.5, 17 + 6 * softness, -8 - 10 * softness)
-    loss(*function(height, colour, Rays(slope, 2.0, offset), q, cell)).backward()
+    loss(*function(height, colour, ParallelRays(slope, 2.0, offset), q, cell)).backward()
     return height.grad.double(), None if colour.grad is None else colour.grad.double()
 
 
@@ -151,14 +153,14 @@ def test_gradients_of_the_readable_renderer_are_finite_differences():
     height = torch.rand(4, 5, generator=generator, dtype=torch.float64).requires_grad_()
     colour = torch.rand(4, 5, 2, generator=generator, dtype=torch.float64).requires_grad_()
     q = Quadrature(0.5, 0.25, 3.0, -3.0)
-    rays = Rays((0.3, -0.2), 0.1, (0.05, 0.0))
+    rays = ParallelRays((0.3, -0.2), 0.1, (0.05, 0.0))
     assert torch.autograd.gradcheck(lambda h, c: render_planes(h, c, rays, q, 1.0), (height, colour))
 
 
 def test_rays_that_are_not_wanted_cost_nothing_and_change_nothing():
     height, colour = town()
     q = Quadrature(0.5, 0.3, 20.0, -12.0)
-    rays = Rays((0.3, 0.1), 0.0)
+    rays = ParallelRays((0.3, 0.1), 0.0)
     mask = torch.zeros(height.shape, dtype=torch.uint8)
     mask[5:30, 7:40] = 1
     h, c = height.clone().requires_grad_(), colour.clone().requires_grad_()
@@ -180,7 +182,7 @@ def test_the_number_of_threads_does_not_change_the_picture():
     try:
         for count in (1, 2):
             torch.set_num_threads(count)
-            pictures.append(render(height, colour, Rays((0.3, 0.1), 0.0), q, 1.0)[0])
+            pictures.append(render(height, colour, ParallelRays((0.3, 0.1), 0.0), q, 1.0)[0])
     finally:
         torch.set_num_threads(before)
     assert torch.equal(*pictures)

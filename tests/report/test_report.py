@@ -85,7 +85,7 @@ def run(*arguments, text=None):
 def finished(make_town):
     """A scene with maps, a trace, errors, an adjustment and a name that HTML could mistake for a tag."""
     scene = make_town("TOWN")
-    grid, rng = scene.need_grid(), np.random.default_rng(0)
+    grid, rng = scene.require_grid(), np.random.default_rng(0)
     for name, bands in (("dsm", 1), ("dsm_std", 1), ("albedo", 3), ("theta", 1), ("difference", 1)):
         write_cog(scene.output(f"export/{name}.tif"), rng.random((bands, *grid.shape), np.float32), grid)
         scene.products[name] = f"export/{name}.tif"

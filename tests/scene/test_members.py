@@ -36,7 +36,10 @@ NONSENSE = {
     "gsd text": (lambda d: properties(d).update({"gsd": "0.5"}), "gsd: found '0.5'"),
     "gsd 0": (lambda d: properties(d).update({"gsd": 0}), "gsd: found 0"),
     "time": (lambda d: properties(d).update({"datetime": "noon"}), "datetime: found 'noon'"),
-    "tone": (lambda d: properties(d).update({"sattools:tone_match": {"gain": [1], "x": 1}}), "tone_match"),
+    "balance": (
+        lambda d: properties(d).update({"sattools:radiometric_balance": {"gain": [1], "x": 1}}),
+        "radiometric_balance",
+    ),
     "bbox": (lambda d: d["features"][0].update(bbox=[1, 2]), "bbox: found .1, 2., expected a list of 4"),
     "bbox text": (lambda d: d["features"][0].update(bbox="abcd"), "bbox: found 'abcd'"),
     "geometry": (lambda d: d["features"][0]["geometry"].update(coordinates=[[1, 2]]), "geometry.coordinates"),

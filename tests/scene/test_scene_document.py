@@ -42,9 +42,39 @@ def test_a_scene_survives_its_json(tmp_path):
     assert again.items[0].assets["image"].extra == {"title": "Zürich"}
 
 
+def test_a_document_of_version_1_is_read_under_the_present_names(tmp_path):
+    data = json.loads(make_scene(tmp_path).to_json())
+    data["sattools"]["version"] = 1
+    data["sattools"]["history"] = [{"command": "prep", "seconds": 1, "remarks": ["one image left out"]}]
+    match = {"gain": [1.0], "offset": [0.0], "contrast": 0.8}
+    data["features"][0]["properties"]["sattools:tone_match"] = match
+    scene = Scene.from_json(json.dumps(data))
+    assert scene.history == [{"command": "prep", "seconds": 1, "notes": ["one image left out"]}]
+    assert scene.items[0].properties["sattools:radiometric_balance"] == match
+    assert "sattools:tone_match" not in scene.items[0].properties
+    assert json.loads(scene.to_json())["sattools"]["version"] == 2
+
+
+@pytest.mark.parametrize("version", [0, 3, "1", True, None, [1], {}])
+def test_a_document_of_an_unknown_version_is_refused(tmp_path, version):
+    data = json.loads(make_scene(tmp_path).to_json())
+    data["sattools"]["version"] = version
+    with pytest.raises(SceneError, match="expected 2 or an older one"):
+        Scene.from_json(json.dumps(data))
+
+
+@pytest.mark.parametrize("damage", [{"history": 3}, {"history": ["x"]}])
+def test_a_damaged_document_of_version_1_is_refused_in_one_line(tmp_path, damage):
+    data = json.loads(make_scene(tmp_path).to_json())
+    data["sattools"] |= {"version": 1, **damage}
+    with pytest.raises(SceneError, match="found") as caught:
+        Scene.from_json(json.dumps(data))
+    assert "\n" not in str(caught.value)
+
+
 def test_json_is_one_line(tmp_path):
     scene = make_scene(tmp_path)
-    scene.history.append({"remarks": ["two\nlines"]})
+    scene.history.append({"notes": ["two\nlines"]})
     assert "\n" not in scene.to_json()
 
 
@@ -129,7 +159,7 @@ def test_absolute_paths_are_read_but_never_written(tmp_path):
     ("change", "words"),
     [
         (lambda d: d.pop("sattools"), "without a 'sattools' member"),
-        (lambda d: d["sattools"].update(version=2), "found scene version 2, expected 1"),
+        (lambda d: d["sattools"].update(version=3), "found scene version 3, expected 2 or an older one"),
         (lambda d: d.update(features=None), "found no list of features"),
         (lambda d: d.update(id="../a"), "found id '../a'"),
         (lambda d: d.update(id=None), "found id None"),
@@ -168,6 +198,6 @@ def test_a_file_that_is_not_text_is_refused(tmp_path):
 def test_what_a_command_needs_and_the_scene_lacks_is_named(tmp_path):
     scene = Scene("a", tmp_path)
     with pytest.raises(SceneError, match="found no grid, expected one made by `sattools prep`"):
-        scene.need_grid()
+        scene.require_grid()
     with pytest.raises(SceneError, match="found no height range"):
-        scene.need_height_range()
+        scene.require_height_range()

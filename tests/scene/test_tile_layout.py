@@ -5,13 +5,13 @@ import pytest
 
 from sattools.errors import SceneError
 from sattools.scene import Grid
-from sattools.scene.tiles import common_cell, cut
+from sattools.scene.tiles import common_cell, make_tiles
 
 WHOLE = Grid("EPSG:32617", 1000.0, 5000.0, 0.5, 500, 300)  # 250 m x 150 m
 
 
 def test_tiles_are_of_one_size_and_reach_into_their_neighbours():
-    tiles = cut(WHOLE, 100.0, 16.0, 2.0)
+    tiles = make_tiles(WHOLE, 100.0, 16.0, 2.0)
     assert [tile.name for tile in tiles] == ["r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"]
     # 250 m in three parts, the edges on multiples of 2 m = 4 cells, and 32 cells more where there is a neighbour
     assert [(t.cols.start, t.cols.stop) for t in tiles[:3]] == [(0, 200), (136, 364), (300, 500)]
@@ -23,7 +23,7 @@ def test_tiles_are_of_one_size_and_reach_into_their_neighbours():
 
 @pytest.mark.parametrize("cell", [0.5, 1.0, 2.0])
 def test_weights_add_up_to_one_everywhere_and_fade_towards_a_tiles_border(cell):
-    tiles = cut(WHOLE, 100.0, 16.0, 2.0)
+    tiles = make_tiles(WHOLE, 100.0, 16.0, 2.0)
     whole = WHOLE.resized(cell)
     total = np.zeros(whole.shape)
     for tile in tiles:
@@ -40,7 +40,7 @@ def test_weights_add_up_to_one_everywhere_and_fade_towards_a_tiles_border(cell):
 
 
 def test_an_area_no_larger_than_a_tile_is_one_tile():
-    [tile] = cut(WHOLE, 250.0, 16.0, 2.0)
+    [tile] = make_tiles(WHOLE, 250.0, 16.0, 2.0)
     assert tile.grid == WHOLE
     assert (tile.weights(WHOLE.shape, 0.5) == 1).all()
 
@@ -52,7 +52,7 @@ def test_an_area_no_larger_than_a_tile_is_one_tile():
 )  # fmt: skip
 def test_tiles_that_make_no_sense_are_refused(tile, overlap, words):
     with pytest.raises(SceneError, match=words):
-        cut(WHOLE, tile, overlap, 2.0)
+        make_tiles(WHOLE, tile, overlap, 2.0)
 
 
 def test_edges_of_tiles_lie_on_the_cells_of_all_grids():

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import HANGING_S
 
 from sattools.errors import OutputExistsError, OutputIsInputError, SattoolsError
 from sattools.scene import Grid
@@ -185,6 +186,17 @@ def test_orphans_anywhere_in_a_folder_can_be_removed_but_not_those_of_others(tmp
     )
 
 
+def test_files_of_a_process_that_is_about_to_end_are_waited_for(tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE)
+    (tmp_path / f".a.tif.{module._host()}-{process.pid}-00.tmp-sattools").write_text("")
+    remove_orphans(tmp_path)
+    assert len(names(tmp_path)) == 1
+    process.stdin.close()
+    remove_orphans(tmp_path, patience_s=HANGING_S)  # nobody has asked for its status yet
+    assert names(tmp_path) == []
+    process.wait()
+
+
 # ---- what must not be written -------------------------------------------------------------------------------------
 
 
@@ -289,3 +301,25 @@ def test_a_kernel_that_cannot_be_kept_runs_all_the_same(tmp_path, monkeypatch):
 
     monkeypatch.setattr(type(twice._cache._cache_file), "save", full)
     assert twice(21) == 42
+
+
+def test_what_an_interrupted_cleaning_leaves_is_removed_when_the_program_ends(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from sattools.scene import files\n"
+        "files._discard = lambda path, whole=files._discard: sys.exit(143)\n"
+        "try:\n  with files.all_or_nothing():\n    files.write_text(Path(sys.argv[1]), 'x'); raise ValueError\n"
+        "finally:\n  files._discard = files._discard.__defaults__[0]"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "x")], stderr=subprocess.DEVNULL, check=False)
+    assert done.returncode == 143
+    assert names(tmp_path) == []
+
+
+def test_a_forked_child_leaves_its_parents_unfinished_files(tmp_path):
+    with all_or_nothing():
+        write_text(tmp_path / "x", "x")
+        if (child := os.fork()) == 0:
+            module._discard_all()
+            os._exit(0)
+        os.waitpid(child, 0)
+    assert names(tmp_path) == ["x"]

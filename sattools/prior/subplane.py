@@ -10,41 +10,35 @@ from __future__ import annotations
 import numpy as np
 
 from sattools.compiled import njit, prange
-from sattools.prior.frame import Frame
-from sattools.prior.hidden import Hidden
-from sattools.prior.options import PriorOptions
-from sattools.prior.sweep import agreement
+from sattools.prior.sweep import MatchTask, agreement
+from sattools.prior.visibility import Visibility
 
 PARTS = 2  # of a plane's distance
 REACH = 6  # cells around, of the same surface, whose agreement counts: single cells are noisy
 SAME_M = 1.0  # heights this near belong to the same surface
 
 
-def settle(
-    frame: Frame, hidden: Hidden, pairs: np.ndarray, surface: np.ndarray, step: float, options: PriorOptions
-) -> np.ndarray:
+def refine_subplane(task: MatchTask, visibility: Visibility, surface: np.ndarray) -> np.ndarray:
     """Smooth the surface's stairs and move every cell by up to one plane to where the images agree best.
 
     Args:
-        frame: the views; their margin must allow for heights one and a half planes beyond the surface.
-        hidden: what is hidden and shaded.
-        pairs: ``[P, 2]`` indices of the views to correlate.
+        task: what is matched; the frame's margin must allow for heights one and a half planes beyond the surface.
+        visibility: what is occluded and shaded.
         surface: ``[H, W]`` heights [m].
-        step: distance of the planes on which they were found [m].
-        options: see `PriorOptions`.
 
     Returns:
         ``[H, W]`` float32 heights [m].
     """
+    step, window = task.step, task.options.window
     smooth = np.empty(surface.shape, np.float32)
     local_planes(surface, smooth)
     np.clip(smooth, surface - step / 2, surface + step / 2, out=smooth)  # stairs are no higher, and the margin ends
     offsets = np.arange(-PARTS, PARTS + 1) * (step / PARTS)
-    base = np.pad(smooth, options.window, mode="edge")
-    volume = agreement(frame, hidden, pairs, offsets, options, base)
-    settled = np.empty_like(smooth)
-    best_nearby(volume, smooth, offsets, settled)
-    return settled
+    base = np.pad(smooth, window, mode="edge")
+    volume = agreement(task, visibility, offsets, base)
+    refined = np.empty_like(smooth)
+    best_nearby(volume, smooth, offsets, refined)
+    return refined
 
 
 @njit(parallel=True, cache=True)
@@ -84,14 +78,14 @@ def local_planes(surface, smooth):
 
 
 @njit(parallel=True, cache=True)
-def best_nearby(volume, surface, offsets, settled):
+def best_nearby(volume, surface, offsets, refined):
     """Height of the best agreement summed over the neighbours on the same surface, refined by a parabola.
 
     Args:
         volume: ``[H, W, D]`` float32 agreements.
         surface: ``[H, W]`` float32 heights [m].
         offsets: ``[D]`` float64 from the surface, evenly spaced, the middle one 0 [m].
-        settled: ``[H, W]`` float32 heights, filled [m].
+        refined: ``[H, W]`` float32 heights, filled [m].
     """
     rows, cols, depth = volume.shape
     step = offsets[1] - offsets[0]
@@ -114,7 +108,7 @@ def best_nearby(volume, surface, offsets, settled):
                 bend = 2 * votes[best] - votes[best - 1] - votes[best + 1]
                 if bend > 0:
                     z += step * 0.5 * (votes[best + 1] - votes[best - 1]) / bend
-            settled[row, col] = z
+            refined[row, col] = z
 
 
-__all__ = ["best_nearby", "local_planes", "settle"]
+__all__ = ["best_nearby", "local_planes", "refine_subplane"]

@@ -1,4 +1,4 @@
-"""Materials of a scene from its colours: end-members to which every cell belongs in shares."""
+"""Materials of a scene from its colours: endmembers, and the abundances of a cell in them."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ def features(colour: np.ndarray) -> np.ndarray:
     return np.concatenate([light / LIGHT_NOISE, (log - light)[:, :-1] / CHROMA_NOISE], axis=1)
 
 
-def soft_members(colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int = 0, blur: float = 1.5) -> np.ndarray:
-    """Shares ``[H, W, K]`` (sum 1) of K <= ``most`` materials: a Gaussian mixture of colours, K by BIC.
+def cluster_endmembers(
+    colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int = 0, blur: float = 1.5
+) -> np.ndarray:
+    """Abundances ``[H, W, K]`` (sum 1) of K <= ``most`` materials: a Gaussian mixture of colours, K by BIC.
 
     Args:
         colour: ``[H, W, C]`` albedo without shading, as far as that is known.
         known: ``[H, W]`` bool, cells whose colour is known; the others, in shade, belong to what lies nearest.
         most: largest K.
         seed: of the random start.
-        blur: standard deviation of the smoothing of the shares [cells]: materials form patches.
+        blur: standard deviation of the smoothing of the abundances [cells]: materials form patches.
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
@@ -43,12 +45,12 @@ def soft_members(colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int
     sample = x[rng.permutation(chosen)[:SAMPLE]]
     fits = [_mixture(sample, k, rng) for k in range(1, most + 1)]
     centre, spread, weight, _ = min(fits, key=lambda fit: fit[3])
-    shares = np.exp(_log_posterior(x, centre, spread, weight)).reshape(rows, cols, -1)
+    abundances = np.exp(_log_posterior(x, centre, spread, weight)).reshape(rows, cols, -1)
     if not known.all():
         nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        shares = shares[tuple(nearest)]
-    shares = np.stack([gaussian_filter(shares[..., k], blur) for k in range(shares.shape[-1])], axis=-1)
-    return np.asarray((shares / shares.sum(axis=-1, keepdims=True)).astype(np.float32))
+        abundances = abundances[tuple(nearest)]
+    abundances = np.stack([gaussian_filter(abundances[..., k], blur) for k in range(abundances.shape[-1])], axis=-1)
+    return np.asarray((abundances / abundances.sum(axis=-1, keepdims=True)).astype(np.float32))
 
 
 def _log_density(x: np.ndarray, centre: np.ndarray, spread: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -88,4 +90,4 @@ def _mixture(x: np.ndarray, k: int, rng: np.random.Generator) -> tuple[np.ndarra
     return centre, spread, weight, -2 * likelihood / 4 + (2 * x.shape[1] + 1) * k * np.log(len(x) / 4)
 
 
-__all__ = ["features", "soft_members"]
+__all__ = ["cluster_endmembers", "features"]

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import csv
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from sattools.errors import SceneError
-from sattools.fit import checkpoint
-from sattools.fit.coarse import COLOURS, sampled
-from sattools.fit.files import MODEL, TRACE, save_fit
+from sattools.fit.coarse import sampled
+from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
+from sattools.fit.model import FittedModel
 from sattools.fit.tile_plan import COARSE, COMMON, FOLDER, Plan
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
 from sattools.scene.dependencies import record
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_raster
 from sattools.scene.tiles import Tile
 
-MAPS, PER_IMAGE = ("height", "height_std", "albedo"), ("s_net", "tau")
+MAPS = ("height", "height_std", "albedo")
 
 
-class Sheet:
+class FeatheredMosaic:
     """A map of the whole, summed up from weighted pieces.
 
     Args:
@@ -39,7 +40,13 @@ class Sheet:
         self.weight = np.zeros(grid.shape, np.float32)
 
     def add(self, tile: Tile, values: np.ndarray, cell: float) -> None:
-        """Add a tile's map ``[h, w]`` or ``[h, w, B]``; unknown (NaN) cells count nothing."""
+        """Add a tile's map ``[h, w]`` or ``[h, w, B]``; unknown (NaN) cells count nothing.
+
+        Args:
+            tile: where it lies.
+            values: see above.
+            cell: edge of a cell [m].
+        """
         rows, cols = tile.place(self.grid, values.shape[:2])
         share = tile.weights(values.shape[:2], cell)[: rows.stop - rows.start, : cols.stop - cols.start]
         piece = values.reshape(*values.shape[:2], -1)[: share.shape[0], : share.shape[1]]
@@ -54,8 +61,13 @@ class Sheet:
         return self.total
 
 
-def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
+def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
     """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles`.
+
+    Args:
+        plan: tiles and their scenes.
+        notes: gets what a user should know.
+        progress: told the share done and what is being done.
 
     Raises:
         SceneError: a tile that is not fitted.
@@ -65,40 +77,45 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
         if not (plan.root(name) / MODEL).exists():
             raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
     progress(1.0, f"joining {len(names)} tiles")
-    whole = scene.need_grid().resized(plan.finest)
-    common, meta = checkpoint.load(scene.root / COMMON)
+    whole = scene.require_grid().resized(plan.finest)
+    common = FittedModel.load(scene.root / COMMON)
     made = {}
     if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
-        _join_priors(plan, names)
+        _mosaic_priors(plan, names)
         made = record(scene, "prior", scene.train_items(), implicit=True)
-    sheets: dict[str, Sheet] = {}
-    image_sheets: dict[str, list[Sheet]] = {}
-    softness = meta["softness"]
+    mosaics: dict[str, FeatheredMosaic] = {}
+    image_mosaics: dict[str, list[FeatheredMosaic]] = {}
+    softness = common.softness
     for tile in plan.tiles:
         if tile.name in names:
-            tensors, own = checkpoint.load(plan.root(tile.name) / MODEL)
-            grid, softness = Grid.from_dict(own["grid"]), own["softness"]
+            model = FittedModel.load(plan.root(tile.name) / MODEL)
+            softness = model.softness
         else:
-            grid = tile.grid.resized(plan.finest)
-            tensors = {name: sampled(common[name], Grid.from_dict(meta["grid"]), grid) for name in MAPS}
+            model = _resampled(common, tile.grid.resized(plan.finest))
         for name in MAPS:
-            values = tensors[name].numpy()
-            if name not in sheets:
-                sheets[name] = Sheet(whole, values[..., None].shape[2])
-            sheets[name].add(tile, values, grid.cell_size)
-        for name in set(PER_IMAGE) & tensors.keys():
-            layers = image_sheets.setdefault(name, [Sheet(whole, 1) for _ in meta["items"]])
-            for item, values in zip(own["items"], tensors[name].numpy(), strict=True):
-                layers[meta["items"].index(item)].add(tile, values, grid.cell_size)
-    found = {name: torch.from_numpy(sheet.done()) for name, sheet in sheets.items()}
-    found |= {name: found[name][..., 0] for name in ("height", "height_std")}
-    found |= {n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_sheets.items()}
-    found |= {name: common[name] for name in COLOURS}
-    remarks = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *remarks]
-    result = save_fit(
-        scene, scene.output(MODEL), found, {**meta, "grid": whole.to_dict(), "softness": softness},
-        _trace(plan, [COARSE, *names]), remarks, made,
-    )  # fmt: skip
+            values = getattr(model, name).numpy()
+            if name not in mosaics:
+                mosaics[name] = FeatheredMosaic(whole, values[..., None].shape[2])
+            mosaics[name].add(tile, values, model.grid.cell_size)
+        for name, layers_of in model.image_maps().items():
+            layers = image_mosaics.setdefault(name, [FeatheredMosaic(whole, 1) for _ in common.items])
+            for item, values in zip(model.items, layers_of.numpy(), strict=True):
+                layers[common.items.index(item)].add(tile, values, model.grid.cell_size)
+    maps = {name: torch.from_numpy(mosaic.done()) for name, mosaic in mosaics.items()}
+    of_images = {n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_mosaics.items()}
+    model = replace(
+        common,
+        grid=whole,
+        softness=softness,
+        height=maps["height"][..., 0],
+        height_std=maps["height_std"][..., 0],
+        albedo=maps["albedo"],
+        s_net=of_images.get("s_net"),
+        tau=of_images.get("tau"),
+        extra={},
+    )
+    notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
+    result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made)
     if spent := plan.spent():
         result["parts"] = spent
     if plan.options.part == "all":
@@ -106,23 +123,29 @@ def join(plan: Plan, remarks: list[str], progress: Progress) -> dict[str, Any]:
     return result
 
 
-def _join_priors(plan: Plan, names: list[str]) -> None:
+def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
+    """The maps of a model on another grid, without those of single images."""
+    height, height_std, albedo = (sampled(getattr(model, name), model.grid, grid) for name in MAPS)
+    return replace(model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None)
+
+
+def _mosaic_priors(plan: Plan, names: list[str]) -> None:
     """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
     from sattools.prior.stage import CONFIDENCE, DSM, write_maps
 
-    whole = plan.scene.need_grid()
-    height, trust = Sheet(whole, 1), Sheet(whole, 1)
+    whole = plan.scene.require_grid()
+    height, confidence = FeatheredMosaic(whole, 1), FeatheredMosaic(whole, 1)
     for tile in plan.tiles:
         if tile.name in names:
-            for sheet, href in ((height, DSM), (trust, CONFIDENCE)):
+            for mosaic, href in ((height, DSM), (confidence, CONFIDENCE)):
                 values, grid = read_raster(plan.root(tile.name) / href)
-                sheet.add(tile, values[0], grid.cell_size)
+                mosaic.add(tile, values[0], grid.cell_size)
         else:
             values, grid = read_raster(plan.root(COARSE) / DSM)
             rough = sampled(torch.from_numpy(values[0]), grid, tile.grid).numpy()
             height.add(tile, rough, tile.grid.cell_size)
-            trust.add(tile, np.zeros_like(rough), tile.grid.cell_size)
-    write_maps(plan.scene, height.done()[..., 0], trust.done()[..., 0], whole)
+            confidence.add(tile, np.zeros_like(rough), tile.grid.cell_size)
+    write_maps(plan.scene, height.done()[..., 0], confidence.done()[..., 0], whole)
 
 
 def _trace(plan: Plan, names: list[str]) -> Trace:
@@ -133,13 +156,13 @@ def _trace(plan: Plan, names: list[str]) -> Trace:
         for row in rows:
             number = {key: float(value) for key, value in row.items() if key in ("seconds", "loss")}
             trace.rows.append({"part": name, **row, **number, "seconds": round(before + number["seconds"], 3)})
-        before = trace.rows[-1]["seconds"]
+        before = float(trace.rows[-1]["seconds"])
     return trace
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
+def _rows(path: Path) -> list[dict[str, str]]:
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
-__all__ = ["join"]
+__all__ = ["mosaic_tiles"]

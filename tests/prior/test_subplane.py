@@ -5,9 +5,10 @@ import pytest
 from rendered import RANGE, views_of
 
 from sattools.prior import match as matching
-from sattools.prior.hidden import nothing_hidden
 from sattools.prior.options import PriorOptions
-from sattools.prior.settle import best_nearby, local_planes, settle
+from sattools.prior.subplane import best_nearby, local_planes, refine_subplane
+from sattools.prior.sweep import MatchTask
+from sattools.prior.visibility import all_visible
 
 SLOPES = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)]
 PAIRS = np.array([(a, b) for a in range(5) for b in range(a + 1, 5)])
@@ -27,7 +28,7 @@ def inner(error):
 def test_ground_between_two_planes_is_found_there(ramp, monkeypatch):
     height, frame = ramp
     error = inner(matching.match(frame, PAIRS, RANGE, PriorOptions()).height - height)
-    monkeypatch.setattr(matching, "settle", lambda frame, hidden, pairs, surface, *rest: surface)
+    monkeypatch.setattr(matching, "refine_subplane", lambda task, visibility, surface: surface)
     before = inner(matching.match(frame, PAIRS, RANGE, PriorOptions()).height - height)
     # views are painted in steps of 0.05 m; planes lie 1 m apart
     assert error.mean() < 0.06
@@ -37,7 +38,7 @@ def test_ground_between_two_planes_is_found_there(ramp, monkeypatch):
 def test_a_surface_off_by_half_a_plane_comes_back(ramp):
     height, frame = ramp
     off = (height + 0.5).astype(np.float32)
-    found = settle(frame, nothing_hidden(frame), PAIRS, off, 1.0, PriorOptions())
+    found = refine_subplane(MatchTask(frame, PAIRS, (0.0, 1.0), 1.0, PriorOptions()), all_visible(frame), off)
     assert np.median(inner(found - height)) < 0.05
 
 
@@ -46,16 +47,16 @@ def test_neighbours_on_another_surface_have_no_vote():
     surface[:, 10:] = 9.0
     volume = np.zeros((21, 21, 5), np.float32)
     volume[:, :10, 1] = volume[:, 10:, 3] = 1.0  # the low half wants down, the high half up
-    settled = np.empty_like(surface)
-    best_nearby(volume, surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), settled)
-    np.testing.assert_allclose(settled - surface, np.where(surface > 5, 0.5, -0.5), atol=1e-6)
+    refined = np.empty_like(surface)
+    best_nearby(volume, surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined)
+    np.testing.assert_allclose(refined - surface, np.where(surface > 5, 0.5, -0.5), atol=1e-6)
 
 
 def test_where_no_height_is_better_the_surface_stays():
     surface = np.full((9, 9), 3.0, np.float32)
-    settled = np.empty_like(surface)
-    best_nearby(np.zeros((9, 9, 5), np.float32), surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), settled)
-    assert (settled == 3.0).all()
+    refined = np.empty_like(surface)
+    best_nearby(np.zeros((9, 9, 5), np.float32), surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined)
+    assert (refined == 3.0).all()
 
 
 def test_a_slope_keeps_its_height_up_to_a_wall():

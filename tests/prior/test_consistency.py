@@ -1,10 +1,10 @@
-"""The left-right check on the ground grid: rays, their witnesses, and what is filled."""
+"""The left-right check on the ground grid: rays, consistent views, and what is filled."""
 
 import numpy as np
 
+from sattools.prior.consistency import RayMinima, count_consistent_views, filled, update_minima
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import UNKNOWN
-from sattools.prior.rays import Rays, filled, follow, witnesses
+from sattools.prior.visibility import UNKNOWN
 
 HEIGHTS = np.array([0.0, 2.0])
 MARGIN = 2
@@ -19,16 +19,16 @@ def frame():
 
 def followed(cost):
     """The rays of `frame` after a cost ``[5][2]`` of the five cells at both heights."""
-    rays = Rays.unknown(frame())
+    minima = RayMinima.unknown(frame())
     volume = np.array(cost, np.float32)[None]
-    follow(volume, frame().slopes, HEIGHTS, 0.0, MARGIN, MARGIN, rays.cost, rays.height)
-    return rays
+    update_minima(volume, frame().slopes, HEIGHTS, 0.0, MARGIN, MARGIN, minima.cost, minima.height)
+    return minima
 
 
-def bear_witness(rays, height, hits=None):
+def bear_witness(minima, height, first_hit_height=None):
     f = frame()
-    hits = np.full(f.images.shape, UNKNOWN, np.float32) if hits is None else hits
-    return witnesses(f, hits, rays, np.array([height], np.float32), tolerance=0.5, step=0.5)
+    first_hit_height = np.full(f.images.shape, UNKNOWN, np.float32) if first_hit_height is None else first_hit_height
+    return count_consistent_views(f, first_hit_height, minima, np.array([height], np.float32), tolerance=0.5, step=0.5)
 
 
 # the second cell is a roof of 2 m, all others lie on the ground
@@ -36,20 +36,20 @@ ROOF = [[1, 5], [4, 0], [1, 5], [1, 5], [1, 5]]
 
 
 def test_every_ray_keeps_its_cheapest_place():
-    rays = followed(ROOF)
+    minima = followed(ROOF)
     # the leaning view shows the roof where the ground of the third cell would be
-    np.testing.assert_array_equal(rays.height[0, MARGIN, MARGIN : MARGIN + 5], [0, 2, 0, 0, 0])
-    np.testing.assert_array_equal(rays.height[1, MARGIN, MARGIN : MARGIN + 5], [0, 0, 2, 0, 0])
-    assert rays.cost[1, MARGIN, MARGIN + 2] == 0
-    assert np.isnan(rays.height[1, MARGIN, 0]), "no cell lies on this ray"
+    np.testing.assert_array_equal(minima.height[0, MARGIN, MARGIN : MARGIN + 5], [0, 2, 0, 0, 0])
+    np.testing.assert_array_equal(minima.height[1, MARGIN, MARGIN : MARGIN + 5], [0, 0, 2, 0, 0])
+    assert minima.cost[1, MARGIN, MARGIN + 2] == 0
+    assert np.isnan(minima.height[1, MARGIN, 0]), "no cell lies on this ray"
 
 
 def test_blocks_leave_the_rays_as_the_whole_does():
-    whole, parts = followed(ROOF), Rays.unknown(frame())
+    whole, parts = followed(ROOF), RayMinima.unknown(frame())
     volume = np.array(ROOF, np.float32)[None]
     for first, last in ((3, 5), (0, 3)):
         at = (MARGIN, MARGIN + first)
-        follow(volume[:, first:last], frame().slopes, HEIGHTS, 0.0, *at, parts.cost, parts.height)
+        update_minima(volume[:, first:last], frame().slopes, HEIGHTS, 0.0, *at, parts.cost, parts.height)
     np.testing.assert_array_equal(parts.cost, whole.cost)
     np.testing.assert_array_equal(parts.height, whole.height)
 
@@ -61,9 +61,9 @@ def test_ground_whose_pixel_shows_the_roof_loses_a_witness():
 
 
 def test_a_view_that_cannot_see_the_place_is_no_witness():
-    hits = np.full(frame().images.shape, UNKNOWN, np.float32)
-    hits[1, MARGIN, MARGIN + 3] = 9.0
-    agreeing, views = bear_witness(followed(ROOF), [0, 2, 0, 0, 0], hits)
+    first_hit_height = np.full(frame().images.shape, UNKNOWN, np.float32)
+    first_hit_height[1, MARGIN, MARGIN + 3] = 9.0
+    agreeing, views = bear_witness(followed(ROOF), [0, 2, 0, 0, 0], first_hit_height)
     np.testing.assert_array_equal(agreeing, [[2, 2, 1, 1, 2]])
     np.testing.assert_array_equal(views, [[2, 2, 2, 1, 2]])
 

@@ -1,14 +1,17 @@
-"""Courts that smoothness roofs over, and what tells them from roofs."""
+"""Courtyards that the smoothness term bridges, and what tells them from roofs."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from sattools.prior import courts, match
-from sattools.prior.courts import doubtful
+from sattools.prior import courtyards, match
+from sattools.prior.courtyards import doubtful
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import UNKNOWN, Hidden, dark_noise, hide, measure_dark, nothing_hidden
 from sattools.prior.options import PriorOptions
+from sattools.prior.sweep import MatchTask
+from sattools.prior.visibility import UNKNOWN, all_visible, compute_visibility, dark_noise, measure_dark
 
 CELL = 0.5
 HEIGHTS = (-4.0, 18.0)
@@ -43,7 +46,7 @@ def lit_views(height, albedo, haze=0.0):
 
 @pytest.fixture(scope="module")
 def block():
-    """A block of 14 m with a court of 8 m, and beside it a black flat roof of 6 m."""
+    """A block of 14 m with a courtyard of 8 m, and beside it a black flat roof of 6 m."""
     rng = np.random.default_rng(1)
     height = np.zeros((100, 120))
     height[20:72, 20:72] = 14.0
@@ -78,45 +81,43 @@ def test_what_lies_in_the_sun_and_looks_like_shadow_is_doubted_if_the_views_disa
     height, frame = block
     roofed = height.astype(np.float32)
     roofed[38:54, 38:54] = 14.0
-    hidden = nothing_hidden(frame)
-    hide(frame, roofed, HEIGHTS, 2.0, hidden)
-    measure_dark(frame, roofed, 2.0, hidden)
+    visibility = compute_visibility(frame, roofed, HEIGHTS, 2.0, all_visible(frame).dark)
+    visibility = replace(visibility, dark=measure_dark(frame, roofed, 2.0, visibility))
     poor, good = np.full(height.shape, 0.2, np.float32), np.full(height.shape, 0.8, np.float32)
-    doubt = doubtful(frame, hidden, roofed, poor, PriorOptions())
+    doubt = doubtful(frame, visibility, roofed, poor, PriorOptions())
     assert doubt[COURT].mean() > 0.9
     assert doubt[ROOF].mean() == 0.0
-    assert not doubtful(frame, hidden, roofed, good, PriorOptions()).any()
+    assert not doubtful(frame, visibility, roofed, good, PriorOptions()).any()
 
 
 def test_shadows_are_as_bright_as_each_date_s_haze_makes_them(block):
     height, frame = block
-    hidden = nothing_hidden(frame)
-    hide(frame, height.astype(np.float32), HEIGHTS, 2.0, hidden)
-    measure_dark(frame, height.astype(np.float32), 2.0, hidden)
+    surface = height.astype(np.float32)
+    visibility = compute_visibility(frame, surface, HEIGHTS, 2.0, all_visible(frame).dark)
+    dark = measure_dark(frame, surface, 2.0, visibility)
     # 0.15 of an albedo of 0.6 and some, plus a haze of 0.01 a date; a wall is 0.1
-    assert hidden.dark == pytest.approx(0.085 + 0.01 * np.arange(8), abs=0.015)
+    assert dark == pytest.approx(0.085 + 0.01 * np.arange(8), abs=0.015)
     # noise of 0.004 and hardly any texture: 15 % of 0.1; resampled nowhere here
-    assert 0.003 < dark_noise(frame, hidden.dark, 0.05, 0.001) < 0.012
-    assert dark_noise(frame, hidden.dark, 0.05, 0.02) == 0.02
+    assert 0.003 < dark_noise(frame, dark, 0.05, 0.001) < 0.012
+    assert dark_noise(frame, dark, 0.05, 0.02) == 0.02
 
 
 def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block):
     height, frame = block
     blind = Frame(frame.images, frame.masks, frame.slopes, 0.0, CELL, frame.margin, (None,) * 8)
-    hidden = nothing_hidden(blind)
+    visibility = all_visible(blind)
     surface = height.astype(np.float32)
-    score = np.zeros_like(surface)
-    same, ceiling = courts.open_courts(blind, surface, surface, score, PAIRS, HEIGHTS, 2.0, PriorOptions(), hidden)
-    assert same is surface
-    assert ceiling is None
-    assert hidden.dark.max() == UNKNOWN
-    assert dark_noise(blind, hidden.dark, 0.05, 0.01) == 0.01
+    task = MatchTask(blind, PAIRS, HEIGHTS, 2.0, PriorOptions())
+    rough = courtyards.RoughSurface(surface, np.zeros_like(surface), surface, visibility)
+    same = courtyards.open_courtyards(task, rough)
+    assert same.height is surface
+    assert same.ceiling is None
+    assert visibility.dark.max() == UNKNOWN
+    assert dark_noise(blind, visibility.dark, 0.05, 0.01) == 0.01
 
 
 def test_a_point_just_below_a_lit_roof_is_lit_and_deep_below_it_may_be_shaded(block):
     height, frame = block
-    hidden = Hidden(*(a.copy() for a in vars(nothing_hidden(frame)).values()))
-    surface = height.astype(np.float32)
-    hide(frame, surface, HEIGHTS, 2.0, hidden)
-    assert hidden.shades[0, 28, 40] <= 12.0  # roof of 14 m, tolerance 2 m
-    assert hidden.shades[0, 46, 46] > 5.0  # floor of the court
+    visibility = compute_visibility(frame, height.astype(np.float32), HEIGHTS, 2.0, all_visible(frame).dark)
+    assert visibility.shadow_height[0, 28, 40] <= 12.0  # roof of 14 m, tolerance 2 m
+    assert visibility.shadow_height[0, 46, 46] > 5.0  # floor of the courtyard

@@ -15,7 +15,7 @@ import numpy as np
 
 from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
-from sattools.prior.hidden import at_surface
+from sattools.prior.visibility import at_surface
 
 SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
 REACH_M = 20.0  # distance within which a standing cell is looked for
@@ -23,7 +23,7 @@ RANK = 2  # of the heights found in eight directions, from the lowest: one or tw
 
 
 @dataclass(frozen=True)
-class Rays:
+class RayMinima:
     """Where along every ray the images agree best.
 
     Attributes:
@@ -35,25 +35,25 @@ class Rays:
     height: np.ndarray
 
     @classmethod
-    def unknown(cls, frame: Frame) -> Rays:
+    def unknown(cls, frame: Frame) -> RayMinima:
         """Nothing followed yet."""
         return cls(np.full(frame.images.shape, np.inf, np.float32), np.full(frame.images.shape, np.nan, np.float32))
 
 
-def witnesses(
-    frame: Frame, hits: np.ndarray, rays: Rays, height: np.ndarray, tolerance: float, step: float
+def count_consistent_views(
+    frame: Frame, first_hit_height: np.ndarray, minima: RayMinima, height: np.ndarray, tolerance: float, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Number of views whose rays have their best place at the surface, and number that see it: ``[H, W]`` uint8 each.
 
     Args:
         frame: the views.
-        hits: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
-        rays: their best places.
+        first_hit_height: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
+        minima: their best places.
         height: ``[H, W]`` [m].
         tolerance: depth below the visible surface that still counts as seen [m].
         step: distance of the height planes [m].
     """
-    best, seen = at_surface(replace(frame, images=rays.height), hits, height, tolerance)
+    best, seen = at_surface(replace(frame, images=minima.height), first_hit_height, height, tolerance)
     agree = seen & (np.abs(best - height) <= SAME_PLANES * step)
     return agree.sum(axis=0, dtype=np.uint8), seen.sum(axis=0, dtype=np.uint8)
 
@@ -63,6 +63,11 @@ def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
 
     Of the nearest standing cells in eight directions the third lowest counts, or the highest of fewer; a cell without
     any within reach keeps its own.
+
+    Args:
+        height: ``[H, W]`` [m].
+        stands: ``[H, W]`` bool.
+        cell: edge of a cell [m].
     """
     result = height.copy()
     _fill(height, stands, max(1, round(REACH_M / cell)), result)
@@ -70,7 +75,7 @@ def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
 
 
 @njit(parallel=True, cache=True)
-def follow(total, slopes, heights, z_ref, row0, col0, cost, height):
+def update_minima(total, slopes, heights, z_ref, row0, col0, cost, height):
     """Update the best places of all rays with the cells of a block.
 
     Args:
@@ -78,8 +83,10 @@ def follow(total, slopes, heights, z_ref, row0, col0, cost, height):
         slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         z_ref: reference height of the frame [m].
-        row0, col0: frame position of the block's first cell at that height.
-        cost, height: ``[V, Hf, Wf]`` float32, see `Rays`; changed.
+        row0: frame position of the block's first cell at that height.
+        col0: frame position of the block's first cell at that height.
+        cost: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
+        height: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
     """
     rows, cols, depth = total.shape
     for v in prange(slopes.shape[0]):
@@ -100,7 +107,7 @@ def follow(total, slopes, heights, z_ref, row0, col0, cost, height):
 def _fill(height, stands, reach, result):
     rows, cols = height.shape
     for row in prange(rows):
-        found = np.empty(8, np.float32)
+        around = np.empty(8, np.float32)
         for col in range(cols):
             if stands[row, col]:
                 continue
@@ -114,11 +121,11 @@ def _fill(height, stands, reach, result):
                     if r < 0 or c < 0 or r >= rows or c >= cols:
                         break
                     if stands[r, c]:
-                        found[count] = height[r, c]
+                        around[count] = height[r, c]
                         count += 1
                         break
             if count:
-                result[row, col] = np.sort(found[:count])[min(RANK, count - 1)]
+                result[row, col] = np.sort(around[:count])[min(RANK, count - 1)]
 
 
-__all__ = ["Rays", "filled", "follow", "witnesses"]
+__all__ = ["RayMinima", "count_consistent_views", "filled", "update_minima"]

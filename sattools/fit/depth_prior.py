@@ -1,0 +1,57 @@
+"""The depth prior of a fit: matched heights and how sure they are, in one type for every stage and field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sattools.fit.resample import resample_map
+from sattools.scene import Grid
+
+GROUND_SHARE = 0.3  # of the height range: where the ground usually lies
+
+
+@dataclass(frozen=True)
+class DepthPrior:
+    """Depth supervision on a grid.
+
+    Attributes:
+        height: ``[H, W]`` ellipsoidal heights [m]; NaN = none.
+        confidence: ``[H, W]`` in [0, 1].
+        grid: of both.
+    """
+
+    height: Tensor
+    confidence: Tensor
+    grid: Grid
+
+    @classmethod
+    def from_arrays(cls, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> DepthPrior:
+        """A prior of maps ``[H, W]`` as `sattools.prior.files.read_prior` reads them: heights [m], confidence.
+
+        Args:
+            height: ``[H, W]`` [m].
+            confidence: ``[H, W]`` in [0, 1].
+            grid: of both.
+        """
+        return cls(torch.from_numpy(height), torch.from_numpy(confidence), grid)
+
+    def on(self, grid: Grid, device: torch.device | None = None) -> DepthPrior:
+        """The prior on another grid with the same upper left corner, on a device."""
+        height, confidence = (resample_map(m.numpy(), self.grid, grid) for m in (self.height, self.confidence))
+        return DepthPrior(height.to(device), confidence.to(device), grid)
+
+    def median_height(self) -> float:
+        """Median of the known heights [m]."""
+        return float(np.nanmedian(self.height.numpy()))
+
+
+def reference_height(prior: DepthPrior | None, z_range: tuple[float, float]) -> float:
+    """Height [m] at which the views are resampled: the prior's median, or a guess of the ground within the range."""
+    return prior.median_height() if prior else z_range[0] + GROUND_SHARE * (z_range[1] - z_range[0])
+
+
+__all__ = ["DepthPrior", "reference_height"]

@@ -1,0 +1,83 @@
+"""What an interrupted fit leaves, so that another run can go on with it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from torch import Tensor
+
+from sattools.errors import InputError, SceneError
+from sattools.fit.checkpoint import load, save
+from sattools.fit.trace import Row
+
+log = logging.getLogger(__name__)
+OTHER_FIT = "found a checkpoint of other options, images or cameras, expected the same; drop --resume"
+
+
+@dataclass(frozen=True)
+class IlluminationOptions:
+    """The options of the illumination after every ``auto`` was resolved; see `FitOptions`."""
+
+    shadow: Literal["none", "geometric", "learned", "auto"]
+    transient: Literal["on", "off", "auto"]
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """A fit that was interrupted.
+
+    Attributes:
+        tensors: of the trainer.
+        fingerprint: of everything that the run going on must share, see `sattools.fit.inputs.fingerprint`.
+        rows: of the trace so far.
+        stage, epoch: where a surface is; step: where a field of rays is.
+        illumination: of a surface.
+    """
+
+    tensors: Mapping[str, Tensor]
+    fingerprint: str
+    rows: list[Row]
+    stage: int = 0
+    epoch: int = 0
+    step: int = 0
+    illumination: IlluminationOptions | None = None
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint.
+
+        Raises:
+            SattoolsError: it cannot be written.
+        """
+        description: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "tensors"}
+        description["illumination_options"] = vars(self.illumination) if self.illumination else None
+        del description["illumination"]
+        save(path, self.tensors, description)
+
+    @classmethod
+    def load(cls, path: Path, fingerprint: str) -> Interrupted | None:
+        """Read a checkpoint of the fit with that fingerprint; None, and a warning, where there is none.
+
+        Raises:
+            SceneError: a checkpoint of another fit.
+            InputError: a damaged one.
+        """
+        if not path.exists():
+            log.warning("%s: no checkpoint, the fit starts anew", path)
+            return None
+        tensors, description = load(path)
+        if description.get("fingerprint") != fingerprint:
+            raise SceneError(f"{path}: {OTHER_FIT}")
+        known = {f.name: description[f.name] for f in fields(cls) if f.name in description}
+        illumination = description.get("illumination_options")
+        try:
+            options = IlluminationOptions(**illumination) if illumination else None
+            return cls(**{**known, "tensors": tensors, "illumination": options})
+        except TypeError as error:
+            raise InputError(f"{path}: found no checkpoint of a fit ({error})") from error
+
+
+__all__ = ["OTHER_FIT", "IlluminationOptions", "Interrupted"]

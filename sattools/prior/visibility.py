@@ -1,0 +1,165 @@
+"""Visibility of a surface from the views and from their suns, and how dark the views are where it casts a shadow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import grey_erosion, uniform_filter
+
+from sattools.prior.frame import Frame
+
+UNKNOWN = -1e9  # first hit of a ray, height of a shade, radiance of shadow when nothing is known: seen, lit, not dark
+SURELY_SHADED_M = 2.0  # depth below the edge of a shadow at which a point surely lies in it
+DARK_SHARE = 30  # per cent of the pixels in shadow that are darker than its level: some see things that stick out
+FEWEST = 60  # cells that make a statistic
+NOISE_SHARE = 20  # per cent of the windows in shadow that show noise and no texture
+NOISE_FACTOR = 1.25  # contrast, in units of that noise, below which no structure is asked for
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """Occlusion and shadow that a surface causes.
+
+    Attributes:
+        first_hit_height: ``[V, Hf, Wf]`` float32 height at which the ray through a frame position first meets it [m].
+        shadow_height: ``[V, H, W]`` float32 height below which a point over a cell lies in shadow [m].
+        dark: ``[V]`` float32 radiance of things in shadow.
+    """
+
+    first_hit_height: np.ndarray
+    shadow_height: np.ndarray
+    dark: np.ndarray
+
+    def doubled(self) -> Visibility:
+        """The same on cells of half the size."""
+        first_hit_height, shadow_height = (
+            a.repeat(2, axis=1).repeat(2, axis=2) for a in (self.first_hit_height, self.shadow_height)
+        )
+        return Visibility(first_hit_height, shadow_height, self.dark)
+
+
+def all_visible(frame: Frame) -> Visibility:
+    """Everything is seen and lit."""
+    first_hit_height = np.full(frame.images.shape, UNKNOWN, np.float32)
+    shadow_height = np.full((len(first_hit_height), *frame.shape), UNKNOWN, np.float32)
+    return Visibility(first_hit_height, shadow_height, np.full(len(first_hit_height), UNKNOWN, np.float32))
+
+
+def disk(radius: float) -> np.ndarray:
+    """Boolean footprint of all cells whose centre lies within the radius [cells]."""
+    n = math.floor(radius)
+    y, x = np.mgrid[-n : n + 1, -n : n + 1]
+    return x * x + y * y <= radius * radius
+
+
+def erode(surface: np.ndarray, radius: float) -> np.ndarray:
+    """The surface eroded by a disk, as matching makes its rims too wide; radius in cells."""
+    return grey_erosion(surface, footprint=disk(radius), mode="nearest")
+
+
+def compute_visibility(
+    frame: Frame, eroded: np.ndarray, z_range: tuple[float, float], tolerance: float, dark: np.ndarray
+) -> Visibility:
+    """Occlusion and shadow that an eroded surface causes.
+
+    A point just below a lit surface counts as lit: what the images show there is the surface.
+
+    Args:
+        frame: the views.
+        eroded: ``[H, W]`` float32 heights [m].
+        z_range: lowest and highest height [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        dark: ``[V]`` float32 radiance of shadows.
+    """
+    from sattools.prior.kernels import first_hit_heights, shadow_heights
+
+    new = all_visible(frame)
+    wide = np.pad(eroded, frame.margin, mode="edge")
+    first_hit_heights(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, new.first_hit_height)
+    for sun, shadow in zip(frame.suns, new.shadow_height, strict=True):
+        if sun is not None:
+            shadow_heights(eroded, np.array(sun), frame.cell, float(eroded.max()), shadow)
+            lit = shadow < eroded
+            shadow[lit] = np.minimum(shadow[lit], eroded[lit] - np.float32(tolerance))
+    return replace(new, dark=dark)
+
+
+def at_surface(
+    frame: Frame, first_hit_height: np.ndarray, surface: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What every view shows at the surface ``[H, W]``, and whether it sees it: ``[V, H, W]`` float32 and bool.
+
+    Args:
+        frame: the views.
+        first_hit_height: ``[V, Hf, Wf]`` heights at which rays first meet the surface [m].
+        surface: ``[H, W]`` heights [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+    """
+    rows, cols = np.indices(frame.shape)
+    value = np.empty((len(frame.images), *frame.shape), np.float32)
+    seen = np.empty(value.shape, bool)
+    last = np.array(frame.images.shape[1:]) - 1
+    dz = surface - frame.z_ref
+    for v, slope in enumerate(frame.slopes):
+        r = np.clip(np.rint(rows + frame.margin + slope[0] * dz).astype(int), 0, last[0])
+        c = np.clip(np.rint(cols + frame.margin + slope[1] * dz).astype(int), 0, last[1])
+        value[v] = frame.images[v][r, c]
+        seen[v] = (frame.masks[v][r, c] > 0) & (first_hit_height[v][r, c] <= surface + tolerance)
+    return value, seen
+
+
+def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, visibility: Visibility) -> np.ndarray:
+    """Radiance of shadows in every view where the surface casts them.
+
+    Where too few cells tell, it is the median of the other views.
+
+    Haze and skylight differ from date to date, so shadows do not match where lit ground does.
+
+    Args:
+        frame: the views.
+        surface: ``[H, W]`` float32 heights [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        visibility: of the surface.
+
+    Returns:
+        ``[V]`` float32 radiance.
+    """
+    value, seen = at_surface(frame, visibility.first_hit_height, surface, tolerance)
+    deep = seen & (surface < visibility.shadow_height - SURELY_SHADED_M)
+    levels = [np.percentile(a[d], DARK_SHARE) if d.sum() > FEWEST else np.nan for a, d in zip(value, deep, strict=True)]
+    typical = np.nanmedian(levels) if np.isfinite(levels).any() else UNKNOWN
+    return np.where(np.isnan(levels), typical, levels).astype(np.float32)
+
+
+def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> float:
+    """Contrast below which no structure is asked for in shadow: noise is all that most windows there show.
+
+    Args:
+        frame: the views.
+        dark: ``[V]`` radiance of shadows.
+        reach: distance of radiance from it that still counts as dark.
+        least: smallest value returned.
+    """
+    noises = []
+    for image, mask, level in zip(frame.images, frame.masks, dark, strict=True):
+        mean = uniform_filter(image, 3)
+        spread = uniform_filter(image * image, 3) - mean * mean
+        near = (mask > 0) & (np.abs(mean - level) < reach)
+        if near.sum() > FEWEST:
+            noises.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
+    return max(least, NOISE_FACTOR * float(np.median(noises))) if noises else least
+
+
+__all__ = [
+    "UNKNOWN",
+    "Visibility",
+    "all_visible",
+    "at_surface",
+    "compute_visibility",
+    "dark_noise",
+    "disk",
+    "erode",
+    "measure_dark",
+]
