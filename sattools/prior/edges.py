@@ -64,20 +64,26 @@ def snap_edges(
     """
     off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
     off_step = minimum_filter(off_step, 3, mode="nearest")
-    moved = np.empty_like(height)
-    choose_sides(
-        height,
-        off_step,
-        frame.images,
-        frame.masks,
-        frame.slopes,
-        frame.z_ref,
-        frame.margin,
-        first_hit_height,
-        tolerance,
-        noise,
-        moved,
-    )
+    uphill = np.stack([gaussian_filter(height, SLOPE_SCALE, order=order, mode="nearest") for order in ((1, 0), (0, 1))])
+    uphill /= np.maximum(np.hypot(*uphill), 1e-6)
+    tangent = np.hypot(*frame.slopes.T) * frame.cell
+    # on its way up to the view a ray moves against the slope; views from straight above are outside of every wall
+    outward = frame.slopes * frame.cell / np.maximum(tangent, STEEP)[:, None]
+    outward[tangent < STEEP] = np.nan
+    below, above, roof, foot = (np.empty_like(height) for _ in range(4))
+    compare_sides(
+        height, off_step, uphill, frame.images, frame.masks, frame.slopes, outward, frame.z_ref, frame.margin,
+        first_hit_height, tolerance, noise, below, above, roof, foot,
+    )  # fmt: skip
+    beside_wall = np.isfinite(below)
+    if not beside_wall.any():
+        return median_filter(height, 3, mode="nearest")
+    side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
+    lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell)
+    high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
+    high += lean * (_mean_within(high, beside_wall, 1.0) - high)
+    moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
+    moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
     return median_filter(moved, 3, mode="nearest")
 
 
@@ -121,18 +127,14 @@ def _level(height, off_step, row, col, low, high):
 
 
 @njit(cache=True)
-def _misfit(height, off_step, image, mask, hit, row, col, z, at_row, at_col, limit, noise):
-    """Minus twice the log-likelihood (up to a constant) that a pixel belongs to its neighbours at height z in a view.
-
-    at_row, at_col: frame position of the cell at that height; limit: highest first hit at which a point is seen.
-    Negative where the view cannot tell.
-    """
+def _gather(height, off_step, row, col, below, above, where, side, weight):
+    """Note the sure cells of either side around a cell: offsets, side (1 = high), weight; returns their number."""
     rows, cols = height.shape
     count = 0
     for i in range(-LOOK, LOOK + 1):
         for j in range(-LOOK + (i + LOOK) % 2, LOOK + 1, 2):
             r, c = row + i, col + j
-            if not (0 <= r < rows and 0 <= c < cols) or not sure[r, c]:
+            if not (0 <= r < rows and 0 <= c < cols) or not off_step[r, c]:
                 continue
             high = abs(height[r, c] - above) <= SAME_M
             if not high and abs(height[r, c] - below) > SAME_M:
@@ -154,33 +156,61 @@ def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
     """
     a, b = round(r), round(c)
     if hit[a, b] > limit or mask[a, b] == 0:
-        return -1.0
-    total = 0.0
-    squares = 0.0
-    weight = 0.0
-    for i in range(row - LOOK, row + LOOK + 1, 2):
-        for j in range(col - LOOK, col + LOOK + 1, 2):
-            if not (0 <= i < rows and 0 <= j < cols) or not off_step[i, j] or abs(height[i, j] - z) > SAME_M:
-                continue
-            r, c = round(at_row + i - row), round(at_col + j - col)
-            if hit[r, c] > limit:
-                continue
-            w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * LOOK_FALL * LOOK_FALL))
-            x = image[r, c]
-            total += w * x
-            squares += w * x * x
-            weight += w
-    if weight < 1:
-        return -1.0
-    mean = total / weight
-    variance = max(squares / weight - mean * mean, 0.0) + noise * noise
-    apart = image[a, b] - mean
-    return min(apart * apart / variance, CAP) + math.log(variance / (noise * noise))
+        return np.nan
+    low = low_squares = low_weight = 0.0
+    high = high_squares = high_weight = 0.0
+    for n in range(count):
+        x = image[a + where[n, 0], b + where[n, 1]]
+        w = weight[n]
+        if side[n]:
+            high += w * x
+            high_squares += w * x * x
+            high_weight += w
+        else:
+            low += w * x
+            low_squares += w * x * x
+            low_weight += w
+    if low_weight < FEWEST_LOOKS or high_weight < FEWEST_LOOKS:
+        return np.nan
+    low /= low_weight
+    high /= high_weight
+    spread = max(low_squares / low_weight - low * low, 0.0) + max(high_squares / high_weight - high * high, 0.0)
+    variance = noise * noise + 0.5 * spread
+    if (high - low) ** 2 < CONTRAST * CONTRAST * variance:
+        return np.nan
+    iy, ix = math.floor(r), math.floor(c)
+    fy, fx = r - iy, c - ix
+    upper = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
+    lower = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
+    ratio = (high - low) * (upper + fy * (lower - upper) - 0.5 * (high + low)) / variance
+    return min(max(ratio / CAP, -1.0), 1.0)
 
 
 @njit(parallel=True, cache=True)
-def choose_sides(height, off_step, images, masks, slopes, z_ref, margin, first_hit_height, tolerance, noise, moved):
-    """See `snap_edges`; ``off_step`` is ``[H, W]`` bool, ``moved`` ``[H, W]`` float32 is filled."""
+def compare_sides(
+    height, off_step, uphill, images, masks, slopes, outward, z_ref, margin, first_hit_height, tolerance, noise,
+    below, above, roof, foot,
+):  # fmt: skip
+    """What either side of a wall looks like, for every cell near one.
+
+    Args:
+        height: ``[H, W]`` float32 [m].
+        off_step: ``[H, W]`` bool, surely on one side.
+        uphill: ``[2, H, W]`` float32 unit vector (rows, columns) up the wall.
+        images: ``[V, Hf, Wf]`` float32, see `Frame`.
+        masks: ``[V, Hf, Wf]`` uint8, 1 = valid.
+        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above.
+        z_ref: reference height of the frame [m].
+        margin: cells between the border of the frame and that of the grid.
+        first_hit_height: ``[V, Hf, Wf]`` float32 [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        noise: standard deviation of brightness on one material.
+        below: ``[H, W]`` float32, filled with the height of the low side [m]; NaN = not near a wall.
+        above: the same of the high side.
+        roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
+        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
+    """
     rows, cols = height.shape
     views = images.shape[0]
     most = (2 * LOOK + 1) * (LOOK + 1)
@@ -198,58 +228,45 @@ def choose_sides(height, off_step, images, masks, slopes, z_ref, margin, first_h
             if high - low < STEP_M:
                 continue
             middle = 0.5 * (low + high)
-            below = _level(height, off_step, row, col, -np.inf, middle)
-            above = _level(height, off_step, row, col, middle, np.inf)
-            if not above - below >= STEP_M:
+            bottom = _level(height, off_step, row, col, -np.inf, middle)
+            top = _level(height, off_step, row, col, middle, np.inf)
+            if not top - bottom >= STEP_M:
                 continue
             below[row, col], above[row, col] = bottom, top
-            cells = _gather(height, sure, row, col, bottom, top, where, side, weight)
+            cells = _gather(height, off_step, row, col, bottom, top, where, side, weight)
             at_roof = at_foot = 0.0
             roof_views = foot_views = 0
             for v in range(views):
-                r, c = row + margin + slopes[v, 0] * low_dz, col + margin + slopes[v, 1] * low_dz
-                misfit_low = _misfit(
-                    height,
-                    off_step,
-                    images[v],
-                    masks[v],
-                    first_hit_height[v],
-                    row,
-                    col,
-                    below,
-                    r,
-                    c,
-                    below + tolerance,
-                    noise,
+                r, c = row + margin + slopes[v, 0] * (top - z_ref), col + margin + slopes[v, 1] * (top - z_ref)
+                like = _likeness(
+                    images[v], masks[v], first_hit_height[v], top + tolerance, r, c, where, side, weight, cells, noise
                 )
-                if misfit_low < 0:
+                if like == like:
+                    at_roof += like
+                    roof_views += 1
+                if outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col] <= OUTSIDE:
                     continue
-                r, c = row + margin + slopes[v, 0] * high_dz, col + margin + slopes[v, 1] * high_dz
-                misfit_high = _misfit(
-                    height,
-                    off_step,
+                r, c = row + margin + slopes[v, 0] * (bottom - z_ref), col + margin + slopes[v, 1] * (bottom - z_ref)
+                like = _likeness(
                     images[v],
                     masks[v],
                     first_hit_height[v],
-                    row,
-                    col,
-                    above,
+                    bottom + tolerance,
                     r,
                     c,
-                    above + tolerance,
+                    where,
+                    side,
+                    weight,
+                    cells,
                     noise,
                 )
-                if misfit_high >= 0:
-                    gain += misfit_high - misfit_low
-                    votes += 1 if misfit_high > misfit_low else 0
-                    count += 1
-            if count < FEWEST_VIEWS:
-                continue
-            gain /= count
-            if here >= middle and gain > BIAS and votes >= MOST * count:
-                moved[row, col] = below
-            elif here < middle and -gain > BIAS and count - votes >= MOST * count:
-                moved[row, col] = above
+                if like == like:
+                    at_foot += like
+                    foot_views += 1
+            if roof_views >= FEWEST_VIEWS:
+                roof[row, col] = at_roof / roof_views
+            if foot_views:
+                foot[row, col] = at_foot / foot_views
 
 
-__all__ = ["choose_sides", "snap_edges"]
+__all__ = ["compare_sides", "leaning", "snap_edges"]
