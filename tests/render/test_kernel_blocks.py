@@ -91,7 +91,7 @@ def some(shape: Any) -> Any:
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("rays", VIEWS)
-def test_a_ray_in_a_block_sees_and_counts_what_it_sees_and_counts_alone(shape: Any, rays: Any) -> None:
+def test_a_ray_has_the_same_value_and_sample_count_in_a_packet_as_alone(shape: Any, rays: Any) -> None:
     height, colour = town(shape)
     rgb, depth, opacity, count = follow(height.double(), colour.double(), rays, some(shape))
     before = COUNTER["forward"]
