@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.train import StageSettings
 
+LEAST_COARSE_CELLS = 4  # of a stage along the area's shorter side
 
-def schedule(options: FitOptions, cell: float, z_range: tuple[float, float], with_prior: bool) -> list[StageSettings]:
+
+def schedule(
+    options: FitOptions,
+    cell: float,
+    z_range: tuple[float, float],
+    with_prior: bool,
+    shortest_m: float = math.inf,
+) -> list[StageSettings]:
     """Stages from the coarsest to the finest cell, each half as wide as the one before.
 
     A prior is a better start than any coarse stage: with one, the fit starts on the finest grid.
@@ -19,6 +28,7 @@ def schedule(options: FitOptions, cell: float, z_range: tuple[float, float], wit
         cell: the scene grid's cell [m].
         z_range: lowest and highest height [m].
         with_prior: a depth prior is there.
+        shortest_m: shorter side of the area [m]; stages that would have next to no cells are left out.
 
     Raises:
         SceneError: options that make no schedule.
@@ -32,7 +42,7 @@ def schedule(options: FitOptions, cell: float, z_range: tuple[float, float], wit
     finest = options.resolution or 2 * cell
     coarsest = options.coarsest or (finest if with_prior else 4 * finest)
     cells = [finest]
-    while cells[0] * 2 <= coarsest * (1 + 1e-9):
+    while cells[0] * 2 <= coarsest * (1 + 1e-9) and cells[0] * 2 * LEAST_COARSE_CELLS <= shortest_m:
         cells.insert(0, cells[0] * 2)
     first, last = options.softness
     stages = [

@@ -88,14 +88,15 @@ def _fit_surface(
     plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
     z_ref = reference_height(prior, z_range)
-    stages = schedule(options, grid.cell_size, z_range, prior is not None)
+    shortest = min(grid.shape) * grid.cell_size
+    stages = schedule(options, grid.cell_size, z_range, prior is not None, shortest)
     job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance)
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
         notes += choice.notes
         options = job.options = replace(options, brdf=choice.model)
-        job.stages = schedule(options, grid.cell_size, z_range, prior is not None)
+        job.stages = schedule(options, grid.cell_size, z_range, prior is not None, shortest)
     surface, finest, more = job.run(progress)
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}

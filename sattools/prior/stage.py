@@ -32,6 +32,7 @@ from sattools.views import (
     match_colours,
     views_on,
 )
+from sattools.views.check import check_extent
 
 log = logging.getLogger(__name__)
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
@@ -74,6 +75,7 @@ def prior(
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     whole = scene.require_grid()
     grid = whole.resized(options.resolution or whole.cell_size)
+    check_extent(grid)
     z_range = scene.require_height_range()
     progress(0.0, "reading images")
     sources = load_sources(scene, items) if sources is None else sources

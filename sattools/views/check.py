@@ -16,6 +16,7 @@ from sattools.scene.members import FINEST, LEAST_CELLS
 from sattools.scene.memory import check_memory
 
 _HEIGHTS_APART_M = 1000.0  # of a scene from those that a camera was made for
+_FEWEST_CELLS = 2  # of a fit along each side
 _TURNED_DEG = 3.0  # a camera from what the document says of it
 _GRID_SHARE = 100.0  # area of the grid over that of the images together
 _COPIES = 3  # of an image's array that work holds at a time
@@ -111,6 +112,15 @@ def _check_direction(scene: Scene, item: Item, rpc: RPC, lon: float, lat: float,
         )
 
 
+def check_extent(grid: Grid) -> None:
+    """Raise SceneError where cells are as large as the area."""
+    if min(grid.shape) < _FEWEST_CELLS:
+        raise SceneError(
+            f"grid: found {grid.width} x {grid.height} cells of {grid.cell_size:g} m for the whole area, expected at "
+            f"least {_FEWEST_CELLS} along each side (--resolution)"
+        )
+
+
 def check_cells(grid: Grid, pixel_m: float, bands: int, images: int) -> None:
     """Raise SattoolsError where images resampled to a grid have absurdly many cells, or more than memory holds.
 
@@ -133,4 +143,4 @@ def check_cells(grid: Grid, pixel_m: float, bands: int, images: int) -> None:
     )
 
 
-__all__ = ["check_cells", "check_scene"]
+__all__ = ["check_cells", "check_extent", "check_scene"]

@@ -16,7 +16,7 @@ from sattools.errors import SceneError
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.raster import image_shape, read_image
-from sattools.views.check import check_cells, check_scene
+from sattools.views.check import check_cells, check_extent, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
@@ -140,8 +140,9 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
         z_range: lowest and highest height [m].
 
     Raises:
-        SceneError: an image shows nothing of the grid.
+        SceneError: an image shows nothing of the grid, or the grid has next to no cells.
     """
+    check_extent(grid)
     if sources:
         lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
         pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)

@@ -241,6 +241,16 @@ def test_a_count_that_would_never_end(town: Any) -> None:
     refused(result, "--rough-passes", code=2)
 
 
+@pytest.mark.parametrize(
+    ("command", "size"),
+    [(["fit", "--prior-weight", "0"], "1000"), (["fit", "--prior-weight", "0"], "4294967296"), (["prior"], "1000")],
+)
+def test_cells_as_large_as_the_area(town: Any, command: Any, size: Any) -> None:
+    result = CliRunner().invoke(main, [*command, "--resolution", size, "--overwrite", str(town.root / "scene.json")])
+    assert result.exit_code == 1, result.stderr
+    assert f"found 1 x 1 cells of {float(size):g} m for the whole area" in result.stderr
+
+
 def test_a_misspelt_command_is_guessed() -> None:
     refused(run("fitt"), "No such command 'fitt' (did you mean 'fit'?)", code=2)
 

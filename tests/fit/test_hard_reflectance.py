@@ -33,7 +33,7 @@ def change_images(scene: Scene, function: Any) -> None:
 
 
 def check(scene: Scene, options: FitOptions = FIT) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Fit and export; every number finite, every parameter within its range. The maps and the remarks."""
+    """Fit and export; every number finite, every parameter within its range. The maps and the notes."""
     notes = fit(scene, options)["notes"]
     tensors, _ = load(scene.path(scene.products["model"]))
     for name, tensor in tensors.items():

@@ -121,6 +121,14 @@ def test_the_coarsest_stage_is_no_coarser_than_asked_for() -> None:
     assert [s.cell_size for s in schedule(options, 2.0, (0.0, 1.0), False)] == [2.0]
 
 
+def test_a_small_area_has_no_stages_of_next_to_no_cells() -> None:
+    """16 m: cells of 4 m are four along a side, cells of 8 m would be two."""
+    stages = schedule(FitOptions(), 0.5, (0.0, 1.0), False, shortest_m=16.0)
+    assert [s.cell_size for s in stages] == [4.0, 2.0, 1.0]
+    stages = schedule(FitOptions(resolution=4.0), 0.5, (0.0, 1.0), False, shortest_m=16.0)
+    assert [s.cell_size for s in stages] == [4.0]
+
+
 @pytest.mark.parametrize("wrong", [{"softness": [1.0]}, {"softness": [1.0, -1.0]}, {"epochs": []}, {"epochs": [0]}])
 def test_a_schedule_that_cannot_be_is_refused(wrong: Any) -> None:
     with pytest.raises(SceneError, match="expected"):
