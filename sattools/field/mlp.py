@@ -17,7 +17,7 @@ W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.
 
 
 def positional_encoding(x: Tensor, frequencies: int) -> Tensor:
-    """X and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
+    """Coordinates x in [-1, 1] with sin, cos of 2^k pi x: ``[N, 3 + 6 L]`` (Mildenhall et al. 2020, eq. 4)."""
     if frequencies == 0:
         return x
     angle = x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, dtype=x.dtype, device=x.device))
@@ -76,7 +76,7 @@ class MlpField:
         return layer
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Field.density`."""
+        """See `Field.density` [1/m] at points [m]."""
         network = self.network
         start = positional_encoding(self.box.scaled(points), network.frequencies)
         x = start
@@ -87,7 +87,7 @@ class MlpField:
         return sigma, self.bottleneck(x) if self.bottleneck is not None else x
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
-        """See `Field.look`."""
+        """See `Field.look`: colours and visibility."""
         given = {"features": features, "sun": sun, "embedding": embedding}
         outputs: dict[str, Tensor] = {}
         for name, head in self.network.heads.items():
@@ -116,7 +116,7 @@ class MlpField:
         return 0.0
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """Weights and biases."""
+        """Weights and biases by name, unitless."""
         named = {f"trunk.{k}": layer for k, layer in enumerate(self.trunk)} | {"sigma": self.sigma}
         if self.bottleneck is not None:
             named["bottleneck"] = self.bottleneck

@@ -257,7 +257,7 @@ class RayTrainer:
         return height, spread, colour
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that a continued run needs, as flat tensors."""
+        """Everything that a continued run needs, as flat tensors: weights, colours and Adam's moments."""
         tensors = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
         for name, tensor in self.tensors.items():
             for key, value in self.adam.state.get(tensor, {}).items():

@@ -68,7 +68,7 @@ def composite(sigma: Tensor, t: Tensor, length: Tensor) -> tuple[Tensor, Tensor]
 
 
 def median_share(weights: Tensor, t: Tensor) -> Tensor:
-    """Share ``[R]`` of the path where the transmittance crosses one half, linear between samples; the last if never."""
+    """Share ``[R]`` of the path in [0, 1] where the transmittance crosses one half, linear between samples."""
     total = weights.cumsum(dim=1)
     index = (total < 0.5).sum(dim=1).clamp_max(t.shape[1] - 1)
     at = index[:, None]

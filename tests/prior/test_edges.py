@@ -1,5 +1,7 @@
 """Walls move to where the images change."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
@@ -10,7 +12,7 @@ from sattools.prior.frame import Frame
 NOISE = 0.04
 
 
-def a_frame(image, views=3):
+def a_frame(image: Any, views: Any = 3) -> Any:
     """The same picture from all views, straight from above: what is where does not depend on height."""
     rng = np.random.default_rng(0)
     images = np.stack([image + rng.normal(0, 0.01, image.shape) for _ in range(views)]).astype(np.float32)
@@ -18,18 +20,18 @@ def a_frame(image, views=3):
 
 
 @pytest.fixture
-def roof():
+def roof() -> Any:
     """A bright roof of 20 x 20 cells, 10 m high, on dark ground; and its true height."""
     height = np.zeros((40, 40), np.float32)
     height[10:30, 10:30] = 10.0
     return np.where(height > 5, 0.8, 0.2), height
 
 
-def unseen(frame):
+def unseen(frame: Any) -> Any:
     return np.full(frame.images.shape, -1e9, np.float32)
 
 
-def test_a_rim_that_looks_like_the_ground_is_lowered(roof):
+def test_a_rim_that_looks_like_the_ground_is_lowered(roof: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0  # two cells too wide on every side
@@ -39,7 +41,7 @@ def test_a_rim_that_looks_like_the_ground_is_lowered(roof):
     assert (found != true).sum() <= 4
 
 
-def test_a_roofs_edge_that_was_lost_is_raised(roof):
+def test_a_roofs_edge_that_was_lost_is_raised(roof: Any) -> None:
     image, true = roof
     narrow = np.zeros_like(true)
     narrow[12:28, 12:28] = 10.0
@@ -49,7 +51,7 @@ def test_a_roofs_edge_that_was_lost_is_raised(roof):
     assert (found != true).sum() <= 24
 
 
-def test_where_both_sides_look_alike_nothing_moves(roof):
+def test_where_both_sides_look_alike_nothing_moves(roof: Any) -> None:
     _, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -58,7 +60,7 @@ def test_where_both_sides_look_alike_nothing_moves(roof):
     assert (found != wide).sum() <= 4
 
 
-def test_views_that_do_not_see_a_cell_have_no_say(roof):
+def test_views_that_do_not_see_a_cell_have_no_say(roof: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -69,7 +71,7 @@ def test_views_that_do_not_see_a_cell_have_no_say(roof):
 
 
 @pytest.mark.parametrize(("disagreeing", "moves"), [(1, True), (2, False)])
-def test_one_view_of_four_that_disagrees_is_outvoted(roof, disagreeing, moves):
+def test_one_view_of_four_that_disagrees_is_outvoted(roof: Any, disagreeing: Any, moves: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -81,7 +83,7 @@ def test_one_view_of_four_that_disagrees_is_outvoted(roof, disagreeing, moves):
 
 
 @pytest.mark.parametrize(("strip", "stays"), [(0.2, False), (0.35, True)])
-def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof, strip, stays):
+def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof: Any, strip: Any, stays: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -98,7 +100,7 @@ def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof, str
     assert (northern_rim == (10.0 if stays else 0.0)).all()
 
 
-def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side():
+def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side() -> None:
     rims = np.zeros((9, 9), bool)
     rims[4, 2:7] = True
     foot = np.full((9, 9), np.nan)
@@ -118,7 +120,7 @@ def test_slopes_and_low_steps_are_left_alone():
         np.testing.assert_allclose(snap_edges(frame, unseen(frame), height, 2.0, NOISE), height, atol=0.31)
 
 
-def plain_sides(frame, height, outward, uphill, row, col):
+def plain_sides(frame: Any, height: Any, outward: Any, uphill: Any, row: int, col: int) -> list[Any]:
     """`compare_sides` for one cell of heights 0 and 10 m that all views see, in plain NumPy."""
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
     i, j = np.indices((19, 19)) - 9
@@ -148,7 +150,7 @@ def plain_sides(frame, height, outward, uphill, row, col):
     return found
 
 
-def test_the_kernel_does_as_plain_numpy(roof):
+def test_the_kernel_does_as_plain_numpy(roof: Any) -> None:
     image, height = roof
     rng = np.random.default_rng(3)
     margin = 10
@@ -173,7 +175,7 @@ def test_the_kernel_does_as_plain_numpy(roof):
 
 
 @pytest.mark.parametrize(("rim", "height"), [(0.45, 0.0), (0.55, 10.0)])
-def test_a_pixel_that_mixes_both_sides_belongs_to_the_one_it_has_more_of(roof, rim, height):
+def test_a_pixel_that_mixes_both_sides_belongs_to_the_one_it_has_more_of(roof: Any, rim: Any, height: Any) -> None:
     image, true = roof
     picture = image.copy()
     start = true.copy()
