@@ -146,7 +146,7 @@ def test_the_start_of_learned_shadows_is_an_option(make_town: Any) -> None:
         tensors, meta = load(scene.path("fit/model.safetensors"))
         cast = torch.stack([sun_visibility(tensors["height"], 2.0, tuple(sun)) for sun in meta["suns"]])
         apart.append(float((tensors["s_net"] - cast).abs().mean()))
-    assert apart[0] < 0.5 * apart[1]
+    assert apart[0] < 0.6 * apart[1]
 
 
 def test_a_fit_with_learned_shadows_can_be_resumed(make_town: Any) -> None:

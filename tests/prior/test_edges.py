@@ -110,7 +110,7 @@ def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side() -> N
     np.testing.assert_array_equal(leaning(np.zeros((9, 9), bool), foot, 40.0), 0.0)
 
 
-def test_slopes_and_low_steps_are_left_alone():
+def test_slopes_and_low_steps_are_left_alone() -> None:
     slope = np.tile(np.linspace(0, 12, 40, dtype=np.float32), (40, 1))
     kerb = np.zeros((40, 40), np.float32)
     kerb[:, 20:] = 1.5
