@@ -90,10 +90,19 @@ def test_an_interrupt_that_somebody_swallowed_counts_with_the_next_sign_of_progr
         checked(silent)(0.5, "")  # of another run
 
 
-def test_other_ignored_exceptions_are_still_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = []
-    monkeypatch.setattr(sys, "unraisablehook", told.append)
+def test_other_ignored_exceptions_are_told_in_one_line(caplog: pytest.LogCaptureFixture) -> None:
     with listening():
+        ctypes.CFUNCTYPE(None)(lambda: 1 / 0)()
+    (record,) = caplog.records
+    assert "ZeroDivisionError: division by zero" in record.getMessage()
+    assert record.levelname == "WARNING"
+    assert not record.exc_info
+
+
+def test_with_vv_their_tracebacks_are_shown(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    told: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    with caplog.at_level("DEBUG", "sattools"), listening():
         ctypes.CFUNCTYPE(None)(lambda: 1 / 0)()
     assert [told.exc_type for told in told] == [ZeroDivisionError]
 

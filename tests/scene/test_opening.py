@@ -212,6 +212,15 @@ def test_a_device_is_no_image() -> None:
         pass
 
 
+def test_an_image_of_more_bands_than_any_sensor_has_is_refused(tmp_path: Path) -> None:
+    """A damaged header of 65,535 bands was read band by band, for minutes."""
+    path = tmp_path / "x.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=1, height=1, count=1001, dtype="uint8") as data:
+        data.write(np.zeros((1001, 1, 1), np.uint8))
+    with pytest.raises(InputError, match="found 1001 bands, expected at most 1000"), opened(path):
+        pass
+
+
 def test_a_few_bytes_that_claim_to_be_gigabytes_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "bomb.tif"
     profile = {"driver": "GTiff", "width": 100_000, "height": 100_000, "count": 1, "dtype": "uint8", "tiled": True}
