@@ -35,8 +35,10 @@ format: dev ## put the code into the project's format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-docs: install ## write docs/commands.md from the commands' help
+docs: dev ## write docs/commands.md from the commands' help, and build the site in build/site; warnings are errors
 	$(BIN)/python docs/generate_commands.py
+	$(PIP) install -q --only-binary :all: -e ".[docs]"
+	$(BIN)/mkdocs build --strict --quiet
 
 qgis-zip: ## pack the QGIS plugin for "install from zip"
 	rm -f dist/sattools_qgis.zip && mkdir -p dist

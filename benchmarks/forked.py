@@ -12,6 +12,7 @@ import os
 import resource
 import signal
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -136,6 +137,7 @@ def start(
         traceback.print_exc()
         code = 1
     finally:
+        threading._shutdown()  # type: ignore[attr-defined]  # as a process of its own ends: threads, then handlers
         atexit._run_exitfuncs()
         try:
             sys.stdout.flush()

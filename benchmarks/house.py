@@ -52,6 +52,11 @@ class Function:
         return every[1:] if self.method and every and every[0].arg in ("self", "cls", "ctx") else every
 
     @property
+    def command(self) -> bool:
+        """Whether it is a command of the command line."""
+        return any("click.command" in ast.unparse(d) for d in self.node.decorator_list)
+
+    @property
     def positional(self) -> int:
         """Number of parameters that may be given by position."""
         return len(self.parameters) - len(self.node.args.kwonlyargs)
@@ -64,6 +69,8 @@ class Function:
     @property
     def documents_args(self) -> bool:
         """Whether the docstring has a section with every parameter's name."""
+        if self.doc.startswith("See `") or "arguments as of `" in self.doc.lower():
+            return True  # those of the parent, or of the function whose twin it is
         section = re.search(r"(?ms)^Args:\n(.*?)(^\S|\Z)", self.doc)
         named = re.findall(r"(?m)^\s+([\w, *]+?):", section[1]) if section else []
         return {a.arg for a in self.parameters} <= {name.strip(" *") for names in named for name in names.split(",")}
@@ -106,7 +113,8 @@ def main() -> None:
     options = parser.parse_args()
     every = list(functions())
     plain = [f for f in every if not f.kernel]
-    public = [f for f in plain if f.public and len(f.parameters) >= 3]
+    # a command's docstring is its help, which lists the options
+    public = [f for f in plain if f.public and len(f.parameters) >= 3 and not f.command]
     arrays = [f for f in plain if f.public and f.takes_arrays]
     texts = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
     modules = [

@@ -7,6 +7,7 @@ A view with run t = (tx, ty) sees the ground point (east, north, height) at
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -20,7 +21,7 @@ EAST_M = math.radians(6378137.0 / math.sqrt(_W2) * math.cos(math.radians(LAT0)))
 NORTH_M = math.radians(6378137.0 * (1 - _E2) / _W2**1.5)
 
 
-def parallel_rpc(run=(0.0, 0.0), gsd=0.5, size=(240, 260), bias=(0.0, 0.0)) -> RPC:
+def parallel_rpc(run: Any = (0.0, 0.0), gsd: Any = 0.5, size: Any = (240, 260), bias: Any = (0.0, 0.0)) -> RPC:
     """The RPC of the formula above, metres from (LON0, LAT0) and ALT0; `bias` is its error in pixels."""
     height, width = size
     lon_scale, lat_scale, alt_scale = 0.01, 0.01, 200.0
@@ -33,7 +34,7 @@ def parallel_rpc(run=(0.0, 0.0), gsd=0.5, size=(240, 260), bias=(0.0, 0.0)) -> R
     return RPC(row0, col0, LAT0, LON0, ALT0, scale, scale, lat_scale, lon_scale, alt_scale, row_num, one, col_num, one)
 
 
-def cubic_rpc(seed=0) -> RPC:
+def cubic_rpc(seed: Any = 0) -> RPC:
     """A camera with all 80 coefficients at work, as a vendor's would have them."""
     rng = np.random.default_rng(seed)
     base = parallel_rpc((0.3, -0.2), 0.5, (20000, 20000))
@@ -58,19 +59,19 @@ def cubic_rpc(seed=0) -> RPC:
     )
 
 
-def texture(seed=1, size=900):
+def texture(seed: Any = 1, size: Any = 900) -> Any:
     """Random ground, cells of 0.25 m, detail from 1 m to 10 m, centred on the origin."""
     rng = np.random.default_rng(seed)
     mosaics = [gaussian_filter(rng.normal(size=(size, size)), s) * s for s in (2, 5, 15)]
     return sum(mosaics)
 
 
-def hills(east, north):
+def hills(east: Any, north: Any) -> Any:
     """Height above ALT0 [m]: waves of 8 m."""
     return 8.0 * np.sin(east / 17.0) * np.cos(north / 23.0)
 
 
-def render(ground, run, gsd=0.5, size=(240, 260), height=hills):
+def render(ground: Any, run: Any, gsd: Any = 0.5, size: Any = (240, 260), height: Any = hills) -> Any:
     """The image [H, W] float32 of a view by fixed-point iteration along its lines of sight (independent of the RPC)."""
     rows, cols = np.mgrid[: size[0], : size[1]].astype(float)
     east0, north0 = (cols - (size[1] - 1) / 2) * gsd, -(rows - (size[0] - 1) / 2) * gsd

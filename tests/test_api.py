@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +18,13 @@ QUICK = {"resolution": 2.0, "coarsest": 2.0, "epochs": [2], "prior_weight": 0.0}
 HEAVY = ("torch", "numba", "rasterio", "numpy", "scipy", "matplotlib", "geopandas", "cv2")
 
 
-def test_importing_the_suite_imports_nothing_heavy():
+def test_importing_the_suite_imports_nothing_heavy() -> None:
     code = f"import sys, sattools; print([name for name in {HEAVY} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
-def test_everything_that_is_promised_is_there():
+def test_everything_that_is_promised_is_there() -> None:
     for name in ("Scene", "Grid", "RPC", "prepare", "normalise", "match", "fit", "export", "compare", "simulate"):
         assert callable(getattr(sattools, name)), name
         assert name in dir(sattools)
@@ -32,13 +33,13 @@ def test_everything_that_is_promised_is_there():
         _ = sattools.fitt
 
 
-def test_a_stage_is_a_package_and_a_function_whatever_was_imported_before():
+def test_a_stage_is_a_package_and_a_function_whatever_was_imported_before() -> None:
     code = "import sattools.fit.stage, sattools; print(callable(sattools.fit), sattools.fit.stage.MODEL)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "fit/model.safetensors"]
 
 
-def test_python_does_what_the_commands_do(make_town):
+def test_python_does_what_the_commands_do(make_town: Any) -> None:
     town = make_town()
     told = []
     scene = sattools.fit(town.root / "scene.json", QUICK, progress=lambda share, message: told.append(share))
@@ -54,7 +55,7 @@ def test_python_does_what_the_commands_do(make_town):
     assert sattools.fit(scene, QUICK, overwrite=True).products.keys().isdisjoint({"dsm", "errors"})
 
 
-def test_images_become_a_scene(make_town, tmp_path):
+def test_images_become_a_scene(make_town: Any, tmp_path: Path) -> None:
     town = make_town()
     images = sorted((town.root / "images").glob("*.tif"))
     options = {"metadata": str(town.root / "metadata"), "out": str(tmp_path / "out"), "id": "NEW"}
@@ -65,18 +66,18 @@ def test_images_become_a_scene(make_town, tmp_path):
         sattools.prepare(images, options)
 
 
-def test_an_option_that_is_not_there_is_named():
+def test_an_option_that_is_not_there_is_named() -> None:
     with pytest.raises(InputError, match="FitOptions: found option 'epoch', expected some of"):
         sattools.fit("scene.json", {"epoch": 3})
 
 
-def test_progress_is_a_bar_on_request(make_town, capsys):
+def test_progress_is_a_bar_on_request(make_town: Any, capsys: pytest.CaptureFixture[str]) -> None:
     sattools.fit(make_town(), QUICK, progress=True)
     assert "fit [" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray's own
-def test_products_are_data_arrays_as_rioxarray_knows_them(make_town):
+def test_products_are_data_arrays_as_rioxarray_knows_them(make_town: Any) -> None:
     pytest.importorskip("xarray")
     rioxarray = pytest.importorskip("rioxarray")
     scene = sattools.export(sattools.fit(make_town(), QUICK))
@@ -94,7 +95,7 @@ def test_products_are_data_arrays_as_rioxarray_knows_them(make_town):
         scene.product("theta")
 
 
-def test_without_xarray_the_extra_is_named(make_town, monkeypatch):
+def test_without_xarray_the_extra_is_named(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
     town = make_town()
     with pytest.raises(SattoolsError, match="sattools\\[notebook\\]"):
@@ -102,7 +103,7 @@ def test_without_xarray_the_extra_is_named(make_town, monkeypatch):
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_reflectance_of_arrays_is_an_array_of_their_type(dtype):
+def test_reflectance_of_arrays_is_an_array_of_their_type(dtype: Any) -> None:
     up = np.array([0.0, 0.0, 1.0], dtype)
     sun = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8]], dtype)
     found = hapke(up, sun, up, 0.5, 0.2, 0.4, 15.0)
@@ -114,11 +115,11 @@ def test_reflectance_of_arrays_is_an_array_of_their_type(dtype):
     assert isinstance(hapke(torch.from_numpy(up), sun, up, 0.5, 0.2, 0.4, 15.0), torch.Tensor)
 
 
-def test_integers_are_numbers_too():
+def test_integers_are_numbers_too() -> None:
     up = np.array([0, 0, 1])
     assert lambert(up, up, up, np.array([1])) == pytest.approx([1.0])
 
 
-def test_paths_may_be_texts():
+def test_paths_may_be_texts() -> None:
     with pytest.raises(SceneError, match=r"nowhere\.json"):
         sattools.export(str(Path("nowhere.json")))

@@ -3,6 +3,7 @@
 import ast
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -66,13 +67,13 @@ def name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def test_every_room_has_its_floor():
+def test_every_room_has_its_floor() -> None:
     rooms = {room_of(path) for path in FILES} - {"__init__", "__main__"}
     assert rooms - set(FLOOR) == set()
 
 
 @pytest.mark.parametrize("path", FILES, ids=name)
-def test_imports_point_one_way(path):
+def test_imports_point_one_way(path: Any) -> None:
     room = room_of(path)
     if room in ("__init__", "__main__"):
         return
@@ -101,17 +102,17 @@ def test_imports_point_one_way(path):
         ("cli", {"numpy", "torch", "scipy", "rasterio", "math"}),
     ],
 )
-def test_rooms_do_without_what_is_not_their_business(room, forbidden):
+def test_rooms_do_without_what_is_not_their_business(room: Any, forbidden: Any) -> None:
     found = {n.split(".")[0] for path in FILES if room_of(path) == room for n in imports(path)}
     assert found & forbidden == set()
 
 
-def test_the_simulator_shares_no_code_with_what_it_tests():
+def test_the_simulator_shares_no_code_with_what_it_tests() -> None:
     used = set().union(*(rooms_imported(path) for path in FILES if room_of(path) == "simulate"))
     assert used & {"render", "field", "fit", "prior", "reflectance", "views", "export"} == set()
 
 
-def test_the_renderer_knows_no_optimiser_and_the_fit_no_command():
+def test_the_renderer_knows_no_optimiser_and_the_fit_no_command() -> None:
     for path in FILES:
         text = path.read_text(encoding="utf-8")
         if room_of(path) in ("render", "field", "reflectance"):
@@ -119,18 +120,18 @@ def test_the_renderer_knows_no_optimiser_and_the_fit_no_command():
 
 
 @pytest.mark.parametrize("path", FILES, ids=name)
-def test_modules_stay_short(path):
+def test_modules_stay_short(path: Any) -> None:
     assert len(path.read_text(encoding="utf-8").splitlines()) < 400
 
 
-def test_the_plugin_does_not_import_the_package():
+def test_the_plugin_does_not_import_the_package() -> None:
     # inside the plugin imports are relative, as QGIS chooses the folder's name
     for path in (ROOT / "qgis_plugin").rglob("*.py"):
         assert not re.search(r"^\s*(import|from) sattools\b", path.read_text(encoding="utf-8"), re.MULTILINE), path
 
 
 @pytest.mark.parametrize("path", FILES, ids=name)
-def test_nothing_unpickles_or_runs_a_shell(path):
+def test_nothing_unpickles_or_runs_a_shell(path: Any) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert not [n for n in imports(path) if n.split(".")[0] in ("pickle", "shelve", "marshal")]
     for node in ast.walk(tree):
@@ -140,7 +141,7 @@ def test_nothing_unpickles_or_runs_a_shell(path):
             assert (node.value.id, node.attr) not in (("torch", "load"), ("os", "system"))
 
 
-def test_command_modules_start_with_the_frame_only():
+def test_command_modules_start_with_the_frame_only() -> None:
     """What a command's module imports at once is paid by every `--help` and every completion."""
     for path in (PACKAGE / "cli").glob("*.py"):
         heavy = {"torch", "geopandas", "matplotlib", "numba", "cv2", "skimage", "pvlib", "shapely"}
@@ -169,7 +170,7 @@ def modules_used(path: Path, known: dict[str, Path]) -> set[str]:
     return found & known.keys()
 
 
-def test_no_module_imports_itself_through_others_not_even_inside_a_function():
+def test_no_module_imports_itself_through_others_not_even_inside_a_function() -> None:
     known = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in FILES}
     graph = {module: modules_used(path, known) - {module} for module, path in known.items()}
     while leaves := [module for module, used in graph.items() if not used & graph.keys()]:

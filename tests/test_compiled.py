@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,7 @@ PACKAGE = Path(sattools.__file__).parent
 
 
 @pytest.fixture
-def bare(tmp_path, monkeypatch):
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Nothing but the temporary folder can be written."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(compiled, "writable", lambda folder: False)
@@ -25,7 +26,7 @@ def bare(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_folder_is_writable_when_files_can_be_made_below_it(tmp_path):
+def test_a_folder_is_writable_when_files_can_be_made_below_it(tmp_path: Path) -> None:
     assert compiled.writable(tmp_path)
     assert compiled.writable(tmp_path / "not/yet/there")
     (tmp_path / "file").write_text("")
@@ -33,7 +34,7 @@ def test_a_folder_is_writable_when_files_can_be_made_below_it(tmp_path):
     assert not compiled.writable(Path("/proc/none/below"))  # where root cannot write either
 
 
-def test_numba_finds_a_place_by_itself_where_there_is_one(monkeypatch, tmp_path):
+def test_numba_finds_a_place_by_itself_where_there_is_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     assert compiled.cache_folder(tmp_path) is None
     monkeypatch.setattr(compiled, "writable", lambda folder: False)
@@ -41,7 +42,7 @@ def test_numba_finds_a_place_by_itself_where_there_is_one(monkeypatch, tmp_path)
     assert compiled.cache_folder(tmp_path) is None
 
 
-def test_otherwise_there_is_a_temporary_folder_of_this_user_alone(bare):
+def test_otherwise_there_is_a_temporary_folder_of_this_user_alone(bare: Any) -> None:
     folder = compiled.cache_folder()
     assert folder == bare / f"sattools-cache-{os.getuid()}"
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -49,7 +50,7 @@ def test_otherwise_there_is_a_temporary_folder_of_this_user_alone(bare):
 
 
 @pytest.mark.parametrize("trap", ["link", "open to all", "file"])
-def test_a_folder_that_somebody_else_may_have_prepared_is_not_used(bare, trap):
+def test_a_folder_that_somebody_else_may_have_prepared_is_not_used(bare: Any, trap: Any) -> None:
     name = bare / f"sattools-cache-{os.getuid()}"
     if trap == "link":
         (bare / "theirs").mkdir()
@@ -70,7 +71,7 @@ def test_a_folder_that_somebody_else_may_have_prepared_is_not_used(bare, trap):
 
 
 @pytest.fixture
-def container(tmp_path):
+def container(tmp_path: Path) -> Any:
     """The package without compiled kernels, none of whose folders takes a file, and an environment without a home."""
     site = tmp_path / "site"
     shutil.copytree(PACKAGE, site / "sattools", ignore=shutil.ignore_patterns("__pycache__"))
@@ -88,7 +89,7 @@ def container(tmp_path):
     }
 
 
-def test_without_a_home_and_with_a_read_only_installation(container):
+def test_without_a_home_and_with_a_read_only_installation(container: Any) -> None:
     site = Path(container["PYTHONPATH"])
     (site / "sattools/tiny.py").write_text(
         "from sattools.compiled import njit\n\n\n@njit(cache=True)\ndef more(x):\n    return x + 1\n"
@@ -105,7 +106,7 @@ def test_without_a_home_and_with_a_read_only_installation(container):
     assert [p.name for p in Path(container["TMPDIR"]).iterdir()] == [f"sattools-cache-{os.getuid()}"]
 
 
-def test_without_any_folder_kernels_are_compiled_for_this_run(container):
+def test_without_any_folder_kernels_are_compiled_for_this_run(container: Any) -> None:
     site = Path(container["PYTHONPATH"])
     (site / "sattools/tiny.py").write_text(
         "from sattools.compiled import njit\n\n\n@njit(cache=True)\ndef more(x):\n    return x + 1\n"

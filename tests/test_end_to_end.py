@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ sattools prep town/images/*.tif --metadata town/metadata --id TOWN --out work \
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the pipe has run; the images' own RPCs are up to two pixels off."""
     from sattools.simulate import SimulateOptions, simulate
 
@@ -41,11 +42,11 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def scene(folder) -> Scene:
+def scene(folder: Any) -> Scene:
     return Scene.from_file(folder / "scene.json")
 
 
-def test_the_surface_has_holes_only_where_no_two_images_look_and_lies_in_the_height_range(scene):
+def test_the_surface_has_holes_only_where_no_two_images_look_and_lies_in_the_height_range(scene: Any) -> None:
     dsm, grid = read_raster(scene.path(scene.products["dsm"]))
     validity, own = read_raster(scene.path(scene.products["validity"]))
     assert grid == own
@@ -57,7 +58,7 @@ def test_the_surface_has_holes_only_where_no_two_images_look_and_lies_in_the_hei
     assert low <= np.nanmin(dsm) < np.nanmax(dsm) <= high
 
 
-def test_the_surface_is_better_than_a_plane(folder):
+def test_the_surface_is_better_than_a_plane(folder: Any) -> None:
     truth, _ = read_raster(folder / "town/truth/TOWN_DSM.tif")
     figures = json.loads((folder / "errors.json").read_text())
     assert figures["completeness"] > 0.9
@@ -68,7 +69,7 @@ def test_the_surface_is_better_than_a_plane(folder):
     assert (folder / "table.txt").read_text().startswith("TOWN against TOWN_DSM (dsm)\n  MAE ")
 
 
-def test_every_command_left_its_history(scene):
+def test_every_command_left_its_history(scene: Any) -> None:
     commands = [entry["command"] for entry in scene.history]
     assert commands == ["prep", "fit", "export"]
     for entry in scene.history:
@@ -81,7 +82,7 @@ def test_every_command_left_its_history(scene):
     assert [entry["command"] for entry in stored.history] == ["prep", "fit", "export", "compare"]
 
 
-def test_all_files_that_the_scene_names_are_there_and_no_temporary_ones(scene):
+def test_all_files_that_the_scene_names_are_there_and_no_temporary_ones(scene: Any) -> None:
     for href in scene.products.values():
         assert scene.path(href).is_file(), href
     for item in scene.items:
@@ -91,13 +92,13 @@ def test_all_files_that_the_scene_names_are_there_and_no_temporary_ones(scene):
     assert {"dsm", "albedo", "model", "trace", "tie_points"} <= set(scene.products)
 
 
-def test_the_adjusted_cameras_agree_better_than_the_raw_ones(scene):
+def test_the_adjusted_cameras_agree_better_than_the_raw_ones(scene: Any) -> None:
     adjustment = scene.history[0]["adjustment"]
     assert adjustment["median_after_px"] < 0.4
     assert adjustment["median_after_px"] < 0.5 * adjustment["median_before_px"]
 
 
-def test_shadow_masks_are_maps_on_the_ground_grid(scene):
+def test_shadow_masks_are_maps_on_the_ground_grid(scene: Any) -> None:
     dsm, grid = read_raster(scene.path(scene.products["dsm"]))
     for item in scene.items:
         mask, own = read_raster(scene.path(item.assets["shadow"].href))

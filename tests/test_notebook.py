@@ -8,7 +8,7 @@ import pytest
 NOTEBOOK = Path(__file__).parents[1] / "examples/notebook.ipynb"
 
 
-def test_the_notebook_runs_and_leaves_what_it_shows(tmp_path, monkeypatch):
+def test_the_notebook_runs_and_leaves_what_it_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("xarray")
     import matplotlib
 

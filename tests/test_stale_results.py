@@ -3,6 +3,8 @@
 import json
 import shutil
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -36,14 +38,14 @@ class State:
 
     runs: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def after(self, name, options):
+    def after(self, name: Any, options: Any) -> Any:
         order = list(CHOICES)
         kept = {n: o for n, o in self.runs.items() if order.index(n) < order.index(name)}
         return replace(self, runs={**kept, name: options})
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("tiny")
     options = ["--size", "48", "--views", "4", "--dates", "3", "--gsd", "1", "--id", "TINY", "--out", str(folder)]
     assert invoke("simulate", *options).exit_code == 0
@@ -53,23 +55,23 @@ def tiny(tmp_path_factory):
     return folder / "TINY"
 
 
-def invoke(*arguments):
+def invoke(*arguments: Any) -> Any:
     return CliRunner().invoke(main, ["--threads", "1", "-q", *arguments])
 
 
-def run(root, name, options):
+def run(root: Any, name: Any, options: Any) -> Any:
     result = invoke(name, *options, "--overwrite", str(root / "scene.json"))
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result
 
 
-def figures(result):
+def figures(result: Any) -> Any:
     found = json.loads(result.stdout)
     # the whole table but the paths that differ by their folder
     return {name: value for name, value in found.items() if name != "reference"}
 
 
-def check(tiny, folder, sequence, known):
+def check(tiny: Any, folder: Any, sequence: Any, known: Any) -> Any:
     root = folder / "used"
     shutil.rmtree(root, ignore_errors=True)
     shutil.copytree(tiny, root)
@@ -89,7 +91,7 @@ def check(tiny, folder, sequence, known):
     return state
 
 
-def fresh(tiny, folder, state, known):
+def fresh(tiny: Any, folder: Any, state: Any, known: Any) -> Any:
     """The table of a scene on which only what counts was run; None where that fails."""
     key = json.dumps(state.runs)
     if key not in known:
@@ -101,8 +103,8 @@ def fresh(tiny, folder, state, known):
     return known[key]
 
 
-def sequences(examples, length):
-    def decorate(test):
+def sequences(examples: Any, length: Any) -> Any:
+    def decorate(test: Any) -> Any:
         test = given(begin=BEGINNINGS, more=st.lists(COMMANDS, min_size=length, max_size=length))(test)
         return settings(
             max_examples=examples, deadline=None, derandomize=True, database=None,
@@ -113,24 +115,26 @@ def sequences(examples, length):
 
 
 @pytest.fixture(scope="module")
-def known():
+def known() -> Any:
     return {}
 
 
 @sequences(examples=4, length=5)
-def test_a_reported_number_is_that_of_a_fresh_scene(tiny, known, tmp_path_factory, begin, more):
+def test_a_reported_number_is_that_of_a_fresh_scene(
+    tiny: Any, known: Any, tmp_path_factory: pytest.TempPathFactory, begin: Any, more: Any
+) -> None:
     check(tiny, tmp_path_factory.mktemp("sequence"), [*begin, *more, ("compare", ())], known)
 
 
 @pytest.mark.slow
 @sequences(examples=60, length=8)
 def test_a_reported_number_is_that_of_a_fresh_scene_however_long_it_was_used(
-    tiny, known, tmp_path_factory, begin, more
-):
+    tiny: Any, known: Any, tmp_path_factory: pytest.TempPathFactory, begin: Any, more: Any
+) -> None:
     check(tiny, tmp_path_factory.mktemp("sequence"), [*begin, *more, ("compare", ())], known)
 
 
-def test_the_sequences_that_were_once_reported_wrongly(tiny, known, tmp_path):
+def test_the_sequences_that_were_once_reported_wrongly(tiny: Any, known: Any, tmp_path: Path) -> None:
     """A new fit scored by the old surface; the roles of a held-out image in the next fit; maps of another model."""
     first, other, held = CHOICES["fit"][0], CHOICES["fit"][1], CHOICES["fit"][3]
     for sequence in (

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """QGIS plugin: the sattools commands as Processing algorithms."""
 
+from typing import Any
 
-def classFactory(iface):
+
+def classFactory(iface: Any) -> Any:
     """What QGIS calls to make the plugin."""
     from .plugin import SattoolsPlugin
 

@@ -3,6 +3,7 @@
 
 import json
 import os
+from typing import Any
 
 # commands in the order of work: name -> (title, products that are loaded afterwards)
 ALGORITHMS = {
@@ -20,12 +21,12 @@ FILES = {"metadata": "folder", "truth": "folder", "out": "folder", "dfc2019": "f
 FILES |= dict.fromkeys(("dsm", "classes", "predicted", "reference", "samples"), "file")
 
 
-def key(flag):
+def key(flag: Any) -> Any:
     """Name of a form's field: `--prior-weight` -> `PRIOR_WEIGHT`."""
     return flag.lstrip("-").replace("-", "_").upper()
 
 
-def fields(command):
+def fields(command: Any) -> Any:
     """The fields of a command's form, one dictionary per option.
 
     Keys: `key`, `flag`, `off`, `type` (bool, int, float, choice, text, file, folder, list), `label`, `default`,
@@ -63,7 +64,7 @@ def fields(command):
     return found
 
 
-def arguments(fields, values):
+def arguments(fields: Any, values: Any) -> Any:
     """Command-line arguments from the form's values (key -> value); fields without a value are left out."""
     found = []
     for field in fields:
@@ -87,14 +88,14 @@ def arguments(fields, values):
     return found
 
 
-def scene_of(output):
+def scene_of(output: Any) -> Any:
     """(document, path of the document's file) from the last line that a command printed."""
     lines = [line for line in output.splitlines() if line.strip()]
     scene = json.loads(lines[-1])
     return scene, os.path.join(scene["sattools"]["root"], "scene.json")
 
 
-def products(scene, names):
+def products(scene: Any, names: Any) -> Any:
     """Name -> absolute path of those of the scene's products that exist."""
     root = scene["sattools"]["root"]
     hrefs = scene["sattools"].get("products", {})

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import threading
+from typing import Any
 
 # QGIS brings its own Python, Qt, GDAL and PROJ; a program with other versions of them must not inherit the paths
 FOREIGN = ("PYTHON", "QT_", "GDAL_", "PROJ_", "LD_")
@@ -27,19 +28,19 @@ class Cancelled(Exception):
     """The user stopped the command; no process of it is left."""
 
 
-def find_executable(setting=""):
+def find_executable(setting: Any = "") -> Any:
     """Path of the executable: the setting, else the one on PATH; None if there is neither."""
     if setting:
         return setting if os.access(setting, os.X_OK) and os.path.isfile(setting) else None
     return shutil.which("sattools")
 
 
-def clean_environment(environment):
+def clean_environment(environment: Any) -> Any:
     """A copy of the environment without the variables of QGIS's own libraries."""
     return {k: v for k, v in environment.items() if not k.startswith(FOREIGN)}
 
 
-def usage_of(executable):
+def usage_of(executable: Any) -> Any:
     """The command line's description of itself (`sattools --json-usage`)."""
     try:
         done = subprocess.run(
@@ -51,7 +52,7 @@ def usage_of(executable):
         raise CommandFailed(f"{executable}: gives no --json-usage ({error})") from error
 
 
-def run(arguments, on_progress, on_line, is_cancelled):
+def run(arguments: Any, on_progress: Any, on_line: Any, is_cancelled: Any) -> Any:
     """Run a command to its end.
 
     Args:
@@ -104,7 +105,7 @@ def run(arguments, on_progress, on_line, is_cancelled):
     return "".join(output)
 
 
-def _progress(line):
+def _progress(line: Any) -> Any:
     """(share, message) of a progress line, None for any other."""
     if not line.startswith("{"):
         return None
@@ -115,7 +116,7 @@ def _progress(line):
         return None
 
 
-def _end(process):
+def _end(process: Any) -> None:
     """Make sure that nothing of the command is left."""
     if process.poll() is not None:
         return

@@ -45,17 +45,17 @@ class Block:
         self.by_view = [np.flatnonzero(tracks.view == v) for v in range(len(rpcs))]
 
     def kept(self, observation: NDArray[np.bool_], points: Array | None = None) -> tuple[Block, Array]:
-        """The block with only the chosen observations, and the points that are left."""
+        """The block with only the chosen observations ``[m]`` bool, and the points ``[n, 3]`` [m] that are left."""
         tracks, old, _ = self.tracks.kept(observation)
         block = Block(self.rpcs, self.sizes, tracks)
         return block, points[old] if points is not None else np.empty((0, 3))
 
     def geographic(self, points: Array) -> Array:
-        """(lon, lat, h) of local points."""
+        """(lon, lat, h) [degrees, m] of local points ``[n, 3]`` [m]."""
         return self.origin + points * self.scale
 
     def start(self) -> Array:
-        """Points where the first view of each sees them at the origin's height."""
+        """Points ``[n, 3]`` [m] where the first view of each sees them at the origin's height."""
         first = np.r_[True, self.tracks.point[1:] != self.tracks.point[:-1]]
         geographic = np.tile(self.origin, (self.tracks.n_points, 1))
         for v, index in enumerate(self.by_view):
@@ -103,7 +103,7 @@ class Block:
         return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max()), low, high
 
     def components(self, use: NDArray[np.bool_]) -> int:
-        """Number of groups of views without common tie points."""
+        """Number of groups of views without common tie points; ``use`` is ``[V]`` bool."""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 

@@ -170,7 +170,7 @@ def view_direction(rpc: RPC, lon: float, lat: float, h: float) -> Array:
 
 
 def direction(azimuth_deg: ArrayLike, elevation_deg: ArrayLike) -> Array:
-    """Unit vectors `[..., 3]` (east, north, up) of azimuth (clockwise from north) and elevation above the horizon."""
+    """Unit vectors `[..., 3]` (east, north, up) of azimuth (from north) and elevation [degrees]."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
     flat = np.cos(elevation)
     return np.stack([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)], axis=-1)
@@ -236,6 +236,12 @@ def foreshortening(rpc: RPC, lon: float, lat: float, h: float) -> tuple[float, f
 
     The length is along the line of sight on level ground, the width across. Square pixels of a camera that looks
     down at incidence i are 1 / cos i times as long as wide, whatever its heights are counted in.
+
+    Args:
+        rpc: the camera.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+        h: height above the ellipsoid, in the camera's unit.
     """
     east, north = metres_per_degree(lat, h)
     jac = rpc.jacobian(lon, lat, h)

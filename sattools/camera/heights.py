@@ -30,7 +30,7 @@ class HeightOptions:
 
 
 def tie_point_range(heights: Array, options: HeightOptions | None = None) -> tuple[float, float]:
-    """Robust lowest and highest of tie point heights, without margin. Raises InputError without any."""
+    """Robust lowest and highest of tie point heights [m], without margin. Raises InputError without any."""
     options = options or HeightOptions()
     heights = heights[np.isfinite(heights)]
     if heights.size == 0:

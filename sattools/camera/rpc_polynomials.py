@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def monomials(lon: Array, lat: Array, alt: Array) -> Array:
-    """The 20 cubic monomials of normalised coordinates in RPC00B order (STDI-0002, app. E), `[20, n]`.
+    """The 20 cubic monomials of normalised coordinates in RPC00B order (STDI-0002, app. E), `[20, n]`, unitless.
 
     Args:
         lon: ``[n]`` normalised longitude.
@@ -30,7 +30,7 @@ def monomials(lon: Array, lat: Array, alt: Array) -> Array:
 
 
 def monomial_derivatives(lon: Array, lat: Array, alt: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`.
+    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`, unitless.
 
     Args:
         lon: ``[n]`` normalised longitude.

@@ -75,7 +75,7 @@ class Features:
 
 
 def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Grey values less their local mean over their local deviation, as 8 bit, and where they are valid."""
+    """Grey values less their local mean over their local deviation, as 8 bit, and a mask."""
     import cv2
 
     valid = np.isfinite(gray)
@@ -160,7 +160,7 @@ def spread_evenly(position: Array, strength: Array, count: int, cells: int = 16)
 
 
 def choose_pairs(tangents: Array, max_pairs: int) -> list[tuple[int, int]]:
-    """Pairs of views to match: all, or where too many those whose lines of sight differ least."""
+    """Pairs of views to match: all, or where too many those whose slopes ``[V, 2]`` [m/m] differ least."""
     n = len(tangents)
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
     if len(pairs) <= max_pairs:

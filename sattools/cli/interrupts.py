@@ -7,6 +7,7 @@ raised again, at once where Python tells of it, else with the next sign of progr
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -17,6 +18,7 @@ from typing import Any
 
 from sattools.progress import Progress
 
+log = logging.getLogger(__name__)
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _AGAIN_S = 0.05
 _received: int | None = None
@@ -74,7 +76,10 @@ def _raise(number: int, frame: object) -> None:
 def _ignored(told: Any) -> None:
     """Called by Python with an exception that goes no further."""
     if _received is None or not isinstance(told.exc_value, SystemExit):
-        _report_ignored(told)
+        if log.isEnabledFor(logging.DEBUG):
+            _report_ignored(told)
+        else:  # as the message handlers of libraries raise, where a damaged file makes them say what is no text
+            log.warning("ignored in %s: %s: %s", told.object, told.exc_type.__name__, told.exc_value)
         return
     # not from here: what is raised in this hook is lost as well
     again = threading.Timer(_AGAIN_S, _send, (os.getpid(), _received))

@@ -25,7 +25,7 @@ def clip_to_reference(predicted: np.ndarray, reference: np.ndarray) -> np.ndarra
 
 
 def fill_holes(predicted: np.ndarray) -> np.ndarray:
-    """`predicted` [H, W] with each NaN replaced by the nearest finite height; raises InputError if there is none."""
+    """`predicted` [H, W] [m] with each NaN replaced by the nearest finite height; InputError if there is none."""
     holes = ~np.isfinite(predicted)
     if not holes.any():
         return predicted
@@ -38,7 +38,7 @@ def fill_holes(predicted: np.ndarray) -> np.ndarray:
 
 
 def nmad(difference: np.ndarray) -> float:
-    """Normalised median absolute deviation 1.4826 median|d - median(d)|, the spread that outliers do not move.
+    """Normalised median absolute deviation 1.4826 median|d - median(d)| [m], the spread that outliers do not move.
 
     Höhle & Höhle (2009), doi:10.1016/j.isprsjprs.2009.02.003.
     """

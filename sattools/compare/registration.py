@@ -147,7 +147,7 @@ def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> 
 
 
 def halved(array: np.ndarray) -> np.ndarray:
-    """Mean of the finite values of each 2×2 block [H // 2, W // 2]; NaN where a block has none."""
+    """Mean of the finite heights [m] of each 2×2 block [H // 2, W // 2]; NaN where a block has none."""
     height, width = array.shape[0] // 2, array.shape[1] // 2
     blocks = array[: 2 * height, : 2 * width].reshape(height, 2, width, 2)
     finite = np.isfinite(blocks)

@@ -25,7 +25,7 @@ class Exported:
     valid: np.ndarray
 
     def shown(self, maps: np.ndarray) -> np.ndarray:
-        """Maps ``[..., H, W]`` of any unit with NaN for no data."""
+        """Maps ``[..., H, W]`` of any unit, with NaN in cells of no data."""
         return np.where(self.valid, maps, np.nan)
 
 

@@ -75,7 +75,7 @@ def _shown(source: Source, grid: Grid, height: NDArray[np.float32]) -> NDArray[n
 
 
 def valid_pixels(image: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels ``[h, w]`` of an image ``[C, h, w]`` that show something.
+    """Pixels ``[h, w]`` bool of an image ``[C, h, w]`` that show something.
 
     They are finite, and not of the frame of zeros in all bands that vendors put around an image without saying so.
     """

@@ -18,7 +18,7 @@ W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.
 
 
 def positional_encoding(x: Tensor, frequencies: int) -> Tensor:
-    """X and sin, cos of 2^k pi x for k < ``frequencies`` (Mildenhall et al. 2020, eq. 4): ``[N, 3 + 6 L]``."""
+    """Coordinates x in [-1, 1] with sin, cos of 2^k pi x: ``[N, 3 + 6 L]`` (Mildenhall et al. 2020, eq. 4)."""
     if frequencies == 0:
         return x
     angle = x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, dtype=x.dtype, device=x.device))
@@ -93,7 +93,7 @@ class MlpField:
         return layer
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Field.density`."""
+        """See `Field.density` [1/m] at points [m]."""
         network = self.network
         start = positional_encoding(self.box.scaled(points), network.frequencies)
         x = start
@@ -109,7 +109,7 @@ class MlpField:
         return softplus(raw) * self.per_metre, features
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
-        """See `Field.look`."""
+        """See `Field.look`: colours and visibility."""
         colour = None
         if self.base is not None:
             features, colour = features[..., : -self.bands], features[..., -self.bands :]
@@ -146,7 +146,7 @@ class MlpField:
         return 0.0
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """Weights and biases."""
+        """Weights and biases by name, unitless."""
         named = {f"trunk.{k}": layer for k, layer in enumerate(self.trunk)} | {"sigma": self.sigma}
         if self.bottleneck is not None:
             named["bottleneck"] = self.bottleneck

@@ -54,11 +54,11 @@ class Field(Protocol):
         ...
 
     def penalty(self) -> Tensor | float:
-        """What the loss holds against the field itself."""
+        """What the loss holds against the field itself, in its unitless terms."""
         ...
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """Trainable tensors by name."""
+        """Trainable tensors by name, in the field's own units or unbounded."""
         ...
 
 

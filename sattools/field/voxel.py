@@ -39,12 +39,12 @@ class VoxelField:
         self.albedo = torch.logit(colour.clamp(0.01, 0.99)).permute(2, 0, 1)[:, None].repeat(1, planes, 1, 1)
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Field.density`; the features are the points themselves."""
+        """See `Field.density`; the features are the points themselves [m]."""
         logit = self._read(self.logits[None], points)[:, 0]
         return torch.sigmoid(logit) / self.softness, points
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
-        """See `Field.look`."""
+        """See `Field.look`: colours."""
         return {"albedo": torch.sigmoid(self._read(self.albedo, features))}
 
     def _read(self, grid: Tensor, points: Tensor) -> Tensor:
@@ -54,7 +54,7 @@ class VoxelField:
         return read[0, :, 0, 0].T
 
     def penalty(self) -> Tensor:
-        """Roughness across and fog upwards."""
+        """Steps between cells and fog upwards, unitless."""
         across = self.logits.diff(dim=1).abs().mean() + self.logits.diff(dim=2).abs().mean()
         return SMOOTH * across + MONOTONE * relu(self.logits.diff(dim=0)).mean()
 

@@ -24,7 +24,7 @@ _FORMERLY = {
 
 
 def save(path: Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> None:
-    """Write tensors and a JSON description into one file, with a checksum of both.
+    """Write tensors of any unit and a JSON description into one file, with a checksum of both: bytes in, bytes out.
 
     Args:
         path: file to write.

@@ -168,7 +168,7 @@ def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) 
 
 
 def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
-    """What was found of the materials' shapes, and which of it the data do not determine."""
+    """What was found of the materials' shapes, in the parameters' units, and what the data do not determine."""
     _, shape = scene.values()
     notes = [f"{scene.endmembers.shape[0]} endmembers"]
     for parameter, value in zip(SHAPE[scene.kind], shape, strict=True):
@@ -181,7 +181,7 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
 
 
 def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:
-    """Normals ``[H, W, 3]`` of the prior's surface, smoothed over `NORMAL_SMOOTHING_M`, on a grid.
+    """Unit vectors ``[H, W, 3]`` normal to the prior's surface, smoothed over `NORMAL_SMOOTHING_M`, on a grid.
 
     Raises:
         SceneError: there is no prior.

@@ -182,7 +182,7 @@ class IlluminationModel:
 
     @torch.no_grad()
     def maps(self, suns: Sequence[Sequence[float] | None]) -> dict[str, Tensor]:
-        """What the model file keeps: ``s_net`` ``[V, H, W]`` (NaN where a view's sun is unknown), ``tau`` the same."""
+        """What the model file keeps: shares of light ``s_net``, ``tau`` ``[V, H, W]``; NaN where a sun is unknown."""
         model_maps = {}
         if self.learned:
             unknown = torch.full(self.tensors["features"].shape[:2], torch.nan)

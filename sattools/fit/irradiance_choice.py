@@ -103,7 +103,7 @@ def show(surface: SurfaceScene, views: Sequence[View], cell_size: float) -> Show
 
 
 def choose_shadow(shown: Shown, views: Sequence[View], cell_size: float, options: FitOptions) -> tuple[Shadow, str]:
-    """The richest model of the ladder that is worth its freedom, and why.
+    """The richest model of sun visibility that predicts held-out views better than the plainer ones, and why.
 
     Args:
         shown: what the views show.

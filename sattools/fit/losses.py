@@ -13,7 +13,7 @@ LOG_EPSILON = 1e-6
 
 
 def tone(x: Tensor) -> Tensor:
-    """The gamma curve x^(1/2.2), continued as a straight line below `FLOOR` so that its slope stays finite."""
+    """The gamma curve x^(1/2.2) of a radiance, below `FLOOR` a straight line, so that its slope stays finite."""
     slope = FLOOR ** (1 / GAMMA - 1) / GAMMA
     curve = x.clamp_min(FLOOR) ** (1 / GAMMA)
     return torch.where(x < FLOOR, FLOOR ** (1 / GAMMA) + (x - FLOOR) * slope, curve)

@@ -30,16 +30,16 @@ class Parameter:
     prior_sigma: float = 1.0
 
     def bounded(self, raw: Tensor) -> Tensor:
-        """Value within the range."""
+        """Value within the range, in the parameter's unit, of an unbounded one."""
         return self.low + (self.high - self.low) * torch.sigmoid(raw)
 
     def raw(self, value: Tensor) -> Tensor:
-        """Inverse of `bounded`; values at or beyond the range come just inside."""
+        """Inverse of `bounded`, unbounded; values at or beyond the range come just inside."""
         share = ((value - self.low) / (self.high - self.low)).clamp(1e-4, 1 - 1e-4)
         return torch.log(share / (1 - share))
 
     def slope(self, raw: Tensor) -> Tensor:
-        """D bounded / d raw."""
+        """Derivative of `bounded` by the unbounded value."""
         s = torch.sigmoid(raw)
         return (self.high - self.low) * s * (1 - s)
 

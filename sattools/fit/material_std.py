@@ -21,10 +21,10 @@ MEMBER_FACTOR: dict[Kind, tuple[float, float, float]] = {"rpv": (1.8, 1.8, 1.8),
 def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution) -> dict[str, Tensor]:
     """Standard deviations of the amplitude ``[N, C]`` and of the three shape parameters ``[N]``, by name.
 
-    From the Gauss-Newton curvature of `invert`: cells of one material, with their many slopes, speak together for its
-    shape; a cell's amplitude has the noise of its own views, the share of the shape's error that it takes up, the error
-    of its slope (`SLOPE_STD`), which all views under one sun share, and that of its texture's place (`TEXTURE_STD`).
-    Materials that were told apart wrongly are not in it.
+    From the Gauss-Newton curvature of `invert`: all cells of one material, whose slopes differ, constrain its shape
+    together. A cell's amplitude has the noise of its own views, the share of the shape's error that it takes up, the
+    error of its slope (`SLOPE_STD`), which all views under one sun share, and that of its texture's place
+    (`TEXTURE_STD`). Materials that were told apart wrongly are not in it.
 
     Args:
         kind: reflectance model.

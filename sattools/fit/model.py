@@ -106,7 +106,7 @@ class FittedModel:
         return IlluminationOptions(self.shadow, self.transient)
 
     def image_maps(self) -> dict[str, Tensor]:
-        """Maps ``[V, H, W]`` of every image that the model has, by name."""
+        """Maps ``[V, H, W]`` of every image that the model has, by name; shares of light in [0, 1]."""
         return {name: maps for name, maps in (("s_net", self.s_net), ("tau", self.tau)) if maps is not None}
 
     def surface(self) -> SurfaceScene:

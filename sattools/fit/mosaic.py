@@ -55,7 +55,7 @@ class FeatheredMosaic:
         self.weight[rows, cols] += share
 
     def done(self) -> np.ndarray:
-        """The map ``[H, W, B]``; NaN where nothing was added."""
+        """The map ``[H, W, B]`` in the unit of its pieces; NaN in cells where nothing was added."""
         with np.errstate(invalid="ignore"):
             self.total /= self.weight[..., None]  # 0 / 0 is NaN
         return self.total

@@ -29,7 +29,7 @@ def image_shift(rendered: np.ndarray, target: np.ndarray, weight: np.ndarray) ->
 
 
 def remove_gauge(shifts: np.ndarray, slopes: Sequence[tuple[float, float]]) -> np.ndarray:
-    """Shifts ``[V, 2]`` less what a common shift and a common change of height would explain.
+    """Shifts ``[V, 2]`` [m] less what a common shift and a common change of height would explain.
 
     A surface moved by (dx, dy, dz) is seen by view j moved by (dx, dy) - slope_j * dz: the images cannot tell, so the
     views must not follow.

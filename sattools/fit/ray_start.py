@@ -46,8 +46,10 @@ def base_surface(
     z_range: tuple[float, float],
     gain: np.ndarray,
     offset: np.ndarray,
+    *,
+    shaded: bool,
 ) -> SurfaceBase:
-    """The prior's surface with the colours that the images show there, their shade taken out.
+    """The prior's surface with the colours that the images show there.
 
     Args:
         views: of the training, on the prior's grid.
@@ -55,13 +57,14 @@ def base_surface(
         z_range: lowest and highest height [m].
         gain: ``[V, C]`` of the images.
         offset: ``[V, C]`` of the images.
+        shaded: take cast shadows out of the colours; a network without shadows must begin with the mean image.
     """
     height, grid = prior.height, prior.grid
-    lit = {sun: sun_visibility(height, grid.cell_size, sun).numpy() for sun in {v.sun for v in views} if sun}
+    lit = {sun: sun_visibility(height, grid.cell_size, sun).numpy() for sun in {v.sun for v in views} if sun and shaded}
     total, weight = np.zeros_like(views[0].target), np.zeros((*grid.shape, 1), np.float32)
     for view, a, b in zip(views, gain, offset, strict=True):
         picture, seen = shown_on(view, height.numpy(), grid.cell_size)
-        visible = (lit[view.sun] if view.sun else np.ones(grid.shape, np.float32))[..., None]
+        visible = (lit[view.sun] if view.sun in lit else np.ones(grid.shape, np.float32))[..., None]
         counts = seen * (visible**2 + LEAST_LIGHT)
         total += counts * (picture - b) / a / (visible + (1 - visible) * AMBIENT)
         weight += counts

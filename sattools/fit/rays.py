@@ -279,7 +279,7 @@ class RayTrainer:
     # ---- checkpoints ------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that a continued run needs, as flat tensors."""
+        """Everything that a continued run needs, as flat tensors: weights, colours and Adam's moments."""
         tensors = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
         tensors |= {"planned": torch.tensor(self.steps), "unsaid": self.unsaid.clone()}
         for name, tensor in self.tensors.items():

@@ -77,7 +77,7 @@ def fit_rays(
     base = None
     if warm:
         assert prior_here is not None  # `check`
-        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy())
+        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
     field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], prior_here, base=base)
     rates = VOXEL_RATES if options.field == "voxel" else None
     trainer = RayTrainer(field, rays, options, gain, offset, rates, radiance=radiance)

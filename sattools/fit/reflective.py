@@ -72,14 +72,14 @@ class ReflectiveScene(SurfaceScene):
         return blurred(self.height, NORMAL_CELLS)
 
     def normals(self) -> Tensor:
-        """Normals ``[H, W, 3]`` that the light is computed with."""
+        """Unit vectors ``[H, W, 3]`` normal to the surface that the light is computed with."""
         if self.frozen is not None:
             return self.frozen
         # heights are noisier than slopes may be; and texture must not be taken for the shading of small bumps
         return surface_normals(blurred(self.height, NORMAL_CELLS), self.cell_size)
 
     def values(self) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
-        """Amount ``[H, W, C]`` and the three shape parameters ``[H, W]``, within their ranges."""
+        """Amplitude ``[H, W, C]`` in [0, 1] and the three shape parameters ``[H, W]``, within their ranges."""
         return AMPLITUDE[self.kind].bounded(self.amplitude), shape_of(self.kind, self.abundances, self.endmembers)
 
     def colour(self, index: int, visibility: Tensor | None) -> Tensor:
@@ -104,13 +104,13 @@ class ReflectiveScene(SurfaceScene):
         return v * light + (1 - v) * ambient * diffuse(self.kind, amplitude)
 
     def trainable(self) -> dict[str, Tensor]:
-        """Tensors that gradient descent changes."""
+        """Tensors that gradient descent changes: heights [m], colours, the unbounded amplitude."""
         leaves = super().trainable()
         del leaves["albedo"]
         return {**leaves, "amplitude": self.amplitude}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All tensors, for saving."""
+        """All tensors, for saving: heights [m], colours, unbounded parameters, unit vectors."""
         names = ["amplitude", "endmembers", "abundances", "suns", "view_vectors", "scale"]
         own = {name: getattr(self, name) for name in names}
         if self.frozen is not None:

@@ -39,7 +39,7 @@ def edge_weights(albedo: Tensor, contrast: float = 0.04, least: float = 0.05) ->
 
 
 def charbonnier(x: Tensor, scale: float) -> Tensor:
-    """sqrt(x^2 + scale^2) - scale: quadratic below the scale, linear above."""
+    """sqrt(x^2 + scale^2) - scale [m] of differences [m]: quadratic below the scale, linear above."""
     return torch.sqrt(x * x + scale * scale) - scale
 
 

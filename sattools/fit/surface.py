@@ -48,7 +48,7 @@ class SurfaceScene:
         return self.gain[index] * light + self.offset[index]
 
     def trainable(self) -> dict[str, Tensor]:
-        """Tensors that gradient descent changes."""
+        """Tensors that gradient descent changes: heights [m], albedo, colours."""
         leaves = {"height": self.height, "albedo": self.albedo}
         if self.held:
             return leaves
@@ -56,16 +56,16 @@ class SurfaceScene:
         return leaves if self.absolute else {**leaves, "gain": self.gain, "offset": self.offset}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All tensors, for saving."""
+        """All tensors, for saving: heights [m], albedo, colours, poses [m]."""
         names = ("height", "albedo", "gain", "offset", "ambient", "pose")
         return {name: getattr(self, name) for name in names}
 
     def casting(self) -> Tensor:
-        """Heights ``[H, W]`` that cast the shadows."""
+        """Heights ``[H, W]`` [m] that cast the shadows."""
         return self.height
 
     def penalty(self) -> Tensor | float:
-        """What the loss holds against the scene's materials, beside the images."""
+        """What the loss holds against the scene's materials, beside the images; unitless."""
         return 0.0
 
     def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:

@@ -33,6 +33,8 @@ from sattools.views import Source, View, match_colours, shown_on, views_on
 
 log = logging.getLogger(__name__)
 START_AMBIENT = 0.4
+WORTH_SAYING = 0.01  # share of the cells
+STRAY_M = 2.0  # distance from the prior beyond which a cell of the fit is a step moved to the wrong place, mostly
 
 
 @dataclass
@@ -81,6 +83,7 @@ class SurfaceJob:
                 notes.append(f"stopped by the budget of {self.options.budget:g} s at cell {stage.cell_size:g} m")
                 break
         assert surface is not None
+        notes += self._put_back(surface, grid)
         self.height_std = trainer.height_std()
         if isinstance(surface, ReflectiveScene):
             notes += self._finish(surface, trainer, grid)
@@ -219,6 +222,23 @@ class SurfaceJob:
         )
         cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
         return choose_model(cells, block, self.radiance == "relative")
+
+    def _put_back(self, surface: SurfaceScene, grid: Grid) -> list[str]:
+        """Cells that ended far from the prior get its height back; says so if many do.
+
+        All views at once place steps better than a loss that can trade a wall's place for the colour of its facade. A
+        height of no confidence is the prior's guess, for the fit to judge.
+        """
+        if self.prior is None:
+            return []
+        prior = self.prior.on(grid, self.device)
+        with torch.no_grad():
+            stray = ((surface.height - prior.height).abs() > STRAY_M) & (prior.confidence > 0)
+            surface.height[stray] = prior.height[stray]
+        share = float(stray.float().mean())
+        if share < WORTH_SAYING:
+            return []
+        return [f"{100 * share:.1f} % of the cells strayed from the prior by more than {STRAY_M:g} m: put back"]
 
     def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
         """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""

@@ -280,7 +280,7 @@ class StageTrainer:
     # ---- checkpoints ------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that a continued run needs, as flat tensors."""
+        """Everything that a continued run needs, as flat tensors: heights [m], colours, Adam's moments."""
         tensors = {f"scene.{n}": t.detach().cpu().clone() for n, t in self.scene.tensors().items()}
         tensors |= {f"illumination.{n}": t.detach().cpu().clone() for n, t in self.illumination.tensors.items()}
         for name, p in self.parameters.items():

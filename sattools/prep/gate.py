@@ -209,7 +209,7 @@ def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def check_pixels(sources: Sequence[SourceImage], grays: Sequence[NDArray[np.float32]]) -> None:
-    """Raise InputError where two images are one and the same, or numbers are absurd; warns of few grey levels."""
+    """Raise InputError where two images are one and the same, or their DN are absurd; warns of few grey levels."""
     seen: dict[str, SourceImage] = {}
     for source, gray in zip(sources, grays, strict=True):
         digest = hashlib.sha256(repr(gray.shape).encode() + gray.tobytes()).hexdigest()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import maximum_filter, median_filter, minimum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter, median_filter, minimum_filter
 
 from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
@@ -13,15 +13,26 @@ from sattools.prior.frame import Frame
 NEAR = 3  # cells from a height step within which a cell may change sides: the matching window and its blur
 REACH = 5  # cells around it that tell how high either side is
 FALL = 3.0  # cells over which their weight falls
-LOOK = 10  # cells around it that tell what either side looks like, of which every second is asked
-LOOK_FALL = 5.0
+LOOK = 9  # cells around it that tell what either side looks like, of which every second is asked
+HIGH_FALL = 4.0
+LOW_FALL = 3.0  # what lies beyond an edge changes sooner than what lies on a roof
 STEP_M = 2.0  # smallest height step that is a wall
 FLAT_M = 1.5  # height range of 3 x 3 cells that are surely off the step
 SAME_M = 1.0  # heights this near belong to the same side
-CAP = 9.0  # squared standard deviations at which a stray pixel stops counting
-BIAS = 1.0  # by how much the other side has to be more likely (log-likelihood ratio, mean over the views)
+FEWEST_CELLS = 1.5  # weight of the cells that make a level
+FEWEST_LOOKS = 0.3  # weight of the cells that make an appearance
 FEWEST_VIEWS = 2
-MOST = 0.75  # share of the views that can tell which have to agree
+CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, glare or shadow moves no wall
+CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
+STAY = 0.3  # likeness (-1 ... 1) that it takes to change sides
+RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
+FOOT = (-0.3, -0.1)  # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
+FOOT_SCALE_M = 20.0  # distance over which it is averaged
+FOOT_CELLS = 300.0  # rims all over the area that count as much as those around
+OUTWARD = 0.65  # likeness by which walls that are not upright start outside the edge of their roof
+SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
+OUTSIDE = 0.2  # cosine between the way down a wall and that towards a view which sees the foot of the wall
+STEEP = 0.05  # tangent of the angle from the vertical below which a view sees the foot of every wall
 
 
 def snap_edges(
@@ -31,9 +42,15 @@ def snap_edges(
 
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
     high one window too wide, most of all where a dark strip of shaded ground follows. But the strip does not look like
-    the roof: near a step every cell is assigned to the side, high or low, whose cells at that height it resembles
-    more (a Gaussian likelihood per view, from the cells surely on that side). Only views that can judge both sides
-    count, and three in four of them have to agree: one date's facade, glare or shadow moves no wall.
+    the roof: shifted to the roof's height, every view shows the roof on one side of the edge and something else on
+    the other, be it facade, shadow or ground far behind. So near a step every cell is asked whether it looks like the
+    cells surely on the high side or like those surely on the low side, as this view shows either *at the roof's
+    height*: all views can tell, whatever hides the ground.
+
+    Where walls are upright, the roof's edge is the wall. Where they lean, or lidar and eaves make them wider, there is
+    a strip which looks like neither roof nor ground: at the height of the ground, views from outside show something
+    else than ground in place of the rims. There matching, which puts the step on the outer side of the strip, is
+    believed more than the edge.
 
     Args:
         frame: the views.
@@ -47,21 +64,50 @@ def snap_edges(
     """
     off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
     off_step = minimum_filter(off_step, 3, mode="nearest")
-    moved = np.empty_like(height)
-    choose_sides(
-        height,
-        off_step,
-        frame.images,
-        frame.masks,
-        frame.slopes,
-        frame.z_ref,
-        frame.margin,
-        first_hit_height,
-        tolerance,
-        noise,
-        moved,
-    )
+    uphill = np.stack([gaussian_filter(height, SLOPE_SCALE, order=order, mode="nearest") for order in ((1, 0), (0, 1))])
+    uphill /= np.maximum(np.hypot(*uphill), 1e-6)
+    tangent = np.hypot(*frame.slopes.T) * frame.cell
+    # on its way up to the view a ray moves against the slope; views from straight above are outside of every wall
+    outward = frame.slopes * frame.cell / np.maximum(tangent, STEEP)[:, None]
+    outward[tangent < STEEP] = np.nan
+    below, above, roof, foot = (np.empty_like(height) for _ in range(4))
+    compare_sides(
+        height, off_step, uphill, frame.images, frame.masks, frame.slopes, outward, frame.z_ref, frame.margin,
+        first_hit_height, tolerance, noise, below, above, roof, foot,
+    )  # fmt: skip
+    beside_wall = np.isfinite(below)
+    if not beside_wall.any():
+        return median_filter(height, 3, mode="nearest")
+    side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
+    lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell)
+    high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
+    high += lean * (_mean_within(high, beside_wall, 1.0) - high)
+    moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
+    moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
     return median_filter(moved, 3, mode="nearest")
+
+
+def leaning(rims: np.ndarray, foot: np.ndarray, scale: float) -> np.ndarray:
+    """How little upright the walls around every cell are, 0 ... 1.
+
+    Args:
+        rims: ``[H, W]`` bool cells that do not look like their roof.
+        foot: ``[H, W]`` how much they look like the high side at the ground's height, -1 ... 1.
+        scale: standard deviation of the mean around [cells].
+    """
+    if not rims.any():
+        return np.zeros(foot.shape)
+    cells = 2 * math.pi * scale * scale
+    total = gaussian_filter(np.where(rims, foot, 0.0), scale, mode="constant") * cells
+    count = gaussian_filter(rims.astype(np.float64), scale, mode="constant") * cells
+    mean = (total + FOOT_CELLS * float(foot[rims].mean())) / (count + FOOT_CELLS)
+    return np.clip((mean - FOOT[0]) / (FOOT[1] - FOOT[0]), 0.0, 1.0)
+
+
+def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.ndarray:
+    """Gaussian mean over the cells of a region."""
+    weight = gaussian_filter(region.astype(np.float64), scale)
+    return gaussian_filter(np.where(region, values, 0.0), scale) / np.maximum(weight, 1e-6)
 
 
 @njit(cache=True)
@@ -77,111 +123,150 @@ def _level(height, off_step, row, col, low, high):
                 w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * FALL * FALL))
                 total += w * z
                 weight += w
-    return total / weight if weight > FEWEST_VIEWS - 0.5 else np.nan
+    return total / weight if weight > FEWEST_CELLS else np.nan
 
 
 @njit(cache=True)
-def _misfit(height, off_step, image, mask, hit, row, col, z, at_row, at_col, limit, noise):
-    """Minus twice the log-likelihood (up to a constant) that a pixel belongs to its neighbours at height z in a view.
-
-    at_row, at_col: frame position of the cell at that height; limit: highest first hit at which a point is seen.
-    Negative where the view cannot tell.
-    """
+def _gather(height, off_step, row, col, below, above, where, side, weight):
+    """Note the sure cells of either side around a cell: offsets, side (1 = high), weight; returns their number."""
     rows, cols = height.shape
-    a, b = round(at_row), round(at_col)
+    count = 0
+    for i in range(-LOOK, LOOK + 1):
+        for j in range(-LOOK + (i + LOOK) % 2, LOOK + 1, 2):
+            r, c = row + i, col + j
+            if not (0 <= r < rows and 0 <= c < cols) or not off_step[r, c]:
+                continue
+            high = abs(height[r, c] - above) <= SAME_M
+            if not high and abs(height[r, c] - below) > SAME_M:
+                continue
+            fall = HIGH_FALL if high else LOW_FALL
+            where[count, 0], where[count, 1] = i, j
+            side[count] = 1 if high else 0
+            weight[count] = math.exp(-(i * i + j * j) / (2 * fall * fall))
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
+    """How surely a pixel belongs to the high side in one view, -1 ... 1; NaN where the view cannot tell.
+
+    r, c: frame position of the cell at the height in question; limit: highest first hit at which it is seen.
+    The two sides get one spread, so that a pixel that mixes them belongs to the one that has more of it.
+    """
+    a, b = round(r), round(c)
     if hit[a, b] > limit or mask[a, b] == 0:
-        return -1.0
-    total = 0.0
-    squares = 0.0
-    weight = 0.0
-    for i in range(row - LOOK, row + LOOK + 1, 2):
-        for j in range(col - LOOK, col + LOOK + 1, 2):
-            if not (0 <= i < rows and 0 <= j < cols) or not off_step[i, j] or abs(height[i, j] - z) > SAME_M:
-                continue
-            r, c = round(at_row + i - row), round(at_col + j - col)
-            if hit[r, c] > limit:
-                continue
-            w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * LOOK_FALL * LOOK_FALL))
-            x = image[r, c]
-            total += w * x
-            squares += w * x * x
-            weight += w
-    if weight < 1:
-        return -1.0
-    mean = total / weight
-    variance = max(squares / weight - mean * mean, 0.0) + noise * noise
-    apart = image[a, b] - mean
-    return min(apart * apart / variance, CAP) + math.log(variance / (noise * noise))
+        return np.nan
+    low = low_squares = low_weight = 0.0
+    high = high_squares = high_weight = 0.0
+    for n in range(count):
+        x = image[a + where[n, 0], b + where[n, 1]]
+        w = weight[n]
+        if side[n]:
+            high += w * x
+            high_squares += w * x * x
+            high_weight += w
+        else:
+            low += w * x
+            low_squares += w * x * x
+            low_weight += w
+    if low_weight < FEWEST_LOOKS or high_weight < FEWEST_LOOKS:
+        return np.nan
+    low /= low_weight
+    high /= high_weight
+    spread = max(low_squares / low_weight - low * low, 0.0) + max(high_squares / high_weight - high * high, 0.0)
+    variance = noise * noise + 0.5 * spread
+    if (high - low) ** 2 < CONTRAST * CONTRAST * variance:
+        return np.nan
+    iy, ix = math.floor(r), math.floor(c)
+    fy, fx = r - iy, c - ix
+    upper = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
+    lower = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
+    ratio = (high - low) * (upper + fy * (lower - upper) - 0.5 * (high + low)) / variance
+    return min(max(ratio / CAP, -1.0), 1.0)
 
 
 @njit(parallel=True, cache=True)
-def choose_sides(height, off_step, images, masks, slopes, z_ref, margin, first_hit_height, tolerance, noise, moved):
-    """See `snap_edges`; ``off_step`` is ``[H, W]`` bool, ``moved`` ``[H, W]`` float32 is filled."""
+def compare_sides(
+    height, off_step, uphill, images, masks, slopes, outward, z_ref, margin, first_hit_height, tolerance, noise,
+    below, above, roof, foot,
+):  # fmt: skip
+    """What either side of a wall looks like, for every cell near one.
+
+    Args:
+        height: ``[H, W]`` float32 [m].
+        off_step: ``[H, W]`` bool, surely on one side.
+        uphill: ``[2, H, W]`` float32 unit vector (rows, columns) up the wall.
+        images: ``[V, Hf, Wf]`` float32, see `Frame`.
+        masks: ``[V, Hf, Wf]`` uint8, 1 = valid.
+        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above.
+        z_ref: reference height of the frame [m].
+        margin: cells between the border of the frame and that of the grid.
+        first_hit_height: ``[V, Hf, Wf]`` float32 [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+        noise: standard deviation of brightness on one material.
+        below: ``[H, W]`` float32, filled with the height of the low side [m]; NaN = not near a wall.
+        above: the same of the high side.
+        roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
+        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
+    """
     rows, cols = height.shape
     views = images.shape[0]
+    most = (2 * LOOK + 1) * (LOOK + 1)
     for row in prange(rows):
+        where = np.empty((most, 2), np.int64)
+        side = np.empty(most, np.int64)
+        weight = np.empty(most)
         for col in range(cols):
-            here = height[row, col]
-            moved[row, col] = here
-            low, high = here, here
+            below[row, col] = above[row, col] = foot[row, col] = np.nan
+            roof[row, col] = 0.0
+            low = high = height[row, col]
             for i in range(max(0, row - NEAR), min(rows, row + NEAR + 1)):
                 for j in range(max(0, col - NEAR), min(cols, col + NEAR + 1)):
                     low, high = min(low, height[i, j]), max(high, height[i, j])
             if high - low < STEP_M:
                 continue
             middle = 0.5 * (low + high)
-            below = _level(height, off_step, row, col, -np.inf, middle)
-            above = _level(height, off_step, row, col, middle, np.inf)
-            if not above - below >= STEP_M:
+            bottom = _level(height, off_step, row, col, -np.inf, middle)
+            top = _level(height, off_step, row, col, middle, np.inf)
+            if not top - bottom >= STEP_M:
                 continue
-            # views that can judge both sides: others would compare different images
-            gain = 0.0
-            count = votes = 0
-            low_dz, high_dz = below - z_ref, above - z_ref
+            below[row, col], above[row, col] = bottom, top
+            cells = _gather(height, off_step, row, col, bottom, top, where, side, weight)
+            at_roof = at_foot = 0.0
+            roof_views = foot_views = 0
             for v in range(views):
-                r, c = row + margin + slopes[v, 0] * low_dz, col + margin + slopes[v, 1] * low_dz
-                misfit_low = _misfit(
-                    height,
-                    off_step,
-                    images[v],
-                    masks[v],
-                    first_hit_height[v],
-                    row,
-                    col,
-                    below,
-                    r,
-                    c,
-                    below + tolerance,
-                    noise,
+                r, c = row + margin + slopes[v, 0] * (top - z_ref), col + margin + slopes[v, 1] * (top - z_ref)
+                like = _likeness(
+                    images[v], masks[v], first_hit_height[v], top + tolerance, r, c, where, side, weight, cells, noise
                 )
-                if misfit_low < 0:
+                if like == like:
+                    at_roof += like
+                    roof_views += 1
+                if outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col] <= OUTSIDE:
                     continue
-                r, c = row + margin + slopes[v, 0] * high_dz, col + margin + slopes[v, 1] * high_dz
-                misfit_high = _misfit(
-                    height,
-                    off_step,
+                r, c = row + margin + slopes[v, 0] * (bottom - z_ref), col + margin + slopes[v, 1] * (bottom - z_ref)
+                like = _likeness(
                     images[v],
                     masks[v],
                     first_hit_height[v],
-                    row,
-                    col,
-                    above,
+                    bottom + tolerance,
                     r,
                     c,
-                    above + tolerance,
+                    where,
+                    side,
+                    weight,
+                    cells,
                     noise,
                 )
-                if misfit_high >= 0:
-                    gain += misfit_high - misfit_low
-                    votes += 1 if misfit_high > misfit_low else 0
-                    count += 1
-            if count < FEWEST_VIEWS:
-                continue
-            gain /= count
-            if here >= middle and gain > BIAS and votes >= MOST * count:
-                moved[row, col] = below
-            elif here < middle and -gain > BIAS and count - votes >= MOST * count:
-                moved[row, col] = above
+                if like == like:
+                    at_foot += like
+                    foot_views += 1
+            if roof_views >= FEWEST_VIEWS:
+                roof[row, col] = at_roof / roof_views
+            if foot_views:
+                foot[row, col] = at_foot / foot_views
 
 
-__all__ = ["choose_sides", "snap_edges"]
+__all__ = ["compare_sides", "leaning", "snap_edges"]

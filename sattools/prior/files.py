@@ -13,7 +13,7 @@ from sattools.scene.raster import read_raster, write_sensor_image
 
 
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
-    """Write a map ``[rows, columns]`` float32 (NaN = unknown) as tiled GeoTIFF with the image's camera in its RPC tags.
+    """Write a map of an image's pixels as tiled GeoTIFF with the image's camera in its RPC tags.
 
     Args:
         path: file to write.

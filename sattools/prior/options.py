@@ -51,7 +51,7 @@ class PriorOptions:
     )
     small_jump: float = option(0.2, "Semi-global penalty for a height change of one plane (an agreement).", minimum=0)
     large_jump: float = option(
-        0.5,
+        0.4,
         "Semi-global penalty for any larger height change (an agreement); up to 4 x with fewer than 60 pairs.",
         minimum=0,
     )

@@ -140,7 +140,7 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
 
 
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """The upper left part of that shape (a frame may have a row or column more than the grid)."""
+    """The upper left part of that shape [cells] (a frame may have a row or column more than the grid)."""
     return array[: shape[0], : shape[1]]
 
 
@@ -161,12 +161,12 @@ def gamma_encode(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: 
 
 
 def gamma_encoded(images: np.ndarray, linear: bool) -> np.ndarray:
-    """The images with a tone curve, if they have none yet."""
+    """The images (radiance) with a tone curve, if they have none yet."""
     return np.maximum(images, 0.0) ** (1 / 2.2) if linear else images
 
 
 def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
-    """From dark to bright (2 ... 98 %)."""
+    """From dark to bright (2 ... 98 %) of the radiance where the mask is 1."""
     low, high = np.percentile(images[masks > 0][::7], [2, 98])
     return max(high - low, 1e-6)
 

@@ -25,7 +25,7 @@ OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget w
 
 
 def planes(z_range: tuple[float, float], step: float) -> np.ndarray:
-    """Heights ``[D]`` float64 to try: one plane beyond either end, at least three."""
+    """Heights ``[D]`` float64 [m] to try: one plane beyond either end, at least three."""
     count = max(3, math.ceil((z_range[1] - z_range[0]) / step - 1e-9) + 1 + BEYOND_PLANES)
     return z_range[0] - step + step * np.arange(count)
 

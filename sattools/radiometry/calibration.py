@@ -124,7 +124,7 @@ def earth_sun_distance(time: datetime) -> float:
 def reflectance(
     numbers: np.ndarray, bands: Sequence[BandCalibration], distance: float, sun_elevation_deg: float | None
 ) -> np.ndarray:
-    """Pi L d^2 / (E cos theta_sun), or pi L d^2 / E without a sun elevation; float32, nothing clipped.
+    """Reflectance pi L d^2 / (E cos theta_sun), or pi L d^2 / E without a sun elevation; float32, nothing clipped.
 
     Args:
         numbers: ``[C, H, W]`` digital numbers less the black level.

@@ -30,7 +30,7 @@ def linear_radiance(numbers: np.ndarray, bits: int, black: float = 0.0) -> np.nd
 
 
 def undo_gamma(values: np.ndarray, gamma: float) -> np.ndarray:
-    """sign(v) |v|^gamma: undoes the display curve v = linear^(1/gamma); values below black stay below."""
+    """Linear radiance sign(v) |v|^gamma: undoes v = linear^(1/gamma); values below black stay below."""
     return np.asarray((np.sign(values) * np.abs(values) ** gamma).astype(np.float32))
 
 
@@ -48,7 +48,7 @@ def invalid_numbers(numbers: np.ndarray, saturation: float) -> tuple[np.ndarray,
 
 
 def gain_and_offset(found: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and offset ``[C]`` that give middle and spread ``[2, C]`` the wanted values."""
+    """Gain and offset ``[C]`` that give middle and spread (radiance) ``[2, C]`` the wanted values."""
     gain = wanted[1] / np.maximum(found[1], 1e-6)
     return gain, wanted[0] - gain * found[0]
 

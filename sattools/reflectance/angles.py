@@ -33,7 +33,7 @@ class Angles(NamedTuple):
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Scalar product of ``[..., 3]`` and ``[..., 3]``, ``[...]``; not by matmul, which may run in TF32."""
+    """Scalar product ``[...]`` of unit vectors ``[..., 3]``; not by matmul, which may run in TF32."""
     return _sum3(a.unbind(-1), b.unbind(-1))
 
 
@@ -56,7 +56,7 @@ class Pair(NamedTuple):
 
 
 def pair(sun: Tensor, view: Tensor) -> Pair:
-    """`Pair` of vectors ``[..., 3]``."""
+    """`Pair` of unit vectors ``[..., 3]``."""
     s, v = sun.unbind(-1), view.unbind(-1)
     along, apart = [p + q for p, q in zip(s, v)], [p - q for p, q in zip(s, v)]
     plus2 = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]

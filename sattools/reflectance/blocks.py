@@ -33,7 +33,7 @@ class Blocks:
         self.ranges = [(start, min(step, length - start)) for start in range(0, length, step)]
 
     def is_cut(self, operand: Tensor, trailing: int = 0) -> bool:
-        """Whether the operand differs from block to block; its ``trailing`` axes are no part of the broadcast shape."""
+        """Whether the operand differs from block to block; a bool."""
         axis = self.axis - trailing
         return len(self.ranges) > 1 and operand.ndim >= -axis and operand.shape[axis] > 1
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 
 def measured(normal: Tensor, sun: Tensor, view: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Incidence, emission, azimuth between sun and view, and phase angle, ``[...]`` each, of ``[..., 3]`` vectors."""
+    """Incidence, emission, azimuth between sun and view, and phase angle ``[...]`` [radians] of unit vectors."""
     cos_i = (normal * sun).sum(-1)  # [...]
     cos_e = (normal * view).sum(-1)  # [...]
     cos_g = (sun * view).sum(-1)  # [...]
@@ -38,13 +38,13 @@ def hapke(
 
 
 def h_function(x: Tensor, w: Tensor) -> Tensor:
-    """Ambartsumian's and Chandrasekhar's H ``[...]`` by Hapke (2002), eq. 13; ``x`` an effective cosine."""
+    """Ambartsumian's and Chandrasekhar's H ``[...]`` by Hapke (2002), eq. 13, unitless; ``x`` an effective cosine."""
     r0 = (1 - torch.sqrt(1 - w)) / (1 + torch.sqrt(1 - w))  # [...] diffusive reflectance
     return 1 / (1 - w * x * (r0 + (1 - 2 * r0 * x) / 2 * torch.log((1 + x) / x)))  # [...]
 
 
 def rough(i: Tensor, e: Tensor, psi: Tensor, theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Effective cosines of incidence and emission and the shadowing function, ``[...]`` each (Hapke 1984)."""
+    """Effective cosines and shadowing function ``[...]`` of angles in radians (Hapke 1984)."""
     t = torch.tan(theta)  # [...]
     chi = 1 / torch.sqrt(1 + math.pi * t**2)  # [...]
     near, far = torch.minimum(i, e), torch.maximum(i, e)  # [...] of sun and view, from the normal

@@ -80,7 +80,7 @@ def tangent_of(theta_deg: Tensor) -> Tensor:
 
 
 def forward(angles: Angles, t: Tensor) -> Facet:
-    """Roughness of a facet; ``t`` = tan(theta-bar), at least about 1e-6."""
+    """Roughness of a facet, unitless; ``t`` = tan(theta-bar), at least about 1e-6."""
     low = torch.minimum(angles.mu0, angles.mu)
     lit = (torch.sgn(low) + 1).clamp_max(1)  # 0 below the horizon, else 1; NaN stays NaN
     order = torch.sgn(angles.mu0 - angles.mu)
@@ -124,7 +124,7 @@ def forward(angles: Angles, t: Tensor) -> Facet:
 def reverse(
     facet: Facet, t: Tensor, g_a_lo: Tensor, g_a_hi: Tensor, g_k: Tensor, geometry: bool
 ) -> tuple[Tensor, Angles | None]:
-    """Gradients of t and, if ``geometry``, of the `Angles`, from those of a_lo, a_hi and K.
+    """Gradients (unitless) of t and, if ``geometry``, of the `Angles`, from those of a_lo, a_hi and K.
 
     Those of ``minus2`` and ``plus2`` are what comes through cos g = (plus2 - minus2) / 4.
 

@@ -72,12 +72,12 @@ class _Compiled(torch.autograd.Function):
         return torch.from_numpy(rgb), torch.from_numpy(depth), torch.from_numpy(opacity)
 
     @staticmethod
-    def backward(ctx: Any, grad_rgb: Tensor, grad_depth: Tensor, grad_opacity: Tensor):
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         from sattools.render import kernels
 
-        grads = [np.ascontiguousarray(g.numpy(), dtype=np.float32) for g in (grad_rgb, grad_depth, grad_opacity)]
-        height, colour = np.empty_like(grads[1]), np.empty_like(grads[0])
-        _call(kernels.march_backward, (*ctx.arguments, *grads, height, colour))
+        given = [np.ascontiguousarray(g.numpy(), dtype=np.float32) for g in grads]  # of rgb, depth, opacity
+        height, colour = np.empty_like(given[1]), np.empty_like(given[0])
+        _call(kernels.march_backward, (*ctx.arguments, *given, height, colour))
         return torch.from_numpy(height), torch.from_numpy(colour), None, None, None, None
 
 

@@ -80,7 +80,8 @@ class _Visibility(torch.autograd.Function):
         return result.to(height.dtype)
 
     @staticmethod
-    def backward(ctx: Any, grad: Tensor):
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        (grad,) = grads
         visibility, caster, width = ctx.saved_tensors
         on_ramp = (visibility > 0) & (visibility < 1) & (caster >= 0)
         slope = torch.where(on_ramp, grad / (2 * width), 0.0)

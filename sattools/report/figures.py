@@ -80,7 +80,7 @@ def residuals(names: Sequence[str], before: Sequence[float], after: Sequence[flo
 
 
 def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
-    """One line per image of its values `[N]`; `label` names them with their unit."""
+    """One line per image of its pixels' values `[N]`; `label` names them with their unit."""
     figure = new_figure()
     axes = figure.subplots()
     pooled = np.concatenate(list(values.values()))

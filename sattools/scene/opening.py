@@ -23,6 +23,7 @@ DRIVERS = (
 # a sidecar (.aux.xml) may name overviews anywhere: nothing but what the user named is asked for
 _NO_NETWORK = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-", "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/"}
 _LARGE = 1 << 29  # bytes of pixels
+_MOST_BANDS = 1000  # no imaging spectrometer has more
 _MOST_COMPRESSED = 4000  # times; an empty image in DEFLATE reaches 1000
 # a host that does not answer must not hold a command for ever
 _PATIENCE = {"GDAL_HTTP_CONNECTTIMEOUT": "30", "GDAL_HTTP_LOW_SPEED_LIMIT": "1", "GDAL_HTTP_LOW_SPEED_TIME": "60"}
@@ -45,6 +46,8 @@ def opened(path: Path | str, what: str = "an image") -> Iterator[DatasetReader]:
         with data:
             if data.count == 0:
                 raise InputError(f"{path}: found a container without bands, expected {what}")
+            if data.count > _MOST_BANDS:  # reading them one by one would take hours
+                raise InputError(f"{path}: found {data.count} bands, expected at most {_MOST_BANDS} (is it damaged?)")
             _check_size(data, path)
             yield data
 

@@ -180,7 +180,7 @@ def _means(blocks: np.ndarray) -> np.ndarray:
 
 
 def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Sequence[str] | None = None) -> None:
-    """Write a float32 image ``[B, H, W]`` (NaN = no data) in the sensor geometry of another one, whose RPC it takes.
+    """Write a float32 image ``[B, H, W]`` of pixels (NaN = no data) in the geometry of another one.
 
     Args:
         path: file to write.
@@ -207,7 +207,7 @@ def write_sensor_image(
     units: str | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> None:
-    """Write an image in sensor geometry as a tiled GeoTIFF.
+    """Write an image (pixels of any unit) in sensor geometry as a tiled GeoTIFF.
 
     Args:
         path: target file.

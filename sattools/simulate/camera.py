@@ -66,7 +66,7 @@ class Pushbroom:
         )
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(col, row) of ground points [..., 3]; exact."""
+        """(col, row) [px] of ground points [..., 3] [m]; exact."""
         normal = np.cross(self.look, self.across)
         offset = points - self.origin
         along = (offset @ normal) / (self.velocity @ normal)

@@ -161,7 +161,7 @@ def _take(
 
 
 def spread(image: np.ndarray) -> np.ndarray:
-    """The image ``[B, H, W]`` through the optics: a Gaussian of `SPREAD_PX`; the edge goes on outside."""
+    """The image ``[B, H, W]`` (radiance) through the optics: a Gaussian of `SPREAD_PX`; the edge goes on outside."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(image, (0, SPREAD_PX, SPREAD_PX), mode="nearest"))

@@ -50,7 +50,7 @@ class Radiometry:
 
 
 def sun_colour(elevation_deg: float) -> np.ndarray:
-    """Direct irradiance [3] (red, green, blue) on a surface across the sun: Beer's law, plane atmosphere."""
+    """Direct irradiance [3] (red, green, blue) across the sun, unitless: Beer's law, plane atmosphere."""
     return np.asarray(SUN_COLOUR * np.exp(-OPTICAL_DEPTH / np.sin(np.radians(elevation_deg))))
 
 

@@ -112,7 +112,7 @@ def _materials(classes: np.ndarray, stepped: np.ndarray, rng: np.random.Generato
 
 
 def check_heights(path: str, heights: np.ndarray) -> None:
-    """Raise InputError for heights that no surface of the Earth has: rays would be followed for ever."""
+    """Raise InputError for heights [m] that no surface of the Earth has: rays would be followed for ever."""
     known = heights[np.isfinite(heights)]
     low, high = HEIGHT_LIMITS_M
     if known.size and (known.min() < low or known.max() > high):

@@ -174,7 +174,7 @@ def shown_on(
 
 
 def match_colours(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and offset per view and band that bring each image's mean and spread to the first one's.
+    """Gain and offset (radiance) per view and band that bring each image's mean and spread to the first one's.
 
     Returns:
         gain ``[V, C]`` and offset ``[V, C]`` with target = gain * reference + offset.

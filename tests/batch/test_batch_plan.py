@@ -1,6 +1,7 @@
 """What a batch plans: keys that follow the inputs, the contest's layout, and errors before anything is computed."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from sattools.scene.raster import write_cog
 DEFAULT = Configuration("default")
 
 
-def keys(tmp_path, scene, *configurations):
+def keys(tmp_path: Path, scene: Any, *configurations: Any) -> Any:
     plan = make_plan(BatchOptions(out=str(tmp_path / "out")), [scene], configurations or [DEFAULT])
     return [job.task.key for job in plan.jobs]
 
@@ -39,7 +40,7 @@ def contest(root: Path) -> Path:
     return root
 
 
-def test_the_contests_folders_are_searched_and_no_image_is_found_twice(tmp_path):
+def test_the_contests_folders_are_searched_and_no_image_is_found_twice(tmp_path: Path) -> None:
     root = contest(tmp_path)
     names = {kind: [p.parent.name for p in find_images(root, "JAX_068", kind)[0]] for kind in ("auto", "crops", "rgb")}
     assert names == {"auto": ["JAX_068"], "crops": ["JAX_068"], "rgb": ["Track3-RGB-3"]}
@@ -49,7 +50,7 @@ def test_the_contests_folders_are_searched_and_no_image_is_found_twice(tmp_path)
     assert find_truth(root, "JAX_070") is None
 
 
-def test_missing_areas_are_named_and_the_others_planned(tmp_path):
+def test_missing_areas_are_named_and_the_others_planned(tmp_path: Path) -> None:
     options = BatchOptions(
         out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070", "JAX_999", "OMA_001"]
     )
@@ -62,7 +63,7 @@ def test_missing_areas_are_named_and_the_others_planned(tmp_path):
     assert "images of JAX_999" in plan.errors["JAX_999", "default"][1]
 
 
-def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path):
+def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path: Path) -> None:
     from sattools.scene import Grid
 
     root = contest(tmp_path / "data")
@@ -82,7 +83,7 @@ def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path):
     assert fit.commands[-1] == ["compare", "{scene}", "--overwrite", "--truth", str(root / "Track3-Truth")]
 
 
-def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prior(tmp_path):
+def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prior(tmp_path: Path) -> None:
     options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070"])
     fast = Configuration("fast", {"fit": {"epochs": [2]}}, {"prep": {"correction": "auto"}, "fit": {"epochs": [2]}})
     slow = Configuration("slow", {}, {"prep": {"correction": "auto"}, "fit": {"epochs": [9]}})
@@ -103,7 +104,7 @@ def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prio
     assert [job.task.name for job in make_plan(options, [], [fast]).jobs] == ["JAX_070/prep", "JAX_070/fast"]
 
 
-def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path, make_town):
+def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path: Path, make_town: Any) -> None:
     town = make_town("TOWN")
     [first] = keys(tmp_path, town)
     image = town.path(town.items[0].assets["image"].href)
@@ -126,25 +127,25 @@ def test_a_key_follows_content_and_options_but_not_times_or_places(tmp_path, mak
         ("[fit", "found no valid TOML"),
     ],
 )
-def test_a_wrong_configuration_ends_the_batch_before_it_starts(tmp_path, text, words):
+def test_a_wrong_configuration_ends_the_batch_before_it_starts(tmp_path: Path, text: Any, words: Any) -> None:
     (tmp_path / "c.toml").write_text(text)
     result = CliRunner().invoke(main, ["batch", "scene.json", "--config", str(tmp_path / "c.toml")])
     assert result.exit_code == 2
     assert words in " ".join(result.stderr.split())
 
 
-def test_areas_need_the_contests_root(tmp_path):
+def test_areas_need_the_contests_root(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["batch", "--aoi", "JAX_004", "--out", str(tmp_path)], input="")
     assert result.exit_code == 1
     assert "found no --dfc2019" in result.stderr
 
 
-def test_the_front_holds_what_nothing_beats_in_both_time_and_error():
+def test_the_front_holds_what_nothing_beats_in_both_time_and_error() -> None:
     points = [("a", 10.0, 2.0), ("b", 20.0, 1.0), ("c", 25.0, 1.5), ("d", 5.0, 3.0), ("e", 12.0, 2.0)]
     assert [name for name, _, _ in pareto_front(points)] == ["d", "a", "b"]
 
 
-def test_means_are_over_the_scenes_that_all_configurations_have():
+def test_means_are_over_the_scenes_that_all_configurations_have() -> None:
     rows = [
         {"scene": scene, "configuration": name, "seconds": seconds, "mae_m": error}
         for scene, name, seconds, error in (("A", "x", 1.0, 1.0), ("B", "x", 3.0, 9.0), ("A", "y", 5.0, 0.5))
@@ -152,13 +153,13 @@ def test_means_are_over_the_scenes_that_all_configurations_have():
     assert means(rows) == [("x", 1.0, 1.0), ("y", 5.0, 0.5)]
 
 
-def test_a_table_names_what_failed_and_why():
+def test_a_table_names_what_failed_and_why() -> None:
     row = failed_row("JAX_999", "fast", "missing", "found no | images")
     assert to_markdown([row]).splitlines()[2] == "| JAX_999 | fast | missing | found no \\| images |"
     assert to_csv([row]).splitlines()[1].startswith("JAX_999,fast,missing,,")
 
 
-def test_the_parquet_table_is_the_csv_table_with_types(tmp_path):
+def test_the_parquet_table_is_the_csv_table_with_types(tmp_path: Path) -> None:
     """In one with failed rows only, too, numbers are numbers."""
     pytest.importorskip("pyarrow", reason="needs pyarrow")
     import pandas
@@ -179,7 +180,7 @@ def test_the_parquet_table_is_the_csv_table_with_types(tmp_path):
     assert not list(tmp_path.rglob("*.tmp*"))
 
 
-def test_all_points_lie_within_the_figure_and_its_title_counts_what_was_scored():
+def test_all_points_lie_within_the_figure_and_its_title_counts_what_was_scored() -> None:
     rows = [
         {"scene": "A", "configuration": "fast", "seconds": 100.0, "mae_m": 1.2},
         {"scene": "A", "configuration": "slow", "seconds": 200.0, "mae_m": 1.0},

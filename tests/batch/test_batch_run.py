@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from patience import HANGING_S
@@ -19,7 +20,7 @@ MEASURED = {"scene", "seconds", "fit_s", "export_s", "peak_memory_mb"}  # differ
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scenes with the same images under two names, and a configuration of two epochs."""
     from sattools.scene import Scene
     from sattools.scene.files import write_text
@@ -41,7 +42,7 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen:
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def command_of(process) -> list[str]:
+def command_of(process: Any) -> list[str]:
     """Its command line; nothing once it has ended, which it may at any moment."""
     import psutil
 
@@ -61,7 +62,7 @@ def attempts(folder: Path, scene: str) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(folder):
+def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(folder: Any) -> None:
     call = ("A/scene.json", "B/scene.json", "--config", "quick.toml", "--out", "out", "--workers", "1")
     running = start(folder, *call)
     while not attempts(folder, "B"):
@@ -90,7 +91,7 @@ def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(f
     assert (folder / "out/table.csv").read_bytes() == before
 
 
-def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder):
+def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder: Any) -> None:
     from sattools.scene import Scene
 
     broken = Scene.from_file(folder / "B/scene.json")
@@ -104,7 +105,7 @@ def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder):
     assert "images/nowhere.tif: cannot be read" in table(folder)[0]["error"]
 
 
-def test_a_command_that_needs_too_much_memory_is_stopped_and_named(folder):
+def test_a_command_that_needs_too_much_memory_is_stopped_and_named(folder: Any) -> None:
     from sattools.batch.plan import Task
     from sattools.batch.task import perform
 
@@ -119,7 +120,7 @@ def test_a_command_that_needs_too_much_memory_is_stopped_and_named(folder):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
-def test_an_interrupted_batch_leaves_no_process(folder):
+def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     import psutil
 
     running = start(folder, "A/scene.json", "--config", "quick.toml", "--out", "stopped", "--workers", "1")
@@ -136,7 +137,7 @@ def test_an_interrupted_batch_leaves_no_process(folder):
     assert not (folder / "stopped/runs/quick/A/task.json").exists()
 
 
-def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(folder):
+def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(folder: Any) -> None:
     """One of the two workers dies with its tile; the run equals `fit --tile` by hand."""
     (folder / "tiled.toml").write_text(
         "[fit]\nepochs = [2]\ntile = 32.0\noverlap = 8.0\n[export]\nvertical = 'ellipsoid'\n"

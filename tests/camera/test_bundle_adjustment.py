@@ -1,5 +1,7 @@
 """Bundle adjustment finds each view's error, holds the block still against outliers, and says what it did."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from synthetic_views import ALT0, EAST_M, LAT0, LON0, NORTH_M, hills, parallel_rpc, render, texture
@@ -15,7 +17,7 @@ RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.15, 0.3), (-0.3, -0.1), (0.05,
 SIZE = (800, 820)
 
 
-def block(biases, n=400, noise=0.2, false=0.1, matrix=None, seed=0):
+def block(biases: Any, n: Any = 400, noise: Any = 0.2, false: Any = 0.1, matrix: Any = None, seed: Any = 0) -> Any:
     """Cameras with errors, and tracks of true pixels with noise and false matches."""
     rng = np.random.default_rng(seed)
     true = [parallel_rpc(r, size=SIZE) for r in RUNS]
@@ -38,12 +40,12 @@ def block(biases, n=400, noise=0.2, false=0.1, matrix=None, seed=0):
     return raw, tracks.kept(np.ones(len(order), bool))[0], np.stack([east, north, height + ALT0], 1)
 
 
-def run(raw, tracks, **options):
+def run(raw: Any, tracks: Any, **options: Any) -> Any:
     names = [f"v{k}" for k in range(len(raw))]
     return adjust(raw, names, [SIZE] * len(raw), tracks, AdjustOptions(**options))
 
 
-def test_a_view_that_is_far_off_is_found_and_does_not_drag_the_others():
+def test_a_view_that_is_far_off_is_found_and_does_not_drag_the_others() -> None:
     biases = np.zeros((6, 2))
     biases[3] = (2.0, 36.0)
     raw, tracks, _ = block(biases)
@@ -58,7 +60,7 @@ def test_a_view_that_is_far_off_is_found_and_does_not_drag_the_others():
     assert all(0.1 < v.median_after_px < 0.26 for v in result.views)
 
 
-def test_corrected_cameras_and_points_agree_with_the_truth():
+def test_corrected_cameras_and_points_agree_with_the_truth() -> None:
     rng = np.random.default_rng(3)
     biases = rng.uniform(-2, 2, (6, 2))
     raw, tracks, truth = block(biases, noise=0.05)
@@ -75,7 +77,7 @@ def test_corrected_cameras_and_points_agree_with_the_truth():
     assert np.median(left) < 0.1
 
 
-def test_false_matches_are_rejected():
+def test_false_matches_are_rejected() -> None:
     raw, tracks, _ = block(np.zeros((6, 2)), false=0.25)
     result = run(raw, tracks)
     share = result.rejected / len(tracks.point)
@@ -83,7 +85,7 @@ def test_false_matches_are_rejected():
     assert result.rms_after_px < 0.4
 
 
-def test_affine_corrections_are_used_only_where_they_help():
+def test_affine_corrections_are_used_only_where_they_help() -> None:
     stretched = np.array([[1.004, 0.0, -1.6], [0.0, 0.997, 1.2]])  # about 1.6 px at the edges of view 2
     raw, tracks, _ = block(np.zeros((6, 2)), matrix=stretched, false=0.02)
     plain_raw, plain_tracks, _ = block(np.zeros((6, 2)), false=0.02)
@@ -93,7 +95,7 @@ def test_affine_corrections_are_used_only_where_they_help():
     assert run(raw, tracks, model="shift").rms_after_px > 1.2 * bent.rms_after_px
 
 
-def test_a_view_without_enough_tie_points_keeps_its_camera_and_is_reported():
+def test_a_view_without_enough_tie_points_keeps_its_camera_and_is_reported() -> None:
     raw, tracks, _ = block(np.zeros((6, 2)))
     few = np.ones(len(tracks.point), bool)
     few[np.flatnonzero(tracks.view == 5)[5:]] = False
@@ -103,7 +105,7 @@ def test_a_view_without_enough_tie_points_keeps_its_camera_and_is_reported():
     assert result.rpcs[5].to_tags() == raw[5].to_tags()
 
 
-def test_two_groups_of_views_without_common_points_are_reported():
+def test_two_groups_of_views_without_common_points_are_reported() -> None:
     raw, tracks, _ = block(np.zeros((6, 2)))
     apart = np.where(tracks.view < 3, tracks.point, tracks.point + tracks.n_points)
     order = np.lexsort((tracks.view, apart))
@@ -113,19 +115,19 @@ def test_two_groups_of_views_without_common_points_are_reported():
     assert any("2 groups" in r for r in run(raw, split).notes)
 
 
-def test_too_few_tie_points_are_an_error_that_says_what_to_check():
+def test_too_few_tie_points_are_an_error_that_says_what_to_check() -> None:
     raw, tracks, _ = block(np.zeros((6, 2)))
     with pytest.raises(InputError, match="do the images overlap"):
         run(raw, tracks.kept(tracks.point < 5)[0])
 
 
-def test_unknown_model_is_refused():
+def test_unknown_model_is_refused() -> None:
     raw, tracks, _ = block(np.zeros((6, 2)))
     with pytest.raises(InputError, match="expected auto, shift or affine"):
         run(raw, tracks, model="cubic")
 
 
-def test_the_gauge_takes_out_a_common_movement_of_most_views():
+def test_the_gauge_takes_out_a_common_movement_of_most_views() -> None:
     design = np.array([[[2, 0, -2 * x], [0, -2, 2 * y]] for x, y in RUNS], float)
     move = np.array([3.0, -1.0, 40.0])
     shift = design @ move
@@ -133,7 +135,7 @@ def test_the_gauge_takes_out_a_common_movement_of_most_views():
     assert robust_gauge(shift, design) == pytest.approx(move, abs=0.5)
 
 
-def test_the_report_names_views_and_the_figures_are_plain_json():
+def test_the_report_names_views_and_the_figures_are_plain_json() -> None:
     import json
 
     raw, tracks, _ = block(np.zeros((6, 2)))
@@ -144,7 +146,7 @@ def test_the_report_names_views_and_the_figures_are_plain_json():
     assert json.loads(json.dumps(result.to_dict()))["views"][2]["id"] == "v2"
 
 
-def test_images_to_corrected_cameras():
+def test_images_to_corrected_cameras() -> None:
     ground = texture()
     bias = [(0.0, 0.0), (1.0, -0.5), (0.0, 0.0), (-12.0, 20.0)]
     views = []
@@ -165,7 +167,7 @@ def test_images_to_corrected_cameras():
 
 
 @pytest.fixture(scope="module")
-def jax_068(data_dir):
+def jax_068(data_dir: Any) -> Any:
     import rasterio
 
     views = []
@@ -176,7 +178,7 @@ def jax_068(data_dir):
 
 
 @pytest.mark.slow
-def test_jax_068_raw_cameras(jax_068):
+def test_jax_068_raw_cameras(jax_068: Any) -> None:
     from sattools.camera.heights import estimate_height_range
 
     tracks = find_tie_points(jax_068, "EPSG:32617")

@@ -2,6 +2,7 @@
 
 import json
 from datetime import datetime, timedelta, timezone
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,24 +30,24 @@ from sattools.errors import InputError
 UTM33 = "EPSG:32633"
 
 
-def test_utm_zone_of_a_place():
+def test_utm_zone_of_a_place() -> None:
     assert utm_crs(-81.66, 30.35) == "EPSG:32617"
     assert utm_crs(15.0, -46.0) == "EPSG:32733"
     assert utm_crs(180.0, 10.0) == "EPSG:32601"
 
 
-def test_view_direction_of_a_parallel_camera():
+def test_view_direction_of_a_parallel_camera() -> None:
     # Line of sight: 0.3 m east and 0.2 m south per metre of height, upwards to the sensor.
     got = view_direction(parallel_rpc(run=(0.3, -0.2)), LON0, LAT0, 0.0)
     want = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
     assert got == pytest.approx(want, abs=1e-9)
 
 
-def test_ground_sample_distance_of_a_parallel_camera():
+def test_ground_sample_distance_of_a_parallel_camera() -> None:
     assert ground_sample_distance(parallel_rpc(gsd=0.7), LON0, LAT0, 0.0) == pytest.approx(0.7, abs=1e-9)
 
 
-def test_ground_rays_lean_as_the_camera_does():
+def test_ground_rays_lean_as_the_camera_does() -> None:
     rpc = parallel_rpc(run=(0.3, -0.2))
     low, high = ground_rays(rpc, UTM33, [100.0, 50.0], [80.0, 200.0], ALT0, ALT0 + 100.0)
     # UTM's scale on its central meridian is 0.9996; height scales the run by 100 m / 6378 km more or less.
@@ -56,21 +57,21 @@ def test_ground_rays_lean_as_the_camera_does():
     assert row == pytest.approx([80.0, 200.0], abs=1e-4)
 
 
-def test_rays_are_straight_between_two_heights(data_dir):
+def test_rays_are_straight_between_two_heights(data_dir: Any) -> None:
     rpc = RPC.from_file(data_dir / "dfc2019/rpc_raw/JAX_068/JAX_068_010_RGB.json")  # the most oblique view, 32 degrees
     low, high = ground_rays(rpc, "EPSG:32617", [350.0], [350.0], -40.0, 40.0)
     middle, _ = ground_rays(rpc, "EPSG:32617", [350.0], [350.0], 0.0, 40.0)
     assert np.abs(middle - (low + high) / 2).max() < 1e-3
 
 
-def test_grid_and_geographic_coordinates_go_back_and_forth():
+def test_grid_and_geographic_coordinates_go_back_and_forth() -> None:
     x, y = from_geographic(UTM33, 15.0, 46.0)
     assert x == pytest.approx(500_000.0, abs=1e-6)
     assert to_geographic(UTM33, x, y) == pytest.approx((15.0, 46.0), abs=1e-10)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2263", "nonsense"])
-def test_a_crs_that_is_not_projected_in_metres_is_refused(crs):
+def test_a_crs_that_is_not_projected_in_metres_is_refused(crs: Any) -> None:
     with pytest.raises(InputError, match=r"expected e\.g\. EPSG:32617"):
         check_projected(crs)
 
@@ -85,24 +86,24 @@ def test_a_crs_that_is_not_projected_in_metres_is_refused(crs):
         (270, 60, (-0.5, 0, 0.8660254038)),
     ],
 )
-def test_azimuth_counts_clockwise_from_north(azimuth, elevation, vector):
+def test_azimuth_counts_clockwise_from_north(azimuth: Any, elevation: Any, vector: Any) -> None:
     assert direction(azimuth, elevation) == pytest.approx(vector, abs=1e-9)
     if elevation < 90:
         assert azimuth_elevation(vector) == pytest.approx((azimuth, elevation), abs=1e-7)
 
 
-def test_grid_north_at_jacksonville_lies_west_of_true_north():
+def test_grid_north_at_jacksonville_lies_west_of_true_north() -> None:
     # (lon - central meridian) sin(lat) = -0.6637 sin(30.349) = -0.335 degrees
     assert convergence_deg("EPSG:32617", -81.6637, 30.349) == pytest.approx(-0.335, abs=1e-3)
     assert convergence_deg(UTM33, 15.0, 46.0) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_true_azimuth_becomes_a_larger_grid_azimuth_west_of_the_central_meridian():
+def test_a_true_azimuth_becomes_a_larger_grid_azimuth_west_of_the_central_meridian() -> None:
     vector = grid_direction(150.0, 40.0, "EPSG:32617", -81.6637, 30.349)
     assert azimuth_elevation(vector) == pytest.approx((150.335, 40.0), abs=1e-3)
 
 
-def test_grid_direction_points_where_a_step_along_the_true_azimuth_lands():
+def test_grid_direction_points_where_a_step_along_the_true_azimuth_lands() -> None:
     lon, lat, azimuth = -81.6637, 30.349, 70.0
     east, north = np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))
     step = 1e-4
@@ -113,7 +114,7 @@ def test_grid_direction_points_where_a_step_along_the_true_azimuth_lands():
     assert moved / np.linalg.norm(moved) == pytest.approx(want, abs=5e-3)
 
 
-def test_sun_of_the_published_example():
+def test_sun_of_the_published_example() -> None:
     # Reda and Andreas 2004, example A.5: 2003-10-17 12:30:30 at UTC-7, 39.742476 N, 105.1786 W, 1830.14 m:
     # azimuth 194.34024, zenith 50.11162 degrees with refraction at 820 hPa and 11 C
     time = datetime(2003, 10, 17, 12, 30, 30, tzinfo=timezone(timedelta(hours=-7)))
@@ -122,17 +123,17 @@ def test_sun_of_the_published_example():
     assert elevation == pytest.approx(90 - 50.11162, abs=5e-3)
 
 
-def test_a_time_without_zone_is_utc():
+def test_a_time_without_zone_is_utc() -> None:
     aware = sun_position(datetime(2015, 5, 2, 16, 19, 43, tzinfo=timezone.utc), -81.66, 30.35)  # noqa: UP017
     assert sun_position(datetime(2015, 5, 2, 16, 19, 43), -81.66, 30.35) == aware
 
 
-def test_a_place_off_the_earth_is_refused():
+def test_a_place_off_the_earth_is_refused() -> None:
     with pytest.raises(InputError, match="latitude 95"):
         sun_position(datetime(2020, 1, 1), 0.0, 95.0)
 
 
-def test_sun_agrees_with_the_metadata_of_all_views(data_dir):
+def test_sun_agrees_with_the_metadata_of_all_views(data_dir: Any) -> None:
     files = sorted((data_dir / "dfc2019/rpc_raw/JAX_068").glob("*.json"))
     assert len(files) == 17
     for path in files:

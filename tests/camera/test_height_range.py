@@ -1,5 +1,7 @@
 """The height range holds ground and roofs, without any truth."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from synthetic_views import ALT0, LAT0, LON0, hills, parallel_rpc, render, texture
@@ -13,22 +15,22 @@ X, Y = from_geographic("EPSG:32633", LON0, LAT0)
 BOUNDS = (X - 45, Y - 45, X + 45, Y + 45)
 
 
-def tower(east, north):
+def tower(east: Any, north: Any) -> Any:
     """Hills with a block of 24 x 24 m, 40 m high."""
     return np.where((np.abs(east - 10) < 12) & (np.abs(north + 5) < 12), 40.0, hills(east, north))
 
 
-def test_a_few_wild_tie_points_do_not_set_the_ends():
+def test_a_few_wild_tie_points_do_not_set_the_ends() -> None:
     heights = np.r_[np.linspace(0, 20, 1000), -300, 500]
     assert tie_point_range(heights) == pytest.approx((0.1, 19.9), abs=0.1)
 
 
-def test_no_tie_points_are_an_error():
+def test_no_tie_points_are_an_error() -> None:
     with pytest.raises(InputError, match="found no tie points"):
         tie_point_range(np.array([np.nan]))
 
 
-def test_the_range_is_widened_to_planes_that_clearly_agree_only():
+def test_the_range_is_widened_to_planes_that_clearly_agree_only() -> None:
     planes = np.arange(0.0, 100.0, 2.0)
     counts = np.full(50, 3.0)
     counts[5:15] = 500.0
@@ -37,7 +39,7 @@ def test_the_range_is_widened_to_planes_that_clearly_agree_only():
     assert extend_range(10.0, 28.0, planes, counts) == (10.0, 80.0)
 
 
-def test_the_sweep_peaks_at_the_height_of_a_plain():
+def test_the_sweep_peaks_at_the_height_of_a_plain() -> None:
     ground = texture()
     images = [render(ground, r, height=lambda e, n: 0 * e + 12.0) for r in RUNS]
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
@@ -46,7 +48,7 @@ def test_the_sweep_peaks_at_the_height_of_a_plain():
     assert counts[np.abs(planes - ALT0 - 12) <= 4].sum() > 0.9 * counts.sum()
 
 
-def test_a_tower_without_tie_points_is_inside_the_range():
+def test_a_tower_without_tie_points_is_inside_the_range() -> None:
     ground = texture()
     images = [render(ground, r, height=tower) for r in RUNS]
     bulk = ALT0 + np.linspace(-8, 8, 200)  # tie points on the hills only

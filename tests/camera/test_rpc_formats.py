@@ -1,6 +1,8 @@
 """Vendors' RPC files are read with their quirks: origin of pixels, units, byte order marks, line ends, names."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ REAL = [
 
 
 @pytest.mark.parametrize(("name", "offsets"), REAL)
-def test_real_files_project_as_gdal_does_and_localise_back(data_dir, name, offsets):
+def test_real_files_project_as_gdal_does_and_localise_back(data_dir: Any, name: Any, offsets: Any) -> None:
     rpc = RPC.from_file(data_dir / name)
     assert (rpc.row_offset, rpc.col_offset) == pytest.approx(offsets, abs=1e-9)
     lon, lat, h = scatter(rpc)
@@ -38,22 +40,22 @@ def test_real_files_project_as_gdal_does_and_localise_back(data_dir, name, offse
     assert max(np.abs(back_lon - lon).max(), np.abs(back_lat - lat).max()) <= 1e-9
 
 
-def test_the_inverse_model_of_dimap_is_the_one_from_ground_to_image(data_dir):
+def test_the_inverse_model_of_dimap_is_the_one_from_ground_to_image(data_dir: Any) -> None:
     # Its constant differs from the direct model's in the file (0.0023...).
     assert RPC.from_file(data_dir / "rpc_formats/rpc_PLEIADES.xml").col_num[0] == -0.002348990492619796
 
 
-def test_unsupported_xml_is_refused_in_one_line(data_dir):
+def test_unsupported_xml_is_refused_in_one_line(data_dir: Any) -> None:
     with pytest.raises(InputError, match=r"rpc_unsupported\.xml: found XML with root <VRTDataset>") as caught:
         RPC.from_file(data_dir / "rpc_formats/rpc_unsupported.xml")
     assert "\n" not in str(caught.value)
 
 
-def same(a, b):
+def same(a: Any, b: Any) -> Any:
     return a.to_tags() == b.to_tags()
 
 
-def test_text_with_mark_crlf_units_and_plus_signs(tmp_path):
+def test_text_with_mark_crlf_units_and_plus_signs(tmp_path: Path) -> None:
     rpc = cubic_rpc()
     path = tmp_path / "a_RPC.TXT"
     text = rpc.to_rpc_txt().replace("LAT_OFF: 46.0 ", "LAT_OFF: +46.000 ").replace("\n", "\r\n")
@@ -61,14 +63,14 @@ def test_text_with_mark_crlf_units_and_plus_signs(tmp_path):
     assert same(RPC.from_file(path), rpc)
 
 
-def test_text_in_another_unit_is_refused(tmp_path):
+def test_text_in_another_unit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a_RPC.TXT"
     path.write_text(cubic_rpc().to_rpc_txt().replace("meters", "feet"))
     with pytest.raises(InputError, match="HEIGHT_OFF in 'feet'"):
         RPC.from_file(path)
 
 
-def test_rpb(tmp_path):
+def test_rpb(tmp_path: Path) -> None:
     rpc = cubic_rpc()
     names = {"LINE": "line", "SAMP": "samp", "LAT": "lat", "LONG": "long", "HEIGHT": "height"}
     lines = ['satId = "WV03";', 'bandId = "P";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
@@ -84,14 +86,14 @@ def test_rpb(tmp_path):
     assert same(RPC.from_file(path), rpc)
 
 
-def satnerf(rpc):
+def satnerf(rpc: Any) -> Any:
     fields = ["row_offset", "col_offset", "lat_offset", "lon_offset", "alt_offset"]
     fields += ["row_scale", "col_scale", "lat_scale", "lon_scale", "alt_scale"]
     document = {f: getattr(rpc, f) for f in fields}
     return document | {f: getattr(rpc, f).tolist() for f in ("row_num", "row_den", "col_num", "col_den")}
 
 
-def test_satnerf_json_bare_or_as_a_member(tmp_path):
+def test_satnerf_json_bare_or_as_a_member(tmp_path: Path) -> None:
     rpc = cubic_rpc()
     (tmp_path / "bare.json").write_text(json.dumps(satnerf(rpc)))
     (tmp_path / "member.json").write_text(json.dumps({"img": "a.tif", "rpc": satnerf(rpc)}))
@@ -99,7 +101,7 @@ def test_satnerf_json_bare_or_as_a_member(tmp_path):
     assert same(RPC.from_file(tmp_path / "member.json"), rpc)
 
 
-def dimap(rpc, origin, version, model, validity):
+def dimap(rpc: Any, origin: Any, version: Any, model: Any, validity: Any) -> Any:
     scalars = "".join(f"<{k}>{v}</{k}>" for k, v in rpc.to_tags().items() if k.endswith(("_SCALE", "_OFF")))
     for key, value in (("LINE_OFF", rpc.row_offset), ("SAMP_OFF", rpc.col_offset)):
         scalars = scalars.replace(f"<{key}>{value}<", f"<{key}>{value + origin}<")
@@ -116,7 +118,7 @@ def dimap(rpc, origin, version, model, validity):
     )
 
 
-def test_dimap_2_counts_from_1_and_dimap_3_says_from_where(tmp_path):
+def test_dimap_2_counts_from_1_and_dimap_3_says_from_where(tmp_path: Path) -> None:
     rpc = cubic_rpc()
     (tmp_path / "v2.xml").write_text(dimap(rpc, 1.0, "2.0", "Inverse_Model", ""))
     name = "ImagetoGround_Validity_Domain"
@@ -139,7 +141,7 @@ def test_dimap_2_counts_from_1_and_dimap_3_says_from_where(tmp_path):
         ("a.bin", b"", "text without RPC members"),
     ],
 )
-def test_broken_files_are_refused_in_one_line(tmp_path, name, content, words):
+def test_broken_files_are_refused_in_one_line(tmp_path: Path, name: Any, content: Any, words: Any) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=words) as caught:
         RPC.from_file(tmp_path / name)
@@ -147,12 +149,12 @@ def test_broken_files_are_refused_in_one_line(tmp_path, name, content, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_is_named():
+def test_a_missing_file_is_named() -> None:
     with pytest.raises(InputError, match=r"/nowhere/a\.tif: found No such file"):
         RPC.from_file("/nowhere/a.tif")
 
 
-def test_an_image_without_rpc_says_so(tmp_path):
+def test_an_image_without_rpc_says_so(tmp_path: Path) -> None:
     import rasterio
 
     with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", width=4, height=4, count=1, dtype="uint8") as image:

@@ -1,5 +1,7 @@
 """Tie points: matches stay in their corridor, tracks see a view once, false matches do not survive."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from synthetic_views import parallel_rpc, render, texture
@@ -18,13 +20,13 @@ from sattools.camera.tracks import build_tracks
 from sattools.errors import InputError
 
 
-def unit_descriptors(n, seed=0):
+def unit_descriptors(n: Any, seed: Any = 0) -> Any:
     d = np.abs(np.random.default_rng(seed).normal(size=(n, 128))).astype(np.float32)
     d -= d.mean(1, keepdims=True)  # unrelated descriptors are then nearly orthogonal
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def two_views(n=60, run=(0.0, 0.4), across=0.0, seed=0):
+def two_views(n: Any = 60, run: Any = (0.0, 0.4), across: Any = 0.0, seed: Any = 0) -> Any:
     rng = np.random.default_rng(seed)
     a, d, height = rng.uniform(0, 200, (n, 2)), unit_descriptors(n), rng.uniform(-10, 10, n)
     b = a - height[:, None] * np.array(run)
@@ -33,7 +35,7 @@ def two_views(n=60, run=(0.0, 0.4), across=0.0, seed=0):
     return a, d, b[order], d[order], np.argsort(order)
 
 
-def test_both_searches_find_every_true_match():
+def test_both_searches_find_every_true_match() -> None:
     a, d, b, e, truth = two_views()
     run = np.array([0.0, 0.4])
     free = free_matches(a, d, b, e, run, half_height=20.0, half_bias=10.0)
@@ -43,13 +45,13 @@ def test_both_searches_find_every_true_match():
         assert (found[:, 1] == truth[found[:, 0]]).all()
 
 
-def test_a_match_outside_its_corridor_is_not_found():
+def test_a_match_outside_its_corridor_is_not_found() -> None:
     a, d, b, e, _ = two_views(across=3.0)
     found, _ = corridor_matches(a, d, b, e, np.array([0.0, 0.4]), half_height=15.0, half_width=1.0)
     assert len(found) == 0
 
 
-def test_the_same_descriptor_twice_within_reach_is_no_match():
+def test_the_same_descriptor_twice_within_reach_is_no_match() -> None:
     d = unit_descriptors(1)
     b = np.array([[0.0, 0.5], [0.0, -0.5]])
     found, _ = corridor_matches(
@@ -58,7 +60,7 @@ def test_the_same_descriptor_twice_within_reach_is_no_match():
     assert len(found) == 0
 
 
-def test_the_vote_sees_the_shift_across_the_run_among_false_matches():
+def test_the_vote_sees_the_shift_across_the_run_among_false_matches() -> None:
     a, _, b, _, truth = two_views(n=80, across=7.3)
     b = b[truth]
     rng = np.random.default_rng(5)
@@ -68,7 +70,7 @@ def test_the_vote_sees_the_shift_across_the_run_among_false_matches():
     assert weight >= 40
 
 
-def test_the_vote_is_silent_without_a_majority():
+def test_the_vote_is_silent_without_a_majority() -> None:
     rng = np.random.default_rng(0)
     a = rng.uniform(0, 200, (100, 2))
     _, shift, weight = vote(a, rng.uniform(0, 200, (100, 2)), np.array([0.0, 0.4]), pixel_m=0.5)
@@ -76,7 +78,7 @@ def test_the_vote_is_silent_without_a_majority():
     assert weight == 0.0
 
 
-def test_coarse_errors_of_views_are_recovered_from_pairs():
+def test_coarse_errors_of_views_are_recovered_from_pairs() -> None:
     tangents = np.array([[0.3, 0.0], [0.0, 0.3], [-0.3, 0.1], [0.1, -0.3], [0.2, 0.25]])
     truth = np.zeros((5, 2))
     truth[3] = (2.0, -11.0)
@@ -90,14 +92,14 @@ def test_coarse_errors_of_views_are_recovered_from_pairs():
     assert coarse_bias(pairs, shifts, tangents) == pytest.approx(truth, abs=0.1)
 
 
-def test_pairs_are_limited_to_the_most_similar_views_and_stay_connected():
+def test_pairs_are_limited_to_the_most_similar_views_and_stay_connected() -> None:
     tangents = np.stack([np.linspace(-0.4, 0.4, 30), np.zeros(30)], 1)
     pairs = choose_pairs(tangents, 100)
     assert len(pairs) < 435 / 2
     assert {(k, k + 1) for k in range(29)} <= set(pairs)
 
 
-def test_tracks_join_matches_and_never_see_a_view_twice():
+def test_tracks_join_matches_and_never_see_a_view_twice() -> None:
     pixels = [np.array([[0.0, 0], [1, 1]]), np.array([[2.0, 2], [3, 3]]), np.array([[4.0, 4]])]
     matches = [
         (0, 1, np.array([[0, 0], [1, 1]]), np.array([0.1, 0.2], np.float32)),
@@ -110,7 +112,7 @@ def test_tracks_join_matches_and_never_see_a_view_twice():
     assert tracks.pixel[2].tolist() == [4.0, 4.0]
 
 
-def test_dropping_observations_drops_points_that_too_few_views_see():
+def test_dropping_observations_drops_points_that_too_few_views_see() -> None:
     pixels = [np.zeros((2, 2)), np.ones((2, 2)), np.ones((2, 2))]
     pair = np.array([[0, 0], [1, 1]])
     score = np.zeros(2, np.float32)
@@ -119,7 +121,7 @@ def test_dropping_observations_drops_points_that_too_few_views_see():
     assert (left.n_points, old.tolist(), stayed.tolist()) == (1, [0], [True, True, True, False, False, False])
 
 
-def test_features_are_spread_over_the_image():
+def test_features_are_spread_over_the_image() -> None:
     rng = np.random.default_rng(0)
     crowd, rest = rng.uniform(0, 10, (500, 2)), rng.uniform(0, 160, (500, 2))
     chosen = spread_evenly(np.concatenate([crowd, rest]), np.r_[np.full(500, 9.0), np.ones(500)], 200)
@@ -127,7 +129,7 @@ def test_features_are_spread_over_the_image():
     assert (chosen < 500).sum() < 20  # the strong crowd lies in one of 256 cells
 
 
-def test_contrast_is_the_same_after_gain_and_offset_and_masks_nan():
+def test_contrast_is_the_same_after_gain_and_offset_and_masks_nan() -> None:
     image = render(texture(), (0, 0), size=(80, 90))
     dark, _ = normalised_contrast(image * 0.3 + 50, 12.0)
     bright, _ = normalised_contrast(image, 12.0)
@@ -138,12 +140,12 @@ def test_contrast_is_the_same_after_gain_and_offset_and_masks_nan():
     assert (masked[:10] == 128).all()
 
 
-def test_one_view_has_no_tie_points():
+def test_one_view_has_no_tie_points() -> None:
     with pytest.raises(InputError, match="found 1 image"):
         find_tie_points([TiePointImage("a", np.ones((64, 64), np.float32), parallel_rpc())], "EPSG:32633")
 
 
-def test_tie_points_are_the_same_on_every_run():
+def test_tie_points_are_the_same_on_every_run() -> None:
     ground = texture()
     runs = [(0.3, 0.0), (-0.2, 0.2)]
     views = [TiePointImage(str(k), render(ground, r), parallel_rpc(r)) for k, r in enumerate(runs)]

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,11 +21,11 @@ from sattools.scene import Scene
 QUICK = ["--resolution", "2", "--coarsest", "2", "--epochs", "2"]
 
 
-def prep(*arguments):
+def prep(*arguments: Any) -> Any:
     return CliRunner().invoke(main, ["prep", *map(str, arguments)])
 
 
-def run(command, *arguments, text=""):
+def run(command: Any, *arguments: Any, text: Any = "") -> Any:
     return CliRunner().invoke(main, [command, *map(str, arguments)], input=text)
 
 
@@ -32,7 +33,7 @@ def files(folder: Path) -> list[str]:
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
 
 
-def assert_refused(result, command, *words, code=1):
+def assert_refused(result: Any, command: Any, *words: Any, code: Any = 1) -> None:
     assert result.exit_code == code, result.output
     assert result.stdout == ""
     lines = result.stderr.splitlines()
@@ -43,24 +44,24 @@ def assert_refused(result, command, *words, code=1):
 
 
 @pytest.fixture
-def town(make_town):
+def town(make_town: Any) -> Any:
     return make_town()
 
 
 @pytest.fixture
-def images(town):
+def images(town: Any) -> Any:
     return sorted((town.root / "images").glob("*.tif"))
 
 
 @pytest.fixture
-def out(tmp_path):
+def out(tmp_path: Path) -> Any:
     return tmp_path / "out"
 
 
 # ---- prep -----------------------------------------------------------------------------------------------
 
 
-def rewrite(path, change, tags=True):
+def rewrite(path: Any, change: Any, tags: Any = True) -> None:
     """Write an image anew with changed pixels [B, H, W] and, unless told otherwise, its RPC."""
     with rasterio.open(path) as data:
         pixels, profile, rpc = data.read(), data.profile, data.tags(ns="RPC")
@@ -75,34 +76,34 @@ def rewrite(path, change, tags=True):
             data.update_tags(ns="RPC", **rpc)
 
 
-def test_images_without_rpc(images, out):
+def test_images_without_rpc(images: Any, out: Any) -> None:
     rewrite(images[2], lambda p: p, tags=False)
     assert_refused(prep(*images, "--out", out), "prep", "TOWN_003.tif: found no RPC")
     assert files(out) == []
 
 
-def test_a_truncated_image(images, out):
+def test_a_truncated_image(images: Any, out: Any) -> None:
     images[1].write_bytes(images[1].read_bytes()[:20000])
     assert_refused(prep(*images, "--out", out), "prep", "TOWN_002.tif: found")
     assert files(out) == []
 
 
-def test_a_band_without_data(images, out):
+def test_a_band_without_data(images: Any, out: Any) -> None:
     rewrite(images[0], lambda p: np.zeros_like(p))
     assert_refused(prep(*images, "--out", out), "prep", "TOWN_001.tif: found")
     assert files(out) == []
 
 
-def test_an_image_file_that_is_not_there(images, out):
+def test_an_image_file_that_is_not_there(images: Any, out: Any) -> None:
     assert_refused(prep(*images, out / "none.tif", "--out", out), "prep", "none.tif: ")
     assert files(out) == []
 
 
-def test_a_folder_instead_of_an_image(images, out):
+def test_a_folder_instead_of_an_image(images: Any, out: Any) -> None:
     assert_refused(prep(*images, images[0].parent, "--out", out), "prep", "images: ")
 
 
-def test_an_area_outside_the_images(images, out, tmp_path):
+def test_an_area_outside_the_images(images: Any, out: Any, tmp_path: Path) -> None:
     far = {"type": "Polygon", "coordinates": [[[8.0, 47.0], [8.01, 47.0], [8.01, 47.01], [8.0, 47.0]]]}
     path = tmp_path / "aoi.geojson"
     path.write_text(json.dumps(far))
@@ -112,14 +113,14 @@ def test_an_area_outside_the_images(images, out, tmp_path):
 
 
 @pytest.mark.parametrize("text", ["{nonsense", '{"type": "Point", "coordinates": [1, 2]}', ""])
-def test_an_area_that_cannot_be_read(images, out, tmp_path, text):
+def test_an_area_that_cannot_be_read(images: Any, out: Any, tmp_path: Path, text: Any) -> None:
     path = tmp_path / "aoi.geojson"
     path.write_text(text)
     assert_refused(prep(*images, "--aoi", path, "--out", out), "prep", "aoi.geojson: found")
     assert files(out) == []
 
 
-def test_metadata_that_cannot_be_read(images, out, tmp_path):
+def test_metadata_that_cannot_be_read(images: Any, out: Any, tmp_path: Path) -> None:
     folder = tmp_path / "metadata"
     folder.mkdir()
     (folder / "TOWN_002.json").write_text("{nonsense")
@@ -128,19 +129,19 @@ def test_metadata_that_cannot_be_read(images, out, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["../escape", "a/b", "x" * 200])
-def test_an_id_that_is_no_name(images, out, name):
+def test_an_id_that_is_no_name(images: Any, out: Any, name: Any) -> None:
     assert_refused(prep(*images, "--id", name, "--out", out), "prep", "found id")
     assert not out.exists() or files(out) == []
     assert not (out.parent / "escape").exists()
 
 
-def test_nothing_in_common_in_a_crs_of_degrees(images, out):
+def test_nothing_in_common_in_a_crs_of_degrees(images: Any, out: Any) -> None:
     assert_refused(prep(*images, "--crs", "EPSG:4326", "--out", out), "prep", "EPSG:4326")
     assert_refused(prep(*images, "--crs", "nonsense", "--out", out), "prep", "nonsense")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_under_stdout(town):
+def test_a_full_disk_under_stdout(town: Any) -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "sattools", "info", str(town.root / "scene.json")],
@@ -155,36 +156,36 @@ def test_a_full_disk_under_stdout(town):
 # ---- fit ------------------------------------------------------------------------------------------------
 
 
-def test_fit_of_nothing():
+def test_fit_of_nothing() -> None:
     assert_refused(run("fit"), "fit", "stdin: found nothing")
 
 
-def test_fit_of_a_document_that_is_no_scene():
+def test_fit_of_a_document_that_is_no_scene() -> None:
     assert_refused(
         run("fit", text='{"type": "FeatureCollection", "features": []}'), "fit", "stdin line 1", "'sattools'"
     )
 
 
-def test_fit_of_one_image(town):
+def test_fit_of_one_image(town: Any) -> None:
     town.items = town.items[:1]
     assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "found 1 training image")
     assert not (town.root / "fit/model.safetensors").exists()
 
 
-def test_fit_of_a_truncated_image(town, images):
+def test_fit_of_a_truncated_image(town: Any, images: Any) -> None:
     images[3].write_bytes(images[3].read_bytes()[:20000])
     assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "TOWN_004.tif: found")
     assert not (town.root / "fit/model.safetensors").exists()
 
 
-def test_fit_of_an_image_without_any_data(town, images):
+def test_fit_of_an_image_without_any_data(town: Any, images: Any) -> None:
     rewrite(images[3], lambda p: np.full(p.shape, np.nan, np.float32))
     assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "TOWN_004")
     assert not (town.root / "fit/model.safetensors").exists()
 
 
-def test_fit_of_an_image_with_nan_pixels(town, images):
-    def holes(pixels):
+def test_fit_of_an_image_with_nan_pixels(town: Any, images: Any) -> None:
+    def holes(pixels: Any) -> Any:
         pixels = pixels.astype(np.float32)
         pixels[:, 20:60, 30:50] = np.nan
         return pixels
@@ -198,12 +199,12 @@ def test_fit_of_an_image_with_nan_pixels(town, images):
     assert all(np.isfinite(t.numpy()).all() for t in tensors.values())
 
 
-def test_fit_of_images_with_different_bands(town, images):
+def test_fit_of_images_with_different_bands(town: Any, images: Any) -> None:
     rewrite(images[3], lambda p: p[:1])
     assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "bands")
 
 
-def test_fit_of_an_image_that_does_not_show_the_grid(town):
+def test_fit_of_an_image_that_does_not_show_the_grid(town: Any) -> None:
     moved = town.root / "rpc/TOWN_002_RPC.TXT"
     text = moved.read_text().replace("LAT_OFF: ", "LAT_OFF: 4")
     assert text != moved.read_text()
@@ -212,18 +213,18 @@ def test_fit_of_an_image_that_does_not_show_the_grid(town):
     assert not (town.root / "fit/model.safetensors").exists()
 
 
-def test_fit_of_a_scene_whose_camera_is_damaged(town):
+def test_fit_of_a_scene_whose_camera_is_damaged(town: Any) -> None:
     (town.root / "rpc/TOWN_002_RPC.TXT").write_text("LINE_OFF: many")
     assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "TOWN_002_RPC.TXT: ")
 
 
-def test_fit_where_nothing_can_be_written(town):
+def test_fit_where_nothing_can_be_written(town: Any) -> None:
     (town.root / "fit").write_text("a file where the folder should be")
     assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", f"{town.root}/fit")
 
 
-def test_fit_on_a_full_disk(town, monkeypatch):
-    def full(*arguments, **keywords):
+def test_fit_on_a_full_disk(town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: Any, **keywords: Any) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
@@ -237,7 +238,7 @@ def test_fit_on_a_full_disk(town, monkeypatch):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_fit_below_a_root_that_is_read_only(town):
+def test_fit_below_a_root_that_is_read_only(town: Any) -> None:
     town.root.chmod(0o555)
     try:
         assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "expected a writable root")
@@ -245,7 +246,7 @@ def test_fit_below_a_root_that_is_read_only(town):
         town.root.chmod(0o755)
 
 
-def test_of_two_scenes_the_broken_one_fails_and_the_other_is_fitted(make_town):
+def test_of_two_scenes_the_broken_one_fails_and_the_other_is_fitted(make_town: Any) -> None:
     good, bad = make_town("GOOD"), make_town("BAD")
     bad.path("images/TOWN_001.tif").unlink()
     result = run("fit", *QUICK, text=f"{bad.to_json()}\n{good.to_json()}\n")
@@ -254,7 +255,7 @@ def test_of_two_scenes_the_broken_one_fails_and_the_other_is_fitted(make_town):
     assert result.stderr.count("\n") == 1
 
 
-def test_a_reference_that_is_not_there(town):
+def test_a_reference_that_is_not_there(town: Any) -> None:
     result = run("fit", *QUICK, "--reference", town.root / "none.tif", text=town.to_json())
     assert_refused(result, "fit", "none.tif: ")
     assert not (town.root / "fit/model.safetensors").exists()
@@ -263,11 +264,11 @@ def test_a_reference_that_is_not_there(town):
 # ---- export and compare ---------------------------------------------------------------------------------
 
 
-def test_export_before_fit(town):
+def test_export_before_fit(town: Any) -> None:
     assert_refused(run("export", text=town.to_json()), "export", "found no product 'model'")
 
 
-def test_export_of_a_damaged_model(town):
+def test_export_of_a_damaged_model(town: Any) -> None:
     result = run("fit", *QUICK, text=town.to_json())
     scene = Scene.from_json(result.stdout)
     model = scene.path(scene.products["model"])
@@ -276,11 +277,11 @@ def test_export_of_a_damaged_model(town):
     assert not (scene.root / "export").exists()
 
 
-def test_compare_before_export(town):
+def test_compare_before_export(town: Any) -> None:
     assert_refused(run("compare", text=town.to_json()), "compare", "found no DSM")
 
 
-def test_compare_with_a_reference_of_another_place(town, tmp_path):
+def test_compare_with_a_reference_of_another_place(town: Any, tmp_path: Path) -> None:
     from sattools.scene import Grid
     from sattools.scene.raster import write_cog
 

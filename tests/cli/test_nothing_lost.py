@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +20,11 @@ from sattools.scene import Scene
 QUICK = ["--resolution", "2", "--coarsest", "2", "--epochs", "2", "--prior-weight", "0"]
 
 
-def run(*arguments, text=None):
+def run(*arguments: Any, text: Any = None) -> Any:
     return CliRunner().invoke(main, ["--threads", "1", *map(str, arguments)], input=text)
 
 
-def contents(folder):
+def contents(folder: Any) -> Any:
     """Digest of every file below a folder."""
     found = {}
     for path in sorted(folder.rglob("*")):
@@ -31,7 +33,7 @@ def contents(folder):
     return found
 
 
-def refused(result, *words):
+def refused(result: Any, *words: Any) -> None:
     assert result.exit_code == 1, result.output
     assert isinstance(result.exception, SystemExit)
     (line,) = [line for line in result.stderr.splitlines() if "error:" in line]
@@ -43,7 +45,7 @@ def refused(result, *words):
 
 
 @pytest.fixture
-def originals(make_town, tmp_path):
+def originals(make_town: Any, tmp_path: Path) -> Any:
     """A user's folder of images, where `prep` would write by its default --out and --id."""
     town = make_town("SOURCE")
     folder = tmp_path / "work"
@@ -53,7 +55,7 @@ def originals(make_town, tmp_path):
     return folder
 
 
-def prep(folder, *more):
+def prep(folder: Any, *more: Any) -> Any:
     before = os.getcwd()
     os.chdir(folder)
     try:
@@ -65,14 +67,14 @@ def prep(folder, *more):
 
 
 @pytest.mark.parametrize("flags", [[], ["--overwrite"]])
-def test_prep_never_replaces_the_images_it_reads(originals, flags):
+def test_prep_never_replaces_the_images_it_reads(originals: Any, flags: Any) -> None:
     before = contents(originals)
     refused(prep(originals, *flags), "TOWN/images/TOWN_001.tif", "is an input too", "nothing was written")
     assert contents(originals) == before
 
 
 @pytest.mark.parametrize("kind", ["symbolic", "hard"])
-def test_prep_sees_through_links(originals, kind):
+def test_prep_sees_through_links(originals: Any, kind: Any) -> None:
     for path in (originals / "TOWN/images").glob("*.tif"):
         target = originals / "elsewhere" / path.name
         target.parent.mkdir(exist_ok=True)
@@ -84,14 +86,14 @@ def test_prep_sees_through_links(originals, kind):
     assert contents(originals) == before
 
 
-def test_prep_asks_before_it_replaces_any_of_its_files(originals, tmp_path):
+def test_prep_asks_before_it_replaces_any_of_its_files(originals: Any, tmp_path: Path) -> None:
     (tmp_path / "out/TOWN/rpc").mkdir(parents=True)
     (tmp_path / "out/TOWN/rpc/TOWN_003_RPC.TXT").write_text("somebody's camera")
     refused(prep(originals, "--out", tmp_path / "out"), "TOWN_003_RPC.TXT: exists already; give --overwrite")
     assert list(contents(tmp_path / "out")) == ["TOWN/rpc/TOWN_003_RPC.TXT"]
 
 
-def test_no_option_that_names_an_output_can_name_an_input(make_town, tmp_path):
+def test_no_option_that_names_an_output_can_name_an_input(make_town: Any, tmp_path: Path) -> None:
     town = make_town()
     document = town.root / "scene.json"
     assert run("fit", *QUICK, document).exit_code == 0
@@ -120,7 +122,7 @@ def test_no_option_that_names_an_output_can_name_an_input(make_town, tmp_path):
     assert contents(town.root) == before
 
 
-def test_a_document_of_something_else_in_the_scenes_folder_is_kept(make_town):
+def test_a_document_of_something_else_in_the_scenes_folder_is_kept(make_town: Any) -> None:
     town = make_town()
     text = town.to_json()
     for other in ('{"my": "notes"}', text.replace('"id":"TOWN"', '"id":"NEIGHBOUR"')):
@@ -133,7 +135,7 @@ def test_a_document_of_something_else_in_the_scenes_folder_is_kept(make_town):
 # ---- all or nothing -----------------------------------------------------------------------------------------------
 
 
-def limited(size, *arguments):
+def limited(size: Any, *arguments: Any) -> Any:
     """The command in a process that may write no file larger than ``size`` bytes, as on a full disk."""
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2);"
@@ -145,7 +147,7 @@ def limited(size, *arguments):
     )  # fmt: skip
 
 
-def test_a_disk_that_fills_up_leaves_every_file_of_every_command_as_it_was(make_town, tmp_path):
+def test_a_disk_that_fills_up_leaves_every_file_of_every_command_as_it_was(make_town: Any, tmp_path: Path) -> None:
     """At a few sizes, so that the first, a middle and the last file of a command is the one that fails."""
     town = make_town()
     document = town.root / "scene.json"
@@ -169,7 +171,7 @@ def test_a_disk_that_fills_up_leaves_every_file_of_every_command_as_it_was(make_
             assert contents(town.root) == before, (name, size)
 
 
-def test_an_image_that_fails_late_leaves_no_radiance_of_the_others(make_town):
+def test_an_image_that_fails_late_leaves_no_radiance_of_the_others(make_town: Any) -> None:
     town = make_town()
     path = town.path(town.items[-1].assets["image"].href)
     with rasterio.open(path, "r+") as data:
@@ -182,7 +184,7 @@ def test_an_image_that_fails_late_leaves_no_radiance_of_the_others(make_town):
 # ---- scores that count --------------------------------------------------------------------------------------------
 
 
-def test_a_report_after_a_new_fit_has_no_score_of_the_old_one(make_town):
+def test_a_report_after_a_new_fit_has_no_score_of_the_old_one(make_town: Any) -> None:
     town = make_town()
     document = town.root / "scene.json"
     for name, options in (("fit", QUICK), ("export", []), ("compare", []), ("fit", [*QUICK, "--seed", "1"])):
@@ -199,7 +201,9 @@ def test_a_report_after_a_new_fit_has_no_score_of_the_old_one(make_town):
     assert [entry["command"] for entry in history[-2:]] == ["export", "compare"]
 
 
-def test_a_surface_replaced_behind_the_scenes_back_is_neither_scored_nor_shown(make_town, caplog):
+def test_a_surface_replaced_behind_the_scenes_back_is_neither_scored_nor_shown(
+    make_town: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     town = make_town()
     document = town.root / "scene.json"
     for name, options in (("fit", QUICK), ("export", []), ("compare", [])):
@@ -215,7 +219,7 @@ def test_a_surface_replaced_behind_the_scenes_back_is_neither_scored_nor_shown(m
     refused(run("export", "--overwrite", document), "model.safetensors")
 
 
-def test_an_edited_sun_makes_the_fit_out_of_date(make_town):
+def test_an_edited_sun_makes_the_fit_out_of_date(make_town: Any) -> None:
     town = make_town()
     document = town.root / "scene.json"
     assert run("fit", *QUICK, document).exit_code == 0
@@ -225,13 +229,13 @@ def test_an_edited_sun_makes_the_fit_out_of_date(make_town):
     refused(run("export", document), "what fit was made from has changed since", "sattools fit")
 
 
-def test_hapkes_maps_do_not_outlive_their_fit():
+def test_hapkes_maps_do_not_outlive_their_fit() -> None:
     from sattools.scene.dependencies import STAGES
 
     assert {"w", "b", "c", "theta", "rho0", "k", "rhoc", "normal", "reflectance"} <= set(STAGES["export"].products)
 
 
-def test_every_product_and_asset_of_a_command_is_in_the_table(make_town):
+def test_every_product_and_asset_of_a_command_is_in_the_table(make_town: Any) -> None:
     """Else it would outlive what it was made from."""
     from sattools.scene.dependencies import drop
 
@@ -253,7 +257,7 @@ def test_every_product_and_asset_of_a_command_is_in_the_table(make_town):
     assert [set(item.assets) for item in scene.items] == [set(item.assets) for item in before.items]
 
 
-def test_two_commands_in_one_scene_at_once_keep_each_others_entries(make_town):
+def test_two_commands_in_one_scene_at_once_keep_each_others_entries(make_town: Any) -> None:
     town = make_town()
     document = town.root / "scene.json"
     command = [sys.executable, "-m", "sattools", "--threads", "1", "-q"]

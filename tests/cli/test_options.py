@@ -1,6 +1,8 @@
 """Options: from the command line, from a TOML file, and printed."""
 
 import tomllib
+from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -9,17 +11,17 @@ from sattools.cli import main
 from sattools.fit.options import FitOptions
 
 
-def run(*arguments, text=""):
+def run(*arguments: Any, text: Any = "") -> Any:
     return CliRunner().invoke(main, arguments, input=text)
 
 
-def printed(*arguments):
+def printed(*arguments: Any) -> Any:
     result = run("fit", *arguments, "--print-config")
     assert result.exit_code == 0, result.output
     return tomllib.loads(result.stdout)["fit"]
 
 
-def test_print_config_shows_every_option_that_is_set():
+def test_print_config_shows_every_option_that_is_set() -> None:
     shown = printed("--seed", "7", "--no-pose", "--epochs", "5", "--epochs", "3")
     assert shown["seed"] == 7
     assert shown["pose"] is False
@@ -27,7 +29,7 @@ def test_print_config_shows_every_option_that_is_set():
     assert shown["loss"] == FitOptions().loss
 
 
-def test_a_printed_configuration_is_one_that_can_be_given(tmp_path):
+def test_a_printed_configuration_is_one_that_can_be_given(tmp_path: Path) -> None:
     path = tmp_path / "fit.toml"
     first = run("fit", "--seed", "7", "--epochs", "5", "--no-pose", "--budget", "9.5", "--print-config").stdout
     path.write_text(first)
@@ -35,13 +37,13 @@ def test_a_printed_configuration_is_one_that_can_be_given(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["seed = 3", "[fit]\nseed = 3\n[export]\nvertical = 'egm96'"])
-def test_options_come_from_the_top_level_or_the_commands_table(tmp_path, text):
+def test_options_come_from_the_top_level_or_the_commands_table(tmp_path: Path, text: Any) -> None:
     path = tmp_path / "c.toml"
     path.write_text(text)
     assert printed("--config", str(path))["seed"] == 3
 
 
-def test_the_command_line_wins_over_the_file_wherever_it_stands(tmp_path):
+def test_the_command_line_wins_over_the_file_wherever_it_stands(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
     path.write_text("seed = 3\nheight-rate = 0.2")
     for arguments in (["--config", str(path), "--seed", "4"], ["--seed", "4", "--config", str(path)]):
@@ -58,7 +60,7 @@ def test_the_command_line_wins_over_the_file_wherever_it_stands(tmp_path):
         ("seed = [", "found no valid TOML"),
     ],
 )
-def test_a_wrong_file_is_a_usage_error(tmp_path, text, words):
+def test_a_wrong_file_is_a_usage_error(tmp_path: Path, text: Any, words: Any) -> None:
     path = tmp_path / "c.toml"
     path.write_text(text)
     result = run("fit", "--config", str(path), "--print-config")
@@ -67,7 +69,7 @@ def test_a_wrong_file_is_a_usage_error(tmp_path, text, words):
     assert result.stdout == ""
 
 
-def test_a_missing_file_is_a_usage_error(tmp_path):
+def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
     result = run("fit", "--config", str(tmp_path / "none.toml"))
     assert result.exit_code == 2
     assert "none.toml" in result.stderr
@@ -86,13 +88,13 @@ def test_a_missing_file_is_a_usage_error(tmp_path):
         ["prep"],
     ],
 )
-def test_wrong_usage_exits_with_2(arguments):
+def test_wrong_usage_exits_with_2(arguments: Any) -> None:
     result = run(*arguments)
     assert result.exit_code == 2
     assert result.stdout == ""
 
 
-def test_a_choice_under_its_former_name_works_and_says_its_present_one():
+def test_a_choice_under_its_former_name_works_and_says_its_present_one() -> None:
     result = run("fit", "--tile", "100", "--part", "join", "--print-config")
     assert result.exit_code == 0
     assert 'part = "mosaic"' in result.stdout

@@ -3,6 +3,8 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -19,10 +21,10 @@ from sattools.scene.dependencies import begin
 @scene_argument
 @common_options
 @click.option("--fail", default="")
-def touch(scenes, overwrite, dry_run, print_config, fail):
+def touch(scenes: Any, overwrite: Any, dry_run: Any, print_config: Any, fail: Any) -> None:
     """A command like any other: writes one file, and fails for one scene if asked to."""
 
-    def work(scene, progress):
+    def work(scene: Any, progress: Any) -> Any:
         if scene.id == fail:
             raise SceneError(f"scene {scene.id}: found a\nproblem, expected none")
         progress(0.5, "half")
@@ -34,23 +36,23 @@ def touch(scenes, overwrite, dry_run, print_config, fail):
 
 
 @pytest.fixture
-def line(tmp_path):
-    def make(name):
+def line(tmp_path: Path) -> Any:
+    def make(name: Any) -> Any:
         (tmp_path / name).mkdir()
         return Scene(name, tmp_path / name).to_json() + "\n"
 
     return make
 
 
-def run(*arguments, text=""):
+def run(*arguments: Any, text: Any = "") -> Any:
     return CliRunner().invoke(touch, arguments, input=text)
 
 
-def ids(result):
+def ids(result: Any) -> Any:
     return [json.loads(row)["id"] for row in result.stdout.splitlines()]
 
 
-def test_one_scene_is_one_line_with_its_history(line, tmp_path):
+def test_one_scene_is_one_line_with_its_history(line: Any, tmp_path: Path) -> None:
     result = run(text=line("a"))
     assert result.exit_code == 0, result.output
     assert result.stdout.count("\n") == 1
@@ -68,32 +70,32 @@ def test_one_scene_is_one_line_with_its_history(line, tmp_path):
     assert written["sattools"] == document
 
 
-def test_several_scenes_are_passed_on_in_order_and_empty_lines_are_skipped(line):
+def test_several_scenes_are_passed_on_in_order_and_empty_lines_are_skipped(line: Any) -> None:
     result = run(text=line("a") + "\n" + line("b") + line("c"))
     assert result.exit_code == 0
     assert ids(result) == ["a", "b", "c"]
 
 
-def test_one_scene_fails_and_the_others_are_passed_on(line):
+def test_one_scene_fails_and_the_others_are_passed_on(line: Any) -> None:
     result = run("--fail", "b", text=line("a") + line("b") + line("c"))
     assert result.exit_code == 3
     assert ids(result) == ["a", "c"]
     assert result.stderr == "sattools touch: error: scene b: found a problem, expected none\n"
 
 
-def test_when_all_scenes_fail_the_command_fails(line):
+def test_when_all_scenes_fail_the_command_fails(line: Any) -> None:
     result = run("--fail", "a", text=line("a"))
     assert (result.exit_code, result.stdout) == (1, "")
 
 
-def test_empty_input_is_an_error_that_says_so():
+def test_empty_input_is_an_error_that_says_so() -> None:
     for text in ("", "\n\n"):
         result = run(text=text)
         assert result.exit_code == 1
         assert result.stderr.startswith("sattools touch: error: stdin: found nothing, expected scene documents")
 
 
-def test_two_scenes_with_one_id_and_root_are_told_apart_by_an_error(line):
+def test_two_scenes_with_one_id_and_root_are_told_apart_by_an_error(line: Any) -> None:
     text = line("a")
     result = run("--overwrite", text=text + text)
     assert result.exit_code == 3
@@ -101,7 +103,7 @@ def test_two_scenes_with_one_id_and_root_are_told_apart_by_an_error(line):
     assert "stdin line 2: found scene id 'a' a second time, expected unique ids" in result.stderr
 
 
-def test_an_unreadable_line_is_named_and_the_next_is_done(line):
+def test_an_unreadable_line_is_named_and_the_next_is_done(line: Any) -> None:
     result = run(text="{nonsense\n" + line("b"))
     assert result.exit_code == 3
     assert ids(result) == ["b"]
@@ -109,14 +111,14 @@ def test_an_unreadable_line_is_named_and_the_next_is_done(line):
     assert result.stderr.count("\n") == 1
 
 
-def test_a_scene_whose_root_is_gone_is_refused_and_no_folder_is_made(tmp_path):
+def test_a_scene_whose_root_is_gone_is_refused_and_no_folder_is_made(tmp_path: Path) -> None:
     result = run(text=Scene("a", tmp_path / "gone").to_json())
     assert result.exit_code == 1
     assert f"scene a: found no folder {tmp_path / 'gone'}, expected the scene's root" in result.stderr
     assert not (tmp_path / "gone").exists()
 
 
-def test_a_path_is_taken_instead_of_stdin(line, tmp_path):
+def test_a_path_is_taken_instead_of_stdin(line: Any, tmp_path: Path) -> None:
     text = line("a")
     path = tmp_path / "a/scene.json"
     path.write_text(json.dumps(json.loads(text), indent=3))
@@ -124,7 +126,7 @@ def test_a_path_is_taken_instead_of_stdin(line, tmp_path):
     assert run(str(tmp_path / "missing.json")).exit_code == 1
 
 
-def test_dry_run_says_what_would_be_done_and_passes_the_scene_on(line, tmp_path):
+def test_dry_run_says_what_would_be_done_and_passes_the_scene_on(line: Any, tmp_path: Path) -> None:
     text = line("a")
     result = run("--dry-run", text=text)
     assert result.exit_code == 0
@@ -133,7 +135,7 @@ def test_dry_run_says_what_would_be_done_and_passes_the_scene_on(line, tmp_path)
     assert list((tmp_path / "a").iterdir()) == []
 
 
-def test_existing_outputs_need_overwrite(line):
+def test_existing_outputs_need_overwrite(line: Any) -> None:
     text = line("a")
     assert run(text=text).exit_code == 0
     second = run(text=text)
@@ -142,7 +144,7 @@ def test_existing_outputs_need_overwrite(line):
     assert run("--overwrite", text=text).exit_code == 0
 
 
-def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path):
+def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a/touched").mkdir()
     (tmp_path / "a/scene.json").mkdir()  # stands in for a read-only folder, which root may write all the same
@@ -150,7 +152,7 @@ def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path):
 
     @click.command("other")
     @scene_argument
-    def other(scenes):
+    def other(scenes: Any) -> None:
         run_scenes(Run("other", None), scenes, lambda scene, progress: None)
 
     result = CliRunner().invoke(other, input=scene.to_json())
@@ -160,11 +162,11 @@ def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path):
     assert [p.name for p in (tmp_path / "a").iterdir() if ".tmp" in p.name] == []
 
 
-def sattools(*arguments, **keywords):
+def sattools(*arguments: Any, **keywords: Any) -> Any:
     return subprocess.Popen([sys.executable, "-m", "sattools", *arguments], text=True, **keywords)
 
 
-def test_a_reader_that_goes_away_ends_the_command_quietly(line):
+def test_a_reader_that_goes_away_ends_the_command_quietly(line: Any) -> None:
     process = sattools("info", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
     process.stdin.write("".join(line(f"s{k}") for k in range(50)))
@@ -174,7 +176,7 @@ def test_a_reader_that_goes_away_ends_the_command_quietly(line):
     process.stderr.close()
 
 
-def test_scenes_come_out_before_the_next_is_read(line):
+def test_scenes_come_out_before_the_next_is_read(line: Any) -> None:
     """A slow source must not hold back what is done: the first scene arrives while stdin is still open."""
     process = sattools("info", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     process.stdin.write(line("a"))
@@ -185,7 +187,7 @@ def test_scenes_come_out_before_the_next_is_read(line):
     process.stdout.close()
 
 
-def test_info_counts_errors_as_the_other_commands_do(line):
+def test_info_counts_errors_as_the_other_commands_do(line: Any) -> None:
     from sattools.cli import main
 
     assert CliRunner().invoke(main, ["info"], input="").exit_code == 1

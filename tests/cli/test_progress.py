@@ -1,13 +1,14 @@
 """Progress on stderr: lines for programs, a bar for people, nothing when asked for nothing."""
 
 import json
+from typing import Any
 
 import pytest
 
 from sattools.progress import make_progress, subprogress
 
 
-def test_json_lines_are_records_with_the_share_held_in_0_to_1(capsys):
+def test_json_lines_are_records_with_the_share_held_in_0_to_1(capsys: pytest.CaptureFixture[str]) -> None:
     progress = make_progress("json", "fit TOWN")
     for fraction in (-0.1, 0.42, 1.5):
         progress(fraction, "epoch")
@@ -20,7 +21,7 @@ def test_json_lines_are_records_with_the_share_held_in_0_to_1(capsys):
     ]
 
 
-def test_a_bar_stays_on_its_line_until_it_is_full(capsys):
+def test_a_bar_stays_on_its_line_until_it_is_full(capsys: pytest.CaptureFixture[str]) -> None:
     progress = make_progress("bar", "fit TOWN")
     progress(0.5, "half")
     progress(1.0, "fitted")
@@ -32,12 +33,12 @@ def test_a_bar_stays_on_its_line_until_it_is_full(capsys):
 
 
 @pytest.mark.parametrize("mode", ["none", "auto"])
-def test_nothing_is_said_when_stderr_is_no_terminal(capsys, mode):
+def test_nothing_is_said_when_stderr_is_no_terminal(capsys: pytest.CaptureFixture[str], mode: Any) -> None:
     make_progress(mode, "fit TOWN")(0.5, "half")
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_step_reports_its_part_of_the_whole():
+def test_a_step_reports_its_part_of_the_whole() -> None:
     heard = []
     step = subprogress(lambda fraction, message: heard.append((fraction, message)), 0.2, 0.6)
     step(0.0, "a")

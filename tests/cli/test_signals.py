@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from patience import HANGING_S
@@ -16,7 +18,7 @@ from sattools.progress import silent
 
 
 @pytest.fixture
-def fitting(make_town):
+def fitting(make_town: Any) -> Iterator[Any]:
     """A fit that has begun to train, and its scene."""
     scene = make_town()
     command = [sys.executable, "-m", "sattools", "--threads", "1", "--progress", "json", "fit"]
@@ -34,7 +36,7 @@ def fitting(make_town):
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting, number, code):
+def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting: Any, number: Any, code: Any) -> None:
     process, scene = fitting
     records = []
     while len(records) < 12:  # past the first checkpoint
@@ -55,7 +57,7 @@ def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting, n
     assert records[-1]["message"].startswith("fit TOWN: ")
 
 
-def test_a_signal_while_the_interpreter_shuts_down_does_not_undo_what_is_done():
+def test_a_signal_while_the_interpreter_shuts_down_does_not_undo_what_is_done() -> None:
     """The work is done and told: its status stays 0."""
     code = (
         "import atexit, os, signal, sys; sys.argv = ['sattools', '--version'];"
@@ -67,7 +69,7 @@ def test_a_signal_while_the_interpreter_shuts_down_does_not_undo_what_is_done():
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_an_interrupt_during_a_callback_of_c_code_is_not_lost(number, capfd):
+def test_an_interrupt_during_a_callback_of_c_code_is_not_lost(number: Any, capfd: pytest.CaptureFixture[str]) -> None:
     """Python reports what is raised there as ignored and goes on."""
     callback = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number))
     wait = threading.Event().wait
@@ -77,7 +79,7 @@ def test_an_interrupt_during_a_callback_of_c_code_is_not_lost(number, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_an_interrupt_that_somebody_swallowed_counts_with_the_next_sign_of_progress():
+def test_an_interrupt_that_somebody_swallowed_counts_with_the_next_sign_of_progress() -> None:
     with listening():
         with pytest.raises(SystemExit):
             os.kill(os.getpid(), signal.SIGTERM)
@@ -88,15 +90,24 @@ def test_an_interrupt_that_somebody_swallowed_counts_with_the_next_sign_of_progr
         checked(silent)(0.5, "")  # of another run
 
 
-def test_other_ignored_exceptions_are_still_told(monkeypatch):
-    told = []
-    monkeypatch.setattr(sys, "unraisablehook", told.append)
+def test_other_ignored_exceptions_are_told_in_one_line(caplog: pytest.LogCaptureFixture) -> None:
     with listening():
+        ctypes.CFUNCTYPE(None)(lambda: 1 / 0)()
+    (record,) = caplog.records
+    assert "ZeroDivisionError: division by zero" in record.getMessage()
+    assert record.levelname == "WARNING"
+    assert not record.exc_info
+
+
+def test_with_vv_their_tracebacks_are_shown(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    told: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    with caplog.at_level("DEBUG", "sattools"), listening():
         ctypes.CFUNCTYPE(None)(lambda: 1 / 0)()
     assert [told.exc_type for told in told] == [ZeroDivisionError]
 
 
-def test_an_interrupt_that_became_an_import_error_ends_with_its_own_status():
+def test_an_interrupt_that_became_an_import_error_ends_with_its_own_status() -> None:
     code = (
         "import os, signal, sys; sys.argv = ['sattools', 'fit', 'scene.json']; import sattools.scene as scene\n"
         "def broken(*_):\n"

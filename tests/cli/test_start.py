@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -16,7 +17,7 @@ PRESENT = main.list_commands(None)
 
 
 @pytest.mark.parametrize("name", ["", *PRESENT])
-def test_help_loads_no_heavy_library(name):
+def test_help_loads_no_heavy_library(name: Any) -> None:
     code = (
         "import sys; from sattools.cli import main; main(sys.argv[1:], standalone_mode=False); "
         "heavy = {'torch', 'numpy', 'rasterio', 'shapely', 'geopandas', 'matplotlib', 'numba', 'cv2', 'pvlib'}; "
@@ -27,7 +28,7 @@ def test_help_loads_no_heavy_library(name):
     assert done.stdout.endswith("loaded []\n")
 
 
-def test_all_commands_are_listed_and_described():
+def test_all_commands_are_listed_and_described() -> None:
     result = CliRunner().invoke(main, ["--help"])
     assert result.exit_code == 0
     for name in PRESENT:
@@ -36,14 +37,14 @@ def test_all_commands_are_listed_and_described():
         assert CliRunner().invoke(main, [name, "--help"]).exit_code == 0
 
 
-def test_version():
+def test_version() -> None:
     from sattools import __version__
 
     assert CliRunner().invoke(main, ["--version"]).stdout == f"sattools, version {__version__}\n"
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_scripts_are_printed(shell):
+def test_completion_scripts_are_printed(shell: Any) -> None:
     environment = {**os.environ, "_SATTOOLS_COMPLETE": f"{shell}_source"}
     if shell == "bash" and not shutil.which("bash"):
         pytest.skip("click asks bash for its version")
@@ -52,7 +53,7 @@ def test_completion_scripts_are_printed(shell):
     assert "_SATTOOLS_COMPLETE" in done.stdout
 
 
-def test_every_option_is_in_the_document_of_commands():
+def test_every_option_is_in_the_document_of_commands() -> None:
     """If this fails: `make docs`."""
     text = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
     sections = dict(part.split("\n", 1) for part in text.split("\n## ")[1:])
@@ -62,7 +63,7 @@ def test_every_option_is_in_the_document_of_commands():
                 assert parameter.opts[0] in sections[name], f"{name} {parameter.opts[0]}"
 
 
-def test_threads_are_settled_before_numerical_libraries_start():
+def test_threads_are_settled_before_numerical_libraries_start() -> None:
     code = (
         "import os; from sattools.cli import set_threads; set_threads(1); "
         "print(os.environ['OMP_NUM_THREADS'], os.environ['NUMBA_NUM_THREADS'], os.environ['OMP_WAIT_POLICY']); "

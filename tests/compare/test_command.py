@@ -1,6 +1,8 @@
 """`sattools compare` on the command line."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ GRID = Grid("EPSG:32617", 436000.0, 3357800.0, 1.0, 60, 60)
 
 
 @pytest.fixture
-def scene(tmp_path):
+def scene(tmp_path: Path) -> Any:
     scene = Scene(
         "SIM_1", tmp_path / "work", grid=GRID, products={"dsm": "dsm.tif", "truth_dsm": "truth/SIM_1_DSM.tif"}
     )
@@ -25,7 +27,7 @@ def scene(tmp_path):
     return scene
 
 
-def test_scene_on_stdin_gives_json_on_stdout_and_a_table_on_stderr(scene):
+def test_scene_on_stdin_gives_json_on_stdout_and_a_table_on_stderr(scene: Any) -> None:
     result = CliRunner().invoke(main, ["compare", "--register", "none"], input=scene.to_json() + "\n")
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
@@ -37,14 +39,14 @@ def test_scene_on_stdin_gives_json_on_stdout_and_a_table_on_stderr(scene):
     assert "--overwrite" in again.stderr
 
 
-def test_files_are_scored_without_a_scene(scene):
+def test_files_are_scored_without_a_scene(scene: Any) -> None:
     predicted, reference = scene.root / "dsm.tif", scene.root / "truth/SIM_1_DSM.tif"
     result = CliRunner().invoke(main, ["compare", "--predicted", str(predicted), "--dsm", str(reference)])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["shift_m"] == pytest.approx([0.0, 0.0, -2.0])
 
 
-def test_missing_reference_is_one_line_and_exit_code_1(scene):
+def test_missing_reference_is_one_line_and_exit_code_1(scene: Any) -> None:
     result = CliRunner().invoke(main, ["compare", "--predicted", str(scene.root / "dsm.tif"), "--dsm", "nowhere.tif"])
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1

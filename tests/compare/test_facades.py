@@ -1,5 +1,7 @@
 """Walls: where a surface crosses half their height."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -18,7 +20,7 @@ def box(grow: float = 0.0, east: float = 0.0) -> np.ndarray:
     return height.reshape(80, 10, 80, 10).mean(axis=(1, 3))
 
 
-def test_the_same_surface_has_its_walls_in_place():
+def test_the_same_surface_has_its_walls_in_place() -> None:
     offsets = wall_offsets(box(), box(), CELL)
     # four walls of 40 cells, without the 2 m beside every corner
     assert 4 * 30 <= offsets.size <= 4 * 34
@@ -26,27 +28,27 @@ def test_the_same_surface_has_its_walls_in_place():
 
 
 @pytest.mark.parametrize("grow", [1.0, -0.5, 2.5])
-def test_a_larger_building_has_its_walls_outside_by_as_much(grow):
+def test_a_larger_building_has_its_walls_outside_by_as_much(grow: Any) -> None:
     offsets = wall_offsets(box(grow), box(), CELL)
     # 2 m from a corner a normal is still turned by a fraction of a degree
     assert offsets == pytest.approx(np.full(offsets.size, grow), abs=0.01)
 
 
-def test_parts_of_a_cell_are_seen():
+def test_parts_of_a_cell_are_seen() -> None:
     # the cells outside rise by 2 of 10 m; between their centres and the next ones the half height then lies at 3/8
     # of a cell instead of 1/2
     offsets = wall_offsets(box(0.1), box(), CELL)
     assert offsets == pytest.approx(np.full(offsets.size, 0.125 * CELL), abs=0.002)
 
 
-def test_a_shift_moves_opposite_walls_to_opposite_sides():
+def test_a_shift_moves_opposite_walls_to_opposite_sides() -> None:
     offsets = wall_offsets(box(east=1.0), box(), CELL)
     assert np.mean(np.abs(offsets) < 0.01) == pytest.approx(0.5, abs=0.01)
     assert np.mean(np.abs(offsets - 1.0) < 0.01) == pytest.approx(0.25, abs=0.01)
     assert np.mean(np.abs(offsets + 1.0) < 0.01) == pytest.approx(0.25, abs=0.01)
 
 
-def test_figures_are_those_of_the_distances_and_the_mean_keeps_its_sign():
+def test_figures_are_those_of_the_distances_and_the_mean_keeps_its_sign() -> None:
     figures = wall_figures(np.array([1.0, -1.0, 3.0, np.nan]))
     assert figures == {
         "pieces": 4,
@@ -57,20 +59,20 @@ def test_figures_are_those_of_the_distances_and_the_mean_keeps_its_sign():
     }
 
 
-def test_blur_does_not_move_a_wall():
+def test_blur_does_not_move_a_wall() -> None:
     # the nearest corner lies 4 sigma away
     offsets = wall_offsets(gaussian_filter(box(), 1.0), box(), CELL)
     assert np.abs(offsets).max() < 0.02
 
 
-def test_what_was_not_found_is_missing_and_not_zero():
+def test_what_was_not_found_is_missing_and_not_zero() -> None:
     flat = np.zeros((80, 80))
     figures = wall_figures(wall_offsets(flat, box(), CELL))
     assert figures["missing"] == 1.0
     assert figures["median"] is None
 
 
-def test_slopes_low_steps_and_trees_are_no_walls():
+def test_slopes_low_steps_and_trees_are_no_walls() -> None:
     ramp = np.linspace(0, 20, 80)[None].repeat(80, axis=0)
     assert wall_offsets(ramp, ramp, CELL).size == 0
     assert wall_offsets(0.29 * box(), 0.29 * box(), CELL).size == 0

@@ -1,6 +1,7 @@
 """Figures worked out by hand."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from sattools.errors import InputError
 NAN = np.nan
 
 
-def test_errors_of_four_cells():
+def test_errors_of_four_cells() -> None:
     figures = height_errors(np.array([[1.0, 2.0], [3.0, 7.0]]), np.array([[1.0, 1.0], [1.0, 4.0]]))
     # differences 0, 1, 2, 3
     assert figures["mae"] == 1.5
@@ -33,11 +34,11 @@ def test_errors_of_four_cells():
     assert figures["mae_filled"] == figures["mae"]
 
 
-def test_median_is_of_the_absolute_difference():
+def test_median_is_of_the_absolute_difference() -> None:
     assert height_errors(np.array([[-1.0, 1.0, 1.0, -1.0]]), np.zeros((1, 4)))["median"] == 1.0
 
 
-def test_a_hole_costs_completeness_within_shares_and_the_filled_error():
+def test_a_hole_costs_completeness_within_shares_and_the_filled_error() -> None:
     reference = np.array([[0.0, 0.0, 0.0, 9.0]])
     predicted = np.array([[0.0, 0.0, 0.0, NAN]])
     figures = height_errors(predicted, reference)
@@ -48,7 +49,7 @@ def test_a_hole_costs_completeness_within_shares_and_the_filled_error():
     assert (figures["cells"], figures["cells_predicted"]) == (4, 3)
 
 
-def test_water_and_unknown_reference_cells_do_not_count():
+def test_water_and_unknown_reference_cells_do_not_count() -> None:
     reference = np.array([[0.0, 0.0, NAN, 0.0]])
     classes = np.array([[2, 9, 2, 65]], dtype=np.uint8)
     figures = height_errors(np.array([[1.0, 50.0, 50.0, 3.0]]), reference, classes)
@@ -56,22 +57,22 @@ def test_water_and_unknown_reference_cells_do_not_count():
     assert figures["cells"] == 2
 
 
-def test_a_hole_on_water_costs_nothing():
+def test_a_hole_on_water_costs_nothing() -> None:
     figures = height_errors(np.array([[1.0, NAN]]), np.zeros((1, 2)), np.array([[2, 9]]))
     assert figures["completeness"] == 1.0
 
 
-def test_prediction_is_clipped_to_ten_metres_around_the_reference():
+def test_prediction_is_clipped_to_ten_metres_around_the_reference() -> None:
     figures = height_errors(np.array([[-500.0, 0.0, 5.0, 900.0]]), np.array([[0.0, 0.0, 5.0, 5.0]]))
     assert figures["mae"] == pytest.approx((10 + 0 + 0 + 10) / 4)
 
 
-def test_water_does_not_widen_the_clipping():
+def test_water_does_not_widen_the_clipping() -> None:
     figures = height_errors(np.array([[900.0, 0.0]]), np.array([[0.0, 300.0]]), np.array([[2, 9]]))
     assert figures["mae"] == 10.0
 
 
-def test_classes_are_scored_apart():
+def test_classes_are_scored_apart() -> None:
     reference = np.zeros((1, 6))
     predicted = np.array([[1.0, 3.0, 4.0, NAN, 0.5, 7.0]])
     classes = np.array([[2, 2, 5, 5, 6, 17]])
@@ -82,20 +83,20 @@ def test_classes_are_scored_apart():
     assert (by_class["buildings"]["mae"], by_class["buildings"]["n"]) == (0.5, 1)
 
 
-def test_a_class_that_is_not_there_has_no_figures():
+def test_a_class_that_is_not_there_has_no_figures() -> None:
     trees = height_errors(np.zeros((1, 2)), np.zeros((1, 2)), np.array([[2, 2]]))["classes"]["trees"]
     assert trees["n"] == 0
     assert trees["mae"] is None
     assert trees["completeness"] is None
 
 
-def test_nmad_is_the_standard_deviation_of_normal_noise_and_ignores_outliers():
+def test_nmad_is_the_standard_deviation_of_normal_noise_and_ignores_outliers() -> None:
     noise = np.random.default_rng(0).normal(3.0, 2.0, 100_000)
     noise[:5000] = 1e4
     assert nmad(noise) == pytest.approx(2.0, rel=0.08)  # 5 % outliers raise it by about 6 %
 
 
-def test_holes_take_the_nearest_height():
+def test_holes_take_the_nearest_height() -> None:
     filled = fill_holes(np.array([[1.0, NAN, NAN, NAN, 8.0]]))
     np.testing.assert_array_equal(filled[0, [0, 1, 3, 4]], [1.0, 1.0, 8.0, 8.0])
 
@@ -107,17 +108,17 @@ def test_holes_take_the_nearest_height():
         (np.zeros((2, 2)), np.full((2, 2), NAN), "reference"),
     ],
 )
-def test_nothing_to_compare_is_an_error(predicted, reference, message):
+def test_nothing_to_compare_is_an_error(predicted: Any, reference: Any, message: Any) -> None:
     with pytest.raises(InputError, match=message):
         height_errors(predicted, reference)
 
 
-def test_class_map_of_another_size_is_an_error():
+def test_class_map_of_another_size_is_an_error() -> None:
     with pytest.raises(InputError, match="class map"):
         height_errors(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((3, 3)))
 
 
-def test_parameter_map_figures():
+def test_parameter_map_figures() -> None:
     reference = np.array([0.2, 0.4, NAN, 0.6])
     figures = map_errors(np.array([0.1, 0.2, 0.9, 0.3]), reference)
     assert figures["rmse"] == pytest.approx(math.sqrt((0.01 + 0.04 + 0.09) / 3))
@@ -129,14 +130,14 @@ def test_parameter_map_figures():
     assert figures["n"] == 3
 
 
-def test_constant_parameter_map_scores_as_the_baseline_and_correlates_with_nothing():
+def test_constant_parameter_map_scores_as_the_baseline_and_correlates_with_nothing() -> None:
     reference = np.array([0.2, 0.4, 0.6])
     figures = map_errors(np.full(3, 0.4), reference)
     assert figures["nrmse"] == pytest.approx(figures["nrmse_constant"])
     assert figures["correlation"] is None
 
 
-def test_psnr_of_a_known_noise_and_of_equal_images():
+def test_psnr_of_a_known_noise_and_of_equal_images() -> None:
     image = np.full((3, 20, 20), 0.5)
     assert psnr(image, image) == math.inf
     assert psnr(image + 0.1, image) == pytest.approx(20.0)
@@ -147,7 +148,7 @@ def test_psnr_of_a_known_noise_and_of_equal_images():
     assert psnr(worse + 0.01, image, valid) == pytest.approx(40.0)
 
 
-def test_ssim_is_one_for_equal_images_and_falls_with_noise():
+def test_ssim_is_one_for_equal_images_and_falls_with_noise() -> None:
     rng = np.random.default_rng(0)
     image = rng.random((3, 40, 40))
     assert ssim(image, image) == pytest.approx(1.0)
@@ -156,12 +157,12 @@ def test_ssim_is_one_for_equal_images_and_falls_with_noise():
     assert strong < 0.8
 
 
-def test_avg_follows_its_formula_and_needs_lpips():
+def test_avg_follows_its_formula_and_needs_lpips() -> None:
     assert image_average(20.0, 0.75, 0.2) == pytest.approx((0.01 + 0.5 + 0.2) / 3)
     assert image_average(20.0, 0.75, None) is None
 
 
-def test_pixels_without_a_value_are_not_scored():
+def test_pixels_without_a_value_are_not_scored() -> None:
     image = np.full((1, 30, 30), 0.5)
     hole = image.copy()
     hole[:, 4:9, 4:9] = NAN

@@ -1,5 +1,7 @@
 """Shifts that were put in by hand come back out."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,14 +25,14 @@ def hills(size: int) -> np.ndarray:
     return 8 * np.sin(x) * np.cos(0.8 * y) + 5 * np.cos(0.6 * x + 0.9 * y)
 
 
-def test_pyramid_ends_at_100_cells_and_its_reach_is_the_margin():
+def test_pyramid_ends_at_100_cells_and_its_reach_is_the_margin() -> None:
     assert pyramid_levels((512, 512)) == 3
     assert pyramid_levels((100, 400)) == 0
     assert search_margin((512, 512)) == 80  # 5 * (8 + 4 + 2 + 1) = 75, rounded up to whole coarse cells of 8
     assert search_margin((60, 60)) == 5
 
 
-def test_whole_cell_shift_and_height_offset_are_recovered_with_their_signs():
+def test_whole_cell_shift_and_height_offset_are_recovered_with_their_signs() -> None:
     world = blocks(300)
     reference = world[50:250, 50:250]
     # the prediction shows at (r, c) what lies 7 rows further south and 12 columns further west: it sits too far
@@ -43,7 +45,7 @@ def test_whole_cell_shift_and_height_offset_are_recovered_with_their_signs():
     assert found.correlation == pytest.approx(1.0)
 
 
-def test_shift_of_five_cells_of_the_coarsest_of_four_levels_is_found():
+def test_shift_of_five_cells_of_the_coarsest_of_four_levels_is_found() -> None:
     world = blocks(700, seed=3)
     margin = search_margin((512, 512))
     reference = world[90:602, 90:602]
@@ -58,7 +60,7 @@ def test_shift_of_five_cells_of_the_coarsest_of_four_levels_is_found():
     np.testing.assert_array_equal(moved, reference)  # the margin delivers real heights, no cell is lost
 
 
-def test_nan_cells_of_either_raster_do_not_disturb_the_shift():
+def test_nan_cells_of_either_raster_do_not_disturb_the_shift() -> None:
     world = blocks(260)
     reference = world[30:230, 30:230].copy()
     reference[:, 100:] = np.nan  # like a truth of which only the west half is there
@@ -68,12 +70,12 @@ def test_nan_cells_of_either_raster_do_not_disturb_the_shift():
     assert (found.rows, found.columns) == (-3, 4)
 
 
-def test_a_constant_surface_is_not_shifted():
+def test_a_constant_surface_is_not_shifted() -> None:
     found = register(np.full((120, 120), 5.0), np.full((120, 120), 3.0))
     assert (found.rows, found.columns, found.up) == (0, 0, -2.0)
 
 
-def test_z_removes_the_mean_difference_only_and_none_does_nothing():
+def test_z_removes_the_mean_difference_only_and_none_does_nothing() -> None:
     reference = blocks(80)
     predicted = np.roll(reference, 3, axis=1) + 4
     z = register(predicted, reference, "z")
@@ -83,7 +85,7 @@ def test_z_removes_the_mean_difference_only_and_none_does_nothing():
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(0.4, 0.0), (0.0, -0.7), (-1.3, 0.6)])
-def test_nuth_kaab_finds_parts_of_a_cell(columns, rows):
+def test_nuth_kaab_finds_parts_of_a_cell(columns: Any, rows: Any) -> None:
     world = hills(220)
     reference = world[10:210, 10:210]
     predicted = shifted(world, -columns, -rows)[10:210, 10:210] + 1.5
@@ -94,23 +96,23 @@ def test_nuth_kaab_finds_parts_of_a_cell(columns, rows):
     assert found.up == pytest.approx(-1.5, abs=0.05)
 
 
-def test_nuth_kaab_refuses_a_surface_without_slopes():
+def test_nuth_kaab_refuses_a_surface_without_slopes() -> None:
     with pytest.raises(InputError, match="sloping cells"):
         register(np.zeros((50, 50)), np.zeros((50, 50)), "nuth-kaab")
 
 
-def test_nothing_in_common_is_an_error():
+def test_nothing_in_common_is_an_error() -> None:
     predicted, reference = np.full((40, 40), np.nan), np.ones((40, 40))
     for method in ("ncc", "z", "nuth-kaab"):
         with pytest.raises(InputError, match="in common"):
             register(predicted, reference, method)
 
 
-def test_wrong_shape_is_an_error():
+def test_wrong_shape_is_an_error() -> None:
     with pytest.raises(InputError, match="expected"):
         register(np.zeros((40, 40)), np.zeros((40, 41)))
 
 
-def test_halving_averages_what_is_known():
+def test_halving_averages_what_is_known() -> None:
     array = np.array([[1.0, 3.0, np.nan, np.nan], [5.0, np.nan, np.nan, np.nan]])
     np.testing.assert_array_equal(halved(array), [[3.0, np.nan]])

@@ -1,5 +1,7 @@
 """Errors beside steps, worked out by hand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from sattools.scene import Grid
 NAN = np.nan
 
 
-def test_two_metres_on_either_side_of_a_step_are_beside_it():
+def test_two_metres_on_either_side_of_a_step_are_beside_it() -> None:
     reference = np.zeros((3, 20))
     reference[:, 10:] = 4.0
     near = beside_steps(reference, 0.5)
@@ -18,21 +20,21 @@ def test_two_metres_on_either_side_of_a_step_are_beside_it():
     np.testing.assert_array_equal(np.flatnonzero(near[1]), np.arange(5, 15))
 
 
-def test_the_distance_is_in_metres():
+def test_the_distance_is_in_metres() -> None:
     reference = np.zeros((3, 20))
     reference[:, 10:] = 4.0
     np.testing.assert_array_equal(np.flatnonzero(beside_steps(reference, 1.0)[1]), np.arange(7, 13))
 
 
 @pytest.mark.parametrize("rise", [3.0, -3.0])
-def test_a_step_has_more_than_three_metres(rise):
+def test_a_step_has_more_than_three_metres(rise: Any) -> None:
     reference = np.zeros((6, 6))
     reference[3:] = rise
     assert not beside_steps(reference, 1.0).any()
     assert beside_steps(reference * 1.01, 1.0).all()
 
 
-def test_the_distance_goes_along_rows_and_columns():
+def test_the_distance_goes_along_rows_and_columns() -> None:
     reference = np.zeros((9, 9))
     reference[4, 4] = 5.0
     near = beside_steps(reference, 1.0)
@@ -42,12 +44,12 @@ def test_the_distance_goes_along_rows_and_columns():
     assert near[1, 3]
 
 
-def test_the_border_of_what_is_known_is_no_step():
+def test_the_border_of_what_is_known_is_no_step() -> None:
     reference = np.array([[0.0, 0.0, NAN, 9.0, 9.0]])
     assert not beside_steps(reference, 1.0).any()
 
 
-def test_signed_and_absolute_error_in_either_part():
+def test_signed_and_absolute_error_in_either_part() -> None:
     figures = step_errors(np.array([-2.0, 1.0, -8.0, 0.5, -0.5]), np.array([True, True, True, False, False]))
     assert figures["mae_centred"] == pytest.approx(12 / 5)
     assert figures["mae_capped_5m"] == pytest.approx(9 / 5)  # 8 counts as 5
@@ -55,14 +57,14 @@ def test_signed_and_absolute_error_in_either_part():
     assert figures["away_from_steps"] == pytest.approx({"signed": 0.0, "absolute": 0.5, "share": 0.4})
 
 
-def test_a_part_without_cells_has_no_error():
+def test_a_part_without_cells_has_no_error() -> None:
     figures = step_errors(np.array([1.0, -1.0]), np.array([False, False]))
     assert figures["near_steps"] == {"signed": None, "absolute": None, "share": 0.0}
     assert figures["away_from_steps"]["absolute"] == 1.0
     assert step_errors(np.empty(0), np.empty(0, bool))["mae_centred"] is None
 
 
-def test_a_class_is_measured_about_the_median_of_all_cells():
+def test_a_class_is_measured_about_the_median_of_all_cells() -> None:
     reference = np.zeros((1, 12))
     difference = np.array([[1.0] * 9 + [4.0, 5.0, NAN]])
     classes = np.array([[2] * 9 + [6, 6, 6]], np.uint8)
@@ -74,7 +76,7 @@ def test_a_class_is_measured_about_the_median_of_all_cells():
     assert figures["classes"]["buildings"]["away_from_steps"]["signed"] == 3.5
 
 
-def test_a_surface_too_low_beside_a_wall_shows_it_in_the_comparison():
+def test_a_surface_too_low_beside_a_wall_shows_it_in_the_comparison() -> None:
     reference = np.zeros((40, 40), np.float32)
     reference[:, 20:] = 10.0
     predicted = reference.copy()

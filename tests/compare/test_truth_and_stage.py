@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +36,7 @@ def city(size: int = 160) -> np.ndarray:
     return heights
 
 
-def write_contest_tile(folder, aoi, heights, classes, corrected=None):
+def write_contest_tile(folder: Any, aoi: Any, heights: Any, classes: Any, corrected: Any = None) -> None:
     size = heights.shape[0]
     files = {f"{aoi}_DSM.tif": heights, f"{aoi}_CLS.tif": classes}
     if corrected is not None:
@@ -47,20 +49,20 @@ def write_contest_tile(folder, aoi, heights, classes, corrected=None):
     (folder / f"{aoi}_DSM.txt").write_text(f"436000.0\n3357720.0\n{size}.000\n0.500000\n")
 
 
-def test_contest_tile_lies_where_its_text_file_says(tmp_path):
+def test_contest_tile_lies_where_its_text_file_says(tmp_path: Path) -> None:
     write_contest_tile(tmp_path, "JAX_068", city(), np.full((160, 160), 2, np.uint8))
     truth = read_dfc2019(tmp_path, "JAX_068")
     assert truth.grid == GRID  # the file gives the southern edge: 3357720 + 160 * 0.5 = 3357800
     assert truth.protocol == "dfc2019"
 
 
-def test_a_contest_dsm_named_alone_is_read_with_its_text_file_and_classes(tmp_path):
+def test_a_contest_dsm_named_alone_is_read_with_its_text_file_and_classes(tmp_path: Path) -> None:
     write_contest_tile(tmp_path, "JAX_068", city(), np.full((160, 160), 9, np.uint8))
     truth = read_reference(tmp_path / "JAX_068_DSM.tif")
     assert (truth.grid, truth.protocol, truth.classes[0, 0]) == (GRID, "dfc2019", 9)
 
 
-def test_omaha_is_in_zone_15_and_other_places_are_refused(tmp_path):
+def test_omaha_is_in_zone_15_and_other_places_are_refused(tmp_path: Path) -> None:
     for aoi in ("OMA_001", "XYZ_001"):
         write_contest_tile(tmp_path, aoi, city(), np.full((160, 160), 2, np.uint8))
     assert read_dfc2019(tmp_path, "OMA_001").grid.crs == "EPSG:32615"
@@ -69,13 +71,13 @@ def test_omaha_is_in_zone_15_and_other_places_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("aoi", "water"), [("JAX_004", 9), ("JAX_068", 2)])
-def test_corrected_classes_replace_the_first_ones_of_two_tiles_only(tmp_path, aoi, water):
+def test_corrected_classes_replace_the_first_ones_of_two_tiles_only(tmp_path: Path, aoi: Any, water: Any) -> None:
     plain, corrected = np.full((160, 160), 2, np.uint8), np.full((160, 160), 9, np.uint8)
     write_contest_tile(tmp_path, aoi, city(), plain, corrected)
     assert read_dfc2019(tmp_path, aoi).classes[0, 0] == water
 
 
-def test_contest_files_that_contradict_each_other_are_refused(tmp_path):
+def test_contest_files_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     write_contest_tile(tmp_path, "JAX_001", city(), np.full((160, 160), 2, np.uint8))
     (tmp_path / "JAX_001_DSM.txt").write_text("436000 3357720 512 0.5")
     with pytest.raises(InputError, match="512"):
@@ -88,7 +90,7 @@ def test_contest_files_that_contradict_each_other_are_refused(tmp_path):
         read_dfc2019(tmp_path, "JAX_001")
 
 
-def test_no_data_values_of_a_reference_become_nan(tmp_path):
+def test_no_data_values_of_a_reference_become_nan(tmp_path: Path) -> None:
     heights = city()
     heights[:10] = -9999
     write_cog(tmp_path / "ref.tif", heights, GRID, nodata=None)
@@ -97,13 +99,13 @@ def test_no_data_values_of_a_reference_become_nan(tmp_path):
     assert np.isfinite(truth.heights[10:]).all()
 
 
-def test_geographic_reference_is_refused(tmp_path):
+def test_geographic_reference_is_refused(tmp_path: Path) -> None:
     write_cog(tmp_path / "ref.tif", np.zeros((20, 20), np.float32), Grid("EPSG:4326", -81.0, 30.0, 1e-5, 20, 20))
     with pytest.raises(InputError, match="projected"):
         read_reference(tmp_path / "ref.tif")
 
 
-def test_class_map_of_another_grid_is_carried_over_by_nearest_cell(tmp_path):
+def test_class_map_of_another_grid_is_carried_over_by_nearest_cell(tmp_path: Path) -> None:
     write_cog(tmp_path / "ref.tif", city(), GRID)
     classes = np.repeat(np.array([[2, 6]], np.uint8), 40, axis=1).repeat(80, axis=0)
     write_cog(tmp_path / "cls.tif", classes, GRID.resized(1.0), nodata=None)
@@ -113,7 +115,7 @@ def test_class_map_of_another_grid_is_carried_over_by_nearest_cell(tmp_path):
     assert (truth.classes[:, 80:] == 6).all()
 
 
-def test_regions_are_halves_or_boxes():
+def test_regions_are_halves_or_boxes() -> None:
     assert region_mask(GRID, "west")[:, :80].all()
     assert not region_mask(GRID, "west")[:, 80:].any()
     assert region_mask(GRID, "north")[:80].all()
@@ -124,11 +126,11 @@ def test_regions_are_halves_or_boxes():
         region_mask(GRID, "0 0 1 1")
 
 
-def truth_of(heights, classes=None):
+def truth_of(heights: Any, classes: Any = None) -> Any:
     return Truth("tile", "dsm", GRID, heights, classes)
 
 
-def test_shift_of_a_georeferenced_prediction_is_reported_in_metres():
+def test_shift_of_a_georeferenced_prediction_is_reported_in_metres() -> None:
     truth = truth_of(city())
     # the file says 3 m further east and 2 m further north than it should, and heights 1.25 m too high
     displaced = replace(GRID, left=GRID.left + 3.0, top=GRID.top + 2.0)
@@ -141,7 +143,7 @@ def test_shift_of_a_georeferenced_prediction_is_reported_in_metres():
     assert compare_dsm(truth.heights + 1.25, truth, displaced, "none").figures["mae"] > 1
 
 
-def test_only_the_known_half_of_a_reference_counts_and_the_rest_may_be_missing():
+def test_only_the_known_half_of_a_reference_counts_and_the_rest_may_be_missing() -> None:
     heights = city()
     heights[:, 80:] = np.nan
     predicted = np.where(np.isfinite(heights), heights, np.float32(np.nan))
@@ -150,7 +152,7 @@ def test_only_the_known_half_of_a_reference_counts_and_the_rest_may_be_missing()
     assert figures["cells"] == 80 * 160
 
 
-def test_a_region_is_scored_alone():
+def test_a_region_is_scored_alone() -> None:
     heights = city()
     predicted = heights.copy()
     predicted[:, 80:] += 7
@@ -161,7 +163,7 @@ def test_a_region_is_scored_alone():
     assert west["mask"].endswith("region west")
 
 
-def test_prediction_in_another_crs_and_cell_size_scores_as_well():
+def test_prediction_in_another_crs_and_cell_size_scores_as_well() -> None:
     y, x = np.mgrid[:160, :160] * 0.05
     truth = truth_of((5 * np.sin(x) + 4 * np.cos(y)).astype(np.float32))
     from pyproj import Transformer
@@ -182,7 +184,7 @@ def test_prediction_in_another_crs_and_cell_size_scores_as_well():
     assert figures["completeness"] > 0.97
 
 
-def test_a_hole_of_the_prediction_stays_a_hole_of_the_same_size():
+def test_a_hole_of_the_prediction_stays_a_hole_of_the_same_size() -> None:
     heights = city()
     predicted = heights.copy()
     predicted[40:60, 40:80] = np.nan
@@ -191,13 +193,13 @@ def test_a_hole_of_the_prediction_stays_a_hole_of_the_same_size():
     assert figures["mae_filled"] > figures["mae"]
 
 
-def test_prediction_of_another_place_is_an_error():
+def test_prediction_of_another_place_is_an_error() -> None:
     with pytest.raises(InputError, match="no height within tile"):
         compare_dsm(city(), truth_of(city()), replace(GRID, left=GRID.left + 5000))
 
 
 @pytest.fixture
-def scene(tmp_path):
+def scene(tmp_path: Path) -> Any:
     scene = Scene("SIM_1", tmp_path / "work", grid=GRID)
     write_cog(scene.output("dsm.tif"), city() + 0.5, GRID)
     write_cog(scene.output("theta.tif"), np.full(GRID.shape, 20, np.float32), GRID)
@@ -207,7 +209,7 @@ def scene(tmp_path):
     return scene
 
 
-def test_a_scene_is_scored_and_the_difference_map_written(scene):
+def test_a_scene_is_scored_and_the_difference_map_written(scene: Any) -> None:
     truth = scene.root / "truth"
     options = CompareOptions(
         dsm=str(truth / "SIM_1_DSM.tif"), classes=str(truth / "SIM_1_CLS.tif"), register="none",
@@ -228,20 +230,20 @@ def test_a_scene_is_scored_and_the_difference_map_written(scene):
     compare(options, scene, overwrite=True)
 
 
-def test_a_simulated_scene_brings_its_own_truth(scene):
+def test_a_simulated_scene_brings_its_own_truth(scene: Any) -> None:
     with pytest.raises(InputError, match="no reference"):
         compare(CompareOptions(), scene)
     scene.products["truth_dsm"] = "truth/SIM_1_DSM.tif"
     assert compare(CompareOptions(), scene)["mae"] < 1e-5
 
 
-def test_a_scene_without_a_dsm_is_an_error(scene):
+def test_a_scene_without_a_dsm_is_an_error(scene: Any) -> None:
     del scene.products["dsm"]
     with pytest.raises(SceneError, match="no DSM"):
         compare(CompareOptions(dsm="x.tif"), scene)
 
 
-def test_a_file_is_scored_without_a_scene(scene, tmp_path):
+def test_a_file_is_scored_without_a_scene(scene: Any, tmp_path: Path) -> None:
     options = CompareOptions(
         predicted=str(scene.root / "dsm.tif"), dsm=str(scene.root / "truth/SIM_1_DSM.tif"), out=str(tmp_path / "out")
     )
@@ -250,7 +252,7 @@ def test_a_file_is_scored_without_a_scene(scene, tmp_path):
     assert (tmp_path / "out/difference.tif").exists()
 
 
-def test_lidar_of_jax_068_is_read(data_dir):
+def test_lidar_of_jax_068_is_read(data_dir: Any) -> None:
     truth = read_dfc2019(data_dir / "dfc2019/Track3-Truth", "JAX_068")
     assert truth.grid.shape == (512, 512)
     assert truth.grid.cell_size == 0.5

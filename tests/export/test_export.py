@@ -1,5 +1,8 @@
 """Products of a fitted scene: labelled maps on the ground grid."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import rasterio
@@ -19,7 +22,7 @@ GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 60, 40)
 
 
 @pytest.fixture
-def scene(tmp_path):
+def scene(tmp_path: Path) -> Any:
     """A block of 10 m on flat ground, seen by two images of which one does not know its sun."""
     height = torch.full(GRID.shape, -20.0)
     height[15:25, 30:40] = -10.0
@@ -37,7 +40,7 @@ def scene(tmp_path):
     return scene
 
 
-def test_the_surface_model_is_a_map_with_units_and_datum(scene):
+def test_the_surface_model_is_a_map_with_units_and_datum(scene: Any) -> None:
     notes = export(scene, ExportOptions())
     assert notes["vertical_datum"] == "WGS84 ellipsoid"
     with rasterio.open(scene.path(scene.products["dsm"])) as data:
@@ -50,7 +53,7 @@ def test_the_surface_model_is_a_map_with_units_and_datum(scene):
     assert (heights[0, 0], heights[20, 35]) == (-20.0, -10.0)
 
 
-def test_the_albedo_has_one_band_per_colour_and_says_its_scale(scene):
+def test_the_albedo_has_one_band_per_colour_and_says_its_scale(scene: Any) -> None:
     export(scene, ExportOptions())
     albedo, grid = read_raster(scene.path(scene.products["albedo"]))
     assert grid == GRID
@@ -58,7 +61,7 @@ def test_the_albedo_has_one_band_per_colour_and_says_its_scale(scene):
     assert (albedo == 0.25).all()
 
 
-def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene):
+def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene: Any) -> None:
     export(scene, ExportOptions())
     mask, grid = read_raster(scene.path(scene.items[0].assets["shadow"].href))
     assert grid == GRID
@@ -69,20 +72,20 @@ def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene):
     assert "shadow" not in scene.items[1].assets
 
 
-def test_products_need_overwrite(scene):
+def test_products_need_overwrite(scene: Any) -> None:
     export(scene, ExportOptions())
     with pytest.raises(OutputExistsError, match="--overwrite"):
         export(scene, ExportOptions(), overwrite=False)
 
 
-def test_a_model_of_another_kind_is_refused(scene):
+def test_a_model_of_another_kind_is_refused(scene: Any) -> None:
     save(scene.root / "model", {"weights": torch.zeros(3)}, {"field": "other"})
     with pytest.raises(InputError, match="found no 'grid', expected grid, items, suns, shadow"):
         export(scene, ExportOptions())
     assert not (scene.root / "export").exists()
 
 
-def test_a_slope_towards_the_light_is_as_bright_as_lamberts_law_says():
+def test_a_slope_towards_the_light_is_as_bright_as_lamberts_law_says() -> None:
     column = np.arange(20.0)
     east_up = np.tile(column, (20, 1))  # rises eastwards by 45 degrees: its normal leans west
     inner = (slice(2, -2), slice(2, -2))
@@ -93,7 +96,7 @@ def test_a_slope_towards_the_light_is_as_bright_as_lamberts_law_says():
     assert hillshade(south_up, 1.0, 0.0, 45.0)[inner] == pytest.approx(1.0)
 
 
-def test_heights_above_a_geoid_are_computed_or_the_missing_grid_is_named():
+def test_heights_above_a_geoid_are_computed_or_the_missing_grid_is_named() -> None:
     """At Jacksonville the EGM96 geoid lies 28 m below the ellipsoid."""
     height = np.full(GRID.shape, -20.0, np.float32)
     try:
@@ -105,7 +108,7 @@ def test_heights_above_a_geoid_are_computed_or_the_missing_grid_is_named():
     assert found == pytest.approx(8.5, abs=1.5)
 
 
-def test_the_uncertainty_is_a_map_in_metres_on_the_grid_of_the_surface(scene):
+def test_the_uncertainty_is_a_map_in_metres_on_the_grid_of_the_surface(scene: Any) -> None:
     export(scene, ExportOptions())
     std, grid = read_raster(scene.path(scene.products["dsm_std"]))
     assert grid == GRID

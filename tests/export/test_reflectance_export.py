@@ -1,6 +1,7 @@
 """Maps, held-out views and relighting of a fitted reflectance model."""
 
 import tomllib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from sattools.simulate import SimulateOptions, simulate
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory) -> Scene:
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     options = SimulateOptions(terrain="natural", id="HILL", size=160.0, views=9, units=2, seed=5, off_nadir=30.0)
     scene = simulate(options, tmp_path_factory.mktemp("hill") / "HILL")
     fit(scene, FitOptions(brdf="hapke", resolution=2.0, epochs=[8]))
@@ -31,7 +32,7 @@ def product(scene: Scene, name: str) -> np.ndarray:
     return read_raster(scene.path(scene.products[name]))[0]
 
 
-def test_every_parameter_has_a_map_and_its_uncertainty_in_the_right_units(fitted):
+def test_every_parameter_has_a_map_and_its_uncertainty_in_the_right_units(fitted: Any) -> None:
     shapes = {name: product(fitted, name).shape[0] for name in ("w", "b", "c", "theta", "normal", "reflectance")}
     assert shapes == {"w": 3, "b": 1, "c": 1, "theta": 1, "normal": 3, "reflectance": 3}
     for name in ("w", "b", "c", "theta"):
@@ -48,7 +49,7 @@ def test_every_parameter_has_a_map_and_its_uncertainty_in_the_right_units(fitted
         assert data.tags()["SCALE"].startswith("absolute")
 
 
-def test_a_held_out_view_comes_out_in_its_own_geometry_without_any_gain(fitted):
+def test_a_held_out_view_comes_out_in_its_own_geometry_without_any_gain(fitted: Any) -> None:
     item = next(i for i in fitted.items if i.id == "HILL_001")
     assert item.role == "test"
     rendered = read_image(fitted.path(item.assets["rendered"].href))
@@ -62,7 +63,7 @@ def test_a_held_out_view_comes_out_in_its_own_geometry_without_any_gain(fitted):
     assert figures["psnr"] == figures["views"]["HILL_001"]["psnr"] > 30
 
 
-def test_relighting_moves_the_shade_to_the_other_side(fitted):
+def test_relighting_moves_the_shade_to_the_other_side(fitted: Any) -> None:
     relit = product(fitted, "relit")
     normal = product(fitted, "normal")
     west, east = normal[0] < -0.2, normal[0] > 0.2
@@ -71,12 +72,12 @@ def test_relighting_moves_the_shade_to_the_other_side(fitted):
     assert "relit" in next(i for i in fitted.items if i.id == "HILL_001").assets
 
 
-def test_an_unknown_view_is_refused_before_anything_is_written(fitted):
+def test_an_unknown_view_is_refused_before_anything_is_written(fitted: Any) -> None:
     with pytest.raises(SceneError, match="NO_SUCH"):
         export(fitted, ExportOptions(view=["NO_SUCH"]))
 
 
-def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_half(make_town):
+def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_half(make_town: Any) -> None:
     scene = make_town("TOWN")
     scene.items[0].properties["sattools:role"] = "test"
     fit(scene, FitOptions(resolution=2.0, coarsest=4.0, epochs=[4], prior_weight=0.0))
@@ -89,7 +90,7 @@ def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_ha
     assert compare_views(scene)["views"].keys() == {scene.items[0].id}
 
 
-def test_the_sun_takes_two_numbers_on_the_command_line():
+def test_the_sun_takes_two_numbers_on_the_command_line() -> None:
     shown = CliRunner().invoke(main, ["export", "--sun", "135", "40", "--view", "A", "--view", "B", "--print-config"])
     values = tomllib.loads(shown.output)["export"]
     assert (values["sun"], values["view"]) == ([135.0, 40.0], ["A", "B"])

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0)
 
 
 @pytest.fixture(scope="module")
-def fitted_source(town_source, tmp_path_factory):
+def fitted_source(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     root = tmp_path_factory.mktemp("fitted") / "TOWN"
     shutil.copytree(town_source.root, root)
     scene = Scene.from_json(town_source.to_json())
@@ -30,14 +32,14 @@ def fitted_source(town_source, tmp_path_factory):
 
 
 @pytest.fixture
-def fitted(fitted_source, tmp_path):
+def fitted(fitted_source: Any, tmp_path: Path) -> Any:
     shutil.copytree(fitted_source.root, tmp_path / "TOWN")
     scene = Scene.from_json(fitted_source.to_json())
     scene.root = tmp_path / "TOWN"
     return scene
 
 
-def blank(scene, item, columns):
+def blank(scene: Any, item: Any, columns: Any) -> None:
     """Frame the image in zeros, as vendors do."""
     path = scene.path(item.assets["image"].href)
     with rasterio.open(path) as data:
@@ -48,7 +50,7 @@ def blank(scene, item, columns):
         data.update_tags(ns="RPC", **rpc)
 
 
-def east_half_in(scene, count):
+def east_half_in(scene: Any, count: Any) -> None:
     """All but ``count`` images show the western half only."""
     for item in scene.items[count:]:
         with rasterio.open(scene.path(item.assets["image"].href)) as data:
@@ -57,7 +59,7 @@ def east_half_in(scene, count):
 
 
 @pytest.mark.parametrize(("count", "kind"), [(0, UNSEEN), (1, UNSEEN), (2, MEASURED)])
-def test_two_images_make_a_measurement_and_one_does_not(fitted, count, kind):
+def test_two_images_make_a_measurement_and_one_does_not(fitted: Any, count: Any, kind: Any) -> None:
     east_half_in(fitted, count)
     tensors, meta = load(fitted.root / "fit/model.safetensors")
     grid = Grid.from_dict(meta["grid"])
@@ -68,7 +70,7 @@ def test_two_images_make_a_measurement_and_one_does_not(fitted, count, kind):
     assert (found[:, :8] == MEASURED).all()
 
 
-def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted):
+def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted: Any) -> None:
     east_half_in(fitted, 1)
     fit(fitted, QUICK)
     made = export(fitted, ExportOptions())
@@ -85,7 +87,7 @@ def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted):
             assert np.array_equal(mask[0] == 255, unseen)
 
 
-def test_fill_gives_the_heights_back_and_the_mark_stays(fitted):
+def test_fill_gives_the_heights_back_and_the_mark_stays(fitted: Any) -> None:
     east_half_in(fitted, 1)
     fit(fitted, QUICK)
     export(fitted, ExportOptions(fill=True))
@@ -95,7 +97,7 @@ def test_fill_gives_the_heights_back_and_the_mark_stays(fitted):
     assert (validity == UNSEEN).any()
 
 
-def test_a_court_between_walls_that_only_one_image_looks_into_is_filled(fitted):
+def test_a_court_between_walls_that_only_one_image_looks_into_is_filled(fitted: Any) -> None:
     """A shaft 1 cell wide and 60 m deep: no image but the one from the zenith, if there is one, sees its floor."""
     _, meta = load(fitted.root / "fit/model.safetensors")
     grid = Grid.from_dict(meta["grid"])
@@ -108,7 +110,7 @@ def test_a_court_between_walls_that_only_one_image_looks_into_is_filled(fitted):
     assert found[row, col - 5] == MEASURED
 
 
-def test_no_cell_that_two_images_see_is_lost(fitted):
+def test_no_cell_that_two_images_see_is_lost(fitted: Any) -> None:
     export(fitted, ExportOptions())
     heights, _ = read_raster(fitted.path(fitted.products["dsm"]))
     validity, _ = read_raster(fitted.path(fitted.products["validity"]))
@@ -116,7 +118,7 @@ def test_no_cell_that_two_images_see_is_lost(fitted):
     assert np.isfinite(heights[validity == MEASURED]).all()
 
 
-def test_without_the_images_nobody_knows(fitted, caplog):
+def test_without_the_images_nobody_knows(fitted: Any, caplog: pytest.LogCaptureFixture) -> None:
     del fitted.items[0].assets["rpc"]
     fitted.history.clear()
     export(fitted, ExportOptions())
@@ -126,7 +128,7 @@ def test_without_the_images_nobody_knows(fitted, caplog):
     assert np.isfinite(heights).all()
 
 
-def test_dark_pixels_inside_an_image_are_pixels_and_a_frame_of_zeros_is_none():
+def test_dark_pixels_inside_an_image_are_pixels_and_a_frame_of_zeros_is_none() -> None:
     image = np.ones((1, 20, 20), np.float32)
     image[0, 8:12, 8:12] = 0.0
     image[0, :, :5] = 0.0
@@ -138,7 +140,7 @@ def test_dark_pixels_inside_an_image_are_pixels_and_a_frame_of_zeros_is_none():
     assert valid.sum() == 400 - 100 - 1
 
 
-def test_compare_says_what_was_measured_and_what_holes_cost(fitted):
+def test_compare_says_what_was_measured_and_what_holes_cost(fitted: Any) -> None:
     from sattools.compare import CompareOptions, compare
 
     east_half_in(fitted, 1)
@@ -152,7 +154,7 @@ def test_compare_says_what_was_measured_and_what_holes_cost(fitted):
     assert json.loads((fitted.root / "compare/errors.json").read_text())["measured"] == figures["measured"]
 
 
-def test_a_model_that_is_no_data_everywhere_is_an_error_not_a_crash(fitted):
+def test_a_model_that_is_no_data_everywhere_is_an_error_not_a_crash(fitted: Any) -> None:
     tensors, meta = load(fitted.root / "fit/model.safetensors")
     tensors["height"][:] = float("nan")
     save(fitted.root / "fit/model.safetensors", tensors, meta)

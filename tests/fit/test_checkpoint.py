@@ -1,6 +1,7 @@
 """Model files: what is written is read back, and files of version 1 are read under the present names."""
 
 import json
+from pathlib import Path
 
 import torch
 from safetensors.torch import save_file
@@ -8,7 +9,7 @@ from safetensors.torch import save_file
 from sattools.fit import checkpoint
 
 
-def test_a_model_survives_its_file(tmp_path):
+def test_a_model_survives_its_file(tmp_path: Path) -> None:
     tensors = {"height": torch.arange(6.0).reshape(2, 3)}
     checkpoint.save(tmp_path / "m.safetensors", tensors, {"shadow": "none"})
     again, meta = checkpoint.load(tmp_path / "m.safetensors")
@@ -16,7 +17,7 @@ def test_a_model_survives_its_file(tmp_path):
     assert torch.equal(again["height"], tensors["height"])
 
 
-def test_a_file_of_version_1_is_read_under_the_present_names(tmp_path):
+def test_a_file_of_version_1_is_read_under_the_present_names(tmp_path: Path) -> None:
     names = ["amount", "members", "shares", "lines", "height", "adam.amount.exp_avg", "light.features", "field.members"]
     save_file(
         {name: torch.full((2,), float(k)) for k, name in enumerate(names)},

@@ -1,5 +1,8 @@
 """Light and ground at their worst: the fit ends with finite maps within their ranges, or says what it lacks."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import rasterio
@@ -17,12 +20,12 @@ from sattools.simulate import SimulateOptions, simulate
 FIT = FitOptions(brdf="hapke", resolution=4.0, epochs=[8])
 
 
-def scene_of(tmp_path, **changed) -> Scene:
+def scene_of(tmp_path: Path, **changed: Any) -> Scene:
     options = {"terrain": "natural", "id": "HARD", "size": 128.0, "views": 7, "units": 2, "seed": 2, "off_nadir": 16.0}
     return simulate(SimulateOptions(**{**options, **changed}), tmp_path / "HARD")
 
 
-def change_images(scene: Scene, function) -> None:
+def change_images(scene: Scene, function: Any) -> None:
     for item in scene.items:
         path = scene.path(item.assets["image"].href)
         with rasterio.open(path, "r+") as data:
@@ -30,7 +33,7 @@ def change_images(scene: Scene, function) -> None:
 
 
 def check(scene: Scene, options: FitOptions = FIT) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Fit and export; every number finite, every parameter within its range. The maps and the remarks."""
+    """Fit and export; every number finite, every parameter within its range. The maps and the notes."""
     notes = fit(scene, options)["notes"]
     tensors, _ = load(scene.path(scene.products["model"]))
     for name, tensor in tensors.items():
@@ -45,17 +48,17 @@ def check(scene: Scene, options: FitOptions = FIT) -> tuple[dict[str, np.ndarray
     return maps, notes
 
 
-def test_flat_ground_without_texture_has_no_structure_to_hold_on_to(tmp_path):
+def test_flat_ground_without_texture_has_no_structure_to_hold_on_to(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, slope=0.0, units=1)
     change_images(scene, lambda a: np.full_like(a, 400))
     maps, _ = check(scene)
     assert maps["w"].std() < 0.05
 
 
-def test_a_saturated_band_counts_as_unseen(tmp_path):
+def test_a_saturated_band_counts_as_unseen(tmp_path: Path) -> None:
     scene = scene_of(tmp_path)
 
-    def saturate(a):
+    def saturate(a: Any) -> Any:
         a[0] = 4095
         return a
 
@@ -64,25 +67,25 @@ def test_a_saturated_band_counts_as_unseen(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_low_sun(tmp_path):
+def test_a_low_sun(tmp_path: Path) -> None:
     _, notes = check(scene_of(tmp_path, sun_elevation=12.0))
     assert any("12 degrees high" in text for text in notes)
 
 
 @pytest.mark.slow
-def test_near_opposition(tmp_path):
+def test_near_opposition(tmp_path: Path) -> None:
     """The sun behind the sensor: phase angles of a few degrees, and one view that looks along the sunlight."""
     check(scene_of(tmp_path, sun_azimuth=10.0, sun_elevation=80.0))
 
 
 @pytest.mark.slow
-def test_a_narrow_span_of_phase_angles_is_said(tmp_path):
+def test_a_narrow_span_of_phase_angles_is_said(tmp_path: Path) -> None:
     _, notes = check(scene_of(tmp_path, off_nadir=10.0, sun_azimuth=100.0, sun_elevation=60.0))
     assert any("does not show a phase function" in text for text in notes)
 
 
 @pytest.mark.slow
-def test_steep_slopes_that_face_away(tmp_path):
+def test_steep_slopes_that_face_away(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, slope=50.0, sun_elevation=35.0)
     truth = read_raster(scene.path(scene.products["truth_normal"]))[0]
     assert (np.degrees(np.arccos(truth[2])) > 60).mean() > 0.1
@@ -91,7 +94,7 @@ def test_steep_slopes_that_face_away(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.0, 0.02])
-def test_ground_that_is_almost_black(tmp_path, factor):
+def test_ground_that_is_almost_black(tmp_path: Path, factor: Any) -> None:
     scene = scene_of(tmp_path)
     change_images(scene, lambda a: a * factor)
     maps, _ = check(scene)
@@ -99,14 +102,14 @@ def test_ground_that_is_almost_black(tmp_path, factor):
 
 
 @pytest.mark.slow
-def test_bright_salt(tmp_path):
+def test_bright_salt(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, units=6)
     change_images(scene, lambda a: np.minimum(a.astype(np.float64) * 1.5, 4095))
     check(scene)
 
 
 @pytest.mark.slow
-def test_rpv_holds_out_there_too(tmp_path):
+def test_rpv_holds_out_there_too(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, slope=50.0, sun_elevation=20.0, reflectance="rpv")
     fit(scene, FitOptions(brdf="rpv", resolution=4.0, epochs=[8]))
     tensors, _ = load(scene.path(scene.products["model"]))

@@ -1,5 +1,7 @@
 """Photometric losses of linear radiance."""
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -9,7 +11,7 @@ RAW = ["mse", "raw-gamma", "raw-log"]
 ALL = [*RAW, "mse-gamma"]
 
 
-def slope_at_the_truth(name, truth, noise):
+def slope_at_the_truth(name: Any, truth: Any, noise: Any) -> Any:
     """Mean gradient of the loss where the prediction is right and the target noisy."""
     predicted = torch.full_like(noise, truth, requires_grad=True)
     photometric(name, predicted, truth + noise).sum().backward()
@@ -18,7 +20,7 @@ def slope_at_the_truth(name, truth, noise):
 
 @pytest.mark.parametrize("truth", [0.01, 0.2, 0.8])
 @pytest.mark.parametrize("name", RAW)
-def test_weighted_losses_have_their_minimum_at_the_mean_of_noisy_targets(name, truth):
+def test_weighted_losses_have_their_minimum_at_the_mean_of_noisy_targets(name: Any, truth: Any) -> None:
     half = 0.3 * truth * torch.rand(2000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     noise = torch.cat([half, -half])
     # in units of the gradient of a residual as large as the noise
@@ -26,7 +28,7 @@ def test_weighted_losses_have_their_minimum_at_the_mean_of_noisy_targets(name, t
     assert abs(slope_at_the_truth(name, truth, noise)) < 1e-9 * unit
 
 
-def test_the_loss_of_tone_mapped_values_has_not():
+def test_the_loss_of_tone_mapped_values_has_not() -> None:
     """The reason for the weighted losses: here the bright half of the noise counts less than the dark half."""
     half = 0.06 * torch.rand(2000, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     noise = torch.cat([half, -half])
@@ -35,7 +37,7 @@ def test_the_loss_of_tone_mapped_values_has_not():
 
 
 @pytest.mark.parametrize("value", [0.05, 0.4])
-def test_raw_gamma_acts_as_the_tone_mapped_loss_on_small_residuals(value):
+def test_raw_gamma_acts_as_the_tone_mapped_loss_on_small_residuals(value: Any) -> None:
     found = []
     for name in ("raw-gamma", "mse-gamma"):
         p = torch.tensor([value], dtype=torch.float64, requires_grad=True)
@@ -44,7 +46,7 @@ def test_raw_gamma_acts_as_the_tone_mapped_loss_on_small_residuals(value):
     assert found[0] == pytest.approx(found[1], rel=1e-4)
 
 
-def test_weights_are_squared_slopes_of_the_tone_curves():
+def test_weights_are_squared_slopes_of_the_tone_curves() -> None:
     x = torch.tensor([0.25], dtype=torch.float64)
     # (0.25^(1/2.2 - 1) / 2.2)^2 and 1 / 0.25^2
     assert float(raw_weight("raw-gamma", x)) == pytest.approx(0.93745, abs=1e-5)
@@ -53,7 +55,7 @@ def test_weights_are_squared_slopes_of_the_tone_curves():
 
 
 @pytest.mark.parametrize("value", [1e-3, 1e-6, 0.0, -1e-3, -1.0])
-def test_weights_are_bounded_where_a_prediction_is_dark_or_negative(value):
+def test_weights_are_bounded_where_a_prediction_is_dark_or_negative(value: Any) -> None:
     x = torch.tensor([value])
     assert float(raw_weight("raw-gamma", x)) == pytest.approx(387, abs=1)
     assert float(raw_weight("raw-log", x)) == pytest.approx(1e6, rel=0.01)
@@ -61,7 +63,7 @@ def test_weights_are_bounded_where_a_prediction_is_dark_or_negative(value):
 
 @pytest.mark.parametrize("robust", [0.0, 0.1])
 @pytest.mark.parametrize("name", ALL)
-def test_gradients_are_finite_everywhere(name, robust):
+def test_gradients_are_finite_everywhere(name: Any, robust: Any) -> None:
     values = [-1.0, -1e-3, 0.0, 1e-9, 1e-3, 0.5, 1.0, 3.0]
     predicted, target = torch.meshgrid(torch.tensor(values), torch.tensor(values), indexing="ij")
     p = predicted.clone().requires_grad_()
@@ -73,7 +75,7 @@ def test_gradients_are_finite_everywhere(name, robust):
     assert bool((p.grad * (predicted - target) >= 0).all())
 
 
-def test_the_tone_curve_is_continued_as_a_line():
+def test_the_tone_curve_is_continued_as_a_line() -> None:
     x = torch.tensor([0.0, 0.999e-3, 1e-3, 1.001e-3, 0.5, 1.0], dtype=torch.float64)
     y = tone(x)
     assert bool((y.diff() > 0).all())
@@ -81,7 +83,7 @@ def test_the_tone_curve_is_continued_as_a_line():
     assert y[4:].tolist() == pytest.approx([0.5 ** (1 / 2.2), 1.0])
 
 
-def test_residuals_beyond_the_robust_scale_lose_their_say():
+def test_residuals_beyond_the_robust_scale_lose_their_say() -> None:
     target = torch.zeros(1, dtype=torch.float64)
     pulls = []
     for residual in (0.001, 0.1, 1.0):
@@ -92,6 +94,6 @@ def test_residuals_beyond_the_robust_scale_lose_their_say():
     assert pulls == pytest.approx([0.9998, 0.25, 9.803e-5], rel=1e-4)
 
 
-def test_an_unknown_loss_is_refused():
+def test_an_unknown_loss_is_refused() -> None:
     with pytest.raises(ValueError, match="expected mse, mse-gamma, raw-gamma or raw-log"):
         photometric("l1", torch.zeros(1), torch.zeros(1))

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,12 +26,12 @@ PAPERS = [name for name in PRESETS if name != "fast"]
 TINY = {"width": 16, "rays": 64, "samples": 12, "steps": 20, "resolution": 2.0, "rate": 2e-3}
 
 
-def tiny(preset, **more):
+def tiny(preset: Any, **more: Any) -> Any:
     few = {"guided": 8} if PRESETS[preset].get("guided") else {}
     return resolve(preset, {**TINY, **few, **more})
 
 
-def test_beta_loss_by_hand():
+def test_beta_loss_by_hand() -> None:
     """0.02 / (2 * 0.1^2) + (3 + ln 0.1) / 2 and 0.08 / (2 * 0.2^2) + (3 + ln 0.2) / 2, averaged."""
     found = beta_loss(torch.tensor([[0.02], [0.08]]), torch.tensor([[0.1], [0.2]]))
     assert float(found) == pytest.approx(((1 + (3 + math.log(0.1)) / 2) + (1 + (3 + math.log(0.2)) / 2)) / 2)
@@ -40,13 +41,13 @@ def test_beta_loss_by_hand():
     assert float(beta[losses.argmin()]) == pytest.approx(0.2, abs=0.001)
 
 
-def test_solar_correction_by_hand():
+def test_solar_correction_by_hand() -> None:
     """(1 - 0.8)^2 + (0.5 - 0.4)^2 + 1 - (0.5 * 0.8 + 0.5 * 0.4)."""
     found = solar_correction(torch.tensor([[0.5, 0.5]]), torch.tensor([[1.0, 0.5]]), torch.tensor([[0.8, 0.4]]))
     assert float(found) == pytest.approx(0.04 + 0.01 + 0.4)
 
 
-def test_depths_count_only_where_ray_and_prior_disagree_or_the_ray_is_unsure():
+def test_depths_count_only_where_ray_and_prior_disagree_or_the_ray_is_unsure() -> None:
     t = torch.tensor([[0.40, 0.42], [0.40, 0.42], [0.1, 0.9]])
     weights = torch.full((3, 2), 0.5)
     depth = (weights * t).sum(dim=1)
@@ -57,7 +58,7 @@ def test_depths_count_only_where_ray_and_prior_disagree_or_the_ray_is_unsure():
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_presets_take_the_papers_values_from_noise_and_what_is_given_wins(preset):
+def test_presets_take_the_papers_values_from_noise_and_what_is_given_wins(preset: Any) -> None:
     options = resolve(preset, {"start": "noise"})
     assert (options.field, options.rate, options.rays, options.steps) == ("mlp", 5e-4, 1024, 300000)
     assert options.samples + options.guided == (64 if preset == "satnerf" else 128)
@@ -65,7 +66,7 @@ def test_presets_take_the_papers_values_from_noise_and_what_is_given_wins(preset
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_from_the_prior_few_samples_and_steps_do(preset):
+def test_from_the_prior_few_samples_and_steps_do(preset: Any) -> None:
     options = resolve(preset, {})
     assert (options.start, options.samples, options.guided, options.rays, options.steps) == ("prior", 8, 16, 256, 2000)
     assert options.prior_weight > 0  # there must be a prior
@@ -73,14 +74,14 @@ def test_from_the_prior_few_samples_and_steps_do(preset):
     assert (options.depth_weight > 0) == (preset in ("spsnerf", "rpv-nerf", "hapke-nerf"))
 
 
-def test_papers_weights():
+def test_papers_weights() -> None:
     sat, shadow, sps = (resolve(name, {"start": "noise"}) for name in ("satnerf", "eonerf-learned-shadow", "spsnerf"))
     assert (sat.solar_weight, sat.beta, sat.loss) == (0.05, True, "mse")
     assert (shadow.shadow_weight, shadow.loss, shadow.beta, shadow.transient) == (0.01, "raw-log", False, "off")
     assert (sps.samples, sps.guided, sps.depth_weight) == (64, 64, 1 / 3)
 
 
-def test_the_command_prints_the_resolved_preset():
+def test_the_command_prints_the_resolved_preset() -> None:
     printed = CliRunner().invoke(main, ["fit", "--preset", "satnerf", "--loss", "raw-gamma", "--print-config"]).output
     assert 'network = "satnerf"' in printed
     assert "solar-weight = 0.05" in printed
@@ -89,7 +90,7 @@ def test_the_command_prints_the_resolved_preset():
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_every_preset_runs_and_its_model_can_be_exported(make_town, preset):
+def test_every_preset_runs_and_its_model_can_be_exported(make_town: Any, preset: Any) -> None:
     scene = make_town()
     found = fit(scene, tiny(preset))
     tensors, meta = load(scene.path("fit/model.safetensors"))
@@ -103,7 +104,7 @@ def test_every_preset_runs_and_its_model_can_be_exported(make_town, preset):
     assert scene.path(scene.products["dsm"]).is_file()
 
 
-def test_a_voxel_field_stays_by_the_prior(make_town):
+def test_a_voxel_field_stays_by_the_prior(make_town: Any) -> None:
     """A free density grid drifts away from it: 300 steps took the error of such a town from 1.2 to 2.1 m."""
     scene = make_town()
     fit(scene, FitOptions(field="voxel", resolution=2.0, rays=256, samples=32, steps=40))
@@ -115,12 +116,12 @@ def test_a_voxel_field_stays_by_the_prior(make_town):
     assert error < 0.4 * flat
 
 
-def test_an_interrupted_fit_goes_on_to_the_same_end(make_town):
+def test_an_interrupted_fit_goes_on_to_the_same_end(make_town: Any) -> None:
     whole, broken = make_town("WHOLE"), make_town("BROKEN")
     options = tiny("eonerf", steps=40)
     fit(whole, options)
 
-    def stop(fraction, message):
+    def stop(fraction: Any, message: Any) -> None:
         if "step 24/" in message:
             raise KeyboardInterrupt
 
@@ -133,7 +134,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_end(make_town):
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_a_budget_stops_the_training(make_town):
+def test_a_budget_stops_the_training(make_town: Any) -> None:
     scene = make_town()
     found = fit(scene, tiny("eonerf", steps=100000, budget=0.5))
     assert found["notes"][0].startswith("stopped by the budget of 0.5 s at step ")
@@ -155,7 +156,7 @@ def test_a_budget_stops_the_training(make_town):
         ({"preset": "hapke-nerf", "field": "voxel"}, "--brdf hapke: a voxel field has no head for it"),
     ],
 )
-def test_what_cannot_work_is_refused(make_town, options, message):
+def test_what_cannot_work_is_refused(make_town: Any, options: Any, message: Any) -> None:
     with pytest.raises(SceneError, match=message):
         fit(make_town(), tiny(**options))
 
@@ -169,7 +170,9 @@ def test_what_cannot_work_is_refused(make_town, options, message):
         ({"pretrain": 0.0}, True),
     ],
 )
-def test_a_head_of_the_reflectance_model_learns_only_while_the_model_is_asked_for(make_town, options, moved):
+def test_a_head_of_the_reflectance_model_learns_only_while_the_model_is_asked_for(
+    make_town: Any, options: Any, moved: Any
+) -> None:
     scene, heads = make_town(), []
     for run in ({"steps": 1, "rate": 0.0}, {"steps": 2, **options}):
         fit(scene, tiny("hapke-nerf", **run))
@@ -179,7 +182,7 @@ def test_a_head_of_the_reflectance_model_learns_only_while_the_model_is_asked_fo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PAPERS)
-def test_every_preset_learns_the_town(make_town, preset):
+def test_every_preset_learns_the_town(make_town: Any, preset: Any) -> None:
     """A minute on one core: the photometric loss falls and the surface beats a level plane."""
     scene = make_town()
     few = {"guided": 16} if PRESETS[preset].get("guided") else {}

@@ -2,6 +2,8 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,13 +30,13 @@ SHORT = FitOptions(brdf="hapke", resolution=4.0, epochs=[10], pretrain=0.2)
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory) -> Scene:
+def source(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     options = SimulateOptions(terrain="natural", id="HILL", size=192.0, views=9, units=3, seed=3)
     return simulate(options, tmp_path_factory.mktemp("hill") / "HILL")
 
 
 @pytest.fixture
-def make_hill(source, tmp_path):
+def make_hill(source: Any, tmp_path: Path) -> Any:
     def make(name: str = "HILL") -> Scene:
         shutil.copytree(source.root, tmp_path / name)
         scene = Scene.from_json(source.to_json())
@@ -44,7 +46,7 @@ def make_hill(source, tmp_path):
     return make
 
 
-def unit(v) -> torch.Tensor:
+def unit(v: Any) -> torch.Tensor:
     v = torch.as_tensor(v, dtype=torch.float64)
     return v / v.norm(dim=-1, keepdim=True)
 
@@ -64,7 +66,7 @@ def made_up(kind: str, endmembers: torch.Tensor, cells: int = 1500) -> tuple[Sam
     return replace(samples, seen=predict(kind, samples, amplitude, endmembers)), amplitude
 
 
-def test_light_of_a_cell_is_the_models_brf_times_the_cosine_of_incidence():
+def test_light_of_a_cell_is_the_models_brf_times_the_cosine_of_incidence() -> None:
     normal, sun, view = (unit(v) for v in ((0.1, 0.2, 1.0), (0.5, -0.4, 0.75), (0.2, 0.1, 1.0)))
     w = torch.tensor([0.3, 0.4, 0.5], dtype=torch.float64)
     shape = [torch.tensor(v, dtype=torch.float64) for v in (0.2, 0.6, 12.0)]
@@ -74,7 +76,7 @@ def test_light_of_a_cell_is_the_models_brf_times_the_cosine_of_incidence():
     assert (away == 0).all()
 
 
-def test_normals_of_a_plane_are_exact_up_to_its_edge():
+def test_normals_of_a_plane_are_exact_up_to_its_edge() -> None:
     y, x = torch.meshgrid(torch.arange(9.0), torch.arange(7.0), indexing="ij")
     normal = surface_normals(5 + 2 * (0.3 * x - 0.1 * y), 2.0)  # rises 0.3 to the east, 0.1 to the north
     expected = torch.tensor([-0.3, -0.1, 1.0]) / (1 + 0.09 + 0.01) ** 0.5
@@ -82,7 +84,7 @@ def test_normals_of_a_plane_are_exact_up_to_its_edge():
     assert torch.allclose(blurred(torch.full((5, 6), 3.0), 2.0), torch.full((5, 6), 3.0))
 
 
-def test_ranges_hold_and_come_back():
+def test_ranges_hold_and_come_back() -> None:
     for parameter in (*SHAPE["hapke"], *SHAPE["rpv"], AMPLITUDE["hapke"]):
         value = torch.linspace(parameter.low + 0.01, parameter.high - 0.01, 5, dtype=torch.float64)
         assert torch.allclose(parameter.bounded(parameter.raw(value)), value)
@@ -91,7 +93,7 @@ def test_ranges_hold_and_come_back():
 
 
 @pytest.mark.parametrize("kind", ["hapke", "rpv"])
-def test_amounts_are_found_exactly_where_the_shapes_are_known(kind):
+def test_amounts_are_found_exactly_where_the_shapes_are_known(kind: Any) -> None:
     endmembers = start_endmembers(kind, 2, torch.zeros(1, dtype=torch.float64))
     samples, amplitude = made_up(kind, endmembers, 200)
     found, _ = solve_amplitudes(kind, samples, endmembers, rounds=12)
@@ -99,7 +101,7 @@ def test_amounts_are_found_exactly_where_the_shapes_are_known(kind):
     assert torch.allclose(*values, atol=2e-3)
 
 
-def test_slopes_tell_the_roughness_of_materials():
+def test_slopes_tell_the_roughness_of_materials() -> None:
     """theta-bar of two materials, 8 and 30 degrees, from seven views within 50 degrees of each other."""
     b, c, theta = SHAPE["hapke"]
     one = [b.raw(torch.tensor(0.3)), c.raw(torch.tensor(0.5))]
@@ -114,7 +116,7 @@ def test_slopes_tell_the_roughness_of_materials():
     assert cell.max() <= 50
 
 
-def test_materials_are_told_apart_by_colour_not_by_shading():
+def test_materials_are_told_apart_by_colour_not_by_shading() -> None:
     rng = np.random.default_rng(0)
     truth = np.zeros((60, 80), int)
     truth[:, 40:] = 1
@@ -130,7 +132,7 @@ def test_materials_are_told_apart_by_colour_not_by_shading():
     assert plain.shape == (20, 20, 1)
 
 
-def test_the_scene_states_what_its_numbers_are(source):
+def test_the_scene_states_what_its_numbers_are(source: Any) -> None:
     assert radiance_kind(source, source.items) == "reflectance_factor"
     assert light_scale("toa_reflectance", (0.0, 0.6, 0.8)) == pytest.approx(1.25)
     assert light_scale("reflectance_factor", (0.0, 0.6, 0.8)) == 1.0
@@ -143,7 +145,7 @@ def test_the_scene_states_what_its_numbers_are(source):
         radiance_kind(wrong, wrong.items)
 
 
-def test_views_near_the_nadir_are_chosen_and_the_others_held_out(source):
+def test_views_near_the_nadir_are_chosen_and_the_others_held_out(source: Any) -> None:
     scene = Scene.from_json(source.to_json())
     for item in scene.items:
         item.properties["sattools:role"] = "train"
@@ -153,7 +155,7 @@ def test_views_near_the_nadir_are_chosen_and_the_others_held_out(source):
         views_left_out(scene, "nearest-nadir:some")
 
 
-def test_phase_angles():
+def test_phase_angles() -> None:
     class Sight:
         sun = (0.0, 40.0)
         properties = {"view:azimuth": 0.0, "view:off_nadir": 20.0}  # noqa: RUF012
@@ -161,7 +163,7 @@ def test_phase_angles():
     assert phase_angles([Sight()]).tolist() == pytest.approx([30.0])  # 50 - 20 in one plane
 
 
-def test_the_model_comes_in_after_a_share_of_the_last_stage():
+def test_the_model_comes_in_after_a_share_of_the_last_stage() -> None:
     stages = schedule(replace(SHORT, epochs=[10], coarsest=8.0), 2.0, (0.0, 10.0), True)
     assert [(s.cell_size, s.epochs, s.reflective) for s in stages] == [(8, 10, False), (4, 2, False), (4, 8, True)]
     assert stages[1].softness[1] == stages[2].softness[0]
@@ -169,7 +171,7 @@ def test_the_model_comes_in_after_a_share_of_the_last_stage():
     assert [(s.epochs, s.reflective) for s in at_once] == [(10, True)]
 
 
-def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_hill):
+def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_hill: Any) -> None:
     whole, broken = make_hill("WHOLE"), make_hill("BROKEN")
     notes = fit(whole, SHORT)["notes"]
     tensors, meta = load(whole.root / "fit/model.safetensors")
@@ -205,11 +207,11 @@ def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_h
         assert torch.equal(again[name], tensors[name]), name
 
 
-def test_line_of_sight_is_a_unit_vector_to_the_sensor():
+def test_line_of_sight_is_a_unit_vector_to_the_sensor() -> None:
     assert view_vector((0.75, 0.0)) == pytest.approx((0.6, 0.0, 0.8))
 
 
-def test_a_model_without_a_sun_is_refused(make_hill):
+def test_a_model_without_a_sun_is_refused(make_hill: Any) -> None:
     scene = make_hill()
     del scene.train_items()[0].properties["view:sun_azimuth"]
     with pytest.raises(SceneError, match="sun angles"):
@@ -223,7 +225,7 @@ def seen_by_noise(samples: Samples) -> Samples:
 
 
 @pytest.mark.parametrize(("endmembers", "expected"), [((0.3, 0.5, 25.0), ("rpv", "hapke")), (None, ("lambert",))])
-def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(endmembers, expected):
+def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(endmembers: Any, expected: Any) -> None:
     if endmembers is None:
         samples, amplitude = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
         cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
@@ -239,7 +241,7 @@ def test_auto_takes_a_model_only_where_it_predicts_held_out_views_better(endmemb
     assert all("held-out views" in text and "standard error" in text for text in choice.notes)
 
 
-def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function():
+def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function() -> None:
     samples, amplitude = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
     cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
     seen = 0.4 * AMPLITUDE["hapke"].bounded(amplitude) * cosine[..., None]
@@ -250,7 +252,7 @@ def test_auto_does_not_take_robustness_against_outliers_for_a_phase_function():
     assert choose_model(samples, torch.arange(900) // 9, relative=False).model == "lambert"
 
 
-def test_auto_does_not_take_the_parallax_of_wrong_heights_for_a_phase_function():
+def test_auto_does_not_take_the_parallax_of_wrong_heights_for_a_phase_function() -> None:
     """A fifth of the blocks drifts by up to 9 % from the first view to the last, as flattened relief does."""
     samples, amplitude = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 900)
     cosine = torch.stack([samples.normal @ sun for sun in samples.suns])
@@ -261,7 +263,7 @@ def test_auto_does_not_take_the_parallax_of_wrong_heights_for_a_phase_function()
     assert choose_model(samples, block, relative=False).model == "lambert"
 
 
-def test_what_lies_in_shade_is_of_the_material_that_lies_nearest():
+def test_what_lies_in_shade_is_of_the_material_that_lies_nearest() -> None:
     colour = np.full((20, 20, 3), 0.4)
     colour[:, 10:] = 0.1, 0.2, 0.3
     colour += 0.002 * np.random.default_rng(0).standard_normal(colour.shape)
@@ -274,14 +276,14 @@ def test_what_lies_in_shade_is_of_the_material_that_lies_nearest():
     assert abundances[5:10, 2:7].reshape(-1, abundances.shape[-1]) @ right == pytest.approx(0, abs=0.02)
 
 
-def test_cells_that_no_view_shows_in_the_sun_have_no_say_in_their_materials_mean():
+def test_cells_that_no_view_shows_in_the_sun_have_no_say_in_their_materials_mean() -> None:
     abundances = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     amplitude = torch.tensor([[0.5], [-7.0], [2.0]])
     counted = torch.tensor([[1.0], [0.0], [1.0]])
     assert material_mean(abundances, amplitude, counted)[:, 0].tolist() == pytest.approx([0.5, 0.5, 2.0], rel=1e-5)
 
 
-def test_bumps_that_the_normals_do_not_show_cast_no_shadow():
+def test_bumps_that_the_normals_do_not_show_cast_no_shadow() -> None:
     height = torch.zeros(30, 30)
     height[15, 15] = 3.0
     low_sun = (0.94, 0.0, 0.34)
@@ -293,7 +295,7 @@ def test_bumps_that_the_normals_do_not_show_cast_no_shadow():
     assert float(sun_visibility(scene.casting(), 2.0, low_sun).min()) > 0.9
 
 
-def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles():
+def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles() -> None:
     samples, _ = made_up("hapke", start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64)), 20)
     assert sorted(extreme_views(samples)) == [0, 6]
     few = replace(
@@ -302,7 +304,7 @@ def test_auto_holds_out_the_views_at_either_end_of_the_phase_angles():
     assert choose_model(few, torch.zeros(20, dtype=torch.int64), False).model == "lambert"
 
 
-def test_blocks_alternate_so_that_half_of_them_can_set_the_scale():
+def test_blocks_alternate_so_that_half_of_them_can_set_the_scale() -> None:
     blocks = blocks_of((32, 32)).reshape(32, 32)
     assert blocks[0, 0] == blocks[7, 7]
     parity = blocks[::8, ::8] % 2

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def model(scene: Scene) -> dict[str, torch.Tensor]:
     return load(scene.root / "fit/model.safetensors")[0]
 
 
-def interrupt_after(calls: int):
+def interrupt_after(calls: int) -> Any:
     def progress(fraction: float, message: str) -> None:
         nonlocal calls
         calls -= 1
@@ -50,13 +51,13 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
 
 
 @pytest.fixture
-def whole(make_town):
+def whole(make_town: Any) -> Any:
     scene = make_town("TOWN")
     fit(scene, SHORT)
     return model(scene)
 
 
-def test_the_same_seed_gives_the_same_model_and_another_seed_does_not(whole, make_town):
+def test_the_same_seed_gives_the_same_model_and_another_seed_does_not(whole: Any, make_town: Any) -> None:
     again, other = make_town("AGAIN"), make_town("OTHER")
     fit(again, SHORT)
     fit(other, replace(SHORT, seed=1))
@@ -64,7 +65,7 @@ def test_the_same_seed_gives_the_same_model_and_another_seed_does_not(whole, mak
     assert not torch.equal(model(other)["height"], whole["height"])
 
 
-def test_interrupted_anywhere_and_resumed(whole, make_town):
+def test_interrupted_anywhere_and_resumed(whole: Any, make_town: Any) -> None:
     """In the first stage before and after a checkpoint, between the stages, in the second, and twice in a row."""
     for number, calls in enumerate([(2,), (5,), (10,), (16,), (6, 3, 8)]):
         scene = make_town(f"CUT{number}")
@@ -78,7 +79,7 @@ def test_interrupted_anywhere_and_resumed(whole, make_town):
         assert len(rows) == 1 + 10 + 9
 
 
-def test_killed_at_random_moments_and_resumed(make_town):
+def test_killed_at_random_moments_and_resumed(make_town: Any) -> None:
     reference, scene = make_town("WHOLE"), make_town("KILLED")
     command = [sys.executable, "-m", "sattools", "--threads", "1", "--progress", "json", "fit", *FLAGS]
     done = subprocess.run([*command, str(reference.root / "scene.json")], capture_output=True, text=True, check=True)
@@ -105,7 +106,7 @@ def test_killed_at_random_moments_and_resumed(make_town):
     assert json.loads((scene.root / "scene.json").read_text())["sattools"]["history"][-1]["command"] == "fit"
 
 
-def test_resuming_with_other_options_is_refused(make_town):
+def test_resuming_with_other_options_is_refused(make_town: Any) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
@@ -132,7 +133,7 @@ def darken(scene: Scene) -> None:
         lambda scene: setattr(scene, "height_range_m", (-40.0, 60.0)),
     ],
 )
-def test_resuming_with_another_sun_camera_image_or_height_range_is_refused(make_town, change):
+def test_resuming_with_another_sun_camera_image_or_height_range_is_refused(make_town: Any, change: Any) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
@@ -141,7 +142,7 @@ def test_resuming_with_another_sun_camera_image_or_height_range_is_refused(make_
         fit(scene, replace(SHORT, resume=True))
 
 
-def test_resuming_on_another_prior_is_refused(make_town):
+def test_resuming_on_another_prior_is_refused(make_town: Any) -> None:
     scene = make_town()
     with_prior = replace(SHORT, prior_weight=1.0)
     shutil.copy(scene.path(scene.products["truth_dsm"]), scene.root / "prior.tif")
@@ -154,7 +155,7 @@ def test_resuming_on_another_prior_is_refused(make_town):
         fit(scene, replace(with_prior, resume=True))
 
 
-def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole, make_town):
+def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole: Any, make_town: Any) -> None:
     scene = make_town("AGAIN")
     fit(scene, SHORT)
     with pytest.raises(OutputExistsError, match=r"found a finished fit, expected an interrupted one for --resume"):
@@ -163,7 +164,7 @@ def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole, make_to
     assert_same(model(scene), whole)
 
 
-def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole, make_town):
+def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole: Any, make_town: Any) -> None:
     """Killed between the model and the scene's document, which then names no model."""
     scene = make_town("AGAIN")
     fit(make_town("OTHER"), SHORT)
@@ -175,7 +176,7 @@ def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole, make_town):
 
 
 @pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
-def test_a_flipped_byte_in_a_checkpoint_is_noticed(make_town, place):
+def test_a_flipped_byte_in_a_checkpoint_is_noticed(make_town: Any, place: Any) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
@@ -187,7 +188,7 @@ def test_a_flipped_byte_in_a_checkpoint_is_noticed(make_town, place):
         fit(scene, replace(SHORT, resume=True))
 
 
-def test_tensors_of_another_type_in_a_checkpoint_are_noticed(make_town):
+def test_tensors_of_another_type_in_a_checkpoint_are_noticed(make_town: Any) -> None:
     from safetensors import safe_open
     from safetensors.torch import save_file
 
@@ -202,7 +203,7 @@ def test_tensors_of_another_type_in_a_checkpoint_are_noticed(make_town):
         fit(scene, replace(SHORT, resume=True))
 
 
-def test_a_damaged_checkpoint_is_named(make_town):
+def test_a_damaged_checkpoint_is_named(make_town: Any) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
@@ -212,7 +213,7 @@ def test_a_damaged_checkpoint_is_named(make_town):
         fit(scene, replace(SHORT, resume=True))
 
 
-def test_a_model_file_survives_a_round_trip_and_others_are_refused(tmp_path: Path):
+def test_a_model_file_survives_a_round_trip_and_others_are_refused(tmp_path: Path) -> None:
     tensors = {"a": torch.arange(6.0).reshape(2, 3), "step": torch.tensor(3)}
     save(tmp_path / "m", tensors, {"grid": {"left": 0.1}})
     found, meta = load(tmp_path / "m")

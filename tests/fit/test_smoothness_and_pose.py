@@ -1,5 +1,7 @@
 """Smoothness of the height map, refinement of poses, the schedule, and the surface on finer grids."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -13,27 +15,27 @@ from sattools.fit.schedule import schedule
 from sattools.fit.surface import SurfaceScene, start_scene
 
 
-def plane(rows=20, cols=24, east=0.7, south=-0.3):
+def plane(rows: Any = 20, cols: Any = 24, east: Any = 0.7, south: Any = -0.3) -> Any:
     row, col = torch.meshgrid(torch.arange(rows) + 0.5, torch.arange(cols) + 0.5, indexing="ij")
     return (5 + east * col + south * row).double()
 
 
-def test_second_differences_leave_a_tilted_plane_alone():
+def test_second_differences_leave_a_tilted_plane_alone() -> None:
     # sqrt(scale^2 + 0) - scale and the plane's own rounding
     assert float(smoothness_penalty(plane(), 1.0, first=0.0)) == pytest.approx(0, abs=1e-9)
     assert float(smoothness_penalty(plane(), 1.0)) > 0.01
 
 
-def test_flat_ground_is_perfectly_smooth():
+def test_flat_ground_is_perfectly_smooth() -> None:
     assert float(smoothness_penalty(torch.full((9, 9), -21.0), 0.5)) == 0
 
 
-def test_noise_is_rougher_than_the_plane_it_lies_on():
+def test_noise_is_rougher_than_the_plane_it_lies_on() -> None:
     noisy = plane() + 0.5 * torch.randn(20, 24, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     assert float(smoothness_penalty(noisy, 1.0)) > float(smoothness_penalty(plane(), 1.0)) + 0.1
 
 
-def test_ties_are_weak_where_the_albedo_steps_and_strong_within_a_surface():
+def test_ties_are_weak_where_the_albedo_steps_and_strong_within_a_surface() -> None:
     albedo = torch.full((10, 12, 3), 0.1)
     albedo[:, 6:] = 0.5
     edge_aware = edge_weights(albedo)
@@ -44,7 +46,7 @@ def test_ties_are_weak_where_the_albedo_steps_and_strong_within_a_surface():
     assert float(edge_aware.along[:, :5].min()) == float(edge_aware.along[:, 6:].min()) == 1
 
 
-def test_a_wall_where_the_albedo_steps_costs_less_than_one_on_plain_ground():
+def test_a_wall_where_the_albedo_steps_costs_less_than_one_on_plain_ground() -> None:
     albedo = torch.full((10, 12, 3), 0.1)
     albedo[:, 6:] = 0.5
     edge_aware = edge_weights(albedo)
@@ -57,7 +59,7 @@ def test_a_wall_where_the_albedo_steps_costs_less_than_one_on_plain_ground():
 
 
 @pytest.mark.parametrize("shift", [(0.3, -0.45), (-0.6, 0.2), (0.0, 0.0)])
-def test_a_shift_of_a_part_of_a_cell_is_found(shift):
+def test_a_shift_of_a_part_of_a_cell_is_found(shift: Any) -> None:
     """rendered(x + d) = target(x), to 5 %: the linear step leaves out the image's curvature."""
     image = gaussian_filter(np.random.default_rng(0).normal(size=(80, 90)), 3) * 3
     rows, cols = np.mgrid[:80, :90].astype(float)
@@ -68,14 +70,14 @@ def test_a_shift_of_a_part_of_a_cell_is_found(shift):
     assert found == pytest.approx(shift, abs=0.03)
 
 
-def test_an_image_without_structure_is_not_moved():
+def test_an_image_without_structure_is_not_moved() -> None:
     flat = np.full((20, 20, 3), 0.4)
     assert image_shift(flat, flat + 0.1, np.ones((20, 20))).tolist() == [0, 0]
     stripes = np.tile(np.sin(np.arange(20.0)), (20, 1))[..., None]  # nothing tells rows apart
     assert image_shift(stripes, stripes + 0.1, np.ones((20, 20))).tolist() == [0, 0]
 
 
-def test_pixels_without_weight_have_no_say():
+def test_pixels_without_weight_have_no_say() -> None:
     image = gaussian_filter(np.random.default_rng(0).normal(size=(60, 60)), 3)[..., None]
     target = image.copy()
     target[:, 30:] = 7.0
@@ -84,13 +86,13 @@ def test_pixels_without_weight_have_no_say():
     assert image_shift(image, target, weight) == pytest.approx([0, 0], abs=1e-12)
 
 
-def test_a_common_shift_and_a_common_height_are_left_to_the_surface():
+def test_a_common_shift_and_a_common_height_are_left_to_the_surface() -> None:
     slopes = [(0.1, 0.2), (-0.3, 0.05), (0.4, -0.2), (0.0, -0.35)]
     common = np.array([[1.2, -0.7]] * 4) - 2.5 * np.array(slopes)
     assert remove_gauge(common, slopes) == pytest.approx(np.zeros((4, 2)), abs=1e-12)
 
 
-def test_what_the_images_do_tell_is_kept():
+def test_what_the_images_do_tell_is_kept() -> None:
     slopes = [(0.1, 0.2), (-0.3, 0.05), (0.4, -0.2), (0.0, -0.35)]
     own = remove_gauge(np.random.default_rng(0).normal(size=(4, 2)), slopes)
     assert np.abs(own).max() > 0.1
@@ -98,7 +100,7 @@ def test_what_the_images_do_tell_is_kept():
     assert remove_gauge(own + common, slopes) == pytest.approx(own, abs=1e-12)
 
 
-def test_stages_halve_the_cell_down_to_the_finest():
+def test_stages_halve_the_cell_down_to_the_finest() -> None:
     options = FitOptions(coarsest=4.0, resolution=0.5, epochs=[9, 5], softness=[1.5, 0.5])
     stages = schedule(options, 0.25, (-30.0, 20.0), with_prior=False)
     assert [s.cell_size for s in stages] == [4, 2, 1, 0.5]
@@ -107,19 +109,19 @@ def test_stages_halve_the_cell_down_to_the_finest():
     assert {s.z_range for s in stages} == {(-30.0, 20.0)}
 
 
-def test_the_surface_has_twice_the_cell_of_the_scene_and_a_prior_spares_the_coarse_stages():
+def test_the_surface_has_twice_the_cell_of_the_scene_and_a_prior_spares_the_coarse_stages() -> None:
     assert [s.cell_size for s in schedule(FitOptions(), 0.5, (0.0, 1.0), with_prior=True)] == [1.0]
     assert [s.cell_size for s in schedule(FitOptions(), 0.5, (0.0, 1.0), with_prior=False)] == [4.0, 2.0, 1.0]
 
 
-def test_the_coarsest_stage_is_no_coarser_than_asked_for():
+def test_the_coarsest_stage_is_no_coarser_than_asked_for() -> None:
     options = FitOptions(coarsest=4.0, resolution=0.3)
     assert [s.cell_size for s in schedule(options, 0.3, (0.0, 1.0), False)] == [2.4, 1.2, 0.6, 0.3]
     options = FitOptions(coarsest=1.0, resolution=2.0)
     assert [s.cell_size for s in schedule(options, 2.0, (0.0, 1.0), False)] == [2.0]
 
 
-def test_a_small_area_has_no_stages_of_next_to_no_cells():
+def test_a_small_area_has_no_stages_of_next_to_no_cells() -> None:
     """16 m: cells of 4 m are four along a side, cells of 8 m would be two."""
     stages = schedule(FitOptions(), 0.5, (0.0, 1.0), False, shortest_m=16.0)
     assert [s.cell_size for s in stages] == [4.0, 2.0, 1.0]
@@ -128,18 +130,18 @@ def test_a_small_area_has_no_stages_of_next_to_no_cells():
 
 
 @pytest.mark.parametrize("wrong", [{"softness": [1.0]}, {"softness": [1.0, -1.0]}, {"epochs": []}, {"epochs": [0]}])
-def test_a_schedule_that_cannot_be_is_refused(wrong):
+def test_a_schedule_that_cannot_be_is_refused(wrong: Any) -> None:
     with pytest.raises(SceneError, match="expected"):
         schedule(FitOptions(**wrong), 0.5, (0.0, 1.0), False)
 
 
-def surface(height):
+def surface(height: Any) -> Any:
     shape = tuple(height.shape)
     colour = torch.tensor([[1.0, 1.0, 1.0], [0.9, 1.1, 1.0]])
     return start_scene(height, torch.full((*shape, 3), 0.2), colour, torch.tensor([[0.0] * 3, [0.01] * 3]), 0.4)
 
 
-def test_a_plane_stays_a_plane_on_a_finer_grid():
+def test_a_plane_stays_a_plane_on_a_finer_grid() -> None:
     coarse = surface(plane(10, 12).float())
     fine = coarse.resized((20, 24), (0.5, 0.5))
     row, col = torch.meshgrid((torch.arange(20) + 0.5) / 2, (torch.arange(24) + 0.5) / 2, indexing="ij")
@@ -152,13 +154,13 @@ def test_a_plane_stays_a_plane_on_a_finer_grid():
     assert torch.equal(fine.gain, coarse.gain)
 
 
-def test_a_finer_grid_that_does_not_divide_keeps_the_upper_left_corner():
+def test_a_finer_grid_that_does_not_divide_keeps_the_upper_left_corner() -> None:
     coarse = surface(plane(10, 12).float())
     fine = coarse.resized((19, 23), (0.5, 0.5))
     assert float(fine.height[8, 8]) == pytest.approx(5 + 0.7 * 4.25 - 0.3 * 4.25, abs=1e-4)
 
 
-def test_colour_is_gain_times_light_times_albedo_plus_offset():
+def test_colour_is_gain_times_light_times_albedo_plus_offset() -> None:
     scene: SurfaceScene = surface(torch.zeros(2, 2))
     scene.ambient[1] = torch.tensor([0.3, 0.4, 0.5])
     lit = scene.colour(1, torch.tensor([[1.0, 0.0], [0.5, 1.0]]))

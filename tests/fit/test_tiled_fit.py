@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ WHOLE = FitOptions(resolution=1.0, epochs=[8])
 TILED = replace(WHOLE, tile=32.0, overlap=8.0)
 
 
-def model(scene):
+def model(scene: Any) -> Any:
     return load(scene.root / "fit/model.safetensors")
 
 
@@ -34,7 +35,7 @@ class Interrupted(Exception):
 
 
 @pytest.fixture(scope="module")
-def both(town_source, tmp_path_factory):
+def both(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The simulated town fitted at once and in four tiles."""
     scenes = []
     for name, options in (("WHOLE", WHOLE), ("TILED", TILED)):
@@ -46,7 +47,7 @@ def both(town_source, tmp_path_factory):
     return scenes
 
 
-def test_tiles_leave_what_a_fit_of_the_whole_leaves(both):
+def test_tiles_leave_what_a_fit_of_the_whole_leaves(both: Any) -> None:
     (whole, _), (tiled, said) = both
     (one, about), (other, about_other) = model(whole), model(tiled)
     assert {name: t.shape for name, t in one.items()} == {name: t.shape for name, t in other.items()}
@@ -59,7 +60,7 @@ def test_tiles_leave_what_a_fit_of_the_whole_leaves(both):
         assert (tiled.root / f"prior/{name}.tif").exists()
 
 
-def test_tiles_are_as_good_as_the_whole_and_show_no_seam(both):
+def test_tiles_are_as_good_as_the_whole_and_show_no_seam(both: Any) -> None:
     (whole, _), (tiled, _) = both
     truth = read_reference(whole.path(whole.products["truth_dsm"]))
     grid = whole.require_grid().resized(1.0)
@@ -74,11 +75,11 @@ def test_tiles_are_as_good_as_the_whole_and_show_no_seam(both):
         assert steps[seam] <= np.percentile(np.delete(steps, seam), 95)
 
 
-def test_an_interrupted_tiled_fit_does_only_what_is_left(both, make_town):
+def test_an_interrupted_tiled_fit_does_only_what_is_left(both: Any, make_town: Any) -> None:
     scene = make_town("CUT")
     said = []
 
-    def stop(fraction, message):
+    def stop(fraction: Any, message: Any) -> None:
         said.append((fraction, message))
         if "tile 3 of 4" in message and "epoch 6" in message:
             raise Interrupted
@@ -101,7 +102,7 @@ def test_an_interrupted_tiled_fit_does_only_what_is_left(both, make_town):
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(both, make_town):
+def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(both: Any, make_town: Any) -> None:
     scene = make_town("PARTS")
     documents = fit(scene, replace(TILED, part="split"))["tiles"]
     assert documents == ["r0c0", "r0c1", "r1c0", "r1c1"]
@@ -114,7 +115,7 @@ def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(both, make_town
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town):
+def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town: Any) -> None:
     scene = make_town("SHARED")
     names = fit(scene, replace(TILED, part="split", epochs=[2]))["tiles"]
     for name in names[:2]:
@@ -127,7 +128,7 @@ def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town):
     assert float(common["gain"].std()) > 0.01
 
 
-def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town, monkeypatch):
+def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
     scene = make_town("PILOTS")
     fit(scene, replace(TILED, part="split", epochs=[2]))
@@ -139,7 +140,7 @@ def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town, monkeypatc
         assert torch.equal(common[name], torch.stack([t[name] for t in own]).median(dim=0).values)
 
 
-def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_town):
+def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_town: Any) -> None:
     """Five of six images are cut off east of the middle: the eastern tiles have one image left."""
     import rasterio
 
@@ -160,7 +161,7 @@ def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_town):
     assert torch.isfinite(model(scene)[0]["height"]).all()
 
 
-def test_what_stands_outside_a_tile_throws_its_shadow_into_it():
+def test_what_stands_outside_a_tile_throws_its_shadow_into_it() -> None:
     """A wall of 30 m, 10 m east of the tile; the sun in the east, 30 degrees high: 52 m of shadow, 42 m in the tile."""
     whole, tile = Grid("EPSG:32617", 0.0, 100.0, 2.0, 100, 50), Grid("EPSG:32617", 0.0, 100.0, 1.0, 100, 100)
     height = torch.zeros(whole.shape)
@@ -178,7 +179,7 @@ def test_what_stands_outside_a_tile_throws_its_shadow_into_it():
     assert (coarse.cast(flat, 1.0, (-sun[0], 0.0, 0.5)) == 1).all()
 
 
-def test_a_map_on_another_grid_keeps_its_place():
+def test_a_map_on_another_grid_keeps_its_place() -> None:
     source = Grid("EPSG:32617", 10.0, 50.0, 2.0, 20, 20)
     x, y = np.meshgrid(source.x(), source.y())
     found = sampled(torch.from_numpy(x + 3 * y), source, Grid("EPSG:32617", 15.0, 45.0, 1.0, 7, 5))
@@ -195,7 +196,7 @@ def test_a_map_on_another_grid_keeps_its_place():
         (["--tile", "-1"], "-1.0 is not in the range"),
     ],
 )
-def test_wrong_use_is_told_at_once(options, words):
+def test_wrong_use_is_told_at_once(options: Any, words: Any) -> None:
     result = CliRunner().invoke(main, ["fit", *options, "none.json"])
     assert result.exit_code == 2
     assert words in result.stderr
@@ -210,7 +211,7 @@ def test_wrong_use_is_told_at_once(options, words):
         (["--overlap", "2", "--tile", "8"], "--tile: found 8 m, expected at least"),
     ],
 )
-def test_what_does_not_go_with_tiles_is_one_line(make_town, options, words):
+def test_what_does_not_go_with_tiles_is_one_line(make_town: Any, options: Any, words: Any) -> None:
     scene = make_town()
     result = CliRunner().invoke(
         main, ["fit", "--tile", "32", "--overlap", "8", *options, str(scene.root / "scene.json")]
@@ -220,7 +221,7 @@ def test_what_does_not_go_with_tiles_is_one_line(make_town, options, words):
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_a_tile_size_of_0_is_a_fit_at_once(make_town):
+def test_a_tile_size_of_0_is_a_fit_at_once(make_town: Any) -> None:
     scene = make_town("ZERO")
     fit(scene, replace(WHOLE, tile=0.0, epochs=[1]))
     assert not any(json.loads(text).get("tiles") for text in [json.dumps(model(scene)[1])])

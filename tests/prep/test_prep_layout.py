@@ -1,6 +1,8 @@
 """Footprints, groups of images, the default area and windows."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ UTM33 = "EPSG:32633"
 X, Y = from_geographic(UTM33, LON0, LAT0)
 
 
-def test_footprint_is_the_image_outline_at_that_height():
+def test_footprint_is_the_image_outline_at_that_height() -> None:
     polygon = footprint(parallel_rpc(run=(0.3, 0.0), gsd=0.5, size=(200, 100)), (0, 0, 100, 200), ALT0 + 10.0)
     west, south, east, north = polygon.bounds
     # 100 pixels of 0.5 m are 50 m, moved 3 m east at 10 m
@@ -26,12 +28,12 @@ def test_footprint_is_the_image_outline_at_that_height():
     assert polygon.exterior.is_ccw
 
 
-def test_groups_join_through_others_and_the_largest_comes_first():
+def test_groups_join_through_others_and_the_largest_comes_first() -> None:
     boxes = [box(100, 0, 101, 1), box(0, 0, 2, 1), box(1, 0, 4, 1), box(3, 0, 5, 1)]
     assert groups(boxes) == [[1, 2, 3], [0]]
 
 
-def test_default_area_is_what_half_of_the_images_show():
+def test_default_area_is_what_half_of_the_images_show() -> None:
     boxes = [box(0, 0, 100, 100), box(10, 0, 110, 100), box(20, 0, 120, 100), box(90, 0, 200, 100)]
     assert common_bounds(boxes) == pytest.approx((10, 0, 120, 100), abs=1.0)
     assert common_bounds([box(0, 0, 1, 1), box(5, 5, 6, 6)]) is None
@@ -41,23 +43,23 @@ def test_default_area_is_what_half_of_the_images_show():
 @pytest.mark.parametrize(
     ("gsd", "cell"), [(0.33, 0.5), (0.5, 0.5), (0.54, 0.5), (0.7, 1.0), (1.5, 2.0), (4.0, 5.0), (9, 10)]
 )
-def test_default_cell_size_is_round(gsd, cell):
+def test_default_cell_size_is_round(gsd: Any, cell: Any) -> None:
     assert default_cell_size(gsd) == cell
 
 
-def test_crop_window_holds_the_area_at_all_heights():
+def test_crop_window_holds_the_area_at_all_heights() -> None:
     rpc = parallel_rpc(run=(0.5, 0.0), gsd=0.5, size=(1001, 1001))
     window = crop_window(rpc, UTM33, (X - 10, Y - 20, X + 10, Y + 20), (ALT0 - 10, ALT0 + 30), (1001, 1001), 4)
     # east -10 at +30 m: col 500 + (-10 - 15) / 0.5 = 450; east +10 at -10 m: 500 + (10 + 5) / 0.5 = 530; UTM: 0.04 %
     assert window == (445, 455, 91, 91)
 
 
-def test_crop_window_of_an_area_elsewhere_is_empty():
+def test_crop_window_of_an_area_elsewhere_is_empty() -> None:
     window = crop_window(parallel_rpc(), UTM33, (X + 5000, Y, X + 5100, Y + 100), (0.0, 100.0), (240, 260), 4)
     assert window[2] == 0
 
 
-def test_bounds_are_degrees_without_crs_and_metres_with_it():
+def test_bounds_are_degrees_without_crs_and_metres_with_it() -> None:
     assert bounds_from_numbers([X, Y, X + 10, Y + 20], UTM33, UTM33) == (X, Y, X + 10, Y + 20)
     in_degrees = bounds_from_numbers([LON0, LAT0, LON0 + 10 / EAST_M, LAT0 + 20 / NORTH_M], UTM33, None)
     assert in_degrees == pytest.approx((X, Y, X + 10, Y + 20), abs=0.02)
@@ -67,7 +69,7 @@ def test_bounds_are_degrees_without_crs_and_metres_with_it():
         bounds_from_numbers([2, 0, 1, 1], UTM33, None)
 
 
-def test_geojson_area_in_degrees_or_in_its_own_crs(tmp_path):
+def test_geojson_area_in_degrees_or_in_its_own_crs(tmp_path: Path) -> None:
     ring = [[LON0, LAT0], [LON0 + 10 / EAST_M, LAT0], [LON0, LAT0 + 20 / NORTH_M], [LON0, LAT0]]
     feature = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]}}
     path = tmp_path / "a.geojson"
@@ -85,7 +87,7 @@ def test_geojson_area_in_degrees_or_in_its_own_crs(tmp_path):
         bounds_from_geojson(path, UTM33)
 
 
-def test_off_nadir_is_smaller_than_incidence_by_the_earths_curvature():
+def test_off_nadir_is_smaller_than_incidence_by_the_earths_curvature() -> None:
     # vendor's figures of a WorldView-2 scene: satellite elevation 52.6, off-nadir 32.7 degrees
     assert off_nadir_deg(90 - 52.6, "WorldView-2") == pytest.approx(32.7, abs=0.2)
     assert off_nadir_deg(0.0, None) == 0.0

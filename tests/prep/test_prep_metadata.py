@@ -3,6 +3,7 @@
 import json
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,14 +23,14 @@ from sattools.scene.sidecars import sidecars
         (None, None),
     ],
 )
-def test_times(text, time):
+def test_times(text: Any, time: Any) -> None:
     parsed = parse_time(text)
     assert (parsed and parsed.replace(microsecond=round(parsed.microsecond, -1))) == (
         time and time.replace(microsecond=round(time.microsecond, -1))
     )
 
 
-def test_sun_angles_may_be_text_with_a_sign_and_come_in_pairs():
+def test_sun_angles_may_be_text_with_a_sign_and_come_in_pairs() -> None:
     assert parse_sun("158.9", "+33.5") == (158.9, 33.5)
     assert parse_sun("-10", 20) == (350.0, 20.0)
     assert parse_sun("158.9", None) is None
@@ -46,11 +47,11 @@ def test_sun_angles_may_be_text_with_a_sign_and_come_in_pairs():
         ("JAX_068_001", None),
     ],
 )
-def test_platforms(text, name):
+def test_platforms(text: Any, name: Any) -> None:
     assert find_platform(text) == name
 
 
-def test_nitf_tags_give_time_platform_and_bits():
+def test_nitf_tags_give_time_platform_and_bits() -> None:
     tags = {
         "NITF_FTITLE": "02MAY15WV031100015MAY02161943-M1BS-500648061030_01_P001",
         "NITF_IDATIM": "20150502161943",
@@ -64,16 +65,16 @@ def test_nitf_tags_give_time_platform_and_bits():
     )
 
 
-def test_the_date_that_gdal_makes_up_for_nitf_is_not_believed():
+def test_the_date_that_gdal_makes_up_for_nitf_is_not_believed() -> None:
     assert from_tags({"NITF_IDATIM": "20021216151629", "NITF_OSTAID": "GDAL", "NITF_FTITLE": ""}, "wv3_30").time is None
 
 
-def test_airbus_identifier_in_the_tags_gives_time_and_platform():
+def test_airbus_identifier_in_the_tags_gives_time_and_platform() -> None:
     found = from_tags({"gml": "<gml:name>DS_PHR1A_201304171036448_FR1_PX_E005N43_0707_01658</gml:name>"}, "img_01")
     assert (found.time, found.platform) == (datetime(2013, 4, 17, 10, 36, 44, tzinfo=UTC), "Pleiades-1A")
 
 
-def test_satnerf_json(tmp_path):
+def test_satnerf_json(tmp_path: Path) -> None:
     document = {
         "height": 5,
         "width": 4,
@@ -87,7 +88,7 @@ def test_satnerf_json(tmp_path):
     assert found.time == datetime(2014, 12, 27, 16, 11, 9, tzinfo=UTC)
 
 
-def test_digitalglobe_imd(tmp_path):
+def test_digitalglobe_imd(tmp_path: Path) -> None:
     (tmp_path / "a.IMD").write_text(
         'version = "R";\r\nBEGIN_GROUP = IMAGE_1\r\n\tsatId = "WV03";\r\n\tfirstLineTime = 2015-05-02T16:19:43.5Z;\r\n'
         "\tmeanSunAz = 131.6;\r\n\tmeanSunEl = 69.2;\r\nEND_GROUP = IMAGE_1\r\n"
@@ -96,8 +97,8 @@ def test_digitalglobe_imd(tmp_path):
     assert (found.sun, found.platform, found.time.second) == ((131.6, 69.2), "WorldView-3", 43)
 
 
-def test_dimap_takes_the_angles_of_the_centre(tmp_path):
-    def located(kind, azimuth):
+def test_dimap_takes_the_angles_of_the_centre(tmp_path: Path) -> None:
+    def located(kind: Any, azimuth: Any) -> Any:
         return (
             f"<Located_Geometric_Values><LOCATION_TYPE>{kind}</LOCATION_TYPE><Solar_Incidences><SUN_AZIMUTH>{azimuth}"
             "</SUN_AZIMUTH><SUN_ELEVATION>54.0</SUN_ELEVATION></Solar_Incidences></Located_Geometric_Values>"
@@ -114,14 +115,14 @@ def test_dimap_takes_the_angles_of_the_centre(tmp_path):
     assert (found.sun, found.platform) == ((151.0, 54.0), "Pleiades-1B")
 
 
-def test_worldview_xml(data_dir):
+def test_worldview_xml(data_dir: Any) -> None:
     found = read_sidecar(data_dir / "rpc_formats/rpc_WV2.xml")
     assert (found.sun, found.platform) == ((162.1, 40.3), "WorldView-2")
     assert found.time.isoformat().startswith("2015-09-30T10:56:56.97")
     assert found.rpc is not None
 
 
-def test_sidecars_are_found_by_name_whatever_the_case(tmp_path):
+def test_sidecars_are_found_by_name_whatever_the_case(tmp_path: Path) -> None:
     for name in ("IMG_PHR1A_X_R1C1.TIF", "RPC_PHR1A_X.XML", "DIM_PHR1A_X.XML", "OTHER.XML"):
         (tmp_path / name).write_text("x")
     names = [p.name for p in sidecars(tmp_path / "IMG_PHR1A_X_R1C1.TIF", [tmp_path])]
@@ -130,12 +131,12 @@ def test_sidecars_are_found_by_name_whatever_the_case(tmp_path):
     assert [p.name for p in sidecars(Path(tmp_path / "B.tif"), [tmp_path])] == ["b_rpc.txt"]
 
 
-def test_the_first_source_wins_and_the_next_fills_the_gaps():
+def test_the_first_source_wins_and_the_next_fills_the_gaps() -> None:
     first, second = Metadata(sun=(1.0, 2.0)), Metadata(sun=(3.0, 4.0), platform="x")
     assert first.filled(second) == Metadata(sun=(1.0, 2.0), platform="x")
 
 
-def test_an_imd_without_members_is_refused(tmp_path):
+def test_an_imd_without_members_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.imd").write_text("nothing\n")
     with pytest.raises(InputError, match="expected DigitalGlobe image metadata"):
         read_sidecar(tmp_path / "a.imd")

@@ -3,6 +3,8 @@
 import json
 import os
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from sattools.scene import Scene
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3)]
 
 
-def write(path, image, rpc=None, **profile):
+def write(path: Any, image: Any, rpc: Any = None, **profile: Any) -> Any:
     image = np.asarray(image)
     image = image[None] if image.ndim == 2 else image
     count, height, width = image.shape
@@ -35,13 +37,13 @@ def write(path, image, rpc=None, **profile):
 
 
 @pytest.fixture(scope="module")
-def pixels():
+def pixels() -> Any:
     ground = texture()
     return [render(ground, r).clip(1, 2047).astype(np.uint16) for r in RUNS]
 
 
 @pytest.fixture
-def images(tmp_path, pixels):
+def images(tmp_path: Path, pixels: Any) -> Any:
     folder = tmp_path / "in"
     folder.mkdir()
     return [
@@ -51,11 +53,11 @@ def images(tmp_path, pixels):
 
 
 @pytest.fixture
-def options(tmp_path):
+def options(tmp_path: Path) -> Any:
     return PrepOptions(out=str(tmp_path / "out"))
 
 
-def refused(images, options, words):
+def refused(images: Any, options: Any, words: Any) -> None:
     with pytest.raises(InputError, match=words) as caught:
         prepare(images, options)
     assert "\n" not in str(caught.value)
@@ -63,7 +65,7 @@ def refused(images, options, words):
     assert not [name for _, _, names in os.walk(options.out) for name in names]
 
 
-def test_a_scene_with_corrected_cameras(images, pixels, options):
+def test_a_scene_with_corrected_cameras(images: Any, pixels: Any, options: Any) -> None:
     meta = {"sun_azimuth": "150.0", "sun_elevation": "+40.0", "acquisition_date": "20200621103000"}
     images[0].with_suffix(".json").write_text(json.dumps(meta))
     scene, extra = prepare(images, replace(options, holdout=["city_1"]))
@@ -100,7 +102,7 @@ def test_a_scene_with_corrected_cameras(images, pixels, options):
     assert Scene.from_json(scene.to_json()).to_json() == scene.to_json()
 
 
-def test_relative_errors_of_cameras_are_undone(images, options):
+def test_relative_errors_of_cameras_are_undone(images: Any, options: Any) -> None:
     scene, _ = prepare(images, options)
     shifts = np.array([i.properties["sattools:rpc_shift_px"] for i in scene.items])
     undone = shifts + np.array([[0, 0], [0, 0], [0, 5.0]])
@@ -109,7 +111,7 @@ def test_relative_errors_of_cameras_are_undone(images, options):
     assert np.abs(left).max() < 0.15
 
 
-def test_sun_is_computed_from_the_time_when_metadata_have_none(images, options):
+def test_sun_is_computed_from_the_time_when_metadata_have_none(images: Any, options: Any) -> None:
     for path in images:
         path.with_suffix(".json").write_text(json.dumps({"acquisition_date": "20200621110000"}))
     scene, _ = prepare(images, options)
@@ -119,7 +121,7 @@ def test_sun_is_computed_from_the_time_when_metadata_have_none(images, options):
     assert p["view:sun_elevation"] == pytest.approx(67.4, abs=0.1)
 
 
-def test_an_area_crops_images_and_their_cameras(images, options):
+def test_an_area_crops_images_and_their_cameras(images: Any, options: Any) -> None:
     x, y = from_geographic("EPSG:32633", LON0, LAT0)
     area = [x - 20, y - 15, x + 20, y + 15]
     scene, _ = prepare(images, replace(options, crs="EPSG:32633", bounds=area))
@@ -135,13 +137,13 @@ def test_an_area_crops_images_and_their_cameras(images, options):
         assert 0 < inside[1] < height
 
 
-def test_correction_none_keeps_the_cameras(images, options):
+def test_correction_none_keeps_the_cameras(images: Any, options: Any) -> None:
     scene, extra = prepare(images, replace(options, correction="none"))
     assert RPC.from_file(scene.path("rpc/city_2_RPC.TXT")).to_tags() == RPC.from_file(images[2]).to_tags()
     assert "cameras were left as they are (correction none)" in extra["notes"]
 
 
-def test_an_existing_scene_is_kept_unless_told_otherwise(images, options, tmp_path):
+def test_an_existing_scene_is_kept_unless_told_otherwise(images: Any, options: Any, tmp_path: Path) -> None:
     (tmp_path / "out/city").mkdir(parents=True)
     (tmp_path / "out/city/scene.json").write_text("{}")
     with pytest.raises(OutputExistsError, match="--overwrite"):
@@ -149,45 +151,45 @@ def test_an_existing_scene_is_kept_unless_told_otherwise(images, options, tmp_pa
     prepare(images, options, overwrite=True)
 
 
-def test_one_image_is_refused(images, options):
+def test_one_image_is_refused(images: Any, options: Any) -> None:
     refused(images[:1], options, "found this one image only")
 
 
-def test_two_images_with_one_id_are_refused(images, options, tmp_path):
+def test_two_images_with_one_id_are_refused(images: Any, options: Any, tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     twin = tmp_path / "b" / "city_0.tif"
     twin.write_bytes(images[0].read_bytes())
     refused([images[0], twin], options, "found id 'city_0', which")
 
 
-def test_an_image_without_rpc_is_refused(images, options, pixels):
+def test_an_image_without_rpc_is_refused(images: Any, options: Any, pixels: Any) -> None:
     write(images[1], pixels[1])
     refused(images, options, r"city_1\.tif: found no RPC")
 
 
-def test_an_rpc_of_another_place_is_refused(images, options, pixels):
+def test_an_rpc_of_another_place_is_refused(images: Any, options: Any, pixels: Any) -> None:
     write(images[1], pixels[1], replace(parallel_rpc(RUNS[1]), lon_offset=15.5))
     refused(images, options, r"city_1\.tif: found its RPC at 46\.0000 N 15\.5000 E, 38\.\d km from the other images")
 
 
-def test_images_that_do_not_overlap_are_refused(images, options, pixels):
+def test_images_that_do_not_overlap_are_refused(images: Any, options: Any, pixels: Any) -> None:
     write(images[1], pixels[1], replace(parallel_rpc(RUNS[1]), lat_offset=46.1))
     refused(images[:2], options, "found no overlap with")
 
 
-def test_images_of_different_ground_are_refused(images, options):
+def test_images_of_different_ground_are_refused(images: Any, options: Any) -> None:
     other = render(texture(seed=9), RUNS[1]).clip(1, 2047).astype(np.uint16)
     write(images[1], other, parallel_rpc(RUNS[1]))
     refused(images[:2], options, "tie points: found")
 
 
-def test_a_truncated_image_is_refused(images, options):
+def test_a_truncated_image_is_refused(images: Any, options: Any) -> None:
     data = images[1].read_bytes()
     images[1].write_bytes(data[: len(data) // 2])
     refused(images, options, r"city_1\.tif: found")
 
 
-def test_a_band_without_data_is_refused(images, options, pixels):
+def test_a_band_without_data_is_refused(images: Any, options: Any, pixels: Any) -> None:
     for path, values, run in zip(images, pixels, RUNS, strict=True):
         write(path, np.stack([values, values * (path != images[1])]), parallel_rpc(run))
     refused(images, options, r"city_1\.tif: found band 2 to be 0 everywhere")
@@ -195,7 +197,7 @@ def test_a_band_without_data_is_refused(images, options, pixels):
     refused(images, options, "no-data or NaN everywhere")
 
 
-def test_nan_pixels_are_masked_and_mentioned(images, options, pixels):
+def test_nan_pixels_are_masked_and_mentioned(images: Any, options: Any, pixels: Any) -> None:
     holed = pixels[1].astype(np.float32)
     holed[50:80, 60:110] = np.nan
     write(images[1], holed, parallel_rpc(RUNS[1]))
@@ -205,7 +207,7 @@ def test_nan_pixels_are_masked_and_mentioned(images, options, pixels):
 
 
 @pytest.mark.parametrize("where", ["beside the image", "in the metadata folder"])
-def test_unreadable_json_is_refused(images, options, tmp_path, where):
+def test_unreadable_json_is_refused(images: Any, options: Any, tmp_path: Path, where: Any) -> None:
     folder = tmp_path / "m"
     folder.mkdir()
     target = images[1].with_suffix(".json") if where == "beside the image" else folder / "city_1.json"
@@ -213,12 +215,12 @@ def test_unreadable_json_is_refused(images, options, tmp_path, where):
     refused(images, replace(options, metadata=str(folder)), r"city_1\.json: found text that is not JSON")
 
 
-def test_metadata_of_another_crop_are_refused(images, options):
+def test_metadata_of_another_crop_are_refused(images: Any, options: Any) -> None:
     images[1].with_suffix(".json").write_text(json.dumps({"height": 100, "width": 100}))
     refused(images, options, "metadata of an image of 100 x 100 pixels, expected 260 x 240")
 
 
-def test_an_area_outside_is_refused(images, options):
+def test_an_area_outside_is_refused(images: Any, options: Any) -> None:
     refused(images, replace(options, bounds=[16.0, 46.0, 16.01, 46.01]), "found 0 of 3 images that show it")
 
 
@@ -231,16 +233,16 @@ def test_an_area_outside_is_refused(images, options):
         ({"bounds": [1.0, 2.0, 3.0, 4.0], "aoi": "a.geojson"}, "found both --aoi and --bounds"),
     ],
 )
-def test_wrong_options_are_refused(images, options, change, words):
+def test_wrong_options_are_refused(images: Any, options: Any, change: Any, words: Any) -> None:
     refused(images, replace(options, **change), words)
 
 
-def test_names_of_scenes():
+def test_names_of_scenes() -> None:
     assert common_name(["JAX_068_001_RGB", "JAX_068_016_RGB"]) == "JAX_068"
     assert common_name(["a", "b"]) == "scene"
 
 
-def test_contest_images_are_found_by_area(tmp_path):
+def test_contest_images_are_found_by_area(tmp_path: Path) -> None:
     for name in ("Track3-RGB-1/JAX_068_002_RGB.tif", "Track3-RGB-1/JAX_004_001_RGB.tif", "rpc_raw/JAX_068/x.json"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
@@ -253,7 +255,7 @@ def test_contest_images_are_found_by_area(tmp_path):
         find_images(tmp_path, "../../etc")
 
 
-def test_the_command_prints_one_scene_line(images, tmp_path):
+def test_the_command_prints_one_scene_line(images: Any, tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["prep", *map(str, images), "--out", str(tmp_path / "o"), "--id", "town"])
     assert result.exit_code == 0, result.output
     scene = Scene.from_json(result.stdout)
@@ -263,7 +265,7 @@ def test_the_command_prints_one_scene_line(images, tmp_path):
     assert (tmp_path / "o/town/scene.json").exists()
 
 
-def test_the_command_says_in_one_line_what_is_wrong(images, tmp_path):
+def test_the_command_says_in_one_line_what_is_wrong(images: Any, tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["prep", str(images[0]), "--out", str(tmp_path / "o")])
     assert result.exit_code == 1
     assert result.stdout == ""
@@ -271,20 +273,20 @@ def test_the_command_says_in_one_line_what_is_wrong(images, tmp_path):
     assert "expected at least 2 images" in result.stderr
 
 
-def test_the_command_without_images_is_a_usage_error():
+def test_the_command_without_images_is_a_usage_error() -> None:
     assert CliRunner().invoke(main, ["prep"]).exit_code == 2
     assert CliRunner().invoke(main, ["prep", "--dfc2019", "/nowhere"]).exit_code == 2
 
 
-def test_heights_given_by_hand_are_taken(images, options):
+def test_heights_given_by_hand_are_taken(images: Any, options: Any) -> None:
     scene, _ = prepare(images, replace(options, min_height=50.0, max_height=160.0))
     assert scene.height_range_m == (50.0, 160.0)
     with pytest.raises(InputError, match=r"lowest 160 m and highest 50 m"):
         prepare(images, replace(options, min_height=160.0, max_height=50.0), overwrite=True)
 
 
-def test_a_full_disk_leaves_no_half_written_image(images, options, monkeypatch):
-    def full(number):
+def test_a_full_disk_leaves_no_half_written_image(images: Any, options: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(number: Any) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
@@ -293,7 +295,7 @@ def test_a_full_disk_leaves_no_half_written_image(images, options, monkeypatch):
     assert not [name for _, _, names in os.walk(options.out) for name in names]
 
 
-def test_an_output_folder_that_is_a_file_is_refused_before_any_work(images, options, tmp_path):
+def test_an_output_folder_that_is_a_file_is_refused_before_any_work(images: Any, options: Any, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(SattoolsError, match="expected a writable folder"):
         prepare(images, options)

@@ -1,5 +1,7 @@
 """Views of a known surface, painted plane by plane."""
 
+from typing import Any
+
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -10,7 +12,7 @@ RANGE = (-4.0, 16.0)
 CELL = 0.5
 
 
-def views_of(height, slopes, seed=0):
+def views_of(height: Any, slopes: Any, seed: Any = 0) -> Any:
     """A frame of a surface with noise for texture, each view rendered from the top downward so that walls hide."""
     rng = np.random.default_rng(seed)
     slopes = np.array(slopes)

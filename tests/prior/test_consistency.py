@@ -1,5 +1,7 @@
 """The left-right check on the ground grid: rays, consistent views, and what is filled."""
 
+from typing import Any
+
 import numpy as np
 
 from sattools.prior.consistency import RayMinima, count_consistent_views, filled, update_minima
@@ -10,14 +12,14 @@ HEIGHTS = np.array([0.0, 2.0])
 MARGIN = 2
 
 
-def frame():
+def frame() -> Any:
     """A vertical view of one row of five cells, and one in which 2 m of height move a point by one column."""
     shape = (2, 1 + 2 * MARGIN, 5 + 2 * MARGIN)
     slopes = np.array([[0.0, 0.0], [0.0, 0.5]])
     return Frame(np.zeros(shape, np.float32), np.ones(shape, np.uint8), slopes, 0.0, 1.0, MARGIN, (None, None))
 
 
-def followed(cost):
+def followed(cost: Any) -> Any:
     """The rays of `frame` after a cost ``[5][2]`` of the five cells at both heights."""
     minima = RayMinima.unknown(frame())
     volume = np.array(cost, np.float32)[None]
@@ -25,7 +27,7 @@ def followed(cost):
     return minima
 
 
-def bear_witness(minima, height, first_hit_height=None):
+def bear_witness(minima: Any, height: Any, first_hit_height: Any = None) -> Any:
     f = frame()
     first_hit_height = np.full(f.images.shape, UNKNOWN, np.float32) if first_hit_height is None else first_hit_height
     return count_consistent_views(f, first_hit_height, minima, np.array([height], np.float32), tolerance=0.5, step=0.5)
@@ -35,7 +37,7 @@ def bear_witness(minima, height, first_hit_height=None):
 ROOF = [[1, 5], [4, 0], [1, 5], [1, 5], [1, 5]]
 
 
-def test_every_ray_keeps_its_cheapest_place():
+def test_every_ray_keeps_its_cheapest_place() -> None:
     minima = followed(ROOF)
     # the leaning view shows the roof where the ground of the third cell would be
     np.testing.assert_array_equal(minima.height[0, MARGIN, MARGIN : MARGIN + 5], [0, 2, 0, 0, 0])
@@ -44,7 +46,7 @@ def test_every_ray_keeps_its_cheapest_place():
     assert np.isnan(minima.height[1, MARGIN, 0]), "no cell lies on this ray"
 
 
-def test_blocks_leave_the_rays_as_the_whole_does():
+def test_blocks_leave_the_rays_as_the_whole_does() -> None:
     whole, parts = followed(ROOF), RayMinima.unknown(frame())
     volume = np.array(ROOF, np.float32)[None]
     for first, last in ((3, 5), (0, 3)):
@@ -54,13 +56,13 @@ def test_blocks_leave_the_rays_as_the_whole_does():
     np.testing.assert_array_equal(parts.height, whole.height)
 
 
-def test_ground_whose_pixel_shows_the_roof_loses_a_witness():
+def test_ground_whose_pixel_shows_the_roof_loses_a_witness() -> None:
     agreeing, views = bear_witness(followed(ROOF), [0, 2, 0, 0, 0])
     np.testing.assert_array_equal(agreeing, [[2, 2, 1, 2, 2]])
     np.testing.assert_array_equal(views, [[2, 2, 2, 2, 2]])
 
 
-def test_a_view_that_cannot_see_the_place_is_no_witness():
+def test_a_view_that_cannot_see_the_place_is_no_witness() -> None:
     first_hit_height = np.full(frame().images.shape, UNKNOWN, np.float32)
     first_hit_height[1, MARGIN, MARGIN + 3] = 9.0
     agreeing, views = bear_witness(followed(ROOF), [0, 2, 0, 0, 0], first_hit_height)
@@ -68,12 +70,12 @@ def test_a_view_that_cannot_see_the_place_is_no_witness():
     np.testing.assert_array_equal(views, [[2, 2, 2, 1, 2]])
 
 
-def test_heights_up_to_three_planes_apart_are_one_place():
+def test_heights_up_to_three_planes_apart_are_one_place() -> None:
     assert bear_witness(followed(ROOF), [1.5, 2, 0, 0, 0])[0][0, 0] == 2
     assert bear_witness(followed(ROOF), [1.6, 2, 0, 0, 0])[0][0, 0] == 0
 
 
-def test_a_hole_beside_a_wall_takes_the_ground():
+def test_a_hole_beside_a_wall_takes_the_ground() -> None:
     height = np.zeros((9, 9), np.float32)
     height[:, :4] = 10.0  # a house to the left of a hole of one column
     stands = np.ones(height.shape, bool)
@@ -83,7 +85,7 @@ def test_a_hole_beside_a_wall_takes_the_ground():
     np.testing.assert_array_equal(filled(height, stands, 1.0)[4], expected)
 
 
-def test_one_or_two_low_strays_do_not_fill_a_roof():
+def test_one_or_two_low_strays_do_not_fill_a_roof() -> None:
     height = np.full((9, 9), 10.0, np.float32)
     height[0, 4] = height[4, 0] = -3.0
     height[4, 4] = 20.0
@@ -92,7 +94,7 @@ def test_one_or_two_low_strays_do_not_fill_a_roof():
     assert filled(height, stands, 1.0)[4, 4] == 10.0
 
 
-def test_nothing_beyond_twenty_metres_fills_a_hole():
+def test_nothing_beyond_twenty_metres_fills_a_hole() -> None:
     height = np.full((1, 40), 7.0, np.float32)
     stands = np.zeros(height.shape, bool)
     height[0, 30], stands[0, 30] = 3.0, True

@@ -1,6 +1,7 @@
 """Courtyards that the smoothness term bridges, and what tells them from roofs."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ LEANS = [(0.0, 0.0), (0.25, 0.1), (-0.2, 0.25), (0.1, -0.3), (-0.9, 0.5), (0.8, 
 SUN = (0.42, -0.56, 0.714)
 
 
-def lit_views(height, albedo, haze=0.0):
+def lit_views(height: Any, albedo: Any, haze: Any = 0.0) -> Any:
     """Views of a surface in sun and shadow, rendered from the top downward: walls hide, and are dark."""
     slopes = np.array(LEANS)
     margin = match.margin_for(slopes, 0.0, (HEIGHTS[0] - 8, HEIGHTS[1] + 8), 2)
@@ -45,7 +46,7 @@ def lit_views(height, albedo, haze=0.0):
 
 
 @pytest.fixture(scope="module")
-def block():
+def block() -> Any:
     """A block of 14 m with a courtyard of 8 m, and beside it a black flat roof of 6 m."""
     rng = np.random.default_rng(1)
     height = np.zeros((100, 120))
@@ -61,7 +62,7 @@ PAIRS = np.array([(a, b) for a in range(8) for b in range(a + 1, 8)])
 COURT, ROOF, BLACK = np.s_[41:51, 41:51], np.s_[24:34, 26:66], np.s_[34:56, 94:108]
 
 
-def test_a_court_is_open_and_roofs_stay_bright_or_black(block):
+def test_a_court_is_open_and_roofs_stay_bright_or_black(block: Any) -> None:
     height, frame = block
     found = match.match(frame, PAIRS, HEIGHTS, PriorOptions()).height
     assert np.median(np.abs(found - height)[COURT]) < 1.0
@@ -69,7 +70,7 @@ def test_a_court_is_open_and_roofs_stay_bright_or_black(block):
     assert np.median(np.abs(found - height)[BLACK]) < 0.3
 
 
-def test_without_looking_for_courts_it_would_be_roofed_over(block, monkeypatch):
+def test_without_looking_for_courts_it_would_be_roofed_over(block: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     height, frame = block
     monkeypatch.setattr(match, "OPENING_PASSES", 0)
     found = match.match(frame, PAIRS, HEIGHTS, PriorOptions()).height
@@ -77,7 +78,7 @@ def test_without_looking_for_courts_it_would_be_roofed_over(block, monkeypatch):
     assert np.median(np.abs(found - height)[ROOF]) < 0.3
 
 
-def test_what_lies_in_the_sun_and_looks_like_shadow_is_doubted_if_the_views_disagree(block):
+def test_what_lies_in_the_sun_and_looks_like_shadow_is_doubted_if_the_views_disagree(block: Any) -> None:
     height, frame = block
     roofed = height.astype(np.float32)
     roofed[38:54, 38:54] = 14.0
@@ -90,7 +91,7 @@ def test_what_lies_in_the_sun_and_looks_like_shadow_is_doubted_if_the_views_disa
     assert not doubtful(frame, visibility, roofed, good, PriorOptions()).any()
 
 
-def test_shadows_are_as_bright_as_each_date_s_haze_makes_them(block):
+def test_shadows_are_as_bright_as_each_date_s_haze_makes_them(block: Any) -> None:
     height, frame = block
     surface = height.astype(np.float32)
     visibility = compute_visibility(frame, surface, HEIGHTS, 2.0, all_visible(frame).dark)
@@ -102,7 +103,7 @@ def test_shadows_are_as_bright_as_each_date_s_haze_makes_them(block):
     assert dark_noise(frame, dark, 0.05, 0.02) == 0.02
 
 
-def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block):
+def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block: Any) -> None:
     height, frame = block
     blind = Frame(frame.images, frame.masks, frame.slopes, 0.0, CELL, frame.margin, (None,) * 8)
     visibility = all_visible(blind)
@@ -116,7 +117,7 @@ def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block):
     assert dark_noise(blind, visibility.dark, 0.05, 0.01) == 0.01
 
 
-def test_a_point_just_below_a_lit_roof_is_lit_and_deep_below_it_may_be_shaded(block):
+def test_a_point_just_below_a_lit_roof_is_lit_and_deep_below_it_may_be_shaded(block: Any) -> None:
     height, frame = block
     visibility = compute_visibility(frame, height.astype(np.float32), HEIGHTS, 2.0, all_visible(frame).dark)
     assert visibility.shadow_height[0, 28, 40] <= 12.0  # roof of 14 m, tolerance 2 m

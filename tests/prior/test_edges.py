@@ -1,15 +1,18 @@
 """Walls move to where the images change."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
-from sattools.prior.edges import snap_edges
+from sattools.prior.edges import compare_sides, leaning, snap_edges
 from sattools.prior.frame import Frame
 
 NOISE = 0.04
 
 
-def a_frame(image, views=3):
+def a_frame(image: Any, views: Any = 3) -> Any:
     """The same picture from all views, straight from above: what is where does not depend on height."""
     rng = np.random.default_rng(0)
     images = np.stack([image + rng.normal(0, 0.01, image.shape) for _ in range(views)]).astype(np.float32)
@@ -17,18 +20,18 @@ def a_frame(image, views=3):
 
 
 @pytest.fixture
-def roof():
+def roof() -> Any:
     """A bright roof of 20 x 20 cells, 10 m high, on dark ground; and its true height."""
     height = np.zeros((40, 40), np.float32)
     height[10:30, 10:30] = 10.0
     return np.where(height > 5, 0.8, 0.2), height
 
 
-def unseen(frame):
+def unseen(frame: Any) -> Any:
     return np.full(frame.images.shape, -1e9, np.float32)
 
 
-def test_a_rim_that_looks_like_the_ground_is_lowered(roof):
+def test_a_rim_that_looks_like_the_ground_is_lowered(roof: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0  # two cells too wide on every side
@@ -38,7 +41,7 @@ def test_a_rim_that_looks_like_the_ground_is_lowered(roof):
     assert (found != true).sum() <= 4
 
 
-def test_a_roofs_edge_that_was_lost_is_raised(roof):
+def test_a_roofs_edge_that_was_lost_is_raised(roof: Any) -> None:
     image, true = roof
     narrow = np.zeros_like(true)
     narrow[12:28, 12:28] = 10.0
@@ -48,7 +51,7 @@ def test_a_roofs_edge_that_was_lost_is_raised(roof):
     assert (found != true).sum() <= 24
 
 
-def test_where_both_sides_look_alike_nothing_moves(roof):
+def test_where_both_sides_look_alike_nothing_moves(roof: Any) -> None:
     _, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -57,7 +60,7 @@ def test_where_both_sides_look_alike_nothing_moves(roof):
     assert (found != wide).sum() <= 4
 
 
-def test_views_that_do_not_see_a_cell_have_no_say(roof):
+def test_views_that_do_not_see_a_cell_have_no_say(roof: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -68,7 +71,7 @@ def test_views_that_do_not_see_a_cell_have_no_say(roof):
 
 
 @pytest.mark.parametrize(("disagreeing", "moves"), [(1, True), (2, False)])
-def test_three_views_in_four_have_to_agree(roof, disagreeing, moves):
+def test_one_view_of_four_that_disagrees_is_outvoted(roof: Any, disagreeing: Any, moves: Any) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -79,7 +82,35 @@ def test_three_views_in_four_have_to_agree(roof, disagreeing, moves):
     assert ((found != wide).sum() > 100) == moves
 
 
-def test_slopes_and_low_steps_are_left_alone():
+@pytest.mark.parametrize(("strip", "stays"), [(0.2, False), (0.35, True)])
+def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof: Any, strip: Any, stays: Any) -> None:
+    image, true = roof
+    wide = true.copy()
+    wide[8:32, 8:32] = 10.0
+    margin = 10
+    # a point moves south by 0.8 cells a metre: cameras stand in the north and see the northern wall, of brightness 0.35
+    slopes = np.array([[0.8, 0.0]] * 3)
+    shown = np.roll(np.pad(image, margin, mode="edge"), 8, axis=0)
+    shown[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.35
+    shown[margin + 8 : margin + 10, margin + 10 : margin + 30] = strip  # at the foot: ground, or more of the wall
+    images = np.stack([shown] * 3).astype(np.float32)
+    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 3)
+    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)
+    northern_rim = found[8:10, 14:26]
+    assert (northern_rim == (10.0 if stays else 0.0)).all()
+
+
+def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side() -> None:
+    rims = np.zeros((9, 9), bool)
+    rims[4, 2:7] = True
+    foot = np.full((9, 9), np.nan)
+    for likeness, lean in ((-0.5, 0.0), (-0.2, 0.5), (0.4, 1.0)):
+        foot[rims] = likeness
+        np.testing.assert_allclose(leaning(rims, foot, 40.0), lean, atol=1e-9)
+    np.testing.assert_array_equal(leaning(np.zeros((9, 9), bool), foot, 40.0), 0.0)
+
+
+def test_slopes_and_low_steps_are_left_alone() -> None:
     slope = np.tile(np.linspace(0, 12, 40, dtype=np.float32), (40, 1))
     kerb = np.zeros((40, 40), np.float32)
     kerb[:, 20:] = 1.5
@@ -87,3 +118,68 @@ def test_slopes_and_low_steps_are_left_alone():
     for height in (slope, kerb):
         frame = a_frame(image)
         np.testing.assert_allclose(snap_edges(frame, unseen(frame), height, 2.0, NOISE), height, atol=0.31)
+
+
+def plain_sides(frame: Any, height: Any, outward: Any, uphill: Any, row: int, col: int) -> list[Any]:
+    """`compare_sides` for one cell of heights 0 and 10 m that all views see, in plain NumPy."""
+    sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
+    i, j = np.indices((19, 19)) - 9
+    r, c = row + i, col + j
+    asked = ((i + j) % 2 == 0) & (r >= 0) & (c >= 0) & (r < height.shape[0]) & (c < height.shape[1])
+    i, j, r, c = (a[asked] for a in (i, j, r, c))
+    kept = sure[r, c]
+    i, j, high = i[kept], j[kept], height[r, c][kept] > 5
+    weight = np.exp(-(i**2 + j**2) / (2 * np.where(high, 4.0, 3.0) ** 2))
+    found = []
+    for z in (10.0, 0.0):
+        likeness = []
+        for image, slope, out in zip(frame.images, frame.slopes, outward, strict=True):
+            if z == 0 and out @ uphill <= 0.2:
+                continue
+            at = np.array([row, col]) + frame.margin + slope * z
+            near = np.rint(at).astype(int)
+            values = image[near[0] + i, near[1] + j].astype(float)
+            mean = [np.average(values[side], weights=weight[side]) for side in (~high, high)]
+            pairs = zip((~high, high), mean, strict=True)
+            spread = [np.average((values[s] - m) ** 2, weights=weight[s]) for s, m in pairs]
+            variance = NOISE**2 + sum(spread) / 2
+            if (mean[1] - mean[0]) ** 2 >= 0.25 * variance:
+                here = map_coordinates(image.astype(float), at[:, None], order=1)[0]
+                likeness.append(np.clip((mean[1] - mean[0]) * (here - sum(mean) / 2) / variance / 2, -1, 1))
+        found.append(np.mean(likeness) if likeness else np.nan)
+    return found
+
+
+def test_the_kernel_does_as_plain_numpy(roof: Any) -> None:
+    image, height = roof
+    rng = np.random.default_rng(3)
+    margin = 10
+    slopes = np.array([[0.31, 0.12], [-0.27, 0.4], [0.05, -0.33]])
+    images = np.pad(image, margin, mode="edge") + rng.normal(0, 0.1, (3, 60, 60))
+    frame = Frame(images.astype(np.float32), np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 3)
+    outward = slopes / np.hypot(*slopes.T)[:, None]
+    sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
+    uphill = np.zeros((2, 40, 40), np.float32)
+    uphill[0] = 1.0  # the northern wall
+    below, above, roof_like, foot_like = (np.empty_like(height) for _ in range(4))
+    compare_sides(
+        height, sure, uphill, frame.images, frame.masks, slopes, outward, 0.0, margin, unseen(frame), 2.0, NOISE,
+        below, above, roof_like, foot_like,
+    )  # fmt: skip
+    for row, col in ((9, 20), (10, 17), (8, 24), (11, 13)):
+        expected = plain_sides(frame, height, outward, np.array([1.0, 0.0]), row, col)
+        np.testing.assert_allclose([roof_like[row, col], foot_like[row, col]], expected, atol=1e-4)
+        assert (below[row, col], above[row, col]) == (0.0, 10.0)
+    assert np.isnan(below[20, 20])
+    assert np.isnan(foot_like[20, 20])
+
+
+@pytest.mark.parametrize(("rim", "height"), [(0.45, 0.0), (0.55, 10.0)])
+def test_a_pixel_that_mixes_both_sides_belongs_to_the_one_it_has_more_of(roof: Any, rim: Any, height: Any) -> None:
+    image, true = roof
+    picture = image.copy()
+    start = true.copy()
+    picture[8:10, 10:30] = rim
+    start[8:10, 10:30] = 10.0 if height == 0 else 0.0
+    found = snap_edges(a_frame(picture), unseen(a_frame(picture)), start, 2.0, NOISE)
+    assert (found[9, 14:26] == height).all()

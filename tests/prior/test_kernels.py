@@ -1,5 +1,7 @@
 """Compiled matching kernels against their plain twins, and on cases with known answers."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
 LOW = -1e9
 
 
-def a_frame(seed=0, views=4):
+def a_frame(seed: Any = 0, views: Any = 4) -> Any:
     rng = np.random.default_rng(seed)
     images = rng.normal(0, 0.1, (views, 17, 19)).astype(np.float32)
     masks = (rng.random(images.shape) > 0.15).astype(np.uint8)
@@ -23,19 +25,19 @@ def a_frame(seed=0, views=4):
 
 
 def run_correlate(
-    images,
-    masks,
-    slopes,
-    first_hit_height,
-    pairs,
-    heights,
-    z_ref=1.0,
-    tolerance=0.5,
-    shadow_height=None,
-    dark=None,
-    base=PLANES,
-    **changed,
-):
+    images: Any,
+    masks: Any,
+    slopes: Any,
+    first_hit_height: Any,
+    pairs: Any,
+    heights: Any,
+    z_ref: Any = 1.0,
+    tolerance: Any = 0.5,
+    shadow_height: Any = None,
+    dark: Any = None,
+    base: Any = PLANES,
+    **changed: Any,
+) -> Any:
     s = SETTINGS | ROOT_MEAN_SQUARE | changed
     m = s["margin"]
     volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
@@ -64,7 +66,7 @@ def run_correlate(
 
 
 @pytest.mark.parametrize("radius", [1, 2])
-def test_correlation_is_that_of_the_plain_twin(radius):
+def test_correlation_is_that_of_the_plain_twin(radius: Any) -> None:
     images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
     shadow_height = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
@@ -82,7 +84,7 @@ def test_correlation_is_that_of_the_plain_twin(radius):
 
 
 @pytest.mark.parametrize("power", [1, 3])
-def test_a_weighted_power_mean_is_that_of_the_plain_twin(power):
+def test_a_weighted_power_mean_is_that_of_the_plain_twin(power: Any) -> None:
     images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
     shadow_height = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
@@ -96,7 +98,7 @@ def test_a_weighted_power_mean_is_that_of_the_plain_twin(power):
     np.testing.assert_allclose(fast, slow, atol=5e-4)
 
 
-def test_what_no_image_can_contradict_is_worth_what_the_hidden_images_show():
+def test_what_no_image_can_contradict_is_worth_what_the_hidden_images_show() -> None:
     images, masks, slopes, first_hit_height = a_frame()
     first_hit_height[:] = 3.0  # nothing below 3 m is seen
     masks[:] = 1
@@ -106,7 +108,7 @@ def test_what_no_image_can_contradict_is_worth_what_the_hidden_images_show():
     np.testing.assert_allclose(run_correlate(*arguments, weak=0.05), seen, atol=1e-5)
 
 
-def test_with_the_sixth_power_pairs_that_agree_outvote_those_that_are_disturbed():
+def test_with_the_sixth_power_pairs_that_agree_outvote_those_that_are_disturbed() -> None:
     images, masks, slopes, first_hit_height = a_frame()
     masks[:], first_hit_height[:], images[1] = 1, LOW, images[0]  # views 0 and 1 are equal, 2 and 3 are not like them
     pairs = np.array([(0, 1), (0, 2), (0, 3), (2, 3)])
@@ -116,7 +118,7 @@ def test_with_the_sixth_power_pairs_that_agree_outvote_those_that_are_disturbed(
     assert (sixth >= square - 1e-5).all()
 
 
-def test_correlation_along_a_surface_is_that_of_the_plain_twin():
+def test_correlation_along_a_surface_is_that_of_the_plain_twin() -> None:
     images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-1.0, 0.0, 1.0])
     base = np.random.default_rng(4).uniform(-1, 3, (9, 11)).astype(np.float32)  # 7 x 9 cells and a border of one
@@ -139,7 +141,7 @@ def test_correlation_along_a_surface_is_that_of_the_plain_twin():
     np.testing.assert_allclose(fast, slow, atol=2e-4)
 
 
-def test_a_level_surface_is_a_plane():
+def test_a_level_surface_is_a_plane() -> None:
     images, masks, slopes, first_hit_height = a_frame()
     pairs, heights = np.array([(0, 1), (2, 3)]), np.array([-1.0, 0.5, 2.0])
     planes = run_correlate(images, masks, slopes, first_hit_height, pairs, heights + 0.75)
@@ -149,7 +151,7 @@ def test_a_level_surface_is_a_plane():
     np.testing.assert_allclose(level, planes, atol=1e-5)
 
 
-def test_correlation_over_many_tiles_is_that_of_one():
+def test_correlation_over_many_tiles_is_that_of_one() -> None:
     rng = np.random.default_rng(1)
     images = rng.normal(0, 0.1, (2, 70, 30)).astype(np.float32)
     masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
@@ -160,7 +162,7 @@ def test_correlation_over_many_tiles_is_that_of_one():
     np.testing.assert_allclose(whole[40:], part, atol=1e-5)
 
 
-def test_equal_images_agree_fully_where_they_lie_on_each_other():
+def test_equal_images_agree_fully_where_they_lie_on_each_other() -> None:
     image = np.random.default_rng(2).normal(0, 0.1, (17, 19)).astype(np.float32)
     images = np.stack(
         [image, np.roll(image, 2, axis=1)]
@@ -172,7 +174,7 @@ def test_equal_images_agree_fully_where_they_lie_on_each_other():
     np.testing.assert_allclose(volume[..., 2], 1.0, atol=1e-3)
 
 
-def test_an_unseen_height_never_beats_what_is_seen():
+def test_an_unseen_height_never_beats_what_is_seen() -> None:
     images, masks, slopes, first_hit_height = a_frame()
     first_hit_height[:] = 3.0  # nothing below 3 m is seen
     images[1:] = -images[:1]  # and what is seen above disagrees wherever it can
@@ -182,14 +184,14 @@ def test_an_unseen_height_never_beats_what_is_seen():
     assert (volume[..., 0] <= volume[..., 2]).all()
 
 
-def test_aggregation_is_that_of_the_plain_twin():
+def test_aggregation_is_that_of_the_plain_twin() -> None:
     score = np.random.default_rng(3).random((7, 9, 6)).astype(np.float32)
     total = np.empty_like(score)
     aggregate(score, np.float32(0.1), np.float32(0.35), total)
     np.testing.assert_allclose(total, reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
 
 
-def test_aggregation_carries_the_ground_through_a_place_without_evidence():
+def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> None:
     score = np.full((11, 11, 5), 0.2, np.float32)
     score[..., 3] = 0.9
     score[5, 5] = 0.2
@@ -200,7 +202,7 @@ def test_aggregation_carries_the_ground_through_a_place_without_evidence():
     np.testing.assert_allclose(height, 13.0, atol=1e-5)  # neighbours are alike, the parabola is symmetric
 
 
-def test_a_parabola_finds_the_height_between_two_planes():
+def test_a_parabola_finds_the_height_between_two_planes() -> None:
     heights = np.array([0.0, 2.0, 4.0, 6.0])
     total = ((heights - 3.4) ** 2).astype(np.float32)[None, None].copy()
     height, index = np.empty((1, 1), np.float32), np.empty((1, 1), np.int64)
@@ -209,14 +211,14 @@ def test_a_parabola_finds_the_height_between_two_planes():
     assert height[0, 0] == pytest.approx(3.4, abs=1e-5)
 
 
-def test_the_rival_is_the_best_height_that_is_no_neighbour():
+def test_the_rival_is_the_best_height_that_is_no_neighbour() -> None:
     total = np.array([[[5.0, 3.0, 1.0, 2.0, 4.0]]], np.float32)
     gap = np.empty((1, 1), np.float32)
     second_best_margin(total, np.array([[2]]), gap)
     assert gap[0, 0] == 3.0
 
 
-def test_a_tower_hides_the_ground_behind_it():
+def test_a_tower_hides_the_ground_behind_it() -> None:
     """A line of sight that leans by one cell a metre enters a tower of 10 m ten columns before its foot."""
     surface = np.zeros((5, 40), np.float32)
     surface[:, 20:24] = 10.0
@@ -229,7 +231,7 @@ def test_a_tower_hides_the_ground_behind_it():
     assert (first_hit_height[0, :, 35:] == 0).all()
 
 
-def test_lines_of_sight_end_on_roof_and_ground():
+def test_lines_of_sight_end_on_roof_and_ground() -> None:
     surface = np.zeros((3, 30), np.float32)
     surface[:, 10:15] = 8.0
     surface[:, 25:] = -np.inf
@@ -245,7 +247,7 @@ def test_lines_of_sight_end_on_roof_and_ground():
     assert np.isnan(depth[1, 28])
 
 
-def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow():
+def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow() -> None:
     image = np.random.default_rng(2).normal(0, 0.1, (17, 19)).astype(np.float32)
     images = np.stack([image, image])
     masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
@@ -260,14 +262,14 @@ def test_a_point_in_the_sun_is_not_compared_with_one_in_shadow():
     assert volume[:, :4, 0] == pytest.approx(0.3)  # as a point that no pair sees
 
 
-def test_two_images_of_one_shadow_agree_though_haze_makes_it_brighter_on_one_date():
+def test_two_images_of_one_shadow_agree_though_haze_makes_it_brighter_on_one_date() -> None:
     noise = np.random.default_rng(4).normal(0, 0.002, (2, 17, 19))
     images = (noise + np.array([-0.4, -0.25])[:, None, None]).astype(np.float32)
     masks, first_hit_height = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
     shadow_height = np.full((2, 7, 9), 10.0, np.float32)
     heights = np.array([8.0, 12.0])  # in the shadow and in the sun above it
 
-    def agreement(dark):
+    def agreement(dark: Any) -> Any:
         case = (images, masks, np.zeros((2, 2)), first_hit_height, np.array([(0, 1)]), heights)
         return run_correlate(*case, shadow_height=shadow_height, dark=np.array(dark, np.float32), noise=0.001).mean(
             axis=(0, 1)
@@ -279,7 +281,7 @@ def test_two_images_of_one_shadow_agree_though_haze_makes_it_brighter_on_one_dat
     assert agreement([LOW, LOW])[0] < 0.3
 
 
-def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line():
+def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line() -> None:
     surface = np.zeros((5, 12), np.float32)
     surface[:, 8] = 6.0
     shadow = np.empty_like(surface)
@@ -290,7 +292,7 @@ def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line():
     assert shadow[2, 8] < 0
 
 
-def test_first_hits_are_those_of_the_plain_twin():
+def test_first_hits_are_those_of_the_plain_twin() -> None:
     rng = np.random.default_rng(5)
     surface = rng.uniform(0, 6, (14, 12)).astype(np.float32)
     slopes = np.array([[0.4, -0.7], [-1.2, 0.1], [0.0, 0.0]])
@@ -300,7 +302,7 @@ def test_first_hits_are_those_of_the_plain_twin():
 
 
 @pytest.mark.parametrize("sun", [(0.6, 0.3, 0.5), (-0.1, -0.8, 0.4), (0.7, 0.0, 0.7)])
-def test_shadow_heights_are_those_of_the_plain_twin(sun):
+def test_shadow_heights_are_those_of_the_plain_twin(sun: Any) -> None:
     surface = np.random.default_rng(6).uniform(0, 9, (15, 11)).astype(np.float32)
     fast = np.empty_like(surface)
     shadow_heights(surface, np.array(sun), 0.5, float(surface.max()), fast)

@@ -19,18 +19,18 @@ def views(height: float) -> Frame:
     return Frame(np.stack(images), np.ones((4, 96, 96), np.uint8), slopes, 0.0, 1.0, MARGIN, (None,) * 4)
 
 
-def test_at_the_true_height_the_others_predict_every_view():
+def test_at_the_true_height_the_others_predict_every_view() -> None:
     frame = views(4.0)
     assert left_out_agreement(frame, np.full(frame.shape, 4.0, np.float32)) == pytest.approx([1.0] * 4, abs=1e-5)
 
 
-def test_at_a_wrong_height_they_do_not():
+def test_at_a_wrong_height_they_do_not() -> None:
     frame = views(4.0)
     # two to four cells off: the texture's correlation has gone after about three
     assert max(left_out_agreement(frame, np.zeros(frame.shape, np.float32))) < 0.4
 
 
-def test_a_view_with_a_wrong_camera_stands_out():
+def test_a_view_with_a_wrong_camera_stands_out() -> None:
     frame = views(4.0)
     frame.images[2] = np.roll(frame.images[2], 5, axis=1)
     found = left_out_agreement(frame, np.full(frame.shape, 4.0, np.float32))
@@ -38,7 +38,7 @@ def test_a_view_with_a_wrong_camera_stands_out():
     assert found[2] < 0.3 < 0.6 < min(found[0], found[1], found[3])
 
 
-def test_a_view_that_shows_nothing_of_the_place_has_no_number():
+def test_a_view_that_shows_nothing_of_the_place_has_no_number() -> None:
     frame = views(4.0)
     frame.masks[1] = 0
     found = left_out_agreement(frame, np.full(frame.shape, 4.0, np.float32))

@@ -1,6 +1,7 @@
 """Matching of made-up views of a known surface."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from sattools.prior.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
 
 
 @pytest.fixture(scope="module")
-def house():
+def house() -> Any:
     height = np.zeros((84, 60))
     height[20:42, 24:44] = 9.0
     slopes = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)]
@@ -26,7 +27,7 @@ def house():
 ALL = np.array([(a, b) for a in range(5) for b in range(a + 1, 5)])
 
 
-def test_a_house_is_found_with_its_roof_and_the_ground_around(house):
+def test_a_house_is_found_with_its_roof_and_the_ground_around(house: Any) -> None:
     height, frame = house
     found = match(frame, ALL, RANGE, PriorOptions())
     error = np.abs(found.height - height)
@@ -39,7 +40,7 @@ def test_a_house_is_found_with_its_roof_and_the_ground_around(house):
     assert found.score.max() <= 1
 
 
-def test_hidden_ground_is_seen_by_fewer_views(house):
+def test_hidden_ground_is_seen_by_fewer_views(house: Any) -> None:
     _, frame = house
     found = match(frame, ALL, RANGE, PriorOptions(erode=0.5))
     # a lean of half a cell a metre hides 4.5 cells beside a house of 9 m from a view
@@ -48,14 +49,14 @@ def test_hidden_ground_is_seen_by_fewer_views(house):
     assert found.views[5:10, 5:15].min() == 5
 
 
-def test_two_views_are_enough_for_open_ground(house):
+def test_two_views_are_enough_for_open_ground(house: Any) -> None:
     height, frame = house
     two = Frame(frame.images[:2], frame.masks[:2], frame.slopes[:2], 0.0, CELL, frame.margin, (None,) * 2)
     found = match(two, np.array([(0, 1)]), RANGE, PriorOptions())
     assert np.median(np.abs(found.height - height)) < 0.15
 
 
-def test_with_two_views_ground_behind_a_wall_is_taken_from_the_ground_and_is_not_trusted(house):
+def test_with_two_views_ground_behind_a_wall_is_taken_from_the_ground_and_is_not_trusted(house: Any) -> None:
     height, _ = house
     found = match(views_of(height, [(-0.4, 0.0), (0.4, 0.0)]), np.array([(0, 1)]), RANGE, PriorOptions())
     error = np.abs(found.height - height)
@@ -67,7 +68,7 @@ def test_with_two_views_ground_behind_a_wall_is_taken_from_the_ground_and_is_not
     assert match_confidence(found)[5:10, 5:15].min() > 0
 
 
-def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house):
+def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house: Any) -> None:
     height, frame = house
     masks = frame.masks.copy()
     masks[:, : frame.margin + 15, : frame.margin + 15] = 0
@@ -77,13 +78,13 @@ def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house):
     assert np.median(np.abs(found.height - height)[20:, 20:]) < 0.1
 
 
-def test_nothing_is_filled_where_no_image_reaches(house, monkeypatch):
+def test_nothing_is_filled_where_no_image_reaches(house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     _, frame = house
     masks = frame.masks.copy()
     masks[:, : frame.margin + 15, : frame.margin + 15] = 0
     asked = []
 
-    def spy(height, stands, cell):
+    def spy(height: Any, stands: Any, cell: Any) -> Any:
         asked.append(stands)
         return filled(height, stands, cell)
 
@@ -94,7 +95,7 @@ def test_nothing_is_filled_where_no_image_reaches(house, monkeypatch):
 
 
 @pytest.mark.parametrize(("memory", "planes", "guided"), [(10**9, 50, False), (10**7, 50, True), (10**9, 400, True)])
-def test_blocks_cover_every_cell_once(memory, planes, guided):
+def test_blocks_cover_every_cell_once(memory: Any, planes: Any, guided: Any) -> None:
     count = np.zeros((700, 900), int)
     blocks = _blocks(count.shape, memory, planes, guided)
     for block in blocks:
@@ -105,7 +106,7 @@ def test_blocks_cover_every_cell_once(memory, planes, guided):
         assert count[blocks[0]].size <= BLOCK**2
 
 
-def test_blocks_give_the_surface_that_the_whole_gives(house):
+def test_blocks_give_the_surface_that_the_whole_gives(house: Any) -> None:
     _, frame = house
     whole = match(frame, ALL, RANGE, PriorOptions())
     # two volumes of 84 x 60 cells and 23 heights take 0.93 MB
@@ -114,7 +115,7 @@ def test_blocks_give_the_surface_that_the_whole_gives(house):
     assert np.mean(np.abs(whole.height - parts.height) < 0.3) > 0.97
 
 
-def test_the_result_does_not_depend_on_the_number_of_threads(house):
+def test_the_result_does_not_depend_on_the_number_of_threads(house: Any) -> None:
     import numba
 
     _, frame = house
@@ -128,26 +129,26 @@ def test_the_result_does_not_depend_on_the_number_of_threads(house):
     np.testing.assert_array_equal(first.height, second.height)
 
 
-def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypatch):
+def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernels test no bounds; reading too far would make results depend on what else is in memory."""
     _, frame = house
     seen = []
 
     def spy(
-        images,
-        masks,
-        slopes,
-        heights,
-        base,
-        z_ref,
-        first_hit_height,
-        shadow_height,
-        dark,
-        tolerance,
-        pairs,
-        radius,
-        *rest,
-    ):
+        images: Any,
+        masks: Any,
+        slopes: Any,
+        heights: Any,
+        base: Any,
+        z_ref: Any,
+        first_hit_height: Any,
+        shadow_height: Any,
+        dark: Any,
+        tolerance: Any,
+        pairs: Any,
+        radius: Any,
+        *rest: Any,
+    ) -> Any:
         margin = rest[3]
         reached = np.add.outer(heights, base.ravel() if base.size else [0.0])
         seen.append(margin - radius - 1 - np.abs(slopes).max() * np.abs(reached - z_ref).max())
@@ -173,7 +174,7 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house, monkeypat
     assert min(seen) >= 0
 
 
-def test_few_pairs_count_only_what_is_surely_seen():
+def test_few_pairs_count_only_what_is_surely_seen() -> None:
     options = PriorOptions()
     assert pair_weights(ROBUST_PAIRS - 1, options) == (1, 0.0, 0.0)
     assert pair_weights(ROBUST_PAIRS, options) == pytest.approx((3, 0.05, 0.1))

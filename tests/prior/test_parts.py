@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,21 +17,21 @@ from sattools.prior.sweep import narrow, planes, scarcity
 from sattools.prior.visibility import disk
 
 
-def lean(angle):
+def lean(angle: Any) -> Any:
     """Slope of a view that leans eastward by an angle in degrees."""
     return (math.tan(math.radians(angle)), 0.0)
 
 
-def sun(azimuth):
+def sun(azimuth: Any) -> Any:
     a = math.radians(azimuth)
     return (0.7 * math.sin(a), 0.7 * math.cos(a), math.sqrt(0.51))
 
 
-def test_the_angle_between_two_views():
+def test_the_angle_between_two_views() -> None:
     assert angle_deg((*lean(-10), 1.0), (*lean(15), 1.0)) == pytest.approx(25.0)
 
 
-def test_pairs_of_one_sun_come_before_the_ideal_angle():
+def test_pairs_of_one_sun_come_before_the_ideal_angle() -> None:
     slopes = [lean(0), lean(25), lean(20), lean(38)]
     suns = [sun(100), sun(160), sun(100), sun(160)]
     # (0, 2) and (1, 3) share their sun; (0, 1) has the ideal angle but suns some 41 degrees apart
@@ -38,7 +39,7 @@ def test_pairs_of_one_sun_come_before_the_ideal_angle():
     assert pairs[:2].tolist() == [[0, 2], [1, 3]]
 
 
-def test_pairs_outside_the_limits_are_taken_only_for_want_of_others():
+def test_pairs_outside_the_limits_are_taken_only_for_want_of_others() -> None:
     many = [lean(a) for a in (0, 20, 25, 28, 60)]
     assert 4 not in choose_pairs(many, [None] * 5, 10, limits=(12, 40))[:, 0:2][:3]
     one_pass = [lean(-6), lean(0), lean(6.5)]  # as of a Pleiades triplet
@@ -46,7 +47,7 @@ def test_pairs_outside_the_limits_are_taken_only_for_want_of_others():
     assert choose_pairs([lean(0), lean(7)], [None, None], 25, limits=(12, 40)).tolist() == [[0, 1]]
 
 
-def test_a_few_narrow_pairs_come_to_the_others_to_look_into_courts():
+def test_a_few_narrow_pairs_come_to_the_others_to_look_into_courts() -> None:
     slopes = [lean(a) for a in (-30, -24, -16.5, -8, 0, 8, 20.5)]
     pairs = choose_pairs(slopes, [None] * 7, 12, limits=(12, 40))
     angles = [angle_deg((*slopes[a], 1.0), (*slopes[b], 1.0)) for a, b in pairs]
@@ -54,20 +55,20 @@ def test_a_few_narrow_pairs_come_to_the_others_to_look_into_courts():
     assert angles[12:] == pytest.approx([8.5, 8.0])  # one for six, the nearest to 25 degrees; (0, 1) has 6
 
 
-def test_views_from_one_direction_make_no_pair():
+def test_views_from_one_direction_make_no_pair() -> None:
     assert choose_pairs([lean(10), lean(10.5)], [None, None], 25).shape == (0, 2)
 
 
-def test_unknown_suns_leave_the_choice_to_the_angle():
+def test_unknown_suns_leave_the_choice_to_the_angle() -> None:
     assert choose_pairs([lean(0), lean(24), lean(35)], [None] * 3, 1).tolist() == [[0, 1]]
 
 
-def test_planes_reach_one_step_beyond_the_range():
+def test_planes_reach_one_step_beyond_the_range() -> None:
     assert planes((10.0, 13.0), 1.0).tolist() == [9.0, 10.0, 11.0, 12.0, 13.0, 14.0]
     assert len(planes((10.0, 10.5), 4.0)) >= 3
 
 
-def test_planes_stand_two_cells_apart_or_as_far_as_the_best_pair_needs():
+def test_planes_stand_two_cells_apart_or_as_far_as_the_best_pair_needs() -> None:
     frame = Frame(
         np.zeros((3, 4, 4)),
         np.ones((3, 4, 4)),
@@ -83,12 +84,12 @@ def test_planes_stand_two_cells_apart_or_as_far_as_the_best_pair_needs():
     assert plane_distance(wide, np.array([(0, 1)])) == 1.0
 
 
-def test_the_margin_holds_the_farthest_displacement():
+def test_the_margin_holds_the_farthest_displacement() -> None:
     # 0.5 cells a metre over 60 m = 30 cells, 2 cells of window either side, some for rounding
     assert 34 <= margin_for(np.array([(0.5, -0.2)]), 20.0, (0.0, 80.0), 2) <= 40
 
 
-def test_the_height_range_closes_on_what_was_found_but_for_strays():
+def test_the_height_range_closes_on_what_was_found_but_for_strays() -> None:
     heights = np.concatenate([np.linspace(100, 120, 5000), np.full(20, 900.0), np.full(20, -50.0)])
     low, high = narrow(heights, (-100.0, 1000.0), 5.0, 1.0)
     assert 94.9 < low <= 95.1
@@ -97,11 +98,11 @@ def test_the_height_range_closes_on_what_was_found_but_for_strays():
     assert narrow(heights, (98.0, 119.0), 5.0, 1.0) == (98.0, 119.0)  # never wider than before
 
 
-def test_a_disk_of_one_cell_is_a_cross():
+def test_a_disk_of_one_cell_is_a_cross() -> None:
     assert disk(1.0).astype(int).tolist() == [[0, 1, 0], [1, 1, 1], [0, 1, 0]]
 
 
-def test_halving_keeps_a_point_where_it_was():
+def test_halving_keeps_a_point_where_it_was() -> None:
     images = np.arange(2 * 8 * 8, dtype=np.float32).reshape(2, 8, 8)
     masks = np.ones((2, 8, 8), np.uint8)
     masks[0, 0, 1] = 0
@@ -113,7 +114,7 @@ def test_halving_keeps_a_point_where_it_was():
     assert half.slopes[0].tolist() == [0.2, 0.1]
 
 
-def test_normal_of_a_plane():
+def test_normal_of_a_plane() -> None:
     y, x = np.mgrid[0:6, 0:7]
     # rises 0.3 m a metre eastward and 0.4 m a metre northward (rows count southward), cells of 2 m
     n = normals(0.3 * 2 * x - 0.4 * 2 * y, 2.0)
@@ -121,7 +122,7 @@ def test_normal_of_a_plane():
     np.testing.assert_allclose(n, np.broadcast_to(expected[:, None, None], n.shape), atol=1e-6)
 
 
-def test_normals_leave_out_what_is_unknown():
+def test_normals_leave_out_what_is_unknown() -> None:
     height = np.zeros((5, 5))
     height[2, 2] = np.nan
     n = normals(height, 1.0)
@@ -130,15 +131,15 @@ def test_normals_leave_out_what_is_unknown():
     assert np.isnan(normals(np.full((3, 3), np.nan), 1.0)).all()
 
 
-def a_match(**changed):
+def a_match(**changed: Any) -> Any:
     shape = (9, 9)
     parts = {"height": 5.0, "score": 0.9, "uniqueness": 1.0, "views": 10, "consistent_views": 10} | changed
     counts = ("views", "consistent_views")
     return Match(*(np.full(shape, parts[n], np.uint8 if n in counts else np.float32) for n in parts))
 
 
-def test_confidence_falls_with_every_doubt():
-    def of(**changed):
+def test_confidence_falls_with_every_doubt() -> None:
+    def of(**changed: Any) -> Any:
         return float(match_confidence(a_match(**changed))[4, 4])
 
     assert 0.9 < of() <= 1.0
@@ -148,7 +149,7 @@ def test_confidence_falls_with_every_doubt():
     assert of(consistent_views=1) == of(consistent_views=0) == of(uniqueness=0.0) == of(score=0.0) == 0.0
 
 
-def test_confidence_is_halved_beside_a_step_of_three_metres():
+def test_confidence_is_halved_beside_a_step_of_three_metres() -> None:
     match = a_match()
     match.height[:, 5:] = 8.0
     c = match_confidence(match)
@@ -156,7 +157,7 @@ def test_confidence_is_halved_beside_a_step_of_three_metres():
     assert c[4, 8] == pytest.approx(c[4, 1])
 
 
-def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
+def test_linear_images_get_a_tone_curve_and_all_the_same_contrast() -> None:
     images = np.linspace(0.01, 0.5, 7 * 1000, dtype=np.float32).reshape(1, 70, 100)
     masks = np.ones(images.shape, np.uint8)
     for scale in (1.0, 0.1):
@@ -168,12 +169,12 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast():
     assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])
 
 
-def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier():
+def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() -> None:
     # the noise of a mean falls with the square root of its terms; a single pair is not trusted sixteen times less
     assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
 
 
-def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch):
+def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch: pytest.MonkeyPatch) -> None:
     import sattools.prior.normals as module
 
     height = np.random.default_rng(0).normal(size=(11, 7)).astype(np.float32)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,16 +20,16 @@ from sattools.scene.raster import read_raster
 
 
 @pytest.fixture
-def matched(make_town):
+def matched(make_town: Any) -> Any:
     scene = make_town()
     return scene, prior(scene, PriorOptions(per_image=True))
 
 
-def product(scene, name):
+def product(scene: Any, name: Any) -> Any:
     return read_raster(scene.path(scene.products[name]))
 
 
-def test_surface_confidence_and_normals_lie_on_the_grid(matched):
+def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     scene, entry = matched
     for name, bands in (("prior_dsm", 1), ("prior_confidence", 1), ("prior_normals", 3)):
         array, grid = product(scene, name)
@@ -46,7 +47,7 @@ def test_surface_confidence_and_normals_lie_on_the_grid(matched):
         assert data.units == ("m",)
 
 
-def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched):
+def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched: Any) -> None:
     scene, _ = matched
     truth = read_reference(scene.path(scene.products["truth_dsm"]))
     height, grid = product(scene, "prior_dsm")
@@ -61,7 +62,7 @@ def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched):
     assert error[:half].mean() < 0.4 * error[half:].mean()
 
 
-def test_depth_per_image_is_the_height_that_its_pixel_sees(matched):
+def test_depth_per_image_is_the_height_that_its_pixel_sees(matched: Any) -> None:
     scene, _ = matched
     truth, _ = product(scene, "truth_dsm")
     for item in scene.train_items()[:2]:
@@ -79,7 +80,7 @@ def test_depth_per_image_is_the_height_that_its_pixel_sees(matched):
         assert np.percentile(depth[seen], 25) == pytest.approx(np.percentile(truth, 25), abs=1.5)
 
 
-def test_two_images_give_a_surface_and_say_what_that_means(make_town):
+def test_two_images_give_a_surface_and_say_what_that_means(make_town: Any) -> None:
     scene = make_town()
     scene.items = scene.items[:2]
     entry = prior(scene, PriorOptions())
@@ -87,34 +88,34 @@ def test_two_images_give_a_surface_and_say_what_that_means(make_town):
     assert np.isfinite(product(scene, "prior_dsm")[0]).all()
 
 
-def test_one_image_or_one_direction_is_an_error(make_town):
+def test_one_image_or_one_direction_is_an_error(make_town: Any) -> None:
     scene = make_town()
     scene.items = scene.items[:1]
     with pytest.raises(SceneError, match="found 1 training image, expected at least 2"):
         prior(scene, PriorOptions())
 
 
-def test_a_held_out_image_is_not_matched(make_town):
+def test_a_held_out_image_is_not_matched(make_town: Any) -> None:
     scene = make_town()
     scene.items[0].properties["sattools:role"] = "test"
     entry = prior(scene, PriorOptions())
     assert scene.items[0].id not in {name for pair in entry["prior"]["pairs"] for name in pair}
 
 
-def test_images_without_sun_are_matched(make_town):
+def test_images_without_sun_are_matched(make_town: Any) -> None:
     scene = make_town()
     for item in scene.items:
         item.properties.pop("view:sun_azimuth")
     assert prior(scene, PriorOptions())["prior"]["pairs"]
 
 
-def test_existing_products_are_kept_unless_told(matched):
+def test_existing_products_are_kept_unless_told(matched: Any) -> None:
     scene, _ = matched
     with pytest.raises(OutputExistsError, match="--overwrite"):
         prior(scene, PriorOptions(), overwrite=False)
 
 
-def test_the_fit_makes_its_own_prior_where_there_is_none(make_town):
+def test_the_fit_makes_its_own_prior_where_there_is_none(make_town: Any) -> None:
     scene = make_town()
     assert load_prior(scene, FitOptions(prior_weight=0), silent) == (None, {})
     prior, made = load_prior(scene, FitOptions(prior_weight=0.1), silent)
@@ -124,7 +125,7 @@ def test_the_fit_makes_its_own_prior_where_there_is_none(make_town):
     assert "prior_dsm" in scene.products
 
 
-def test_the_command_passes_the_scene_on(make_town):
+def test_the_command_passes_the_scene_on(make_town: Any) -> None:
     scene = make_town()
     done = subprocess.run(
         [sys.executable, "-m", "sattools", "prior", "--rough-passes", "1", str(scene.root / "scene.json")],

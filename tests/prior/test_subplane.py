@@ -1,5 +1,7 @@
 """Heights between the planes of the matching."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from rendered import RANGE, views_of
@@ -15,17 +17,17 @@ PAIRS = np.array([(a, b) for a in range(5) for b in range(a + 1, 5)])
 
 
 @pytest.fixture(scope="module")
-def ramp():
+def ramp() -> Any:
     """Ground that rises by 4 m over 40 m: four planes of the matching."""
     height = np.tile(np.linspace(4.0, 8.0, 80), (60, 1))
     return height, views_of(height, SLOPES)
 
 
-def inner(error):
+def inner(error: Any) -> Any:
     return np.abs(error[8:-8, 8:-8])
 
 
-def test_ground_between_two_planes_is_found_there(ramp, monkeypatch):
+def test_ground_between_two_planes_is_found_there(ramp: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     height, frame = ramp
     error = inner(matching.match(frame, PAIRS, RANGE, PriorOptions()).height - height)
     monkeypatch.setattr(matching, "refine_subplane", lambda task, visibility, surface: surface)
@@ -35,14 +37,14 @@ def test_ground_between_two_planes_is_found_there(ramp, monkeypatch):
     assert before.mean() > 1.5 * error.mean()
 
 
-def test_a_surface_off_by_half_a_plane_comes_back(ramp):
+def test_a_surface_off_by_half_a_plane_comes_back(ramp: Any) -> None:
     height, frame = ramp
     off = (height + 0.5).astype(np.float32)
     found = refine_subplane(MatchTask(frame, PAIRS, (0.0, 1.0), 1.0, PriorOptions()), all_visible(frame), off)
     assert np.median(inner(found - height)) < 0.05
 
 
-def test_neighbours_on_another_surface_have_no_vote():
+def test_neighbours_on_another_surface_have_no_vote() -> None:
     surface = np.zeros((21, 21), np.float32)
     surface[:, 10:] = 9.0
     volume = np.zeros((21, 21, 5), np.float32)
@@ -52,14 +54,14 @@ def test_neighbours_on_another_surface_have_no_vote():
     np.testing.assert_allclose(refined - surface, np.where(surface > 5, 0.5, -0.5), atol=1e-6)
 
 
-def test_where_no_height_is_better_the_surface_stays():
+def test_where_no_height_is_better_the_surface_stays() -> None:
     surface = np.full((9, 9), 3.0, np.float32)
     refined = np.empty_like(surface)
     best_nearby(np.zeros((9, 9, 5), np.float32), surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined)
     assert (refined == 3.0).all()
 
 
-def test_a_slope_keeps_its_height_up_to_a_wall():
+def test_a_slope_keeps_its_height_up_to_a_wall() -> None:
     """A mean of the neighbours would pull the rim of a sloping roof towards its middle."""
     surface = np.tile(np.arange(20) * 0.1, (15, 1)).astype(np.float32)
     surface[:, 10:] += 8.0

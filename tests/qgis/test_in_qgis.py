@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -18,7 +19,7 @@ pytestmark = [pytest.mark.qgis, pytest.mark.skipif(QGIS is None, reason="QGIS is
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory):
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Variables for a QGIS of its own profile that finds the plugin and the executable."""
     folder = tmp_path_factory.mktemp("qgis")
     runtime = folder / "runtime"
@@ -37,19 +38,19 @@ def environment(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory):
+def city(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A small simulated city's folder."""
     folder = tmp_path_factory.mktemp("city")
     sattools("simulate", "--out", folder, "--id", "TOWN", "--size", "48", "--views", "4", "--dates", "2")
     return folder / "TOWN"
 
 
-def sattools(*arguments):
+def sattools(*arguments: Any) -> Any:
     command = [sys.executable, "-m", "sattools", "-q", *map(str, arguments)]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
-def process(environment, algorithm, **parameters):
+def process(environment: Any, algorithm: Any, **parameters: Any) -> Any:
     """Run an algorithm; returns (exit code, its results, everything it said)."""
     given = [
         f"--{k}={v}" for k, values in parameters.items() for v in (values if isinstance(values, list) else [values])
@@ -63,7 +64,9 @@ def process(environment, algorithm, **parameters):
     return done.returncode, results, said
 
 
-def test_prepare_fit_export_compare_give_what_the_command_line_gives(environment, city, tmp_path):
+def test_prepare_fit_export_compare_give_what_the_command_line_gives(
+    environment: Any, city: Any, tmp_path: Path
+) -> None:
     images = sorted(str(p) for p in (city / "images").glob("*.tif"))
     metadata, truth = str(city / "metadata"), str(city / "truth" / "TOWN_DSM.tif")
     (tmp_path / "cli").mkdir()
@@ -88,7 +91,7 @@ def test_prepare_fit_export_compare_give_what_the_command_line_gives(environment
     assert scores["MAE"] == figures["mae"]
 
 
-def test_bad_input_fails_with_the_commands_message(environment, tmp_path):
+def test_bad_input_fails_with_the_commands_message(environment: Any, tmp_path: Path) -> None:
     wrong = tmp_path / "scene.json"
     wrong.write_text("{}")
     code, _, said = process(environment, "fit", SCENE=str(wrong))
@@ -97,7 +100,7 @@ def test_bad_input_fails_with_the_commands_message(environment, tmp_path):
     assert "scene.json" in said
 
 
-def test_cancelling_a_fit_leaves_no_process_and_no_half_file(environment, city, tmp_path):
+def test_cancelling_a_fit_leaves_no_process_and_no_half_file(environment: Any, city: Any, tmp_path: Path) -> None:
     sattools(
         "prep",
         *sorted((city / "images").glob("*.tif")),
@@ -141,7 +144,7 @@ def test_cancelling_a_fit_leaves_no_process_and_no_half_file(environment, city, 
     assert not (tmp_path / "TOWN" / "fit" / "model.safetensors").exists()
 
 
-def test_the_provider_loads_without_heavy_libraries(environment):
+def test_the_provider_loads_without_heavy_libraries(environment: Any) -> None:
     program = (
         "import sys\n"
         "from qgis.core import QgsApplication\n"

@@ -6,6 +6,8 @@ import stat
 import subprocess
 import sys
 import time
+from pathlib import Path
+from typing import Any
 
 import pytest
 from sattools_qgis import forms, runner
@@ -16,7 +18,7 @@ from sattools.cli.usage import usage
 USAGE = json.loads(usage(main))
 
 
-def script(tmp_path, text):
+def script(tmp_path: Path, text: Any) -> Any:
     """An executable Python script."""
     path = tmp_path / "program"
     path.write_text(f"#!{sys.executable}\n{text}", encoding="utf-8")
@@ -24,30 +26,30 @@ def script(tmp_path, text):
     return str(path)
 
 
-def run(path, cancelled=lambda: False):
+def run(path: Any, cancelled: Any = lambda: False) -> Any:
     progress, lines = [], []
     output = runner.run([path], lambda share, text: progress.append((share, text)), lines.append, cancelled)
     return output, progress, lines
 
 
-def test_every_command_that_the_plugin_knows_exists():
+def test_every_command_that_the_plugin_knows_exists() -> None:
     assert set(forms.ALGORITHMS) <= set(USAGE["commands"])
 
 
 @pytest.mark.parametrize("name", list(forms.ALGORITHMS))
-def test_a_form_left_at_its_defaults_adds_nothing_but_overwrite(name):
+def test_a_form_left_at_its_defaults_adds_nothing_but_overwrite(name: Any) -> None:
     fields = forms.fields(USAGE["commands"][name])
     assert forms.arguments(fields, {f["key"]: f["default"] for f in fields}) == ["--overwrite"]
 
 
 @pytest.mark.parametrize("name", list(forms.ALGORITHMS))
-def test_every_option_reaches_the_command_line(name):
+def test_every_option_reaches_the_command_line(name: Any) -> None:
     fields = forms.fields(USAGE["commands"][name])
     assert {f["flag"] for f in fields} == {o["name"] for o in USAGE["commands"][name]["options"]}
     assert len({f["key"] for f in fields}) == len(fields)
 
 
-def test_values_become_arguments():
+def test_values_become_arguments() -> None:
     fields = forms.fields(USAGE["commands"]["fit"])
     values = {"SEED": 7, "POSE": False, "EPOCHS": "4 2", "LOSS": "raw-log", "OVERWRITE": False, "BUDGET": None}
     assert forms.arguments(fields, values) == [
@@ -55,19 +57,19 @@ def test_values_become_arguments():
     ]  # fmt: skip
 
 
-def test_an_option_of_several_values_is_given_once():
+def test_an_option_of_several_values_is_given_once() -> None:
     fields = forms.fields(USAGE["commands"]["prep"])
     bounds = [f for f in fields if f["key"] == "BOUNDS"]
     assert forms.arguments(bounds, {"BOUNDS": "1 2 3 4"}) == ["--bounds", "1", "2", "3", "4"]
 
 
-def test_the_environment_of_qgis_stays_with_qgis():
+def test_the_environment_of_qgis_stays_with_qgis() -> None:
     own = {"PATH": "/bin", "HOME": "/h", "LANG": "C"}
     foreign = {"PYTHONPATH": "x", "QT_PLUGIN_PATH": "x", "GDAL_DATA": "x", "PROJ_LIB": "x", "LD_LIBRARY_PATH": "x"}
     assert runner.clean_environment(own | foreign) == own
 
 
-def test_progress_lines_are_told_apart_from_messages(tmp_path):
+def test_progress_lines_are_told_apart_from_messages(tmp_path: Path) -> None:
     text = (
         'import sys\nprint("{\\"progress\\": 0.25, \\"message\\": \\"half\\"}", file=sys.stderr)\n'
         'print("a remark", file=sys.stderr)\nprint("result")\n'
@@ -75,13 +77,13 @@ def test_progress_lines_are_told_apart_from_messages(tmp_path):
     assert run(script(tmp_path, text)) == ("result\n", [(0.25, "half")], ["a remark"])
 
 
-def test_a_failure_carries_the_last_line(tmp_path):
+def test_a_failure_carries_the_last_line(tmp_path: Path) -> None:
     path = script(tmp_path, 'import sys\nprint("first", file=sys.stderr)\nsys.exit("sattools fit: error: no images")\n')
     with pytest.raises(runner.CommandFailed, match=r"^sattools fit: error: no images$"):
         run(path)
 
 
-def test_cancelling_ends_the_whole_process_group(tmp_path):
+def test_cancelling_ends_the_whole_process_group(tmp_path: Path) -> None:
     marker = tmp_path / "child"
     path = script(
         tmp_path,
@@ -101,14 +103,14 @@ def test_cancelling_ends_the_whole_process_group(tmp_path):
     assert state == "" or state.startswith("Z")
 
 
-def test_a_missing_executable_is_named(tmp_path, monkeypatch):
+def test_a_missing_executable_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert runner.find_executable() is None
     assert runner.find_executable(str(tmp_path / "nothing")) is None
     assert "Settings > Options > Processing" in runner.INSTALL
 
 
-def test_an_executable_is_found_on_the_path(tmp_path, monkeypatch):
+def test_an_executable_is_found_on_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "sattools"
     path.write_text("#!/bin/sh\n")
     path.chmod(0o755)

@@ -4,6 +4,8 @@ import json
 import math
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,10 +39,10 @@ DIMAP = """<Dimap_Document><Radiometric_Data><Radiometric_Calibration><Instrumen
 
 
 @pytest.fixture
-def make_scene(tmp_path):
+def make_scene(tmp_path: Path) -> Any:
     """Makes a scene of images given as arrays ``[C, H, W]``; they all have RPC tags."""
 
-    def make(*arrays, **properties) -> Scene:
+    def make(*arrays: Any, **properties: Any) -> Scene:
         scene = Scene("N", tmp_path / "N")
         for k, array in enumerate(arrays):
             name = f"i{k}"
@@ -60,17 +62,17 @@ def make_scene(tmp_path):
     return make
 
 
-def numbers(*values, bands=1):
+def numbers(*values: Any, bands: Any = 1) -> Any:
     """An image of one row; value times band number."""
     row = np.array(values, np.uint16)
     return np.stack([row * (b + 1) for b in range(bands)])[:, None]
 
 
-def result(scene, name="i0"):
+def result(scene: Any, name: Any = "i0") -> Any:
     return read_image(scene.path(f"radiance/{name}.tif"))[:, 0]
 
 
-def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene):
+def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene: Any) -> None:
     scene = make_scene(numbers(100, 30, 2046))
     found = normalise(scene, NormaliseOptions(black=50))
     assert result(scene)[0].tolist() == pytest.approx([50 / 1997, -20 / 1997, 1996 / 1997])
@@ -87,7 +89,7 @@ def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene
         assert math.isnan(data.nodata)
 
 
-def test_saturated_pixels_and_the_frame_are_masked_in_all_bands_and_counted(make_scene):
+def test_saturated_pixels_and_the_frame_are_masked_in_all_bands_and_counted(make_scene: Any) -> None:
     array = numbers(0, 100, 700, 900, bands=3)  # third band: 0, 300, 2100, 2700
     scene = make_scene(array)
     found = normalise(scene, NormaliseOptions())
@@ -98,13 +100,13 @@ def test_saturated_pixels_and_the_frame_are_masked_in_all_bands_and_counted(make
     assert found["images"]["i0"]["above_1"] == pytest.approx(2 / 9, abs=1e-6)
 
 
-def test_a_pixel_that_is_dark_in_one_band_is_no_frame():
+def test_a_pixel_that_is_dark_in_one_band_is_no_frame() -> None:
     empty, full = invalid_numbers(np.array([[[0.0, 0.0]], [[0.0, 5.0]]]), 2047)
     assert empty.tolist() == [[True, False]]
     assert not full.any()
 
 
-def test_red_green_and_blue_of_eight_worldview_bands(make_scene):
+def test_red_green_and_blue_of_eight_worldview_bands(make_scene: Any) -> None:
     scene = make_scene(numbers(10, 20, bands=8))
     normalise(scene, NormaliseOptions())
     assert result(scene)[:, 0] * 2047 == pytest.approx([50, 30, 20])
@@ -114,7 +116,7 @@ def test_red_green_and_blue_of_eight_worldview_bands(make_scene):
         normalise(scene, NormaliseOptions(bands=[9]))
 
 
-def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene, tmp_path):
+def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene: Any, tmp_path: Path) -> None:
     """Red: L = 5.9e-3 / 0.05 * 500 = 59 W/m2/sr/um; E = 1535.33 W/m2/um, d = 1.00778 AU (NREL), sun 30 degrees high."""
     (tmp_path / "meta").mkdir()
     (tmp_path / "meta/i0.IMD").write_text(IMD)
@@ -133,7 +135,7 @@ def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene, tmp_p
         normalise(scene, replace(options, quantity="toa_reflectance"))
 
 
-def test_dimap_calibration_in_the_order_of_the_raster(tmp_path):
+def test_dimap_calibration_in_the_order_of_the_raster(tmp_path: Path) -> None:
     path = tmp_path / "DIM_X.XML"
     path.write_text(DIMAP)
     assert read_calibration(path) == [
@@ -145,12 +147,12 @@ def test_dimap_calibration_in_the_order_of_the_raster(tmp_path):
         read_calibration(path)
 
 
-def test_the_sun_is_nearest_in_january():
+def test_the_sun_is_nearest_in_january() -> None:
     assert earth_sun_distance(datetime(2015, 1, 4, tzinfo=UTC)) == pytest.approx(0.98328, abs=1e-4)
     assert earth_sun_distance(datetime(2015, 7, 6, tzinfo=UTC)) == pytest.approx(1.01668, abs=1e-4)
 
 
-def test_a_white_lambertian_surface_has_reflectance_one():
+def test_a_white_lambertian_surface_has_reflectance_one() -> None:
     """It returns pi L = E cos(sun zenith)."""
     radiance = 1500.0 * math.sin(math.radians(40)) / math.pi
     band = [BandCalibration("R", 0.1, 0.0, 1500.0)]
@@ -158,7 +160,7 @@ def test_a_white_lambertian_surface_has_reflectance_one():
     assert reflectance(dn, band, 1.0, 40.0)[0, 0, 0] == pytest.approx(1)
 
 
-def test_eight_bit_images_are_recognised_and_linearised_only_when_asked(make_scene):
+def test_eight_bit_images_are_recognised_and_linearised_only_when_asked(make_scene: Any) -> None:
     array = numbers(0, 51, 128, 254).astype(np.uint8)
     scene = make_scene(array, **{"sattools:bits": 8})
     found = normalise(scene, NormaliseOptions())
@@ -170,11 +172,11 @@ def test_eight_bit_images_are_recognised_and_linearised_only_when_asked(make_sce
     assert scene.items[0].properties["sattools:tone"] == "linear"
 
 
-def test_undoing_a_gamma_keeps_the_sign():
+def test_undoing_a_gamma_keeps_the_sign() -> None:
     assert undo_gamma(np.array([-0.5, 0.0, 0.5]), 2.0).tolist() == [-0.25, 0.0, 0.25]
 
 
-def test_images_of_one_sensor_share_their_bits(make_scene):
+def test_images_of_one_sensor_share_their_bits(make_scene: Any) -> None:
     scene = make_scene(numbers(100, 2000), numbers(100, 900))
     scene.items[1].properties["sattools:bits"] = 10
     found = normalise(scene, NormaliseOptions())
@@ -182,7 +184,7 @@ def test_images_of_one_sensor_share_their_bits(make_scene):
     assert "i1: values fit 10 bits, taken as 11 like its sensor's others" in found["notes"]
 
 
-def test_dates_are_brought_to_the_first_one(make_scene):
+def test_dates_are_brought_to_the_first_one(make_scene: Any) -> None:
     first = np.random.default_rng(0).integers(200, 900, (2, 40, 50)).astype(np.uint16)
     scene = make_scene(first, (first * 0.5 + 100).astype(np.uint16))
     normalise(scene, NormaliseOptions(match=True))
@@ -190,7 +192,7 @@ def test_dates_are_brought_to_the_first_one(make_scene):
     assert np.abs(a - b).max() < 2 / 2047  # the second image was rounded to whole numbers, then doubled
 
 
-def test_the_fit_reads_the_radiance(make_town):
+def test_the_fit_reads_the_radiance(make_town: Any) -> None:
     from sattools.views import load_sources
 
     scene = make_town()
@@ -204,7 +206,7 @@ def test_the_fit_reads_the_radiance(make_town):
 
 
 @pytest.mark.parametrize(("folder", "bits"), [("nitf", 11), ("pleiades/marseille_triplet", 12)])
-def test_real_images(data_dir, tmp_path, folder, bits):
+def test_real_images(data_dir: Any, tmp_path: Path, folder: Any, bits: Any) -> None:
     path = sorted(p for p in (data_dir / folder).iterdir() if p.suffix.lower() in (".ntf", ".tif"))[0]
     scene = Scene("REAL", tmp_path)
     properties = {"sattools:bits": bits, "sattools:dtype": "uint16", "datetime": None}

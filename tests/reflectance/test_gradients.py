@@ -1,6 +1,7 @@
 """Gradients of the reflectance models, and the blocks and bands they are computed in."""
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -18,25 +19,29 @@ geometry = (
 )  # fmt: skip
 
 
-def leaves(values) -> list[torch.Tensor]:
+def leaves(values: Any) -> list[torch.Tensor]:
     return [torch.as_tensor(v, dtype=torch.float64).clone().requires_grad_() for v in values]
 
 
 @given(geometry, st.floats(0.01, 0.95), st.floats(0.0, 0.8), st.floats(0.0, 1.0), st.floats(0.5, 60.0))
 @settings(max_examples=40, deadline=None)
-def test_gradients_of_hapke_are_those_of_finite_differences(directions, angles, w, b, c, theta):
+def test_gradients_of_hapke_are_those_of_finite_differences(
+    directions: Any, angles: Any, w: Any, b: Any, c: Any, theta: Any
+) -> None:
     operands = leaves([*directions(*angles), w, b, c, theta, 0.7, 0.2])
     assert torch.autograd.gradcheck(hapke, operands, eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
 @given(geometry, st.floats(0.01, 1.0), st.floats(0.0, 2.0), st.floats(-0.9, 0.9), st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
-def test_gradients_of_rpv_are_those_of_finite_differences(directions, angles, rho0, k, theta, rhoc):
+def test_gradients_of_rpv_are_those_of_finite_differences(
+    directions: Any, angles: Any, rho0: Any, k: Any, theta: Any, rhoc: Any
+) -> None:
     operands = leaves([*directions(*angles), rho0, k, theta, rhoc])
     assert torch.autograd.gradcheck(rpv, operands, eps=1e-6, atol=1e-6, rtol=1e-5)
 
 
-def test_the_normal_is_steered_even_where_the_sun_stands_on_it(directions):
+def test_the_normal_is_steered_even_where_the_sun_stands_on_it(directions: Any) -> None:
     normal, sun, view = directions(0.0, 60.0, 0.0)
     operands = leaves([normal, sun, view])
     # psi does not exist at i = 0, but the model is smooth there
@@ -46,7 +51,7 @@ def test_the_normal_is_steered_even_where_the_sun_stands_on_it(directions):
 
 
 @pytest.mark.parametrize("name", ["w", "b", "c", "theta"])
-def test_parameters_stay_alive_at_the_ends_of_their_ranges(directions, name):
+def test_parameters_stay_alive_at_the_ends_of_their_ranges(directions: Any, name: Any) -> None:
     # not at 1e-4 degrees: the true derivative with respect to theta-bar vanishes with theta-bar
     ends = {"w": (0.0, 0.99), "b": (0.0, 0.99), "c": (0.0, 1.0), "theta": (2.0, 60.0)}[name]
     for end in ends:
@@ -57,7 +62,7 @@ def test_parameters_stay_alive_at_the_ends_of_their_ranges(directions, name):
 
 
 @pytest.mark.parametrize(("name", "value"), [("w", 1.0), ("b", 1.0), ("theta", 0.0), ("theta", 90.0)])
-def test_values_outside_the_model_are_held_at_its_bounds(directions, name, value):
+def test_values_outside_the_model_are_held_at_its_bounds(directions: Any, name: Any, value: Any) -> None:
     values = {"w": 0.5, "b": 0.3, "c": 0.4, "theta": 20.0} | {name: value}
     operands = leaves([*directions(50.0, 20.0, 40.0), *values.values()])
     result = hapke(*operands)
@@ -68,7 +73,9 @@ def test_values_outside_the_model_are_held_at_its_bounds(directions, name, value
 
 @pytest.mark.parametrize("model", ["lambert", "rpv", "hapke"])
 @pytest.mark.parametrize(("i", "e"), [(95.0, 20.0), (20.0, 95.0), (120.0, 150.0)])
-def test_facets_that_face_away_from_sun_or_sensor_are_black_and_exert_no_pull(directions, model, i, e):
+def test_facets_that_face_away_from_sun_or_sensor_are_black_and_exert_no_pull(
+    directions: Any, model: Any, i: Any, e: Any
+) -> None:
     function, values = {
         "lambert": (lambert, [0.5]),
         "rpv": (rpv, [0.5, 0.8, -0.1, 0.5]),
@@ -81,7 +88,7 @@ def test_facets_that_face_away_from_sun_or_sensor_are_black_and_exert_no_pull(di
     assert all(float(o.grad.abs().max()) == 0 for o in operands)
 
 
-def test_the_horizon_itself_takes_the_limit():
+def test_the_horizon_itself_takes_the_limit() -> None:
     normal, sun = torch.tensor([0, 0, 1.0]).double(), torch.tensor([0.6, 0, 0.8]).double()
     edge, near = (torch.tensor([0, math.cos(x), math.sin(x)]).double() for x in (0.0, 1e-7))
     edge[2] = 0
@@ -90,7 +97,7 @@ def test_the_horizon_itself_takes_the_limit():
     assert at > 0.05
 
 
-def test_blocks_do_not_change_values_or_gradients(scattered, monkeypatch):
+def test_blocks_do_not_change_values_or_gradients(scattered: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     operands = scattered(500, RANGES)
     # one mean slope and one view for all samples: their gradients are sums over blocks
     operands[2], operands[6] = operands[2][0], operands[6][0]
@@ -106,16 +113,16 @@ def test_blocks_do_not_change_values_or_gradients(scattered, monkeypatch):
 
 
 @pytest.mark.parametrize("size", [10**6, 64])
-def test_bands_share_the_geometry(scattered, monkeypatch, size):
+def test_bands_share_the_geometry(scattered: Any, monkeypatch: pytest.MonkeyPatch, size: Any) -> None:
     monkeypatch.setattr(blocks, "BLOCK", size)
     normal, sun, view, w, b, c, theta, b0, h = scattered(300, RANGES)
     bands = torch.stack([w, 0.5 * w, 0.9 - w], -1)
 
-    def together(n, x, *rest):
+    def together(n: Any, x: Any, *rest: Any) -> Any:
         directions = [d[:, None, :] for d in (n, sun, view)]
         return hapke(*directions, x, *[r[:, None] for r in rest])
 
-    def one_by_one(n, x, *rest):
+    def one_by_one(n: Any, x: Any, *rest: Any) -> Any:
         return torch.stack([hapke(n, sun, view, x[:, k], *rest) for k in range(3)], -1)
 
     results = []
@@ -129,7 +136,7 @@ def test_bands_share_the_geometry(scattered, monkeypatch, size):
         torch.testing.assert_close(shared, single, rtol=1e-11, atol=1e-14)
 
 
-def test_gradients_can_be_asked_for_twice_and_in_part(scattered):
+def test_gradients_can_be_asked_for_twice_and_in_part(scattered: Any) -> None:
     normal, sun, view, *parameters = scattered(50, RANGES)
     w = parameters[0].requires_grad_()
     value = hapke(normal, sun, view, *parameters)
@@ -143,7 +150,7 @@ def test_gradients_can_be_asked_for_twice_and_in_part(scattered):
         assert not hapke(normal, sun, view, *parameters).requires_grad
 
 
-def test_empty_and_single_inputs_keep_their_shape(directions):
+def test_empty_and_single_inputs_keep_their_shape(directions: Any) -> None:
     none = torch.zeros(0, 3)
     assert hapke(none, none, none, 0.5, 0.3, 0.4, 20.0).shape == (0,)
     assert hapke(*directions(30, 40, 50), 0.5, 0.3, 0.4, 20.0).shape == ()

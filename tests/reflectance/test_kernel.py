@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from sattools.reflectance.hapke import plain_hapke
 RANGES = [(0.0, 0.99), (0.0, 0.95), (0.0, 1.0), (1e-4, 60.0), (0.0, 1.0), (0.05, 1.0)]
 
 
-def both_ways(operands: list[torch.Tensor], needed: range | list[int], weight: torch.Tensor | None = None):
+def both_ways(operands: list[torch.Tensor], needed: range | list[int], weight: torch.Tensor | None = None) -> Any:
     """Value and gradients of the compiled form and of its twin."""
     results = []
     for model in (hapke, plain_hapke):
@@ -24,7 +25,7 @@ def both_ways(operands: list[torch.Tensor], needed: range | list[int], weight: t
     return zip(*results, strict=True)
 
 
-def test_values_and_gradients_are_those_of_the_twin(scattered):
+def test_values_and_gradients_are_those_of_the_twin(scattered: Any) -> None:
     operands = scattered(3000, RANGES)
     weight = torch.linspace(-1, 1, 3000, dtype=torch.float64)
     for compiled, plain in both_ways(operands, range(9), weight):
@@ -33,7 +34,7 @@ def test_values_and_gradients_are_those_of_the_twin(scattered):
 
 
 @pytest.mark.parametrize("needed", [[], [3], [0, 6], [1], [2, 7, 8], [0, 3, 4, 5, 6]])
-def test_only_what_is_asked_for_gets_a_gradient(scattered, needed):
+def test_only_what_is_asked_for_gets_a_gradient(scattered: Any, needed: Any) -> None:
     operands = scattered(300, RANGES)
     parts = [o.clone().requires_grad_(k in needed) for k, o in enumerate(operands)]
     value = hapke(*parts)
@@ -46,7 +47,7 @@ def test_only_what_is_asked_for_gets_a_gradient(scattered, needed):
             torch.testing.assert_close(compiled, plain, rtol=1e-9, atol=1e-9)
 
 
-def test_what_samples_share_gathers_all_their_gradients(scattered):
+def test_what_samples_share_gathers_all_their_gradients(scattered: Any) -> None:
     operands = scattered(500, RANGES)
     for k in (1, 2, 4, 6, 8):
         operands[k] = operands[k][:1] if k == 6 else operands[k][0]
@@ -56,7 +57,7 @@ def test_what_samples_share_gathers_all_their_gradients(scattered):
         torch.testing.assert_close(compiled, plain, rtol=1e-8, atol=1e-7)
 
 
-def test_axes_broadcast_as_in_the_twin(scattered):
+def test_axes_broadcast_as_in_the_twin(scattered: Any) -> None:
     normal, sun, view, w, b, c, theta, b0, h = scattered(12, RANGES)
     grid = [
         normal.reshape(3, 4, 3),
@@ -75,7 +76,7 @@ def test_axes_broadcast_as_in_the_twin(scattered):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_at_all_singular_angles_values_agree_and_gradients_stay_finite(directions, dtype):
+def test_at_all_singular_angles_values_agree_and_gradients_stay_finite(directions: Any, dtype: Any) -> None:
     angles = itertools.product([0, 30, 60, 90 - 1e-4, 90, 100], [0, 30, 60, 90 - 1e-4, 90, 100], [0, 1e-3, 90, 180])
     corners = list(itertools.product([0, 0.99], [0, 0.99], [0, 1], [1e-4, 20, 60], [0, 1], [0.05]))
     geometry = [directions(*a) for a in angles]
@@ -95,13 +96,13 @@ def test_at_all_singular_angles_values_agree_and_gradients_stay_finite(direction
     assert bool(torch.isfinite(values).all())
 
 
-def test_what_is_unknown_stays_unknown(scattered):
+def test_what_is_unknown_stays_unknown(scattered: Any) -> None:
     operands = scattered(4, RANGES)
     operands[3][1] = math.nan
     assert torch.isnan(hapke(*operands)).tolist() == [False, True, False, False]
 
 
-def test_numbers_of_samples_that_fill_no_whole_block_are_all_worked_out(scattered):
+def test_numbers_of_samples_that_fill_no_whole_block_are_all_worked_out(scattered: Any) -> None:
     operands = scattered(8192 + 128 + 1, RANGES)
     torch.testing.assert_close(hapke(*operands), plain_hapke(*operands), rtol=1e-9, atol=1e-9)
 
@@ -115,13 +116,13 @@ def test_numbers_of_samples_that_fill_no_whole_block_are_all_worked_out(scattere
         ("tan", np.tan, np.geomspace(1e-9, math.radians(80), 5000)),
     ],
 )
-def test_elementary_functions_keep_all_digits(name, reference, values):
+def test_elementary_functions_keep_all_digits(name: Any, reference: Any, values: Any) -> None:
     function = getattr(elementary, name)
     found = np.array([function(value) for value in values])
     assert np.abs(found / reference(values) - 1).max() < 5e-15
 
 
-def test_the_angle_of_a_direction_keeps_all_digits_in_the_upper_half():
+def test_the_angle_of_a_direction_keeps_all_digits_in_the_upper_half() -> None:
     turns = np.linspace(0, math.pi, 1001)
     found = [elementary.angle(math.sin(turn), math.cos(turn)) for turn in turns]
     assert found == pytest.approx(turns, abs=1e-15)

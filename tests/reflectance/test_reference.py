@@ -1,5 +1,7 @@
 """The fast forms of Hapke and RPV against the printed equations and automatic differentiation."""
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -10,7 +12,9 @@ RPV = [(0.05, 0.9), (0.5, 1.4), (-0.5, 0.5), (0.1, 1.0)]
 
 
 @pytest.mark.parametrize(("fast", "plain", "ranges"), [(hapke, reference.hapke, HAPKE), (rpv, reference.rpv, RPV)])
-def test_values_and_gradients_are_those_of_automatic_differentiation(scattered, fast, plain, ranges):
+def test_values_and_gradients_are_those_of_automatic_differentiation(
+    scattered: Any, fast: Any, plain: Any, ranges: Any
+) -> None:
     operands = scattered(2000, ranges)
     # the twin knows no horizon: facets that face away are left to other tests
     lit = ((operands[0] * operands[1]).sum(-1) > 0.05) & ((operands[0] * operands[2]).sum(-1) > 0.05)

@@ -7,6 +7,8 @@ look at the very same samples.
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ SOFTNESS, STEP, BOTTOM = 0.5, 0.25, -8.0
 REACH, EMPTY, LEAST = 4, 6.0, 1e-3
 
 
-def town(shape, seed=0):
+def town(shape: Any, seed: Any = 0) -> Any:
     """Ground of 0 to 1 m with walls of 5 and 11 m, two of them at the map's edge; and colours."""
     rng = np.random.default_rng(seed)
     rows, cols = shape
@@ -32,11 +34,11 @@ def town(shape, seed=0):
     return torch.from_numpy(height).float(), torch.from_numpy(rng.uniform(0.1, 0.9, (*shape, 2))).float()
 
 
-def quadrature(height):
+def quadrature(height: Any) -> Any:
     return Quadrature(SOFTNESS, STEP, float(height.detach().max()) + EMPTY * SOFTNESS, BOTTOM)
 
 
-def follow(height, colour, rays, mask):
+def follow(height: Any, colour: Any, rays: Any, mask: Any) -> Any:
     """Every ray by itself, in float64: colours, depth, opacity and the number of samples.
 
     It looks only where it last said it would: it leaps over air that is empty by the highest surface around.
@@ -82,14 +84,14 @@ VIEWS = [
 ]
 
 
-def some(shape):
+def some(shape: Any) -> Any:
     """A mask that wants four rays in five."""
     return torch.from_numpy((np.random.default_rng(1).random(shape) < 0.8).astype(np.uint8))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("rays", VIEWS)
-def test_a_ray_in_a_block_sees_and_counts_what_it_sees_and_counts_alone(shape, rays):
+def test_a_ray_has_the_same_value_and_sample_count_in_a_packet_as_alone(shape: Any, rays: Any) -> None:
     height, colour = town(shape)
     rgb, depth, opacity, count = follow(height.double(), colour.double(), rays, some(shape))
     before = COUNTER["forward"]
@@ -103,7 +105,7 @@ def test_a_ray_in_a_block_sees_and_counts_what_it_sees_and_counts_alone(shape, r
 
 @pytest.mark.parametrize("shape", [*SHAPES, (130, 256)])  # the last one in two chunks of rows
 @pytest.mark.parametrize("rays", VIEWS)
-def test_gradients_reach_the_cells_that_the_ray_saw(shape, rays):
+def test_gradients_reach_the_cells_that_the_ray_saw(shape: Any, rays: Any) -> None:
     """Also across the borders of blocks and chunks, and at the map's edge."""
     weights = torch.randn((*shape, 4), generator=torch.Generator().manual_seed(3))
     grads = []
@@ -136,10 +138,10 @@ print(hashlib.sha256(b"".join(parts)).hexdigest())
 """
 
 
-def test_neither_the_number_of_threads_nor_a_first_run_changes_pictures_or_gradients(tmp_path):
+def test_neither_the_number_of_threads_nor_a_first_run_changes_pictures_or_gradients(tmp_path: Path) -> None:
     """A process has its threads for life, and compiles only where it finds no compiled kernels."""
 
-    def digest(threads, cache):
+    def digest(threads: Any, cache: Any) -> Any:
         run = [sys.executable, "-c", DIGEST, str(threads)]
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / cache)}
         return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
@@ -151,7 +153,7 @@ def test_neither_the_number_of_threads_nor_a_first_run_changes_pictures_or_gradi
 
 
 @pytest.mark.parametrize(("thickness", "error"), [(0.5, 1e-6), (1 / 1.5, 1e-6), (1.0, 1e-6), (2.0, 3e-6)])
-def test_the_absorption_of_a_sample_is_a_polynomial_of_its_density(thickness, error):
+def test_the_absorption_of_a_sample_is_a_polynomial_of_its_density(thickness: Any, error: Any) -> None:
     density = np.linspace(0.002, 1, 1000)
     polynomial = np.polynomial.Polynomial([float(c) for c in absorption(thickness)])
     assert density * polynomial(2 * density - 1) == pytest.approx(-np.expm1(-thickness * density), rel=error)

@@ -1,6 +1,7 @@
 """Cast shadows of a height map, by hand and against the ray tracer of the simulator."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +13,13 @@ from sattools.render import plate_slopes, reference, sun_visibility
 from sattools.scene.raster import read_image, read_raster
 
 
-def sun_at(azimuth_deg, elevation_deg):
+def sun_at(azimuth_deg: Any, elevation_deg: Any) -> Any:
     """Unit vector (east, north, up), azimuth clockwise from north."""
     a, e = math.radians(azimuth_deg), math.radians(elevation_deg)
     return math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)
 
 
-def block(cell=0.5, size=160, tall=12.0):
+def block(cell: Any = 0.5, size: Any = 160, tall: Any = 12.0) -> Any:
     """A block of 10 m x 10 m in the middle of flat ground."""
     height = torch.full((size, size), -20.0)
     low, high = size // 2 - round(5 / cell), size // 2 + round(5 / cell)
@@ -27,17 +28,17 @@ def block(cell=0.5, size=160, tall=12.0):
 
 
 @pytest.mark.parametrize("sun", [sun_at(0, 10), sun_at(137, 30), sun_at(271, 80), (0.0, 0.0, 1.0)])
-def test_flat_ground_is_lit(sun):
+def test_flat_ground_is_lit(sun: Any) -> None:
     assert torch.equal(sun_visibility(torch.full((20, 30), -3.5), 0.5, sun), torch.ones(20, 30))
 
 
-def test_a_sun_at_the_zenith_casts_no_shadow():
+def test_a_sun_at_the_zenith_casts_no_shadow() -> None:
     height, _, _ = block()
     assert float(sun_visibility(height, 0.5, (0.0, 0.0, 1.0)).min()) == 1
 
 
 @pytest.mark.parametrize("elevation", [0.0, -5.0])
-def test_nothing_is_lit_by_a_sun_below_the_horizon(elevation):
+def test_nothing_is_lit_by_a_sun_below_the_horizon(elevation: Any) -> None:
     height, _, _ = block()
     assert float(sun_visibility(height, 0.5, sun_at(90, elevation)).max()) == 0
 
@@ -45,7 +46,7 @@ def test_nothing_is_lit_by_a_sun_below_the_horizon(elevation):
 @pytest.mark.parametrize("cell", [0.5, 1.0])
 @pytest.mark.parametrize("elevation", [25.0, 45.0, 60.0])
 @pytest.mark.parametrize(("azimuth", "step"), [(90, (0, -1)), (270, (0, 1)), (0, (1, 0)), (180, (-1, 0))])
-def test_a_shadow_is_as_long_as_the_height_over_the_tangent(cell, elevation, azimuth, step):
+def test_a_shadow_is_as_long_as_the_height_over_the_tangent(cell: Any, elevation: Any, azimuth: Any, step: Any) -> None:
     """Opposite the sun; to a tenth of a cell, as the roof reaches to its edge."""
     height, low, high = block(cell)
     dark = 1 - sun_visibility(height, cell, sun_at(azimuth, elevation))
@@ -58,7 +59,7 @@ def test_a_shadow_is_as_long_as_the_height_over_the_tangent(cell, elevation, azi
     assert float(dark[low:high, low:high].max()) == 0  # the roof is lit
 
 
-def test_a_slanting_sun_casts_the_shadow_along_its_own_direction():
+def test_a_slanting_sun_casts_the_shadow_along_its_own_direction() -> None:
     height, low, high = block()
     dark = 1 - sun_visibility(height, 0.5, sun_at(135, 45))  # from the south-east: the shadow falls north-west
     rows, cols = np.nonzero(dark.numpy() > 0.5)
@@ -69,14 +70,14 @@ def test_a_slanting_sun_casts_the_shadow_along_its_own_direction():
     assert low - cols.min() == pytest.approx(17, abs=1)
 
 
-def test_a_slope_away_from_a_low_sun_is_in_shadow_and_one_towards_it_is_lit():
+def test_a_slope_away_from_a_low_sun_is_in_shadow_and_one_towards_it_is_lit() -> None:
     ramp = torch.arange(40.0).expand(30, 40) * 1.0  # rises eastwards by 45 degrees
     assert float(sun_visibility(ramp, 1.0, sun_at(270, 30)).min()) == 1
     # the first and last rows and the eastern end have sun rays that leave the map
     assert float(sun_visibility(ramp, 1.0, sun_at(90, 30))[1:-1, :30].max()) == 0
 
 
-def test_plates_slope_where_both_neighbours_agree_and_are_level_beside_a_wall():
+def test_plates_slope_where_both_neighbours_agree_and_are_level_beside_a_wall() -> None:
     profile = torch.tensor([0.0, 0.5, 1.0, 1.5, 9.0, 9.0, 9.0, 8.8, 8.4])
     east, south = plate_slopes(profile.expand(4, 9))
     assert east[1].tolist() == pytest.approx([0, 0.5, 0.5, 0.5, 0, 0, 0, -0.2, 0])
@@ -84,7 +85,7 @@ def test_plates_slope_where_both_neighbours_agree_and_are_level_beside_a_wall():
     assert torch.equal(plate_slopes(profile[:, None].expand(9, 4))[1][:, 1], east[1])
 
 
-def test_light_grows_with_the_receiver_and_falls_with_the_caster():
+def test_light_grows_with_the_receiver_and_falls_with_the_caster() -> None:
     """Where the edge of a shadow lies, gradients are finite differences and have the right signs."""
     height = torch.zeros(1, 60).repeat(3, 1)
     height[:, 40] = 9.6
@@ -106,11 +107,11 @@ def test_light_grows_with_the_receiver_and_falls_with_the_caster():
         assert float(gradient[1, column]) == pytest.approx(float(change) / 0.04, rel=0.02)
 
 
-def test_double_precision_in_is_double_precision_out():
+def test_double_precision_in_is_double_precision_out() -> None:
     assert sun_visibility(torch.zeros(4, 4, dtype=torch.float64), 1.0, sun_at(10, 20)).dtype == torch.float64
 
 
-def test_shadows_of_the_true_surface_are_those_that_the_ray_tracer_saw(town_source):
+def test_shadows_of_the_true_surface_are_those_that_the_ray_tracer_saw(town_source: Any) -> None:
     """Intersection over union of cast shadow, pooled over the views, on ground that both can know of.
 
     Compared are cells that a view sees and whose sun ray rises above the highest roof inside the map: what stands
@@ -140,7 +141,7 @@ def test_shadows_of_the_true_surface_are_those_that_the_ray_tracer_saw(town_sour
 
 @pytest.mark.parametrize("azimuth", [0, 90, 137, 222.5, 300])
 @pytest.mark.parametrize(("left", "above"), [(1, 0), (13, 3), (32, 1), (45, 2)])
-def test_a_shadow_does_not_depend_on_where_in_the_map_it_lies(azimuth, left, above):
+def test_a_shadow_does_not_depend_on_where_in_the_map_it_lies(azimuth: Any, left: Any, above: Any) -> None:
     """Cells are worked on in blocks of a row; low ground beside the map moves the borders of the blocks."""
     rng = np.random.default_rng(5)
     height = np.zeros((37, 70), np.float32)
@@ -149,7 +150,7 @@ def test_a_shadow_does_not_depend_on_where_in_the_map_it_lies(azimuth, left, abo
     height[22:30, 6:14] += 14
     weights = torch.from_numpy(rng.normal(size=height.shape)).float()
 
-    def shadows(left, above):
+    def shadows(left: Any, above: Any) -> Any:
         wide = np.pad(height, ((above, 0), (left, 0)), constant_values=0)
         surface = torch.from_numpy(wide).requires_grad_()
         lit = sun_visibility(surface, 1.0, sun_at(azimuth, 35))[above:, left:]
@@ -161,7 +162,7 @@ def test_a_shadow_does_not_depend_on_where_in_the_map_it_lies(azimuth, left, abo
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(40, 25), (137, 50), (251, 12), (333, 70)])
-def test_shadows_are_those_of_the_plain_twin(azimuth, elevation):
+def test_shadows_are_those_of_the_plain_twin(azimuth: Any, elevation: Any) -> None:
     height = np.random.default_rng(azimuth).uniform(0, 3, (23, 37)).cumsum(axis=1) % 11
     fast = sun_visibility(torch.from_numpy(height).float(), 0.5, sun_at(azimuth, elevation)).numpy()
     slow = reference.sun_visibility(height, 0.5, sun_at(azimuth, elevation))

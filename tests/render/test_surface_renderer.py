@@ -5,6 +5,8 @@ The compiled path leaves out what lies more than 6 softness lengths above the su
 all at most. Tables and float32 add about 1e-4.
 """
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -16,11 +18,11 @@ from sattools.render.reference import render_planes
 TRUNCATION = 4e-3
 
 
-def vertical(z_ref=0.0):
+def vertical(z_ref: Any = 0.0) -> Any:
     return ParallelRays((0.0, 0.0), z_ref)
 
 
-def town(seed=0, shape=(40, 48)):
+def town(seed: Any = 0, shape: Any = (40, 48)) -> Any:
     """Rolling ground with two blocks, [H, W] in metres, and a colour [H, W, 3] in [0, 1]."""
     rng = np.random.default_rng(seed)
     height = gaussian_filter(rng.normal(size=shape), 4) * 8
@@ -31,7 +33,7 @@ def town(seed=0, shape=(40, 48)):
 
 
 @pytest.mark.parametrize("softness", [0.3, 1.0, 4.0])
-def test_a_vertical_ray_is_half_gone_at_the_surface_for_every_softness(softness):
+def test_a_vertical_ray_is_half_gone_at_the_surface_for_every_softness(softness: Any) -> None:
     step = softness / 200
     height = torch.full((2, 2), 7.3, dtype=torch.float64)
     # samples in the middle of their steps, the last one half a step above the surface
@@ -43,7 +45,7 @@ def test_a_vertical_ray_is_half_gone_at_the_surface_for_every_softness(softness)
 
 @pytest.mark.parametrize("softness", [0.3, 1.0, 4.0])
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.4, -0.25)])
-def test_the_mean_depth_of_a_flat_surface_is_its_height(softness, slope):
+def test_the_mean_depth_of_a_flat_surface_is_its_height(softness: Any, slope: Any) -> None:
     """The weights are logistic around h, whose mean is h; oblique rays too, as density counts per metre of height."""
     step = softness / 20
     height = torch.full((12, 12), 3.0, dtype=torch.float64)
@@ -56,7 +58,7 @@ def test_the_mean_depth_of_a_flat_surface_is_its_height(softness, slope):
     assert depth.numpy() == pytest.approx(3.0, abs=1e-3 * softness)
 
 
-def test_a_view_shows_the_roof_displaced_along_the_line_of_sight():
+def test_a_view_shows_the_roof_displaced_along_the_line_of_sight() -> None:
     """A roof 10 m above the reference plane, seen along 0.5 m east per metre of height: 5 m west of where it stands."""
     height = torch.zeros(30, 60)
     height[10:20, 30:40] = 10.0
@@ -70,7 +72,7 @@ def test_a_view_shows_the_roof_displaced_along_the_line_of_sight():
     assert columns[42:].max() < 0.05
 
 
-def test_offset_moves_all_rays_east_and_north():
+def test_offset_moves_all_rays_east_and_north() -> None:
     height = torch.zeros(20, 20)
     colour = torch.zeros(20, 20, 1)
     colour[8, 12] = 1.0
@@ -89,7 +91,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("slope", "offset", "softness", "cell"), CASES)
-def test_compiled_and_readable_renderer_show_the_same(slope, offset, softness, cell):
+def test_compiled_and_readable_renderer_show_the_same(slope: Any, offset: Any, softness: Any, cell: Any) -> None:
     height, colour = town()
     rays = ParallelRays(slope, 2.0, offset)
     q = Quadrature(softness, softness / 1.5, 17 + 6 * softness, -8 - 10 * softness)
@@ -102,7 +104,7 @@ def test_compiled_and_readable_renderer_show_the_same(slope, offset, softness, c
     assert float((depth - twin_depth).abs().max()) < TRUNCATION * (q.z_top - q.z_bottom)
 
 
-def gradients(function, kind, case, loss):
+def gradients(function: Any, kind: Any, case: Any, loss: Any) -> Any:
     """Gradients of loss(rgb, depth, opacity) with respect to height and colour, as float64."""
     slope, offset, softness, cell = case
     height, colour = (t.to(kind, copy=True).requires_grad_() for t in town())
@@ -111,12 +113,12 @@ def gradients(function, kind, case, loss):
     return height.grad.double(), None if colour.grad is None else colour.grad.double()
 
 
-def likeness(a, b):
+def likeness(a: Any, b: Any) -> Any:
     return float(torch.nn.functional.cosine_similarity(a.flatten(), b.flatten(), dim=0))
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_compiled_gradients_are_those_of_the_readable_renderer(case):
+def test_compiled_gradients_are_those_of_the_readable_renderer(case: Any) -> None:
     weight = torch.randn(40, 48, 3, generator=torch.Generator().manual_seed(1))
     softness = case[2]
     # what is left out, a share of TRUNCATION, changes with the height by that share per softness; the rays that meet
@@ -148,7 +150,7 @@ def test_compiled_gradients_are_those_of_the_readable_renderer(case):
     assert float((mine[0] - twin[0]).abs().max()) < share / softness
 
 
-def test_gradients_of_the_readable_renderer_are_finite_differences():
+def test_gradients_of_the_readable_renderer_are_finite_differences() -> None:
     generator = torch.Generator().manual_seed(0)
     height = torch.rand(4, 5, generator=generator, dtype=torch.float64).requires_grad_()
     colour = torch.rand(4, 5, 2, generator=generator, dtype=torch.float64).requires_grad_()
@@ -157,7 +159,7 @@ def test_gradients_of_the_readable_renderer_are_finite_differences():
     assert torch.autograd.gradcheck(lambda h, c: render_planes(h, c, rays, q, 1.0), (height, colour))
 
 
-def test_rays_that_are_not_wanted_cost_nothing_and_change_nothing():
+def test_rays_that_are_not_wanted_cost_nothing_and_change_nothing() -> None:
     height, colour = town()
     q = Quadrature(0.5, 0.3, 20.0, -12.0)
     rays = ParallelRays((0.3, 0.1), 0.0)
@@ -174,7 +176,7 @@ def test_rays_that_are_not_wanted_cost_nothing_and_change_nothing():
     assert float(corner.abs().max()) == 0
 
 
-def test_the_number_of_threads_does_not_change_the_picture():
+def test_the_number_of_threads_does_not_change_the_picture() -> None:
     height, colour = town()
     q = Quadrature(0.5, 0.3, 20.0, -12.0)
     before = torch.get_num_threads()

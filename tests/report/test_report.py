@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ FLAGS = (
 
 
 @pytest.fixture
-def opened(tmp_path_factory):
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Opens a page in a real browser with a fresh profile: its document afterwards, and what was said."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
@@ -50,13 +51,13 @@ def opened(tmp_path_factory):
 class Page(HTMLParser):
     """What a page shows, and everything that it would load."""
 
-    def __init__(self, text):
+    def __init__(self, text: Any) -> None:
         super().__init__()
         self.images, self.headings, self.captions, self.loaded, self.open = [], [], [], [], []
         self.text = ""
         self.feed(text)
 
-    def handle_starttag(self, tag, attributes):
+    def handle_starttag(self, tag: Any, attributes: Any) -> None:
         values = dict(attributes)
         if tag == "img":
             self.images.append(values)
@@ -65,24 +66,24 @@ class Page(HTMLParser):
         if tag == "figcaption":
             self.captions.append("")
 
-    def handle_data(self, data):
+    def handle_data(self, data: Any) -> None:
         self.text += data
         if self.open and self.open[-1] == "h2":
             self.headings.append(data)
         if self.open and self.open[-1] == "figcaption":
             self.captions[-1] += data
 
-    def handle_endtag(self, tag):
+    def handle_endtag(self, tag: Any) -> None:
         if tag in self.open:
             del self.open[len(self.open) - 1 - self.open[::-1].index(tag) :]
 
 
-def run(*arguments, text=None):
+def run(*arguments: Any, text: Any = None) -> Any:
     return CliRunner().invoke(main, ["report", *map(str, arguments)], input=text)
 
 
 @pytest.fixture
-def finished(make_town):
+def finished(make_town: Any) -> Any:
     """A scene with maps, a trace, errors, an adjustment and a name that HTML could mistake for a tag."""
     scene = make_town("TOWN")
     grid, rng = scene.require_grid(), np.random.default_rng(0)
@@ -104,7 +105,7 @@ def finished(make_town):
     return scene
 
 
-def check_self_contained(page):
+def check_self_contained(page: Any) -> None:
     assert all(image["alt"] for image in page.images)
     assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
     assert [name for name in page.loaded if not name.startswith(("data:", "#"))] == []
@@ -112,7 +113,7 @@ def check_self_contained(page):
     assert all(caption.strip() for caption in page.captions)
 
 
-def test_a_scenes_page_shows_all_that_is_known(finished):
+def test_a_scenes_page_shows_all_that_is_known(finished: Any) -> None:
     result = run(finished.root)
     assert result.exit_code == 0, result.output
     assert result.stdout == f"{finished.root}/report.html\n"
@@ -128,7 +129,7 @@ def test_a_scenes_page_shows_all_that_is_known(finished):
         assert words in page.text
 
 
-def test_what_a_scene_does_not_have_is_left_out(make_town):
+def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     scene = make_town("TOWN")
     for item in scene.items:
         item.assets.clear()
@@ -138,7 +139,7 @@ def test_what_a_scene_does_not_have_is_left_out(make_town):
     assert Page((scene.root / "page.html").read_text()).headings == ["Images"]
 
 
-def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished):
+def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
     (finished.root / "report.html").write_text("mine")
     refused = run(finished.root / "scene.json")
     assert refused.exit_code == 1
@@ -148,7 +149,7 @@ def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished):
 
 
 @pytest.fixture
-def batch(tmp_path):
+def batch(tmp_path: Path) -> Any:
     rows = [
         {"scene": scene, "configuration": name, "status": "done", "seconds": seconds, "mae_m": error}
         for scene, name, seconds, error in (("A", "fast", 10.0, 2.0), ("A", "slow", 60.0, 1.0))
@@ -162,7 +163,7 @@ def batch(tmp_path):
     return tmp_path
 
 
-def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch):
+def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch: Any) -> None:
     result = run(batch)
     assert result.exit_code == 0, result.output
     page = Page((batch / "report.html").read_text())
@@ -174,7 +175,7 @@ def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch):
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "scene,configuration,status,seconds,mae_m\n../x,fast,done,1,2\n"])
-def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path, text):
+def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path: Path, text: Any) -> None:
     (tmp_path / "table.csv").write_text(text)
     result = run(tmp_path)
     assert result.exit_code == 1
@@ -182,7 +183,7 @@ def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path, text):
     assert result.stderr.count("\n") == 1
 
 
-def test_command_lines_name_what_is_not_the_default_and_can_be_pasted():
+def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
     line = command_line("fit", {"preset": "fast", "epochs": [4, 2], "pose": False, "reference": "my dsm.tif"})
     assert shlex.split(line) == [
         *("sattools", "fit", "--epochs", "4", "--epochs", "2", "--no-pose", "--reference", "my dsm.tif")
@@ -194,7 +195,7 @@ def test_command_lines_name_what_is_not_the_default_and_can_be_pasted():
     assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
 
 
-def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished, batch, opened):
+def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished: Any, batch: Any, opened: Any) -> None:
     assert run(finished.root).exit_code == 0
     assert run(batch).exit_code == 0
     # a page that loads both in frames would need a policy of its own: each is opened by itself, a probe added at its
@@ -217,7 +218,7 @@ def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished, ba
             assert said == []
 
 
-def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path, opened):
+def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path: Path, opened: Any) -> None:
     """The probe above must be able to fail."""
     page = render("bad", [Section("x", ["y"])]).replace(
         "</body>", '<script src="http://localhost/x.js"></script></body>'
@@ -236,7 +237,7 @@ def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path, opened):
         (lambda d: d["classes"]["ground"].update(near_steps=3), "near_steps"),
     ],
 )
-def test_a_score_that_is_no_number_is_named(tmp_path, change, words):
+def test_a_score_that_is_no_number_is_named(tmp_path: Path, change: Any, words: Any) -> None:
     from sattools.report.scene import _ERRORS
 
     place = {"signed": 0.1, "absolute": 0.2, "share": 0.3}
@@ -251,7 +252,7 @@ def test_a_score_that_is_no_number_is_named(tmp_path, change, words):
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
-def test_a_batch_table_of_no_numbers_is_refused(tmp_path, value):
+def test_a_batch_table_of_no_numbers_is_refused(tmp_path: Path, value: Any) -> None:
     from sattools.report.batch import read_rows
 
     (tmp_path / "table.csv").write_text(f"scene,configuration,status,seconds,mae_m\nA,b,done,{value},1.0\n")

@@ -1,5 +1,8 @@
 """What a command makes invalid is dropped, and what changed behind its back is noticed."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from sattools.errors import OutputExistsError, OutputIsInputError, StaleError
@@ -15,13 +18,13 @@ FILES = {
 }
 
 
-def put(scene, href, text):
+def put(scene: Any, href: Any, text: Any) -> None:
     path = scene.root / href
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
 
 
-def run(scene, command, text="", items=None):
+def run(scene: Any, command: Any, text: Any = "", items: Any = None) -> None:
     """A command as the pipe runs it, its outputs made of text."""
     drop(scene, command)
     for name, href in FILES[command].items():
@@ -32,7 +35,7 @@ def run(scene, command, text="", items=None):
 
 
 @pytest.fixture
-def scene(tmp_path):
+def scene(tmp_path: Path) -> Any:
     items = []
     for name in ("a", "b"):
         (tmp_path / f"{name}.tif").write_text(f"pixels of {name}")
@@ -44,7 +47,7 @@ def scene(tmp_path):
     return scene
 
 
-def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene):
+def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene: Any) -> None:
     for command in FILES:
         run(scene, command)
     scene.items[0].assets["shadow"] = Asset("export/shadow/a.tif")
@@ -56,7 +59,7 @@ def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene):
     assert not scene.items[0].held_out
 
 
-def test_products_that_were_left_alone_are_current(scene):
+def test_products_that_were_left_alone_are_current(scene: Any) -> None:
     for command in FILES:
         run(scene, command)
     for command in FILES:
@@ -75,7 +78,7 @@ def test_products_that_were_left_alone_are_current(scene):
         (lambda s: setattr(s, "height_range_m", (0.0, 8.0)), "what prior was made from has changed"),
     ],
 )
-def test_whatever_changed_is_named(scene, change, words):
+def test_whatever_changed_is_named(scene: Any, change: Any, words: Any) -> None:
     for command in FILES:
         run(scene, command)
     change(scene)
@@ -83,7 +86,7 @@ def test_whatever_changed_is_named(scene, change, words):
         check_current(scene, "compare")
 
 
-def test_a_missing_file_is_the_readers_error_and_products_without_a_record_are_taken_as_they_are(scene):
+def test_a_missing_file_is_the_readers_error_and_products_without_a_record_are_taken_as_they_are(scene: Any) -> None:
     run(scene, "fit")
     (scene.root / "fit/model.safetensors").unlink()
     assert stale(scene, "fit") is None
@@ -92,7 +95,7 @@ def test_a_missing_file_is_the_readers_error_and_products_without_a_record_are_t
     assert stale(scene, "export") is None
 
 
-def test_a_score_counts_until_something_before_it_is_made_anew(scene):
+def test_a_score_counts_until_something_before_it_is_made_anew(scene: Any) -> None:
     for command in FILES:
         run(scene, command)
     assert current_entry(scene, "compare") is scene.history[-1]
@@ -104,7 +107,7 @@ def test_a_score_counts_until_something_before_it_is_made_anew(scene):
     assert latest(scene, "fit") is None
 
 
-def test_outputs_are_checked_against_all_other_files_of_the_scene(scene):
+def test_outputs_are_checked_against_all_other_files_of_the_scene(scene: Any) -> None:
     for command in FILES:
         run(scene, command)
     with pytest.raises(OutputExistsError, match=r"export/dsm\.tif"):
@@ -119,7 +122,7 @@ def test_outputs_are_checked_against_all_other_files_of_the_scene(scene):
     assert (scene.root / "a.tif").read_text() == "pixels of a"
 
 
-def test_a_copy_in_another_place_knows_its_history(scene, tmp_path):
+def test_a_copy_in_another_place_knows_its_history(scene: Any, tmp_path: Path) -> None:
     from sattools.scene.copies import absolute_copy
 
     for command in FILES:

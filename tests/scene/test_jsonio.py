@@ -1,6 +1,8 @@
 """Text, JSON and TOML that anybody may have written."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +27,7 @@ DEEP = 100_000
         ("\0", "not JSON"),
     ],
 )
-def test_json_that_would_break_what_comes_after_it_is_refused(text, words):
+def test_json_that_would_break_what_comes_after_it_is_refused(text: Any, words: Any) -> None:
     with pytest.raises(InputError, match=words) as caught:
         parse_json(text, "x.json")
     assert str(caught.value).startswith("x.json: found ")
@@ -36,7 +38,7 @@ def test_json_that_would_break_what_comes_after_it_is_refused(text, words):
     "text",
     ["a = " + "[" * DEEP, "a = " + "9" * 5000, "a = " + "9" * 400, "a.b" * DEEP, "a = ", "\0", "[a]\n[a]"],
 )
-def test_toml_that_would_break_what_comes_after_it_is_refused(tmp_path, text):
+def test_toml_that_would_break_what_comes_after_it_is_refused(tmp_path: Path, text: Any) -> None:
     path = tmp_path / "x.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -44,7 +46,7 @@ def test_toml_that_would_break_what_comes_after_it_is_refused(tmp_path, text):
     assert str(caught.value).startswith(f"{path}: found ")
 
 
-def test_ordinary_documents_are_read_whatever_their_byte_order_mark(tmp_path):
+def test_ordinary_documents_are_read_whatever_their_byte_order_mark(tmp_path: Path) -> None:
     document = {"a": [1, 2.5, None, True, {"b": "Zürich 東京 😀"}], "n": 2**63}
     text = json.dumps(document, ensure_ascii=False)
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-32"):
@@ -55,7 +57,7 @@ def test_ordinary_documents_are_read_whatever_their_byte_order_mark(tmp_path):
     assert read_toml(tmp_path / "x.toml") == {"a": 1}
 
 
-def test_vendors_text_may_be_latin_but_documents_may_not(tmp_path):
+def test_vendors_text_may_be_latin_but_documents_may_not(tmp_path: Path) -> None:
     path = tmp_path / "x.txt"
     path.write_bytes(b"stra\xdfe\r\n")
     assert read_text(path, strict=False) == "straße\n"
@@ -65,7 +67,7 @@ def test_vendors_text_may_be_latin_but_documents_may_not(tmp_path):
         decode(b"\xff\xfe\x00", "x")
 
 
-def test_what_never_ends_is_read_to_its_limit_only(tmp_path):
+def test_what_never_ends_is_read_to_its_limit_only(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="more than 1 MiB"):
         read_bytes("/dev/zero", CONFIG_LIMIT)
     large = tmp_path / "large"
@@ -76,12 +78,12 @@ def test_what_never_ends_is_read_to_its_limit_only(tmp_path):
 
 
 @pytest.mark.parametrize("name", [".", "none", "x" * 300, "a\0b"])
-def test_what_is_no_file_is_named(tmp_path, name):
+def test_what_is_no_file_is_named(tmp_path: Path, name: Any) -> None:
     with pytest.raises(InputError, match="expected a readable file"):
         read_bytes(f"{tmp_path}/{name}")
 
 
-def test_a_json_value_that_is_no_object_is_named(tmp_path):
+def test_a_json_value_that_is_no_object_is_named(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text("[1]")
     with pytest.raises(InputError, match="found a JSON list, expected a JSON object"):

@@ -2,6 +2,8 @@
 
 import copy
 import json
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -13,15 +15,15 @@ from sattools.scene.schema import Items, Maybe, Number, Table, Text, meant, show
 
 
 @pytest.fixture
-def document(town_source):
+def document(town_source: Any) -> Any:
     return json.loads(town_source.to_json())
 
 
-def properties(document):
+def properties(document: Any) -> Any:
     return document["features"][0]["properties"]
 
 
-def ours(document):
+def ours(document: Any) -> Any:
     return document["sattools"]
 
 
@@ -77,7 +79,7 @@ NONSENSE = {
 
 
 @pytest.mark.parametrize("name", NONSENSE)
-def test_nonsense_is_told_in_one_line_with_its_place(document, name):
+def test_nonsense_is_told_in_one_line_with_its_place(document: Any, name: Any) -> None:
     change, words = NONSENSE[name]
     change(document)
     with pytest.raises(SceneError, match=words) as caught:
@@ -87,7 +89,7 @@ def test_nonsense_is_told_in_one_line_with_its_place(document, name):
     assert len(str(caught.value)) < 400
 
 
-def test_what_others_add_is_kept(document):
+def test_what_others_add_is_kept(document: Any) -> None:
     properties(document)["eo:cloud_cover"] = {"any": ["thing", 1e3]}
     document["features"][0]["assets"]["thumbnail"] = {"href": "https://example.org/a.png"}
     scene = Scene.from_json(json.dumps(document))
@@ -95,7 +97,7 @@ def test_what_others_add_is_kept(document):
     assert scene.items[0].assets["thumbnail"].href == "https://example.org/a.png"
 
 
-def test_unknown_times_angles_and_numbers_may_be_null(document):
+def test_unknown_times_angles_and_numbers_may_be_null(document: Any) -> None:
     for name in ("datetime", "gsd", "view:sun_azimuth", "view:sun_elevation", "sattools:bits", "sattools:value_range"):
         properties(document)[name] = None
     assert Scene.from_json(json.dumps(document)).items[0].sun is None
@@ -108,7 +110,7 @@ values = st.recursive(
 )
 
 
-def places(node, found=()):
+def places(node: Any, found: Any = ()) -> Iterator[Any]:
     yield found
     if isinstance(node, dict):
         for key in node:
@@ -120,7 +122,7 @@ def places(node, found=()):
 
 @settings(max_examples=300, deadline=None)
 @given(data=st.data())
-def test_any_value_at_any_place_is_read_or_refused(town_source, data):
+def test_any_value_at_any_place_is_read_or_refused(town_source: Any, data: Any) -> None:
     document = json.loads(town_source.to_json())
     document["features"] = document["features"][:2]
     place = data.draw(st.sampled_from(list(places(document))[1:]))
@@ -141,7 +143,7 @@ def test_any_value_at_any_place_is_read_or_refused(town_source, data):
     assert copy.deepcopy(again["features"]) == again["features"]
 
 
-def test_a_schema_names_the_place_and_what_was_meant():
+def test_a_schema_names_the_place_and_what_was_meant() -> None:
     kind = Table(
         {"name": Text(("red", "green")), "size": Maybe(Items(Number(0, 5, whole=True), 2, 2))}, ("name",), None
     )
@@ -160,7 +162,7 @@ def test_a_schema_names_the_place_and_what_was_meant():
             kind.check(value, "x")
 
 
-def test_values_are_shown_briefly():
+def test_values_are_shown_briefly() -> None:
     assert shown({"a": 1}) == "an object"
     assert shown([1] * 100) == "a list of 100 values"
     assert len(shown("x" * 1000)) <= 40

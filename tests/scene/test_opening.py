@@ -5,6 +5,9 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,15 +40,15 @@ with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
 class Asked:
     """What a server was asked for so far."""
 
-    def __init__(self, log):
+    def __init__(self, log: Any) -> None:
         self.log = log
 
-    def __call__(self):
+    def __call__(self) -> Any:
         return self.log.read_text().split() if self.log.exists() else []
 
 
 @pytest.fixture
-def server(town_source, tmp_path_factory):
+def server(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A web server of the town's folder on the loopback address: its address, and what it is asked for.
 
     It has a process of its own: rasterio holds the interpreter's lock while it opens a file.
@@ -59,7 +62,7 @@ def server(town_source, tmp_path_factory):
             running.terminate()
 
 
-def run(*arguments, text=""):
+def run(*arguments: Any, text: Any = "") -> Any:
     return CliRunner().invoke(main, [*map(str, arguments)], input=text)
 
 
@@ -73,7 +76,7 @@ def run(*arguments, text=""):
         ("/vsicurl/http://a.org/y.tif", "/vsicurl/http://a.org/y.tif"),
     ],
 )
-def test_addresses_keep_their_spelling(given, read):
+def test_addresses_keep_their_spelling(given: Any, read: Any) -> None:
     path = location(given)
     assert isinstance(path, RemotePath)
     assert str(path) == read
@@ -83,7 +86,7 @@ def test_addresses_keep_their_spelling(given, read):
     assert needs_network(read) == ("zip" not in read)
 
 
-def test_paths_stay_paths(tmp_path):
+def test_paths_stay_paths(tmp_path: Path) -> None:
     assert not isinstance(location(str(tmp_path)), RemotePath)
     assert not is_remote("a:b/c.tif") or location("images/x.tif").name == "x.tif"
     assert str(location("file:///a/b.tif")) == "/a/b.tif"
@@ -101,7 +104,9 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_descriptions_of_other_files_are_no_images_whatever_their_name(tmp_path, server, town_source, kind):
+def test_descriptions_of_other_files_are_no_images_whatever_their_name(
+    tmp_path: Path, server: Any, town_source: Any, kind: Any
+) -> None:
     address, asked = server
     image = tmp_path / "image.tif"
     image.write_text(HOSTILE[kind].format(href=f"/vsicurl/{address}/images/TOWN_001.tif"))
@@ -114,7 +119,7 @@ def test_descriptions_of_other_files_are_no_images_whatever_their_name(tmp_path,
     assert asked() == []
 
 
-def test_a_sidecar_sends_no_requests(tmp_path, server, town_source):
+def test_a_sidecar_sends_no_requests(tmp_path: Path, server: Any, town_source: Any) -> None:
     address, asked = server
     image = tmp_path / "image.tif"
     shutil.copy(town_source.root / "images/TOWN_001.tif", image)
@@ -129,7 +134,7 @@ def test_a_sidecar_sends_no_requests(tmp_path, server, town_source):
 
 
 @pytest.mark.parametrize("href", ["/vsicurl/{}/images/TOWN_001.tif", "{}/images/TOWN_001.tif", "/vsizip/a.zip/x.tif"])
-def test_documents_name_remote_files_only_where_the_user_allows_it(make_town, server, href):
+def test_documents_name_remote_files_only_where_the_user_allows_it(make_town: Any, server: Any, href: Any) -> None:
     address, asked = server
     scene = make_town()
     scene.items[0].assets["image"].href = href.format(address)
@@ -144,7 +149,7 @@ def test_documents_name_remote_files_only_where_the_user_allows_it(make_town, se
         assert isinstance(scene.path(scene.items[0].assets["image"].href), RemotePath)
 
 
-def test_with_allow_remote_a_document_reads_from_there(make_town, server):
+def test_with_allow_remote_a_document_reads_from_there(make_town: Any, server: Any) -> None:
     address, asked = server
     scene = make_town()
     scene.items[0].assets["image"].href = f"{address}/images/TOWN_001.tif"
@@ -156,7 +161,9 @@ def test_with_allow_remote_a_document_reads_from_there(make_town, server):
     assert run("prior", *arguments, "--overwrite", text=scene.to_json()).exit_code == 1
 
 
-def test_images_and_areas_are_read_from_the_web_and_from_archives(tmp_path, server, town_source):
+def test_images_and_areas_are_read_from_the_web_and_from_archives(
+    tmp_path: Path, server: Any, town_source: Any
+) -> None:
     address, _ = server
     archive = tmp_path / "town.zip"
     with zipfile.ZipFile(archive, "w") as file:
@@ -185,7 +192,7 @@ def test_images_and_areas_are_read_from_the_web_and_from_archives(tmp_path, serv
     assert bounds_from_geojson(location(f"{address}/area.geojson"), "EPSG:32617") == pytest.approx(near, abs=1e-3)
 
 
-def test_what_is_not_there_on_the_web_is_named(server):
+def test_what_is_not_there_on_the_web_is_named(server: Any) -> None:
     address, _ = server
     with pytest.raises(InputError, match=r"none\.tif: cannot be opened"), opened(f"{address}/none.tif"):
         pass
@@ -195,17 +202,26 @@ def test_what_is_not_there_on_the_web_is_named(server):
     ("name", "words"),
     [("none.tif", "no such file"), (".", "found a folder"), ("x" * 300, "too long"), ("a\udcff.tif", "no such file")],
 )
-def test_what_is_no_image_is_named(tmp_path, name, words):
+def test_what_is_no_image_is_named(tmp_path: Path, name: Any, words: Any) -> None:
     with pytest.raises(InputError, match=words), opened(f"{tmp_path}/{name}"):
         pass
 
 
-def test_a_device_is_no_image():
+def test_a_device_is_no_image() -> None:
     with pytest.raises(InputError, match="no regular file"), opened("/dev/zero"):
         pass
 
 
-def test_a_few_bytes_that_claim_to_be_gigabytes_are_refused(tmp_path):
+def test_an_image_of_more_bands_than_any_sensor_has_is_refused(tmp_path: Path) -> None:
+    """A damaged header of 65,535 bands was read band by band, for minutes."""
+    path = tmp_path / "x.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=1, height=1, count=1001, dtype="uint8") as data:
+        data.write(np.zeros((1001, 1, 1), np.uint8))
+    with pytest.raises(InputError, match="found 1001 bands, expected at most 1000"), opened(path):
+        pass
+
+
+def test_a_few_bytes_that_claim_to_be_gigabytes_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "bomb.tif"
     profile = {"driver": "GTiff", "width": 100_000, "height": 100_000, "count": 1, "dtype": "uint8", "tiled": True}
     with rasterio.open(path, "w", sparse_ok=True, **profile):
@@ -214,7 +230,7 @@ def test_a_few_bytes_that_claim_to_be_gigabytes_are_refused(tmp_path):
         pass
 
 
-def test_an_empty_image_that_compresses_well_is_one(tmp_path):
+def test_an_empty_image_that_compresses_well_is_one(tmp_path: Path) -> None:
     path = tmp_path / "empty.tif"
     profile = {"driver": "GTiff", "width": 2000, "height": 2000, "count": 1, "dtype": "uint8", "compress": "deflate"}
     with rasterio.open(path, "w", **profile) as data:

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import geopandas
 import pytest
@@ -35,14 +36,14 @@ def make_scene(root: Path) -> Scene:
     return Scene("a", root, items, grid, (-26.0, 29.0), {"dsm": "export/dsm.tif"}, [{"command": "prep", "seconds": 1}])
 
 
-def test_a_scene_survives_its_json(tmp_path):
+def test_a_scene_survives_its_json(tmp_path: Path) -> None:
     scene = make_scene(tmp_path)
     again = Scene.from_json(scene.to_json())
     assert again == scene
     assert again.items[0].assets["image"].extra == {"title": "Zürich"}
 
 
-def test_a_document_of_version_1_is_read_under_the_present_names(tmp_path):
+def test_a_document_of_version_1_is_read_under_the_present_names(tmp_path: Path) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     data["sattools"]["version"] = 1
     data["sattools"]["history"] = [{"command": "prep", "seconds": 1, "remarks": ["one image left out"]}]
@@ -56,7 +57,7 @@ def test_a_document_of_version_1_is_read_under_the_present_names(tmp_path):
 
 
 @pytest.mark.parametrize("version", [0, 3, "1", True, None, [1], {}])
-def test_a_document_of_an_unknown_version_is_refused(tmp_path, version):
+def test_a_document_of_an_unknown_version_is_refused(tmp_path: Path, version: Any) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     data["sattools"]["version"] = version
     with pytest.raises(SceneError, match="expected 2 or an older one"):
@@ -64,7 +65,7 @@ def test_a_document_of_an_unknown_version_is_refused(tmp_path, version):
 
 
 @pytest.mark.parametrize("damage", [{"history": 3}, {"history": ["x"]}])
-def test_a_damaged_document_of_version_1_is_refused_in_one_line(tmp_path, damage):
+def test_a_damaged_document_of_version_1_is_refused_in_one_line(tmp_path: Path, damage: Any) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     data["sattools"] |= {"version": 1, **damage}
     with pytest.raises(SceneError, match="found") as caught:
@@ -72,13 +73,13 @@ def test_a_damaged_document_of_version_1_is_refused_in_one_line(tmp_path, damage
     assert "\n" not in str(caught.value)
 
 
-def test_json_is_one_line(tmp_path):
+def test_json_is_one_line(tmp_path: Path) -> None:
     scene = make_scene(tmp_path)
     scene.history.append({"notes": ["two\nlines"]})
     assert "\n" not in scene.to_json()
 
 
-def test_numbers_that_json_does_not_know_become_null(tmp_path):
+def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
     scene = make_scene(tmp_path)
     scene.items[0].properties["gsd"] = math.nan
     scene.history.append({"psnr": [math.inf, 1.0]})
@@ -87,7 +88,7 @@ def test_numbers_that_json_does_not_know_become_null(tmp_path):
     assert data["sattools"]["history"][-1]["psnr"] == [None, 1.0]
 
 
-def test_items_are_stac_items(tmp_path):
+def test_items_are_stac_items(tmp_path: Path) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     assert data["type"] == "FeatureCollection"
     assert data["bbox"] == [-81.7, 30.3, -81.6, 30.4]
@@ -102,7 +103,7 @@ def test_items_are_stac_items(tmp_path):
     assert feature["assets"]["image"]["href"] == "images/a_001.tif"
 
 
-def test_geopandas_opens_the_file(tmp_path):
+def test_geopandas_opens_the_file(tmp_path: Path) -> None:
     path = tmp_path / "scene.json"
     path.write_text(make_scene(tmp_path).to_json() + "\n")
     table = geopandas.read_file(path)
@@ -111,7 +112,7 @@ def test_geopandas_opens_the_file(tmp_path):
     assert table.total_bounds.tolist() == [-81.7, 30.3, -81.6, 30.4]
 
 
-def test_a_relative_root_is_the_folder_of_the_file(tmp_path):
+def test_a_relative_root_is_the_folder_of_the_file(tmp_path: Path) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     data["sattools"]["root"] = "."
     (tmp_path / "moved").mkdir()
@@ -121,7 +122,7 @@ def test_a_relative_root_is_the_folder_of_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("href", ["../secret.tif", "a/../../secret.tif", "./..", "link/x.tif"])
-def test_relative_paths_may_not_leave_the_root(tmp_path, href):
+def test_relative_paths_may_not_leave_the_root(tmp_path: Path, href: Any) -> None:
     root = tmp_path / "root"
     root.mkdir()
     (root / "link").symlink_to(tmp_path)
@@ -133,7 +134,7 @@ def test_relative_paths_may_not_leave_the_root(tmp_path, href):
     assert list(tmp_path.iterdir()) == [root]
 
 
-def test_a_link_in_place_of_an_output_is_not_followed_out_of_the_root(tmp_path):
+def test_a_link_in_place_of_an_output_is_not_followed_out_of_the_root(tmp_path: Path) -> None:
     root = tmp_path / "root"
     root.mkdir()
     (root / "dsm.tif").symlink_to(tmp_path / "precious.tif")
@@ -141,13 +142,13 @@ def test_a_link_in_place_of_an_output_is_not_followed_out_of_the_root(tmp_path):
         make_scene(root).output("dsm.tif")
 
 
-def test_a_root_that_is_itself_a_link_is_fine(tmp_path):
+def test_a_root_that_is_itself_a_link_is_fine(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "root").symlink_to(tmp_path / "real")
     assert make_scene(tmp_path / "root").output("export/dsm.tif") == tmp_path / "root/export/dsm.tif"
 
 
-def test_absolute_paths_are_read_but_never_written(tmp_path):
+def test_absolute_paths_are_read_but_never_written(tmp_path: Path) -> None:
     scene = make_scene(tmp_path / "root")
     elsewhere = str(tmp_path / "elsewhere.tif")
     assert scene.path(elsewhere) == Path(elsewhere)
@@ -173,7 +174,7 @@ def test_absolute_paths_are_read_but_never_written(tmp_path):
         (lambda d: d["sattools"].update(grid={"crs": 1}), "expected crs, left, top"),
     ],
 )
-def test_what_is_not_a_scene_is_refused_with_a_reason(tmp_path, change, words):
+def test_what_is_not_a_scene_is_refused_with_a_reason(tmp_path: Path, change: Any, words: Any) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     change(data)
     with pytest.raises(SceneError, match=words) as caught:
@@ -183,19 +184,19 @@ def test_what_is_not_a_scene_is_refused_with_a_reason(tmp_path, change, words):
 
 
 @pytest.mark.parametrize("text", ["", "{", "nonsense", "[1, 2]", "null", '{"type": "FeatureCollection"}'])
-def test_text_that_is_no_document_is_refused(text):
+def test_text_that_is_no_document_is_refused(text: Any) -> None:
     with pytest.raises(SceneError, match=r"expected a scene document"):
         Scene.from_json(text)
 
 
-def test_a_file_that_is_not_text_is_refused(tmp_path):
+def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "scene.json"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(SceneError, match="found text that is not UTF-16"):
         Scene.from_file(path)
 
 
-def test_what_a_command_needs_and_the_scene_lacks_is_named(tmp_path):
+def test_what_a_command_needs_and_the_scene_lacks_is_named(tmp_path: Path) -> None:
     scene = Scene("a", tmp_path)
     with pytest.raises(SceneError, match="found no grid, expected one made by `sattools prep`"):
         scene.require_grid()

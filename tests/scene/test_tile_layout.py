@@ -1,5 +1,7 @@
 """Cutting a grid into tiles: they cover it, keep to its cells, and their weights add up to one."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from sattools.scene.tiles import common_cell, make_tiles
 WHOLE = Grid("EPSG:32617", 1000.0, 5000.0, 0.5, 500, 300)  # 250 m x 150 m
 
 
-def test_tiles_are_of_one_size_and_reach_into_their_neighbours():
+def test_tiles_are_of_one_size_and_reach_into_their_neighbours() -> None:
     tiles = make_tiles(WHOLE, 100.0, 16.0, 2.0)
     assert [tile.name for tile in tiles] == ["r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"]
     # 250 m in three parts, the edges on multiples of 2 m = 4 cells, and 32 cells more where there is a neighbour
@@ -22,7 +24,7 @@ def test_tiles_are_of_one_size_and_reach_into_their_neighbours():
 
 
 @pytest.mark.parametrize("cell", [0.5, 1.0, 2.0])
-def test_weights_add_up_to_one_everywhere_and_fade_towards_a_tiles_border(cell):
+def test_weights_add_up_to_one_everywhere_and_fade_towards_a_tiles_border(cell: Any) -> None:
     tiles = make_tiles(WHOLE, 100.0, 16.0, 2.0)
     whole = WHOLE.resized(cell)
     total = np.zeros(whole.shape)
@@ -39,7 +41,7 @@ def test_weights_add_up_to_one_everywhere_and_fade_towards_a_tiles_border(cell):
     assert (weights[: -2 * quarter - quarter, 4 * quarter : -4 * quarter] == 1).all()
 
 
-def test_an_area_no_larger_than_a_tile_is_one_tile():
+def test_an_area_no_larger_than_a_tile_is_one_tile() -> None:
     [tile] = make_tiles(WHOLE, 250.0, 16.0, 2.0)
     assert tile.grid == WHOLE
     assert (tile.weights(WHOLE.shape, 0.5) == 1).all()
@@ -50,12 +52,12 @@ def test_an_area_no_larger_than_a_tile_is_one_tile():
     [(64.0, 32.0, "--overlap: found 32 m, expected less than half of --tile 64 m"),
      (20.0, 4.0, r"--tile: found 20 m, expected at least 32 m \(16 x 2 m\)")],
 )  # fmt: skip
-def test_tiles_that_make_no_sense_are_refused(tile, overlap, words):
+def test_tiles_that_make_no_sense_are_refused(tile: Any, overlap: Any, words: Any) -> None:
     with pytest.raises(SceneError, match=words):
         make_tiles(WHOLE, tile, overlap, 2.0)
 
 
-def test_edges_of_tiles_lie_on_the_cells_of_all_grids():
+def test_edges_of_tiles_lie_on_the_cells_of_all_grids() -> None:
     assert common_cell([0.5, 1.0]) == 1.0
     assert common_cell([0.5, 0.8]) == 4.0
     assert common_cell([0.3, 0.6, 1.2]) == pytest.approx(1.2)

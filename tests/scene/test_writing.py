@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,11 +34,11 @@ GRID = Grid("EPSG:32617", 0.0, 0.0, 1.0, 120, 120)
 NOISE = np.random.default_rng(0).normal(size=GRID.shape).astype(np.float32)
 
 
-def names(folder):
+def names(folder: Any) -> Any:
     return sorted(path.name for path in folder.iterdir())
 
 
-def figure():
+def figure() -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -46,7 +47,7 @@ def figure():
     return found
 
 
-def model(path):
+def model(path: Any) -> None:
     import torch
 
     from sattools.fit import checkpoint
@@ -64,7 +65,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_on_a_full_disk_the_old_file_stands_whatever_its_format(tmp_path, name):
+def test_on_a_full_disk_the_old_file_stands_whatever_its_format(tmp_path: Path, name: Any) -> None:
     """A limit on the size of files fails as a full disk does; GDAL would close a truncated file without an error."""
     path = tmp_path / name
     path.write_text("old")
@@ -78,11 +79,11 @@ def test_on_a_full_disk_the_old_file_stands_whatever_its_format(tmp_path, name):
     assert (names(tmp_path), path.read_text()) == ([name], "old")
 
 
-def test_what_reads_back_differently_is_not_given_its_name(tmp_path, monkeypatch):
+def test_what_reads_back_differently_is_not_given_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.txt").write_text("old")
     real = open
 
-    def losing(path, mode="r", *rest):
+    def losing(path: Any, mode: Any = "r", *rest: Any) -> Any:
         file = real(path, mode, *rest)
         if mode == "xb":
             write = file.write
@@ -99,8 +100,8 @@ def test_what_reads_back_differently_is_not_given_its_name(tmp_path, monkeypatch
     assert (names(tmp_path), (tmp_path / "a.txt").read_text()) == (["a.txt"], "old")
 
 
-def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
-    def interrupted(number):
+def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(number: Any) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(os, "fsync", interrupted)
@@ -109,7 +110,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
     assert names(tmp_path) == []
 
 
-def test_a_folder_in_the_way_is_named(tmp_path):
+def test_a_folder_in_the_way_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.txt").mkdir()
     with pytest.raises(SattoolsError, match=r"a\.txt: cannot be written \(is a folder\)"):
         write_text(tmp_path / "a.txt", "a")
@@ -118,7 +119,7 @@ def test_a_folder_in_the_way_is_named(tmp_path):
 # ---- several files together ---------------------------------------------------------------------------------------
 
 
-def test_files_appear_together_at_the_end(tmp_path):
+def test_files_appear_together_at_the_end(tmp_path: Path) -> None:
     with all_or_nothing():
         write_text(tmp_path / "a.txt", "a")
         write_text(tmp_path / "b.txt", "b")
@@ -127,7 +128,7 @@ def test_files_appear_together_at_the_end(tmp_path):
     assert names(tmp_path) == ["a.txt", "b.txt"]
 
 
-def test_a_failure_at_the_last_file_leaves_the_first_as_it_was(tmp_path):
+def test_a_failure_at_the_last_file_leaves_the_first_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("old")
     with pytest.raises(OSError, match="later"), all_or_nothing():  # noqa: PT012
         write_text(tmp_path / "a.txt", "new")
@@ -136,7 +137,7 @@ def test_a_failure_at_the_last_file_leaves_the_first_as_it_was(tmp_path):
     assert (names(tmp_path), (tmp_path / "a.txt").read_text()) == (["a.txt"], "old")
 
 
-def test_threads_take_part_in_a_copy_of_the_context(tmp_path):
+def test_threads_take_part_in_a_copy_of_the_context(tmp_path: Path) -> None:
     with pytest.raises(KeyError), all_or_nothing():  # noqa: PT012
         run = contextvars.copy_context().run
         thread = threading.Thread(target=run, args=(write_text, tmp_path / "a.txt", "a"))
@@ -146,7 +147,7 @@ def test_threads_take_part_in_a_copy_of_the_context(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_held_back_file_in_the_way_of_another_is_found_before_any_is_renamed(tmp_path):
+def test_a_held_back_file_in_the_way_of_another_is_found_before_any_is_renamed(tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_text("old")
     with pytest.raises(OutputExistsError, match=r"b\.txt: exists already"), all_or_nothing(inputs=()):  # noqa: PT012
         write_text(tmp_path / "a.txt", "new")
@@ -157,7 +158,7 @@ def test_a_held_back_file_in_the_way_of_another_is_found_before_any_is_renamed(t
 # ---- what a killed process leaves ---------------------------------------------------------------------------------
 
 
-def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path):
+def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path; from sattools.scene import files;"
         "os.fsync = lambda n: os.kill(os.getpid(), signal.SIGKILL); files.write_text(Path(sys.argv[1]), 'half')"
@@ -172,7 +173,7 @@ def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path):
     assert names(tmp_path) == ["a.txt", "b.txt"]
 
 
-def test_orphans_anywhere_in_a_folder_can_be_removed_but_not_those_of_others(tmp_path):
+def test_orphans_anywhere_in_a_folder_can_be_removed_but_not_those_of_others(tmp_path: Path) -> None:
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     ours = module._host()
@@ -186,7 +187,7 @@ def test_orphans_anywhere_in_a_folder_can_be_removed_but_not_those_of_others(tmp
     )
 
 
-def test_files_of_a_process_that_is_about_to_end_are_waited_for(tmp_path):
+def test_files_of_a_process_that_is_about_to_end_are_waited_for(tmp_path: Path) -> None:
     process = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE)
     (tmp_path / f".a.tif.{module._host()}-{process.pid}-00.tmp-sattools").write_text("")
     remove_orphans(tmp_path)
@@ -200,13 +201,13 @@ def test_files_of_a_process_that_is_about_to_end_are_waited_for(tmp_path):
 # ---- what must not be written -------------------------------------------------------------------------------------
 
 
-def link(kind, source, target):
+def link(kind: Any, source: Any, target: Any) -> None:
     (target.symlink_to if kind == "symbolic" else target.hardlink_to)(source)
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", ["itself", "symbolic", "hard", "another way"])
-def test_an_output_that_is_an_input_is_refused_whatever_is_asked_for(tmp_path, kind, overwrite):
+def test_an_output_that_is_an_input_is_refused_whatever_is_asked_for(tmp_path: Path, kind: Any, overwrite: Any) -> None:
     source = tmp_path / "original.tif"
     source.write_text("pixels")
     target = tmp_path / "out.tif"
@@ -221,7 +222,7 @@ def test_an_output_that_is_an_input_is_refused_whatever_is_asked_for(tmp_path, k
         check_outputs([target], [source], overwrite)
 
 
-def test_existing_outputs_need_overwrite_and_all_are_checked(tmp_path):
+def test_existing_outputs_need_overwrite_and_all_are_checked(tmp_path: Path) -> None:
     (tmp_path / "b.tif").write_text("")
     outputs = [tmp_path / "a.tif", tmp_path / "b.tif"]
     with pytest.raises(OutputExistsError, match=r"b\.tif: exists already; give --overwrite"):
@@ -229,25 +230,25 @@ def test_existing_outputs_need_overwrite_and_all_are_checked(tmp_path):
     check_outputs(outputs, overwrite=True)
 
 
-def test_a_link_that_leads_nowhere_is_somebodys(tmp_path):
+def test_a_link_that_leads_nowhere_is_somebodys(tmp_path: Path) -> None:
     (tmp_path / "a.tif").symlink_to(tmp_path / "unmounted" / "a.tif")
     with pytest.raises(OutputExistsError):
         check_outputs([tmp_path / "a.tif"])
 
 
-def test_one_file_for_two_outputs_is_refused(tmp_path):
+def test_one_file_for_two_outputs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputIsInputError, match="would be written twice"):
         check_outputs([tmp_path / "a.tif", tmp_path / "a.tif"])
 
 
-def test_missing_inputs_are_somebody_elses_error(tmp_path):
+def test_missing_inputs_are_somebody_elses_error(tmp_path: Path) -> None:
     check_outputs([tmp_path / "a.tif"], [tmp_path / "missing.tif", Path("a\0b")])
 
 
 # ---- one process at a time ----------------------------------------------------------------------------------------
 
 
-def test_a_second_process_waits_and_a_killed_one_is_not_waited_for(tmp_path):
+def test_a_second_process_waits_and_a_killed_one_is_not_waited_for(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from sattools.scene.files import locked\n"
         "with locked(Path(sys.argv[1])):\n    print('locked', flush=True); sys.stdin.read()"
@@ -259,7 +260,7 @@ def test_a_second_process_waits_and_a_killed_one_is_not_waited_for(tmp_path):
     assert other.stdout.readline() == "locked\n"
     order = []
 
-    def second():
+    def second() -> None:
         with locked(tmp_path):
             order.append("second")
 
@@ -273,7 +274,7 @@ def test_a_second_process_waits_and_a_killed_one_is_not_waited_for(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_large_file_is_known_by_samples_of_it(tmp_path, monkeypatch):
+def test_a_large_file_is_known_by_samples_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_WHOLE", 1000)
     monkeypatch.setattr(module, "_PIECE", 100)
     path = tmp_path / "large"
@@ -284,26 +285,26 @@ def test_a_large_file_is_known_by_samples_of_it(tmp_path, monkeypatch):
     assert digest(tmp_path / "missing") is None
 
 
-def test_bytes_of_any_buffer_are_written(tmp_path):
+def test_bytes_of_any_buffer_are_written(tmp_path: Path) -> None:
     write_bytes(tmp_path / "a", np.arange(4, dtype=np.uint16).data)
     assert (tmp_path / "a").read_bytes() == b"\0\0\1\0\2\0\3\0"
 
 
-def test_a_kernel_that_cannot_be_kept_runs_all_the_same(tmp_path, monkeypatch):
+def test_a_kernel_that_cannot_be_kept_runs_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from sattools import compiled
 
     @compiled.njit(cache=True)
-    def twice(x):
+    def twice(x: Any) -> Any:
         return 2 * x
 
-    def full(*_):
+    def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(type(twice._cache._cache_file), "save", full)
     assert twice(21) == 42
 
 
-def test_what_an_interrupted_cleaning_leaves_is_removed_when_the_program_ends(tmp_path):
+def test_what_an_interrupted_cleaning_leaves_is_removed_when_the_program_ends(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from sattools.scene import files\n"
         "files._discard = lambda path, whole=files._discard: sys.exit(143)\n"
@@ -315,7 +316,7 @@ def test_what_an_interrupted_cleaning_leaves_is_removed_when_the_program_ends(tm
     assert names(tmp_path) == []
 
 
-def test_a_forked_child_leaves_its_parents_unfinished_files(tmp_path):
+def test_a_forked_child_leaves_its_parents_unfinished_files(tmp_path: Path) -> None:
     with all_or_nothing():
         write_text(tmp_path / "x", "x")
         if (child := os.fork()) == 0:

@@ -1,6 +1,7 @@
 """Simulated extremes of light, and cars that are elsewhere in every image."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ OPTIONS = SimulateOptions(size=48.0, views=2, dates=2, hdr=True, seed=5)
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory):
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The same scene with 11 bits, with 8 bits, and with 20 cars."""
     folder = tmp_path_factory.mktemp("hdr")
     return {
@@ -26,23 +27,23 @@ def scenes(tmp_path_factory):
     }
 
 
-def images(scene):
+def images(scene: Any) -> Any:
     return [read_image(scene.path(item.assets["image"].href)) for item in scene.items]
 
 
-def test_eight_bits_show_the_same_scene_through_a_tone_curve(scenes):
+def test_eight_bits_show_the_same_scene_through_a_tone_curve(scenes: Any) -> None:
     for linear, toned in zip(images(scenes["linear"]), images(scenes["toned"]), strict=True):
         order = np.argsort(linear.ravel())
         assert (np.diff(toned.ravel()[order]) >= 0).all()
         assert toned.max() == 255
 
 
-def test_hdr_shadows_are_deeper_and_dates_differ_more(scenes):
-    def contrast(name):
+def test_hdr_shadows_are_deeper_and_dates_differ_more(scenes: Any) -> None:
+    def contrast(name: Any) -> Any:
         low, high = np.percentile(images(scenes[name])[0], [2, 98])
         return high / low
 
-    def gains(name):
+    def gains(name: Any) -> Any:
         found = [item.properties["sattools:simulated"]["gain"][1] for item in scenes[name].items]
         return max(found) / min(found)
 
@@ -50,7 +51,7 @@ def test_hdr_shadows_are_deeper_and_dates_differ_more(scenes):
     assert gains("linear") > gains("usual")
 
 
-def test_cars_are_in_the_images_but_not_in_the_truth(scenes):
+def test_cars_are_in_the_images_but_not_in_the_truth(scenes: Any) -> None:
     plain, cars = scenes["linear"], scenes["cars"]
     for name in ("truth_dsm", "truth_classes", "truth_albedo"):
         assert np.array_equal(*(read_raster(s.path(s.products[name]))[0] for s in (plain, cars)), equal_nan=True), name
@@ -62,7 +63,7 @@ def test_cars_are_in_the_images_but_not_in_the_truth(scenes):
         assert (a == b).mean() > 0.7
 
 
-def test_every_image_has_its_cars_elsewhere_on_the_streets():
+def test_every_image_has_its_cars_elsewhere_on_the_streets() -> None:
     world = build_city((0.0, 0.0), 60.0, 0.25, 0.0, np.random.default_rng(0))
     first, second = (with_cars(world, 15, 30.0, np.random.default_rng(k)) for k in range(2))
     places = [np.abs(w.height - world.height) > 1.0 for w in (first, second)]
@@ -74,7 +75,7 @@ def test_every_image_has_its_cars_elsewhere_on_the_streets():
     assert np.array_equal(first.classes, world.classes)
 
 
-def test_terrain_without_streets_has_no_cars():
+def test_terrain_without_streets_has_no_cars() -> None:
     world = build_city((0.0, 0.0), 40.0, 0.5, 0.0, np.random.default_rng(0))
     with pytest.raises(InputError, match="--cars: found no streets"):
         with_cars(replace(world, streets=None), 3, 20.0, np.random.default_rng(0))

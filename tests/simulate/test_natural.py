@@ -1,5 +1,8 @@
 """Natural scenes: an independent reflectance in the tracer, and what the scene says of itself."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -21,7 +24,7 @@ SMALL = {"terrain": "natural", "size": 64.0, "views": 5, "train": 3, "units": 3,
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> Scene:
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return simulate(SimulateOptions(**SMALL), tmp_path_factory.mktemp("natural"))
 
 
@@ -32,7 +35,7 @@ def directions(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("model", [HAPKE, RPV])
-def test_the_tracers_reflectance_and_the_fits_agree_though_they_share_nothing(model):
+def test_the_tracers_reflectance_and_the_fits_agree_though_they_share_nothing(model: Any) -> None:
     rng = np.random.default_rng(0)
     n, s, v = (directions(2000, rng) for _ in range(3))
     if model == HAPKE:
@@ -49,7 +52,7 @@ def test_the_tracers_reflectance_and_the_fits_agree_though_they_share_nothing(mo
     assert (traced[cos_i < 0] == 0).all()
 
 
-def test_hapkes_golden_value():
+def test_hapkes_golden_value() -> None:
     # i = 45, e = 10, psi = 0, theta = 15 degrees: BRF 0.154039
     i, e = np.radians([45, 10])
     got = radiance_factor(
@@ -60,7 +63,7 @@ def test_hapkes_golden_value():
     assert lambert == pytest.approx(0.4)
 
 
-def test_a_scene_says_what_its_radiance_is_and_which_views_are_for_training(scene):
+def test_a_scene_says_what_its_radiance_is_and_which_views_are_for_training(scene: Any) -> None:
     assert {item.properties["sattools:radiance"] for item in scene.items} == {"reflectance_factor"}
     assert [item.role for item in scene.items] == ["test", "train", "train", "train", "test"]
     tilts = [item.properties["view:off_nadir"] for item in scene.items]
@@ -69,7 +72,7 @@ def test_a_scene_says_what_its_radiance_is_and_which_views_are_for_training(scen
     assert all(item.properties["sattools:bits"] == 12 for item in scene.items)
 
 
-def test_images_show_the_truth(scene):
+def test_images_show_the_truth(scene: Any) -> None:
     """Nadir view over the truth maps: reflectance by the fit's own function of the true normals."""
     nadir = scene.items[2]
     image = read_image(scene.path(nadir.assets["image"].href)) / 4095
@@ -89,7 +92,7 @@ def test_images_show_the_truth(scene):
     assert np.corrcoef(shown.ravel(), factor.numpy().ravel())[0, 1] > 0.98
 
 
-def test_the_sensor_spreads_light_but_keeps_it():
+def test_the_sensor_spreads_light_but_keeps_it() -> None:
     """A point keeps its energy; stripes one pixel wide keep a third of their contrast, 0.64 of it after the pixel."""
     point = np.zeros((1, 15, 15), np.float32)
     point[0, 7, 7] = 1.0
@@ -100,7 +103,7 @@ def test_the_sensor_spreads_light_but_keeps_it():
     assert np.abs(spread(stripes)[0, 8, 4:-4]).mean() == pytest.approx(0.34, abs=0.01)
 
 
-def test_the_models_differ_and_the_same_seed_gives_the_same_scene(scene, tmp_path):
+def test_the_models_differ_and_the_same_seed_gives_the_same_scene(scene: Any, tmp_path: Path) -> None:
     again = simulate(SimulateOptions(**SMALL), tmp_path / "again")
     plain = simulate(SimulateOptions(**SMALL, reflectance="lambert"), tmp_path / "plain")
     name = scene.items[0].assets["image"].href
@@ -110,7 +113,7 @@ def test_the_models_differ_and_the_same_seed_gives_the_same_scene(scene, tmp_pat
     assert "truth_theta" not in plain.products
 
 
-def test_given_relief_is_taken(data_dir, tmp_path):
+def test_given_relief_is_taken(data_dir: Any, tmp_path: Path) -> None:
     options = SimulateOptions(**{**SMALL, "views": 2}, dsm=str(data_dir / "terrain/TM1_564_146.tif"))
     scene = simulate(options, tmp_path)
     truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
@@ -120,7 +123,7 @@ def test_given_relief_is_taken(data_dir, tmp_path):
     assert truth[0] == pytest.approx(given[0, row : row + 64 : 2, col : col + 64 : 2], abs=1.5)
 
 
-def test_terrains_have_their_own_defaults_and_limits():
+def test_terrains_have_their_own_defaults_and_limits() -> None:
     assert SimulateOptions().gsd == 0.5
     assert SimulateOptions(terrain="natural").gsd == 2.0
     with pytest.raises(InputError, match="12"):

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ SMALL = {"size": 48.0, "views": 3, "dates": 2, "bias_px": 2.0, "gsd": 0.5, "test
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> Scene:
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return simulate(SimulateOptions(**SMALL), tmp_path_factory.mktemp("sim"))
 
 
@@ -35,7 +36,7 @@ def digest(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
-def test_document_survives_a_round_trip_and_names_existing_files(scene):
+def test_document_survives_a_round_trip_and_names_existing_files(scene: Any) -> None:
     again = Scene.from_json(scene.to_json())
     assert [item.id for item in again.items] == ["SIM_001_001", "SIM_001_002", "SIM_001_003"]
     for item in again.items:
@@ -46,7 +47,7 @@ def test_document_survives_a_round_trip_and_names_existing_files(scene):
     assert sum(item.role == "test" for item in again.items) == 1
 
 
-def test_images_are_eleven_bit_numbers_with_contrast_and_hardly_any_saturation(scene):
+def test_images_are_eleven_bit_numbers_with_contrast_and_hardly_any_saturation(scene: Any) -> None:
     for item in scene.items:
         image = read_image(scene.path(item.assets["image"].href))
         assert image.shape[0] == 3
@@ -56,7 +57,7 @@ def test_images_are_eleven_bit_numbers_with_contrast_and_hardly_any_saturation(s
         assert high > 3 * low
 
 
-def test_rpc_of_the_scene_is_exact_and_that_of_the_image_has_the_bias(scene):
+def test_rpc_of_the_scene_is_exact_and_that_of_the_image_has_the_bias(scene: Any) -> None:
     for item in scene.items:
         true = RPC.from_file(scene.path(item.assets["rpc"].href))
         tagged = RPC.from_file(scene.path(item.assets["image"].href))
@@ -70,7 +71,7 @@ def test_rpc_of_the_scene_is_exact_and_that_of_the_image_has_the_bias(scene):
         assert item.properties["sattools:simulated"]["rpc_fit_error_px"] < 0.001
 
 
-def test_heights_seen_by_a_view_agree_with_the_truth_where_its_pixels_lie(scene):
+def test_heights_seen_by_a_view_agree_with_the_truth_where_its_pixels_lie(scene: Any) -> None:
     """Carry truth cells into a view: where the view sees a roof or the ground, both give one height."""
     truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
     east, north = np.meshgrid(grid.x(), grid.y())
@@ -90,7 +91,7 @@ def test_heights_seen_by_a_view_agree_with_the_truth_where_its_pixels_lie(scene)
         assert (difference < -0.5).mean() < 0.05
 
 
-def test_numbers_of_sunlit_ground_are_its_reflectance_seen_through_the_cameras(scene):
+def test_numbers_of_sunlit_ground_are_its_reflectance_seen_through_the_cameras(scene: Any) -> None:
     """Reflectance carried into each view by its RPC explains the numbers there, band by band."""
     truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
     albedo, _ = read_raster(scene.path(scene.products["truth_albedo"]))
@@ -115,7 +116,7 @@ def test_numbers_of_sunlit_ground_are_its_reflectance_seen_through_the_cameras(s
             assert likeness[0, 0] > max(v for k, v in likeness.items() if k != (0, 0)) + 0.1
 
 
-def test_truth_reads_as_reference_in_both_layouts(scene):
+def test_truth_reads_as_reference_in_both_layouts(scene: Any) -> None:
     contest = read_dfc2019(scene.root / "truth", "SIM_001")
     plain = read_reference(scene.path(scene.products["truth_dsm"]), scene.path(scene.products["truth_classes"]))
     assert contest.grid == plain.grid == scene.grid
@@ -126,7 +127,7 @@ def test_truth_reads_as_reference_in_both_layouts(scene):
     assert low < plain.heights.min() < plain.heights.max() < high
 
 
-def test_suns_come_from_dates_and_metadata_gives_the_same(scene):
+def test_suns_come_from_dates_and_metadata_gives_the_same(scene: Any) -> None:
     for item in scene.items:
         document = json.loads(scene.path(item.assets["metadata"].href).read_text())
         azimuth, elevation = item.sun
@@ -138,7 +139,7 @@ def test_suns_come_from_dates_and_metadata_gives_the_same(scene):
     assert len({item.properties["datetime"][:10] for item in scene.items}) == 2
 
 
-def test_same_seed_same_files_other_seed_other_city(scene, tmp_path):
+def test_same_seed_same_files_other_seed_other_city(scene: Any, tmp_path: Path) -> None:
     same = simulate(SimulateOptions(**SMALL), tmp_path / "same")
     assert digest(same.root) == digest(scene.root)
     other = simulate(SimulateOptions(**SMALL, seed=1), tmp_path / "other")
@@ -146,7 +147,7 @@ def test_same_seed_same_files_other_seed_other_city(scene, tmp_path):
     assert np.abs(a - b).max() > 3
 
 
-def test_eight_bit_images_are_tone_mapped(tmp_path):
+def test_eight_bit_images_are_tone_mapped(tmp_path: Path) -> None:
     options = SimulateOptions(**{**SMALL, "views": 1, "bits": 8})
     scene = simulate(options, tmp_path)
     image = read_raster_dtype(scene.path(scene.items[0].assets["image"].href))
@@ -160,7 +161,7 @@ def read_raster_dtype(path: Path) -> str:
         return str(data.dtypes[0])
 
 
-def test_an_existing_scene_is_not_replaced_unasked(tmp_path):
+def test_an_existing_scene_is_not_replaced_unasked(tmp_path: Path) -> None:
     runner = CliRunner()
     arguments = ["simulate", "--out", str(tmp_path / "s"), "--size", "32", "--views", "1"]
     first = runner.invoke(main, arguments)
@@ -176,7 +177,7 @@ def test_an_existing_scene_is_not_replaced_unasked(tmp_path):
         simulate(SimulateOptions(), tmp_path / "s/SIM_001")
 
 
-def test_simulation_imports_nothing_of_the_renderer_that_it_tests():
+def test_simulation_imports_nothing_of_the_renderer_that_it_tests() -> None:
     folder = Path(sattools.simulate.__file__).parent
     imported = set()
     for file in folder.glob("*.py"):

@@ -1,5 +1,8 @@
 """Scenes over a given surface model."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,7 +20,7 @@ def hill() -> np.ndarray:
     return 300 + 0.2 * x - 0.1 * y
 
 
-def test_smooth_relief_is_joined_without_steps():
+def test_smooth_relief_is_joined_without_steps() -> None:
     world = build_terrain(hill(), GRID, None, 0.25, np.random.default_rng(0))
     assert world.cell_size == 0.25
     assert world.shape == (200, 240)
@@ -29,7 +32,7 @@ def test_smooth_relief_is_joined_without_steps():
     assert world.surface(np.array(x), np.array(y)) == pytest.approx(300 + 0.2 * 27.3 - 0.1 * 14.1, abs=0.01)
 
 
-def test_a_step_stays_a_wall_and_holes_take_the_nearest_height():
+def test_a_step_stays_a_wall_and_holes_take_the_nearest_height() -> None:
     heights = np.zeros((50, 60))
     heights[:, 30:] = 20
     heights[10:12, 10:12] = np.nan
@@ -38,7 +41,7 @@ def test_a_step_stays_a_wall_and_holes_take_the_nearest_height():
     assert not world.slope_x.any()
 
 
-def test_classes_choose_the_colours():
+def test_classes_choose_the_colours() -> None:
     classes = np.full((50, 60), 2, np.uint8)
     classes[:20, :20] = 9
     classes[30:, 30:] = 5
@@ -47,7 +50,7 @@ def test_classes_choose_the_colours():
     assert (world.albedo[classes == 5][:, 1] > world.albedo[classes == 5][:, 0]).all()  # leaves are green
 
 
-def test_the_middle_of_a_large_dsm_is_taken_with_its_surroundings():
+def test_the_middle_of_a_large_dsm_is_taken_with_its_surroundings() -> None:
     grid, wide, (rows, columns) = window(Grid("EPSG:32633", 0.0, 1000.0, 1.0, 400, 300), 100.0, 20.0)
     assert grid.bounds == (150.0, 800.0, 250.0, 900.0)
     np.testing.assert_array_equal(rows, range(80, 220))
@@ -61,7 +64,7 @@ def test_the_middle_of_a_large_dsm_is_taken_with_its_surroundings():
         window(Grid("EPSG:32633", 0.0, 1000.0, 1.0, 10, 300), 100.0, 20.0)
 
 
-def test_truth_of_the_scene_is_the_given_surface(tmp_path):
+def test_truth_of_the_scene_is_the_given_surface(tmp_path: Path) -> None:
     heights = hill().astype(np.float32)
     heights[20:30, 25:35] += 12
     write_cog(tmp_path / "dsm.tif", heights, GRID)
@@ -76,7 +79,7 @@ def test_truth_of_the_scene_is_the_given_surface(tmp_path):
         assert np.isfinite(read_image(scene.path(item.assets["image"].href))).all()
 
 
-def test_class_map_on_another_grid_is_refused(tmp_path):
+def test_class_map_on_another_grid_is_refused(tmp_path: Path) -> None:
     write_cog(tmp_path / "dsm.tif", hill(), GRID)
     write_cog(tmp_path / "cls.tif", np.full((25, 30), 2, np.uint8), GRID.resized(2.0), nodata=None)
     options = SimulateOptions(dsm=str(tmp_path / "dsm.tif"), classes=str(tmp_path / "cls.tif"), size=40)
@@ -84,7 +87,7 @@ def test_class_map_on_another_grid_is_refused(tmp_path):
         simulate(options, tmp_path / "scene")
 
 
-def test_real_terrain_makes_a_scene(data_dir, tmp_path):
+def test_real_terrain_makes_a_scene(data_dir: Any, tmp_path: Path) -> None:
     options = SimulateOptions(dsm=str(data_dir / "terrain/TM1_564_146.tif"), size=100, views=2, gsd=1.0)
     scene = simulate(options, tmp_path)
     assert scene.grid.crs == "EPSG:3794"
@@ -96,7 +99,7 @@ def test_real_terrain_makes_a_scene(data_dir, tmp_path):
 
 
 @pytest.mark.parametrize("terrain", ["city", "natural"])
-def test_heights_that_are_not_of_the_earth_are_refused(tmp_path, terrain):
+def test_heights_that_are_not_of_the_earth_are_refused(tmp_path: Path, terrain: Any) -> None:
     heights = np.zeros((120, 120), np.float32)
     heights[60, 60] = 1e30
     write_cog(tmp_path / "dsm.tif", heights, Grid("EPSG:32617", 436000.0, 3357000.0, 1.0, 120, 120))

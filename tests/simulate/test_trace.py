@@ -1,6 +1,7 @@
 """The ray tracer against cases that can be worked out on paper."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,9 @@ def with_box(world: World, height: float, half_m: float = 5.0) -> World:
     return world
 
 
-def look(world, view, sun, shape=(121, 121), pixel=0.5, samples=1, sky=0.0):
+def look(
+    world: Any, view: Any, sun: Any, shape: Any = (121, 121), pixel: Any = 0.5, samples: Any = 1, sky: Any = 0.0
+) -> Any:
     """Image, sunlit share and height seen by a camera whose middle pixel sees the middle of the ground."""
     camera = Pushbroom.towards(np.array([EAST, NORTH, 0.0]), view, pixel, shape)
     open_sky = np.ones((1, 1), np.float32)
@@ -47,14 +50,14 @@ def look(world, view, sun, shape=(121, 121), pixel=0.5, samples=1, sky=0.0):
 NADIR = np.array([0.0, 0.0, 1.0])
 
 
-def test_level_ground_is_albedo_times_cosine_of_the_sun_plus_sky():
+def test_level_ground_is_albedo_times_cosine_of_the_sun_plus_sky() -> None:
     image, lit, height = look(plain(), NADIR, direction(150, 30), sky=0.1)
     assert image == pytest.approx(np.full(image.shape, 0.2 * (0.5 + 0.1)), rel=1e-5)
     assert (lit == 1).all()
     assert height == pytest.approx(np.zeros(height.shape), abs=1e-5)
 
 
-def test_tilted_ground_follows_the_cosine_to_its_normal():
+def test_tilted_ground_follows_the_cosine_to_its_normal() -> None:
     world = plain()
     slope = math.tan(math.radians(20))
     world.slope_x[:] = slope
@@ -69,7 +72,7 @@ def test_tilted_ground_follows_the_cosine_to_its_normal():
     ("elevation", "height", "pixels"),
     [(45.0, 10.0, 20), (30.0, 8.0, 28)],  # 10 / tan 45° = 10 m, 8 / tan 30° = 13.86 m, at 0.5 m a pixel
 )
-def test_shadow_is_as_long_as_height_over_tangent_of_the_sun(elevation, height, pixels):
+def test_shadow_is_as_long_as_height_over_tangent_of_the_sun(elevation: Any, height: Any, pixels: Any) -> None:
     # an even number of pixels, so that the walls fall between two; sun in the south, shadow to the north (up)
     _, lit, _ = look(with_box(plain(), height), NADIR, direction(180, elevation), shape=(120, 120))
     dark = np.flatnonzero(lit[:, 60] == 0)
@@ -79,7 +82,7 @@ def test_shadow_is_as_long_as_height_over_tangent_of_the_sun(elevation, height, 
 
 
 @pytest.mark.parametrize("rotation", [0.0, 17.0])
-def test_shadow_falls_away_from_the_sun(rotation):
+def test_shadow_falls_away_from_the_sun(rotation: Any) -> None:
     _, lit, _ = look(with_box(plain(rotation_deg=rotation), 10.0), NADIR, direction(135, 45))
     rows, columns = np.nonzero(lit == 0)
     # sun in the south-east: the shadow's centre lies north-west (up and left) of the box
@@ -88,7 +91,7 @@ def test_shadow_falls_away_from_the_sun(rotation):
     assert rows.mean() == pytest.approx(columns.mean(), abs=0.3 if rotation == 0 else 4)
 
 
-def test_a_roof_leans_away_from_the_sensor_and_hides_the_ground_behind():
+def test_a_roof_leans_away_from_the_sensor_and_hides_the_ground_behind() -> None:
     # sensor in the west, 30° off nadir; the roof at 10 m is displaced to the east by 10 tan 30° = 5.77 m on the ground
     image, _, height = look(with_box(plain(), 10.0), direction(270, 60), direction(180, 45), pixel=0.25)
     middle = height[60]
@@ -106,7 +109,7 @@ def test_a_roof_leans_away_from_the_sensor_and_hides_the_ground_behind():
     assert image[:, 60, wall].max() < 1e-6
 
 
-def test_a_wall_is_lit_by_the_cosine_to_its_own_normal():
+def test_a_wall_is_lit_by_the_cosine_to_its_own_normal() -> None:
     world = with_box(plain(), 10.0)
     image, lit, height = look(world, direction(180, 60), direction(180, 30), pixel=0.25)
     wall = (height[:, 60] > 1) & (height[:, 60] < 9)
@@ -115,7 +118,7 @@ def test_a_wall_is_lit_by_the_cosine_to_its_own_normal():
     assert (lit[wall, 60] == 1).all()
 
 
-def test_sky_share_is_one_in_the_open_and_half_at_the_foot_of_a_long_high_wall():
+def test_sky_share_is_one_in_the_open_and_half_at_the_foot_of_a_long_high_wall() -> None:
     world = plain(20.0)
     world.height[:, 40:] = 100.0  # the eastern half
     share = sky_view(world.height, world.slope_x, world.slope_y, CELL, 8, 101.0)
@@ -124,7 +127,7 @@ def test_sky_share_is_one_in_the_open_and_half_at_the_foot_of_a_long_high_wall()
     assert (sky_view(level.height, level.slope_x, level.slope_y, CELL, 8, 1.0) == 1).all()
 
 
-def test_more_rays_a_pixel_blend_across_an_edge():
+def test_more_rays_a_pixel_blend_across_an_edge() -> None:
     _, one, _ = look(with_box(plain(), 10.0), NADIR, direction(180, 41), samples=1)
     _, many, _ = look(with_box(plain(), 10.0), NADIR, direction(180, 41), samples=3)
     assert set(np.unique(one)) == {0.0, 1.0}

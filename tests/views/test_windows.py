@@ -1,6 +1,8 @@
 """Only the part of an image that shows the grid is read, in pixels no finer than the grid has use for."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ GRID = Grid("EPSG:32617", 1000.0, 5000.0, 1.0, 9, 7)
 
 
 @pytest.fixture
-def numbers(tmp_path):
+def numbers(tmp_path: Path) -> Any:
     """A raster of one band, 0 ... 62 row by row, with one cell unknown."""
     array = np.arange(63, dtype=np.float32).reshape(7, 9)
     array[1, 1] = np.nan
@@ -22,7 +24,7 @@ def numbers(tmp_path):
     return tmp_path / "n.tif", array
 
 
-def test_a_window_and_means_of_pixels_are_read(numbers):
+def test_a_window_and_means_of_pixels_are_read(numbers: Any) -> None:
     path, array = numbers
     assert image_shape(path) == (7, 9)
     assert np.array_equal(read_image(path, (slice(1, 4), slice(1, 8)))[0], array[1:4, 1:8], equal_nan=True)
@@ -34,7 +36,7 @@ def test_a_window_and_means_of_pixels_are_read(numbers):
     assert np.isnan(read_image(path, (slice(1, 2), slice(1, 2)), 1)).all()
 
 
-def test_a_raster_is_read_within_a_grid(numbers):
+def test_a_raster_is_read_within_a_grid(numbers: Any) -> None:
     path, array = numbers
     found, grid = read_raster(path, replace(GRID, left=1002.0, top=4999.0, width=3, height=20))
     assert grid == replace(GRID, left=1002.0, top=4999.0, width=3, height=6)
@@ -42,7 +44,7 @@ def test_a_raster_is_read_within_a_grid(numbers):
     assert raster_grid(path) == GRID
 
 
-def test_the_camera_of_means_sees_them_where_they_are(town_source):
+def test_the_camera_of_means_sees_them_where_they_are(town_source: Any) -> None:
     rpc = RPC.from_file(town_source.path(town_source.items[0].assets["rpc"].href))
     lon, lat = rpc.lon_offset, rpc.lat_offset
     col, row = rpc.projection(lon, lat, 10.0)
@@ -50,7 +52,7 @@ def test_the_camera_of_means_sees_them_where_they_are(town_source):
     assert rpc.reduced(3).projection(lon, lat, 10.0) == pytest.approx(((col - 1) / 3, (row - 1) / 3), abs=1e-9)
 
 
-def test_a_small_area_of_large_images_looks_as_it_does_in_the_whole(town_source):
+def test_a_small_area_of_large_images_looks_as_it_does_in_the_whole(town_source: Any) -> None:
     middle = sum(town_source.height_range_m) / 2
     scene = replace(town_source, height_range_m=(middle - 2, middle + 2))
     small = replace(scene, grid=scene.grid.part(slice(48, 64), slice(60, 76)))
@@ -63,7 +65,7 @@ def test_a_small_area_of_large_images_looks_as_it_does_in_the_whole(town_source)
         assert np.abs(a.target - b.target).max() < 1e-4
 
 
-def test_coarse_cells_are_read_as_means_and_look_the_same(town_source):
+def test_coarse_cells_are_read_as_means_and_look_the_same(town_source: Any) -> None:
     scene = town_source
     coarse = replace(scene, grid=scene.grid.resized(6 * scene.grid.cell_size))
     [whole], [means] = (load_sources(s, scene.train_items()[:1]) for s in (scene, coarse))

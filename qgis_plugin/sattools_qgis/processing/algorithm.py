@@ -2,6 +2,7 @@
 """One command of the suite as an algorithm."""
 
 import json
+from typing import Any
 
 from qgis.core import (
     QgsProcessing,
@@ -28,24 +29,24 @@ FIGURES = ("mae", "median", "completeness")
 class CommandAlgorithm(Base):
     """Made from the command's own description, so that form and command line cannot drift apart."""
 
-    def __init__(self, command, usage, executable):
+    def __init__(self, command: Any, usage: Any, executable: Any) -> None:
         super().__init__(executable)
         self.command, self.usage = command, usage
         self.form = fields(usage)
 
-    def createInstance(self):
+    def createInstance(self) -> Any:
         return CommandAlgorithm(self.command, self.usage, self.executable)
 
-    def name(self):
+    def name(self) -> Any:
         return self.command
 
-    def displayName(self):
+    def displayName(self) -> Any:
         return ALGORITHMS[self.command][0]
 
-    def shortHelpString(self):
+    def shortHelpString(self) -> Any:
         return self.usage["help"]
 
-    def initAlgorithm(self, config=None):
+    def initAlgorithm(self, config: Any = None) -> None:
         if self.command == "prep":
             images = QgsProcessingParameterMultipleLayers("IMAGES", "Images with RPC cameras", QgsProcessing.TypeFile)
             self.addParameter(images)
@@ -64,7 +65,7 @@ class CommandAlgorithm(Base):
             for figure in FIGURES:
                 self.addOutput(QgsProcessingOutputNumber(figure.upper(), figure))
 
-    def processAlgorithm(self, parameters, context, feedback):
+    def processAlgorithm(self, parameters: Any, context: Any, feedback: Any) -> Any:
         values = {f["key"]: read(self, f, parameters, context) for f in self.form}
         options = arguments(self.form, values)
         scene_path = None
@@ -93,7 +94,7 @@ class CommandAlgorithm(Base):
         return {"SCENE_DOCUMENT": scene_path, **results}
 
 
-def parameter_of(field):
+def parameter_of(field: Any) -> Any:
     """The QGIS parameter of a form's field."""
     key, label, default = field["key"], field["label"], field["default"]
     if field["type"] == "bool":
@@ -117,7 +118,7 @@ def parameter_of(field):
     return QgsProcessingParameterString(key, label, defaultValue=default, optional=True)
 
 
-def read(algorithm, field, parameters, context):
+def read(algorithm: Any, field: Any, parameters: Any, context: Any) -> Any:
     """Value of a field, None if it was left empty."""
     key = field["key"]
     if parameters.get(key) is None and field["type"] != "bool":

@@ -2,6 +2,7 @@
 """What all algorithms share: running a command under a feedback, loading its results."""
 
 import os
+from typing import Any
 
 from qgis.core import (
     QgsProcessingAlgorithm,
@@ -19,14 +20,14 @@ from .styles import styler
 class Base(QgsProcessingAlgorithm):
     """Runs the executable; subclasses say with what."""
 
-    def __init__(self, executable):
+    def __init__(self, executable: Any) -> None:
         super().__init__()
         self.executable = executable
 
-    def icon(self):
+    def icon(self) -> Any:
         return QIcon(os.path.join(os.path.dirname(os.path.dirname(__file__)), "icon.svg"))
 
-    def call(self, arguments, feedback, first=0.0, last=100.0):
+    def call(self, arguments: Any, feedback: Any, first: Any = 0.0, last: Any = 100.0) -> Any:
         """Run `sattools --progress json ...`; progress goes from first to last percent.
 
         Raises QgsProcessingException with the command's last line.
@@ -35,7 +36,7 @@ class Base(QgsProcessingAlgorithm):
         feedback.pushCommandInfo(" ".join(whole))
         said = set()
 
-        def on_progress(share, message):
+        def on_progress(share: Any, message: Any) -> None:
             feedback.setProgress(first + share * (last - first))
             if message not in said:
                 said.add(message)
@@ -50,7 +51,7 @@ class Base(QgsProcessingAlgorithm):
         except OSError as error:
             raise QgsProcessingException(f"{self.executable}: cannot be run ({error})") from None
 
-    def load(self, paths, context):
+    def load(self, paths: Any, context: Any) -> None:
         """Add layers to the project when the algorithm has finished; paths: product name -> file."""
         if context.project() is None:
             return

@@ -2,6 +2,7 @@
 """The Processing provider: its algorithms are made from what the executable says of itself."""
 
 import os
+from typing import Any
 
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import Qgis, QgsMessageLog, QgsProcessingProvider
@@ -19,24 +20,24 @@ NEWEST_MAJOR = 0  # of the executable, that this plugin knows
 class SattoolsProvider(QgsProcessingProvider):
     """Algorithms `sattools:prep` ... and `sattools:runall`."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.usage = None
         self.problem = ""
 
-    def id(self):
+    def id(self) -> Any:
         return "sattools"
 
-    def name(self):
+    def name(self) -> Any:
         return "sattools"
 
-    def longName(self):
+    def longName(self) -> Any:
         return "sattools: surface models and reflectance from satellite images"
 
-    def icon(self):
+    def icon(self) -> Any:
         return QIcon(os.path.join(os.path.dirname(os.path.dirname(__file__)), "icon.svg"))
 
-    def load(self):
+    def load(self) -> Any:
         ProcessingConfig.settingIcons[self.name()] = self.icon()
         ProcessingConfig.addSetting(
             Setting(self.name(), SETTING, "Path of the sattools executable (empty: the one on PATH)", "",
@@ -46,17 +47,17 @@ class SattoolsProvider(QgsProcessingProvider):
         self.refreshAlgorithms()
         return True
 
-    def unload(self):
+    def unload(self) -> None:
         ProcessingConfig.removeSetting(SETTING)
 
-    def executable(self):
+    def executable(self) -> Any:
         """Path of the executable, or None."""
         return find_executable(ProcessingConfig.getSetting(SETTING) or "")
 
-    def warningMessage(self):
+    def warningMessage(self) -> Any:
         return self.problem
 
-    def loadAlgorithms(self):
+    def loadAlgorithms(self) -> None:
         self.problem = ""
         path = self.executable()
         if path is None:
@@ -74,6 +75,6 @@ class SattoolsProvider(QgsProcessingProvider):
                 self.addAlgorithm(CommandAlgorithm(name, self.usage["commands"][name], path))
         self.addAlgorithm(RunAllAlgorithm(path))
 
-    def _complain(self, text):
+    def _complain(self, text: Any) -> None:
         self.problem = text
         QgsMessageLog.logMessage(text, "sattools", Qgis.Warning)

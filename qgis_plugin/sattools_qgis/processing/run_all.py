@@ -2,6 +2,7 @@
 """From images to a scored surface model in one algorithm."""
 
 import json
+from typing import Any
 
 from qgis.core import (
     QgsProcessing,
@@ -23,22 +24,22 @@ ENDS = {"prep": 25.0, "fit": 95.0, "export": 98.0, "compare": 100.0}
 class RunAllAlgorithm(Base):
     """prep, fit, export and, with a reference, compare; every step at its defaults."""
 
-    def createInstance(self):
+    def createInstance(self) -> Any:
         return RunAllAlgorithm(self.executable)
 
-    def name(self):
+    def name(self) -> Any:
         return "runall"
 
-    def displayName(self):
+    def displayName(self) -> Any:
         return "Run all"
 
-    def shortHelpString(self):
+    def shortHelpString(self) -> Any:
         return (
             "Adjusts the cameras, matches the images, fits the surface and exports the maps, every step with its "
             "defaults; with a reference DSM the result is scored. Use the single algorithms to change options."
         )
 
-    def initAlgorithm(self, config=None):
+    def initAlgorithm(self, config: Any = None) -> None:
         images = QgsProcessingParameterMultipleLayers("IMAGES", "Images with RPC cameras", QgsProcessing.TypeFile)
         self.addParameter(images)
         folder = QgsProcessingParameterFile.Folder
@@ -52,8 +53,8 @@ class RunAllAlgorithm(Base):
             self.addOutput(QgsProcessingOutputRasterLayer(product.upper(), product))
         self.addOutput(QgsProcessingOutputNumber("MAE", "mae"))
 
-    def processAlgorithm(self, parameters, context, feedback):
-        def given(key):
+    def processAlgorithm(self, parameters: Any, context: Any, feedback: Any) -> Any:
+        def given(key: Any) -> Any:
             value = self.parameterAsString(parameters, key, context)
             return [f"--{key.lower()}", value] if value else []
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
 """How the products look: one ramp per quantity, the same in every project."""
 
+from typing import Any
+
 from qgis.core import (
     QgsColorRampShader,
     QgsGradientColorRamp,
@@ -32,11 +34,11 @@ DIFFERENCE_M = 5.0  # end of the blue-red ramp
 class Styler(QgsProcessingLayerPostProcessorInterface):
     """Colours a raster layer."""
 
-    def __init__(self, name):
+    def __init__(self, name: Any) -> None:
         super().__init__()
         self.name = name
 
-    def postProcessLayer(self, layer, context, feedback):
+    def postProcessLayer(self, layer: Any, context: Any, feedback: Any) -> None:
         if self.name == "difference":
             ramp = QgsGradientColorRamp(
                 QColor("#2166ac"), QColor("#b2182b"), False, [QgsGradientStop(0.5, QColor("#f7f7f7"))]
@@ -55,7 +57,7 @@ class Styler(QgsProcessingLayerPostProcessorInterface):
             shade(layer)
 
 
-def colour(layer, ramp, low, high):
+def colour(layer: Any, ramp: Any, low: Any, high: Any) -> None:
     """Pseudo-colours between two values."""
     shader = QgsColorRampShader(low, high, ramp, QgsColorRampShader.Interpolated)
     shader.classifyColorRamp(9, 1, layer.extent(), layer.dataProvider())
@@ -67,7 +69,7 @@ def colour(layer, ramp, low, high):
     layer.triggerRepaint()
 
 
-def raster_shader(function):
+def raster_shader(function: Any) -> Any:
     """A QgsRasterShader around a colour ramp."""
     from qgis.core import QgsRasterShader
 
@@ -76,7 +78,7 @@ def raster_shader(function):
     return shader
 
 
-def shade(layer):
+def shade(layer: Any) -> None:
     """A hillshade of the same file below the layer, which is multiplied onto it."""
     below = QgsRasterLayer(layer.source(), f"{layer.name()} hillshade")
     renderer = QgsHillshadeRenderer(below.dataProvider(), 1, 315, 40)
@@ -95,7 +97,7 @@ def shade(layer):
 _STYLERS = {}
 
 
-def styler(name):
+def styler(name: Any) -> Any:
     """The post-processor of a product, or None for layers that QGIS shows well as they are."""
     if name not in RAMPS and name != "difference":
         return None

@@ -1,0 +1,22 @@
+"""The documentation's links lead somewhere, and its command pages are those of the commands."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_between_pages_lead_to_files(page: Any) -> None:
+    text = re.sub(r"(?m)^    .*$", "", page.read_text(encoding="utf-8"))
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text)
+    # this page of the site is made of a file beside the folder
+    files = [
+        link.replace("contributing.md", "../CONTRIBUTING.md") if page.parent.name == "docs" else link for link in links
+    ]
+    missing = [link for link in files if "://" not in link and not (page.parent / link).exists()]
+    assert missing == []
