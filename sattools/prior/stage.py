@@ -75,10 +75,10 @@ def prior(
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     whole = scene.require_grid()
     grid = whole.resized(options.resolution or whole.cell_size)
-    check_extent(grid)
     z_range = scene.require_height_range()
     progress(0.0, "reading images")
     sources = load_sources(scene, items) if sources is None else sources
+    check_extent(grid)
     frame, views = make_frame(sources, grid, z_range, options.window)
     limits = (options.min_angle, options.max_angle)
     pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
