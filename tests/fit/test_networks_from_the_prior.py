@@ -104,7 +104,7 @@ def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_to
     correlation = np.corrcoef(picture[:, known].ravel(), pixels[:, known].ravel())[0, 1]
     # without shadows, or before it has learned them, a network has one colour for a place lit in one image and shaded
     # in another
-    assert correlation > (0.5 if resolve(preset, {}).shadow == "geometric" else 0.2)
+    assert correlation > (0.4 if resolve(preset, {}).shadow == "geometric" else 0.2)
     assert scene.path(scene.products["relit"]).is_file()
     expected = {
         "hapke-nerf": {"w", "b", "c", "theta", "normal", "reflectance"},
