@@ -15,12 +15,12 @@ Sources:
 
 What differs from the papers: with ``--start prior`` (the default) a network learns what is different from the prior's
 surface and the mean image: both are added to its answers for density and albedo before their activations, the answers
-begin at zero, and 8 free and 16 samples around the prior with a smaller rate replace the papers' 64 to 128;
-``--start noise`` has the papers' numbers. A sample stands for the part of the ray nearer to it than to its neighbours. The
+begin at zero, and 8 free and 16 samples around the prior with a smaller rate replace the papers' 64 to 128; ``--start
+noise`` has the papers' numbers. A sample stands for the part of the ray nearer to it than to its neighbours. The
 reflectance models are evaluated once a ray, on the prior's normals, times cos(incidence) / cos(sun zenith). Further,
-every image has a gain and an offset per band whatever the network (the papers leave
-them out or normalise the images beforehand), rays start at the scene's height range, and a surface is read where the
-transmittance crosses one half. One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
+every image has a gain and an offset per band whatever the network (the papers leave them out or normalise the images
+beforehand), rays start at the scene's height range, and a surface is read where the transmittance crosses one half.
+One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
 """
 
 from __future__ import annotations
