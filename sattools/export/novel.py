@@ -10,11 +10,11 @@ from torch import Tensor
 
 from sattools.camera.ground import from_geographic, grid_direction, to_geographic
 from sattools.camera.rpc import RPC
+from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
 from sattools.export.context import Exported
 from sattools.export.field_views import field_picture, surface_picture
 from sattools.fit.illumination import light_scale
-from sattools.fit.material import view_vector
 from sattools.fit.model import FittedModel
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.surface import SurfaceScene
@@ -107,7 +107,7 @@ def render_item(
     known = model.items.index(item_id) if item_id in model.items else None
     pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
     if model.field == "surface":
-        light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, view_vector(view.slope))
+        light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, view.slope.unit())
         if known is not None:
             light = surface.gain[known] * light + surface.offset[known]
         light = light * light_scale(model.radiance, sun) if isinstance(surface, ReflectiveScene) else light
@@ -118,8 +118,8 @@ def render_item(
     # rays that reach the ground beyond the model show its border over and over
     rise = depth - z_ref
     rows, cols = picture.shape[:2]
-    col = np.arange(cols)[None] + (pose[0] + view.slope[0] * rise) / grid.cell_size
-    row = np.arange(rows)[:, None] - (pose[1] + view.slope[1] * rise) / grid.cell_size
+    col = np.arange(cols)[None] + (pose[0] + view.slope.east * rise) / grid.cell_size
+    row = np.arange(rows)[:, None] - (pose[1] + view.slope.north * rise) / grid.cell_size
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity > 0.5)
     if known is None and not model.absolute:
         picture = _matched(picture, view.target, (view.mask > 0) & inside)
@@ -200,7 +200,7 @@ def write_relit(exported: Exported, surface: SurfaceScene, sun_angles: tuple[flo
 def _from_above(model: FittedModel, sun: Vector) -> View:
     rows, cols, bands = model.albedo.shape
     nothing = np.zeros((rows, cols, bands), np.float32), np.zeros((rows, cols), np.uint8)
-    return View("above", *nothing, (0.0, 0.0), model.z_ref, sun, 0.0)
+    return View("above", *nothing, ViewDirection(0.0, 0.0), model.z_ref, sun, 0.0)
 
 
 def view_href(name: str, item_id: str) -> str:

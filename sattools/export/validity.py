@@ -9,7 +9,6 @@ import torch
 from numpy.typing import NDArray
 
 from sattools.camera.ground import to_geographic
-from sattools.fit.material import view_vector
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.views import Source, line_of_sight, load_sources
@@ -50,7 +49,7 @@ def validity_of(scene: Scene, ids: Sequence[str], grid: Grid, height: NDArray[np
         (source,) = load_sources(scene, [item])
         shown = _shown(source, grid, level)
         slope, _ = line_of_sight(source.rpc, grid, low, (low, max(high, low + 1.0)))
-        open_ = sun_visibility(surface, grid.cell_size, view_vector(slope)).numpy() >= 0.5
+        open_ = sun_visibility(surface, grid.cell_size, slope.unit()).numpy() >= 0.5
         reached += shown
         seen += shown & open_
     of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)

@@ -119,12 +119,6 @@ def blurred(maps: Tensor, sigma: float) -> Tensor:
     return torch.nn.functional.conv2d(flat, taps.reshape(1, 1, 1, -1)).reshape(maps.shape)
 
 
-def view_vector(slope: tuple[float, float]) -> tuple[float, float, float]:
-    """Unit vector to the sensor from its displacement per metre of height."""
-    length = (slope[0] ** 2 + slope[1] ** 2 + 1) ** 0.5
-    return slope[0] / length, slope[1] / length, 1 / length
-
-
 __all__ = [
     "AMPLITUDE",
     "SHAPE",
@@ -134,5 +128,4 @@ __all__ = [
     "diffuse",
     "radiance_factor",
     "surface_normals",
-    "view_vector",
 ]

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from torch import Tensor
 
+from sattools.camera.view_direction import ViewDirection
 from sattools.errors import InputError
 from sattools.fit.checkpoint import load, save
 from sattools.fit.illumination import Radiance
@@ -57,7 +58,7 @@ class FittedModel:
         albedo: ``[H, W, C]``; with a reflectance model its BRF at standard geometry.
         gain, offset, ambient: ``[V, C]`` colours of the images, see `SurfaceScene`.
         pose: ``[V, 2]`` (east, north) shift of each view's rays [m].
-        slopes: (east, north) displacement per metre of height of each view [m/m].
+        slopes: line of sight of each view.
         z_ref: reference height of the views [m].
         softness: of the surface at the end [m].
         shadow: how the sun's visibility was modelled.
@@ -82,7 +83,7 @@ class FittedModel:
     offset: Tensor
     ambient: Tensor
     pose: Tensor
-    slopes: list[tuple[float, float]] = dataclasses.field(default_factory=list)
+    slopes: list[ViewDirection] = dataclasses.field(default_factory=list)
     z_ref: float = 0.0
     softness: float = 0.0
     shadow: Literal["none", "geometric", "learned", "auto"] = "geometric"
@@ -184,7 +185,7 @@ def _typed(description: Mapping[str, Any]) -> JsonObject:
     return {
         "grid": Grid.from_dict(description["grid"]),
         "suns": [None if sun is None else tuple(sun) for sun in description["suns"]],
-        "slopes": [tuple(slope) for slope in description.get("slopes", [])],
+        "slopes": [ViewDirection(*slope) for slope in description.get("slopes", [])],
     }
 
 

@@ -19,7 +19,7 @@ from sattools.fit.inversion import (
     solve_amplitudes,
     start_endmembers,
 )
-from sattools.fit.material import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals, view_vector
+from sattools.fit.material import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
 from sattools.fit.material_std import parameter_std
 from sattools.fit.surface import SurfaceScene
 from sattools.views import View, shown_on
@@ -279,7 +279,7 @@ def reflective(
 
     height = scene.height.detach()
     suns = height.new_tensor([view.sun for view in views])
-    view_vectors = height.new_tensor([view_vector(view.slope) for view in views])
+    view_vectors = height.new_tensor([view.slope.unit() for view in views])
     casting = blurred(height, NORMAL_CELLS)
     cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
     visibility = [cast[view.sun] for view in views if view.sun is not None]

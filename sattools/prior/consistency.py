@@ -75,12 +75,12 @@ def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
 
 
 @njit(parallel=True, cache=True)
-def update_minima(total, slopes, heights, z_ref, row0, col0, cost, height):
+def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height):
     """Update the best places of all rays with the cells of a block.
 
     Args:
         total: ``[h, w, D]`` float32 aggregated cost.
-        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         z_ref: reference height of the frame [m].
         row0: frame position of the block's first cell at that height.
@@ -89,11 +89,11 @@ def update_minima(total, slopes, heights, z_ref, row0, col0, cost, height):
         height: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
     """
     rows, cols, depth = total.shape
-    for v in prange(slopes.shape[0]):
+    for v in prange(parallax.shape[0]):
         down, right = np.empty(depth, np.int64), np.empty(depth, np.int64)
         for k in range(depth):
-            down[k] = row0 + round(slopes[v, 0] * (heights[k] - z_ref))
-            right[k] = col0 + round(slopes[v, 1] * (heights[k] - z_ref))
+            down[k] = row0 + round(parallax[v, 0] * (heights[k] - z_ref))
+            right[k] = col0 + round(parallax[v, 1] * (heights[k] - z_ref))
         for row in range(rows):
             for col in range(cols):
                 for k in range(depth):

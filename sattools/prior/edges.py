@@ -66,13 +66,13 @@ def snap_edges(
     off_step = minimum_filter(off_step, 3, mode="nearest")
     uphill = np.stack([gaussian_filter(height, SLOPE_SCALE, order=order, mode="nearest") for order in ((1, 0), (0, 1))])
     uphill /= np.maximum(np.hypot(*uphill), 1e-6)
-    tangent = np.hypot(*frame.slopes.T) * frame.cell
-    # on its way up to the view a ray moves against the slope; views from straight above are outside of every wall
-    outward = frame.slopes * frame.cell / np.maximum(tangent, STEEP)[:, None]
+    tangent = np.hypot(*frame.parallax.T) * frame.cell
+    # on its way up to the view a ray moves against the parallax; views from straight above are outside of every wall
+    outward = frame.parallax * frame.cell / np.maximum(tangent, STEEP)[:, None]
     outward[tangent < STEEP] = np.nan
     below, above, roof, foot = (np.empty_like(height) for _ in range(4))
     compare_sides(
-        height, off_step, uphill, frame.images, frame.masks, frame.slopes, outward, frame.z_ref, frame.margin,
+        height, off_step, uphill, frame.images, frame.masks, frame.parallax, outward, frame.z_ref, frame.margin,
         first_hit_height, tolerance, noise, below, above, roof, foot,
     )  # fmt: skip
     beside_wall = np.isfinite(below)
@@ -188,7 +188,7 @@ def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
 
 @njit(parallel=True, cache=True)
 def compare_sides(
-    height, off_step, uphill, images, masks, slopes, outward, z_ref, margin, first_hit_height, tolerance, noise,
+    height, off_step, uphill, images, masks, parallax, outward, z_ref, margin, first_hit_height, tolerance, noise,
     below, above, roof, foot,
 ):  # fmt: skip
     """What either side of a wall looks like, for every cell near one.
@@ -199,7 +199,7 @@ def compare_sides(
         uphill: ``[2, H, W]`` float32 unit vector (rows, columns) up the wall.
         images: ``[V, Hf, Wf]`` float32, see `Frame`.
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid.
-        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above.
         z_ref: reference height of the frame [m].
         margin: cells between the border of the frame and that of the grid.
@@ -237,7 +237,7 @@ def compare_sides(
             at_roof = at_foot = 0.0
             roof_views = foot_views = 0
             for v in range(views):
-                r, c = row + margin + slopes[v, 0] * (top - z_ref), col + margin + slopes[v, 1] * (top - z_ref)
+                r, c = row + margin + parallax[v, 0] * (top - z_ref), col + margin + parallax[v, 1] * (top - z_ref)
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], top + tolerance, r, c, where, side, weight, cells, noise
                 )
@@ -246,7 +246,10 @@ def compare_sides(
                     roof_views += 1
                 if outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col] <= OUTSIDE:
                     continue
-                r, c = row + margin + slopes[v, 0] * (bottom - z_ref), col + margin + slopes[v, 1] * (bottom - z_ref)
+                r, c = (
+                    row + margin + parallax[v, 0] * (bottom - z_ref),
+                    col + margin + parallax[v, 1] * (bottom - z_ref),
+                )
                 like = _likeness(
                     images[v],
                     masks[v],

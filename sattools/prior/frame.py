@@ -14,7 +14,7 @@ class Frame:
     Attributes:
         images: ``[V, H + 2 margin, W + 2 margin]`` float32 grey radiance at the reference height.
         masks: same shape, uint8, 1 = valid.
-        slopes: ``[V, 2]`` float64: (row, column) cells by which a point moves in the frame per metre of height.
+        parallax: ``[V, 2]`` float64: (row, column) cells by which a point moves in the frame per metre of height.
         z_ref: reference height [m].
         cell: edge of a cell [m].
         margin: cells.
@@ -23,7 +23,7 @@ class Frame:
 
     images: np.ndarray
     masks: np.ndarray
-    slopes: np.ndarray
+    parallax: np.ndarray
     z_ref: float
     cell: float
     margin: int
@@ -39,7 +39,7 @@ class Frame:
         """The same with cells of twice the size; margin, rows and columns must be even."""
         images = self.images.reshape(len(self.images), self.images.shape[1] // 2, 2, -1, 2).mean(axis=(2, 4))
         masks = self.masks.reshape(images.shape[0], images.shape[1], 2, -1, 2).min(axis=(2, 4))
-        return Frame(images, masks, self.slopes / 2, self.z_ref, self.cell * 2, self.margin // 2, self.suns)
+        return Frame(images, masks, self.parallax / 2, self.z_ref, self.cell * 2, self.margin // 2, self.suns)
 
     def widened(self, margin: int) -> Frame:
         """The same with at least that margin; what is added has no valid pixel."""

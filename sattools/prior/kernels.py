@@ -37,13 +37,13 @@ def _translate(image, row0, col0, row_shift, col_shift, out):
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _follow(image, surface, row0, col0, slope, dz, out):
-    """out(i, j) = image(row0 + i + slope[0] * z, col0 + j + slope[1] * z), bilinear, at z = surface(i, j) + dz."""
+def _follow(image, surface, row0, col0, parallax, dz, out):
+    """out(i, j) = image(row0 + i + parallax[0] z, col0 + j + parallax[1] z), bilinear, at z = surface(i, j) + dz."""
     rows, cols = out.shape
     for i in range(rows):
         for j in range(cols):
             z = surface[i, j] + dz
-            r, c = row0 + i + slope[0] * z, col0 + j + slope[1] * z
+            r, c = row0 + i + parallax[0] * z, col0 + j + parallax[1] * z
             iy, ix = math.floor(r), math.floor(c)
             fy, fx = np.float32(r - iy), np.float32(c - ix)
             upper = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
@@ -154,7 +154,7 @@ def _fill_unseen(column, unseen):
 def correlate(
     images,
     masks,
-    slopes,
+    parallax,
     heights,
     base,
     z_ref,
@@ -187,7 +187,7 @@ def correlate(
     Args:
         images: ``[V, Hf, Wf]`` float32 on the frame, mean near zero (single precision cancels otherwise).
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid with its whole window.
-        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         base: ``[H + 2 radius, W + 2 radius]`` float32 surface, with a border as wide as the window, above which the
             heights are meant [m]: planes become parallels of it, and windows follow it; ``[0, 0]`` for planes.
@@ -230,18 +230,18 @@ def correlate(
             for v in range(views):
                 if len(base):
                     part = base[r0 : r0 + rows + 2 * radius]
-                    _follow(images[v], part, margin + r0 - radius, margin - radius, slopes[v], dz, moved[v])
+                    _follow(images[v], part, margin + r0 - radius, margin - radius, parallax[v], dz, moved[v])
                     for i in range(rows):
                         for j in range(width):
                             z = base[r0 + i + radius, j + radius] + heights[k]
-                            nr = margin + r0 + i + round(slopes[v, 0] * (z - z_ref))
-                            nc = margin + j + round(slopes[v, 1] * (z - z_ref))
+                            nr = margin + r0 + i + round(parallax[v, 0] * (z - z_ref))
+                            nc = margin + j + round(parallax[v, 1] * (z - z_ref))
                             lit = np.float32(1) if z >= shadow_heights[v, r0 + i, j] else np.float32(-1)
                             near = hit_heights[v, nr, nc] <= z + tolerance
                             seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) * (np.float32(1) if near else weak)
                     _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
                     continue
-                dr, dc = slopes[v, 0] * dz, slopes[v, 1] * dz
+                dr, dc = parallax[v, 0] * dz, parallax[v, 1] * dz
                 _translate(images[v], margin + r0 - radius, margin - radius, dr, dc, moved[v])
                 nr, nc = margin + r0 + round(dr), margin + round(dc)
                 for i in range(rows):
@@ -272,30 +272,30 @@ def correlate(
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
-def first_hit_heights(surface, slopes, z_ref, z_top, z_bottom, first_hit_height):
+def first_hit_heights(surface, parallax, z_ref, z_top, z_bottom, first_hit_height):
     """Height at which the ray through every frame position of every view first meets the surface.
 
     Args:
         surface: ``[Hf, Wf]`` float32 heights on the frame [m].
-        slopes: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         z_ref: reference height of the frame [m].
         z_top: where rays start and end [m].
         z_bottom: where rays start and end [m].
         first_hit_height: ``[V, Hf, Wf]`` float32, filled.
     """
-    views = slopes.shape[0]
+    views = parallax.shape[0]
     rows, cols = surface.shape
     for v in range(views):
         # no step may jump over a cell
-        step = 1.0 / max(abs(slopes[v, 0]), abs(slopes[v, 1]), 0.5)
+        step = 1.0 / max(abs(parallax[v, 0]), abs(parallax[v, 1]), 0.5)
         for row in prange(rows):
             for col in range(cols):
                 z = z_top
                 hit = z_bottom
                 while z > z_bottom:
                     dz = z - z_ref
-                    r = round(row - slopes[v, 0] * dz)
-                    c = round(col - slopes[v, 1] * dz)
+                    r = round(row - parallax[v, 0] * dz)
+                    c = round(col - parallax[v, 1] * dz)
                     if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
                         hit = min(surface[r, c], z + step)
                         break

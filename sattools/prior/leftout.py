@@ -28,9 +28,9 @@ def left_out_agreement(frame: Frame, height: np.ndarray) -> list[float | None]:
     dz = height - np.float32(frame.z_ref)
     shown = np.empty((len(frame.images), *height.shape), np.float32)
     seen = np.empty(shown.shape, bool)
-    for k, (image, mask, slope) in enumerate(zip(frame.images, frame.masks, frame.slopes, strict=True)):
-        r = (rows + frame.margin + slope[0] * dz).astype(np.float32)
-        c = (cols + frame.margin + slope[1] * dz).astype(np.float32)
+    for k, (image, mask, per_metre) in enumerate(zip(frame.images, frame.masks, frame.parallax, strict=True)):
+        r = (rows + frame.margin + per_metre[0] * dz).astype(np.float32)
+        c = (cols + frame.margin + per_metre[1] * dz).astype(np.float32)
         shown[k] = cv2.remap(image, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         seen[k] = cv2.remap(mask, c, r, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
     shown[~seen] = 0.0

@@ -44,17 +44,17 @@ class Match:
     consistent_views: np.ndarray
 
 
-def margin_for(slopes: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
+def margin_for(parallax: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
     """Margin in cells, even, so that no point within the heights leaves the frame with its window.
 
     Args:
-        slopes: ``[V, 2]`` (row, column) cells per metre of height.
+        parallax: ``[V, 2]`` (row, column) cells per metre of height.
         z_ref: reference height [m].
         z_range: lowest and highest height [m].
         window: half width of the matching window [cells].
     """
     reach = max(abs(z_range[0] - z_ref), abs(z_range[1] - z_ref))
-    cells = math.ceil(float(np.abs(slopes).max()) * reach) + 2 * window + 4
+    cells = math.ceil(float(np.abs(parallax).max()) * reach) + 2 * window + 4
     return cells + cells % 2
 
 
@@ -106,14 +106,14 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
-    fine = Frame(images, masks, frame.slopes, frame.z_ref, frame.cell, frame.margin, frame.suns)
+    fine = Frame(images, masks, frame.parallax, frame.z_ref, frame.cell, frame.margin, frame.suns)
     step = options.step or plane_distance(frame, pairs)
     # the first surface is known to the planes of the rough passes: what is nearer must not count as occluded
     options = replace(options, tolerance=max(options.tolerance, 2 * step))
     # the kernels test no bounds: the highest and lowest planes of the roughest pass must stay within the frame
     beyond = 2 * BEYOND_PLANES * step
     reached = (z_range[0] - beyond, z_range[1] + beyond)
-    fine = fine.widened(margin_for(fine.slopes, fine.z_ref, reached, options.window))
+    fine = fine.widened(margin_for(fine.parallax, fine.z_ref, reached, options.window))
     return MatchTask(fine, pairs, z_range, step, options)
 
 
@@ -151,7 +151,7 @@ def _doubled(rough: np.ndarray) -> np.ndarray:
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:
     """Distance of the height planes [m]: two cells, or more where no pair moves by one cell over that distance."""
-    apart = np.abs(frame.slopes[pairs[:, 0]] - frame.slopes[pairs[:, 1]])  # [P, 2] cells per metre
+    apart = np.abs(frame.parallax[pairs[:, 0]] - frame.parallax[pairs[:, 1]])  # [P, 2] cells per metre
     return max(2 * frame.cell, 1.0 / float(np.linalg.norm(apart, axis=1).max()))
 
 

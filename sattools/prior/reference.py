@@ -25,7 +25,7 @@ def agreement(a: np.ndarray, b: np.ndarray, noise: float, brightness: float) -> 
 
 
 def correlate(
-    images, masks, slopes, heights, z_ref, first_hit_height, shadow_height, dark, tolerance, pairs,
+    images, masks, parallax, heights, z_ref, first_hit_height, shadow_height, dark, tolerance, pairs,
     radius, noise, shadow_noise, brightness, margin, unseen, power=1, weak=0.0, mixed=0.0, base=None,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
@@ -38,10 +38,10 @@ def correlate(
             for i in near
             for j in near
         }
-        shift = slopes * (z[0, 0] - z_ref)  # [V, 2] cells
+        shift = parallax * (z[0, 0] - z_ref)  # [V, 2] cells
 
         def window(v, row=row, col=col, z=z):
-            move = {at: slopes[v] * (z[at] - z_ref) + margin for at in z}
+            move = {at: parallax[v] * (z[at] - z_ref) + margin for at in z}
             return np.array(
                 [[bilinear(images[v], row + i + move[i, j][0], col + j + move[i, j][1]) for j in near] for i in near]
             )
@@ -95,23 +95,23 @@ def aggregate(score: np.ndarray, small: float, large: float) -> np.ndarray:
 
 
 def first_hit_heights(
-    surface: np.ndarray, slopes: np.ndarray, z_ref: float, z_top: float, z_bottom: float
+    surface: np.ndarray, parallax: np.ndarray, z_ref: float, z_top: float, z_bottom: float
 ) -> np.ndarray:
     """Height ``[V, Hf, Wf]`` [m] at which the ray through every frame position first meets the surface, from above.
 
     Args:
         surface: ``[Hf, Wf]`` heights [m].
-        slopes: ``[V, 2]`` (row, column) cells per metre of height.
+        parallax: ``[V, 2]`` (row, column) cells per metre of height.
         z_ref: reference height of the frame [m].
         z_top: height at which rays start [m].
         z_bottom: height at which they end [m].
     """
-    hits = np.full((len(slopes), *surface.shape), z_bottom)  # [V, Hf, Wf]
+    hits = np.full((len(parallax), *surface.shape), z_bottom)  # [V, Hf, Wf]
     for v, row, col in np.ndindex(hits.shape):
-        step = 1.0 / max(*np.abs(slopes[v]), 0.5)  # no step may jump over a cell
+        step = 1.0 / max(*np.abs(parallax[v]), 0.5)  # no step may jump over a cell
         z = z_top
         while z > z_bottom:
-            r, c = (round(at - slope * (z - z_ref)) for at, slope in zip((row, col), slopes[v], strict=True))
+            r, c = (round(at - per_metre * (z - z_ref)) for at, per_metre in zip((row, col), parallax[v], strict=True))
             if 0 <= r < surface.shape[0] and 0 <= c < surface.shape[1] and surface[r, c] >= z:
                 hits[v, row, col] = min(surface[r, c], z + step)
                 break

@@ -195,12 +195,10 @@ def make_frame(
     """
     z_ref = z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
     cell = grid.cell_size
-    view_slopes = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
-    for source, view_slope in zip(sources, view_slopes, strict=True):
-        check_seen(source.id, np.isfinite(view_slope))  # a camera of another place has no line of sight here
-    # from the ground to the sensor: what stands higher is displaced the other way; rows count southward
-    slopes = np.array([(north, -east) for east, north in view_slopes]) / cell
-    margin = margin_for(slopes, z_ref, z_range, window)
+    directions = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
+    for source, direction in zip(sources, directions, strict=True):
+        check_seen(source.id, np.isfinite(direction))  # a camera of another place has no line of sight here
+    margin = margin_for(np.array([direction.parallax(cell) for direction in directions]), z_ref, z_range, window)
     wide = Grid(
         grid.crs,
         grid.left - margin * cell,
@@ -210,7 +208,7 @@ def make_frame(
         grid.height + grid.height % 2 + 2 * margin,
     )
     views = views_on(sources, wide, z_ref, z_range)
-    slopes = np.array([(north, -east) for east, north in (view.slope for view in views)]) / cell
+    parallax = np.array([view.slope.parallax(cell) for view in views])
     balances = [s.balance for s in sources if s.balance]
     if len(balances) == len(sources):
         gain, offset = (
@@ -225,7 +223,7 @@ def make_frame(
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
     images = gamma_encode(images, masks, all(s.linear for s in sources), balances[0].contrast if balances else None)
-    return Frame(images.astype(np.float32), masks, slopes, z_ref, cell, margin, tuple(v.sun for v in views)), views
+    return Frame(images.astype(np.float32), masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views)), views
 
 
 def _per_image(

@@ -134,7 +134,7 @@ def sweep_blocks(
             whole[rows, cols] = part[inner]
         if minima is not None:
             corner = (margin + rows.start, margin + cols.start)
-            update_minima(total[inner], frame.slopes, heights, frame.z_ref, *corner, minima.cost, minima.height)
+            update_minima(total[inner], frame.parallax, heights, frame.z_ref, *corner, minima.cost, minima.height)
     return maps[0], maps[1], maps[2]
 
 
@@ -188,7 +188,7 @@ def agreement(task: MatchTask, visibility: Visibility, heights: np.ndarray, base
     shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)
     volume = np.empty((*frame.shape, len(heights)), np.float32)
     correlate(
-        frame.images, frame.masks, frame.slopes, heights, base, frame.z_ref, visibility.first_hit_height,
+        frame.images, frame.masks, frame.parallax, heights, base, frame.z_ref, visibility.first_hit_height,
         visibility.shadow_height, visibility.dark, options.tolerance, task.pairs, options.window, options.noise,
         shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
         *pair_weights(len(task.pairs), options), volume,

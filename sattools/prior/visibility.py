@@ -77,7 +77,7 @@ def compute_visibility(
 
     new = all_visible(frame)
     wide = np.pad(eroded, frame.margin, mode="edge")
-    first_hit_heights(wide, frame.slopes, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, new.first_hit_height)
+    first_hit_heights(wide, frame.parallax, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, new.first_hit_height)
     for sun, shadow in zip(frame.suns, new.shadow_height, strict=True):
         if sun is not None:
             shadow_heights(eroded, np.array(sun), frame.cell, float(eroded.max()), shadow)
@@ -102,9 +102,9 @@ def at_surface(
     seen = np.empty(value.shape, bool)
     last = np.array(frame.images.shape[1:]) - 1
     dz = surface - frame.z_ref
-    for v, slope in enumerate(frame.slopes):
-        r = np.clip(np.rint(rows + frame.margin + slope[0] * dz).astype(int), 0, last[0])
-        c = np.clip(np.rint(cols + frame.margin + slope[1] * dz).astype(int), 0, last[1])
+    for v, per_metre in enumerate(frame.parallax):
+        r = np.clip(np.rint(rows + frame.margin + per_metre[0] * dz).astype(int), 0, last[0])
+        c = np.clip(np.rint(cols + frame.margin + per_metre[1] * dz).astype(int), 0, last[1])
         value[v] = frame.images[v][r, c]
         seen[v] = (frame.masks[v][r, c] > 0) & (first_hit_height[v][r, c] <= surface + tolerance)
     return value, seen

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sattools.camera.view_direction import ViewDirection
 from sattools.render.reference import render_planes
 from sattools.render.view import ParallelRays, Quadrature
 
@@ -96,11 +97,12 @@ def _sampling(rays: ParallelRays, q: Quadrature, cell: float, highest: float) ->
 
     # nothing to see above the highest surface; whole steps, so that the samples stay where they would have been
     skipped = max(0, math.floor((q.z_top - (highest + blocks.EMPTY * q.softness)) / q.step))
+    rows, columns = ViewDirection(*rays.slope).in_cells(cell)
     return blocks.Sampling(
         offset_x=np.float32(rays.offset[0] / cell),
         offset_y=np.float32(-rays.offset[1] / cell),  # rows run south
-        slope_x=np.float32(rays.slope[0] / cell),
-        slope_y=np.float32(-rays.slope[1] / cell),
+        slope_x=np.float32(columns),
+        slope_y=np.float32(rows),
         z_ref=np.float32(rays.z_ref),
         z_top=np.float32(q.z_top - skipped * q.step),
         step=np.float32(q.step),

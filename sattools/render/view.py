@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sattools.camera.view_direction import ViewDirection
+
 
 @dataclass(frozen=True)
 class ParallelRays:
@@ -13,12 +15,12 @@ class ParallelRays:
     lines of sight of an orbiting camera are parallel to within a few centimetres (see `sattools.views.line_of_sight`).
 
     Attributes:
-        slope: (east, north) displacement per metre of height, from the ground to the sensor.
+        slope: line of sight.
         z_ref: reference height [m].
         offset: (east, north) displacement of all rays at `z_ref` [m] (pose refinement).
     """
 
-    slope: tuple[float, float]
+    slope: ViewDirection
     z_ref: float
     offset: tuple[float, float] = (0.0, 0.0)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from sattools.camera.ground import grid_direction, ground_rays, project, to_geographic
 from sattools.camera.rpc import RPC
+from sattools.camera.view_direction import ViewDirection
 from sattools.scene.grid import Grid
 
 
@@ -21,7 +22,7 @@ class View:
         id: item id.
         target: ``[H, W, C]`` float32 linear radiance where the cell's ray crosses the reference height; 0 where masked.
         mask: ``[H, W]`` uint8, 1 where the image has a value.
-        slope: (east, north) displacement per metre of height, from the ground to the sensor.
+        slope: line of sight.
         z_ref: reference height [m].
         sun: unit vector (east, north, up) in the grid's frame, or None if unknown.
         parallel_ray_error_m: largest deviation of a true line of sight from the parallel one within the height range
@@ -31,15 +32,13 @@ class View:
     id: str
     target: np.ndarray
     mask: np.ndarray
-    slope: tuple[float, float]
+    slope: ViewDirection
     z_ref: float
     sun: tuple[float, float, float] | None
     parallel_ray_error_m: float
 
 
-def line_of_sight(
-    rpc: RPC, grid: Grid, z_ref: float, z_range: tuple[float, float]
-) -> tuple[tuple[float, float], float]:
+def line_of_sight(rpc: RPC, grid: Grid, z_ref: float, z_range: tuple[float, float]) -> tuple[ViewDirection, float]:
     """Common slope of a view's rays over the grid, and how far a ray strays from it [m].
 
     Args:
@@ -60,7 +59,7 @@ def line_of_sight(
     slope = slopes.mean(axis=0)
     reach = max(high - z_ref, z_ref - low)
     spread = float(np.abs(slopes - slope).max() * reach)
-    return (float(slope[0]), float(slope[1])), spread
+    return ViewDirection(float(slope[0]), float(slope[1])), spread
 
 
 def read_at(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,8 +165,8 @@ def shown_on(
 
     rows, cols = height.shape
     dz = height - view.z_ref
-    col = (np.arange(cols)[None, :] - (pose[0] + view.slope[0] * dz) / cell_size).astype(np.float32)
-    row = (np.arange(rows)[:, None] + (pose[1] + view.slope[1] * dz) / cell_size).astype(np.float32)
+    col = (np.arange(cols)[None, :] - (pose[0] + view.slope.east * dz) / cell_size).astype(np.float32)
+    row = (np.arange(rows)[:, None] + (pose[1] + view.slope.north * dz) / cell_size).astype(np.float32)
     picture = cv2.remap(view.target, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(view.mask, col, row, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     return picture.reshape(*height.shape, -1), seen[..., None].astype(np.float32)

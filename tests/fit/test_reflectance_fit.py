@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import torch
 
+from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
 from sattools.fit.auto import blocks_of, choose_model, extreme_views
 from sattools.fit.checkpoint import load
 from sattools.fit.endmembers import cluster_endmembers
 from sattools.fit.illumination import light_scale, phase_angles, radiance_kind, views_left_out
 from sattools.fit.inversion import Samples, invert, material_mean, predict, shape_of, solve_amplitudes, start_endmembers
-from sattools.fit.material import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals, view_vector
+from sattools.fit.material import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals
 from sattools.fit.options import FitOptions
 from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.schedule import schedule
@@ -208,7 +209,7 @@ def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_h
 
 
 def test_line_of_sight_is_a_unit_vector_to_the_sensor() -> None:
-    assert view_vector((0.75, 0.0)) == pytest.approx((0.6, 0.0, 0.8))
+    assert ViewDirection(0.75, 0.0).unit() == pytest.approx((0.6, 0.0, 0.8))
 
 
 def test_a_model_without_a_sun_is_refused(make_hill: Any) -> None:

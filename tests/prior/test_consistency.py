@@ -23,7 +23,7 @@ def followed(cost: Any) -> Any:
     """The rays of `frame` after a cost ``[5][2]`` of the five cells at both heights."""
     minima = RayMinima.unknown(frame())
     volume = np.array(cost, np.float32)[None]
-    update_minima(volume, frame().slopes, HEIGHTS, 0.0, MARGIN, MARGIN, minima.cost, minima.height)
+    update_minima(volume, frame().parallax, HEIGHTS, 0.0, MARGIN, MARGIN, minima.cost, minima.height)
     return minima
 
 
@@ -51,7 +51,7 @@ def test_blocks_leave_the_rays_as_the_whole_does() -> None:
     volume = np.array(ROOF, np.float32)[None]
     for first, last in ((3, 5), (0, 3)):
         at = (MARGIN, MARGIN + first)
-        update_minima(volume[:, first:last], frame().slopes, HEIGHTS, 0.0, *at, parts.cost, parts.height)
+        update_minima(volume[:, first:last], frame().parallax, HEIGHTS, 0.0, *at, parts.cost, parts.height)
     np.testing.assert_array_equal(parts.cost, whole.cost)
     np.testing.assert_array_equal(parts.height, whole.height)
 

@@ -105,7 +105,7 @@ def test_shadows_are_as_bright_as_each_date_s_haze_makes_them(block: Any) -> Non
 
 def test_without_suns_nothing_is_known_of_shadows_and_nothing_is_opened(block: Any) -> None:
     height, frame = block
-    blind = Frame(frame.images, frame.masks, frame.slopes, 0.0, CELL, frame.margin, (None,) * 8)
+    blind = Frame(frame.images, frame.masks, frame.parallax, 0.0, CELL, frame.margin, (None,) * 8)
     visibility = all_visible(blind)
     surface = height.astype(np.float32)
     task = MatchTask(blind, PAIRS, HEIGHTS, 2.0, PriorOptions())

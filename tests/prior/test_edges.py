@@ -133,7 +133,7 @@ def plain_sides(frame: Any, height: Any, outward: Any, uphill: Any, row: int, co
     found = []
     for z in (10.0, 0.0):
         likeness = []
-        for image, slope, out in zip(frame.images, frame.slopes, outward, strict=True):
+        for image, slope, out in zip(frame.images, frame.parallax, outward, strict=True):
             if z == 0 and out @ uphill <= 0.2:
                 continue
             at = np.array([row, col]) + frame.margin + slope * z

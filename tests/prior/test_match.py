@@ -51,7 +51,7 @@ def test_hidden_ground_is_seen_by_fewer_views(house: Any) -> None:
 
 def test_two_views_are_enough_for_open_ground(house: Any) -> None:
     height, frame = house
-    two = Frame(frame.images[:2], frame.masks[:2], frame.slopes[:2], 0.0, CELL, frame.margin, (None,) * 2)
+    two = Frame(frame.images[:2], frame.masks[:2], frame.parallax[:2], 0.0, CELL, frame.margin, (None,) * 2)
     found = match(two, np.array([(0, 1)]), RANGE, PriorOptions())
     assert np.median(np.abs(found.height - height)) < 0.15
 
@@ -73,7 +73,7 @@ def test_a_masked_corner_is_seen_by_no_one_and_spoils_nothing_else(house: Any) -
     masks = frame.masks.copy()
     masks[:, : frame.margin + 15, : frame.margin + 15] = 0
     images = np.where(masks > 0, frame.images, 0)
-    found = match(Frame(images, masks, frame.slopes, 0.0, CELL, frame.margin, frame.suns), ALL, RANGE, PriorOptions())
+    found = match(Frame(images, masks, frame.parallax, 0.0, CELL, frame.margin, frame.suns), ALL, RANGE, PriorOptions())
     assert found.views[:8, :8].max() == 0
     assert np.median(np.abs(found.height - height)[20:, 20:]) < 0.1
 

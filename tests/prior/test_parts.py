@@ -80,7 +80,7 @@ def test_planes_stand_two_cells_apart_or_as_far_as_the_best_pair_needs() -> None
     )
     assert plane_distance(frame, np.array([(0, 1), (0, 2)])) == pytest.approx(1.25)  # 0.8 cells a metre
     assert plane_distance(frame, np.array([(0, 2)])) == pytest.approx(10.0)
-    wide = replace(frame, slopes=frame.slopes * 10)
+    wide = replace(frame, parallax=frame.parallax * 10)
     assert plane_distance(wide, np.array([(0, 1)])) == 1.0
 
 
@@ -111,7 +111,7 @@ def test_halving_keeps_a_point_where_it_was() -> None:
     assert half.masks[0, 0, 0] == 0  # one invalid pixel spoils the cell
     assert half.masks[0, 0, 1] == 1
     assert (half.cell, half.margin, half.shape) == (1.0, 1, (2, 2))
-    assert half.slopes[0].tolist() == [0.2, 0.1]
+    assert half.parallax[0].tolist() == [0.2, 0.1]
 
 
 def test_normal_of_a_plane() -> None:
