@@ -68,7 +68,7 @@ def material_names(model: FittedModel) -> list[str]:
 
 
 def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
-    """Write `material_maps` or `network_maps` below ``export/`` and name them as products."""
+    """Write `material_maps` or `network_maps` below ``export/`` and name them as products; angles in degrees."""
     scene, model, grid = exported.scene, exported.model, exported.model.grid
     assert model.brdf != "lambert"
     tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": model.brdf}

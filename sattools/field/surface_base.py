@@ -42,23 +42,29 @@ class SurfaceBase:
         return torch.sigmoid((read[:, 0] - points[:, 2]) / self.softness) / self.softness, read[:, 1:]
 
     def tensors(self) -> dict[str, Tensor]:
-        """What `restored` needs beside the box."""
+        """What `restored` needs beside the box: heights and softness [m], colours."""
         return {"height": self.height, "colour": self.colour, "softness": self.height.new_tensor(self.softness)}
 
     @classmethod
     def restored(cls, tensors: dict[str, Tensor], box: Box) -> SurfaceBase:
-        """Inverse of `tensors`."""
+        """Inverse of `tensors`: heights and softness [m], colours."""
         return cls(box, tensors["height"], tensors["colour"], float(tensors["softness"]))
 
 
 def before_softplus(density: Tensor) -> Tensor:
-    """The x with softplus(x) = density (at least `LEAST_OPTICAL`), any shape."""
+    """The x with softplus(x) = density (at least `LEAST_OPTICAL`), any shape, unitless."""
     density = density.clamp_min(LEAST_OPTICAL)
     return density + torch.log(-torch.expm1(-density))
 
 
 def before_sigmoid(value: Tensor, low: float, high: float) -> Tensor:
-    """The x with low + (high - low) sigmoid(x) = value, within `COLOUR_LIMITS`, any shape."""
+    """The x with low + (high - low) sigmoid(x) = value, within `COLOUR_LIMITS`, any shape, unitless.
+
+    Args:
+        value: any shape, in the head's unit.
+        low: end of the head's range.
+        high: end of the head's range.
+    """
     return torch.logit(((value - low) / (high - low)).clamp(*COLOUR_LIMITS))
 
 

@@ -11,6 +11,7 @@ import torch
 
 from sattools.errors import SceneError
 from sattools.field.networks import NETWORKS
+from sattools.field.surface_base import SurfaceBase
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.files import CHECKPOINT, Fitted
 from sattools.fit.illumination import Radiance
@@ -24,7 +25,7 @@ from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Scene
-from sattools.views import Source, match_colours, views_on
+from sattools.views import Source, View, match_colours, views_on
 
 log = logging.getLogger(__name__)
 ROWS, SAVE_EVERY = 20, 5  # rows of the trace per fit; checkpoints among them
@@ -84,6 +85,14 @@ def fit_rays(
     notes = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
     job = _RayJob(scene.output(CHECKPOINT), fingerprint(scene, options, sources, prior), trainer, grid, z_range, trace)
     notes += job.run(options, progress)
+    return Fitted(_model_of(trainer, base, views, grid, z_range), trace, notes)
+
+
+def _model_of(
+    trainer: RayTrainer, base: SurfaceBase | None, views: list[View], grid: Grid, z_range: tuple[float, float]
+) -> FittedModel:
+    """What a trained field looks like on the ground, and what it takes to show it again."""
+    options = trainer.options
     maps = read_maps(trainer, grid, z_range)
     extra = {n: t.detach() for n, t in trainer.tensors.items() if n.startswith("field.")}
     extra |= {f"map.{n}": t for n, t in maps.heads.items()} | {"embedding": trainer.embedding.detach()}
@@ -93,9 +102,9 @@ def fit_rays(
     if "beta" in maps.images and options.beta:
         extra["beta"] = maps.images["beta"]
     assert options.brdf != "auto"  # `check`
-    model = FittedModel(
+    return FittedModel(
         grid=grid,
-        items=[s.id for s in sources],
+        items=[v.id for v in views],
         suns=[v.sun for v in views],
         height=maps.height,
         height_std=maps.height_std,
@@ -105,18 +114,17 @@ def fit_rays(
         ambient=trainer.colour["ambient"].detach(),
         pose=torch.zeros(len(views), 2),
         slopes=[v.slope for v in views],
-        z_ref=z_ref,
+        z_ref=views[0].z_ref,
         shadow=options.shadow,
         transient=options.transient,
         field=options.field,
         network=options.network if options.field == "mlp" else None,
-        radiance=radiance,
+        radiance=trainer.radiance,
         brdf=options.brdf,
         s_net=maps.images.get("s_net") if options.shadow == "learned" else None,
         tau=maps.images.get("tau") if options.transient == "on" else None,
         extra=extra,
     )
-    return Fitted(model, trace, notes)
 
 
 def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
