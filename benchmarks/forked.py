@@ -20,7 +20,7 @@ from pathlib import Path
 
 MODULES = (
     "sattools.batch.stage sattools.compare.points sattools.compare.stage sattools.export.material "
-    "sattools.export.novel sattools.export.stage sattools.fit.rays_stage sattools.fit.stage sattools.fit.tiles "
+    "sattools.export.novel sattools.export.stage sattools.fit.rays.stage sattools.fit.stage sattools.fit.tiles.stage "
     "sattools.prep.dfc2019 "
     "sattools.prep.stage sattools.prior.stage sattools.radiometry.stage sattools.report.batch sattools.report.scene "
     "sattools.scene.files sattools.simulate.stage geopandas matplotlib.backends.backend_agg numba pvlib torch"

@@ -35,8 +35,8 @@ def invert_cells(s, start: Tensor, amplitude: Tensor, grid: tuple[int, int], rea
         grid: its rows and columns.
         reach: the prior is the neighbours' mean over so many cells; 0 = the usual values.
     """
-    from sattools.fit.inversion import ROBUST, STEP, noise_of, start_endmembers
-    from sattools.fit.material import AMPLITUDE, SHAPE, blurred, radiance_factor
+    from sattools.fit.materials.inversion import ROBUST, STEP, noise_of, start_endmembers
+    from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, blurred, radiance_factor
 
     prior_sigma = start.new_tensor([p.prior_sigma for p in SHAPE["hapke"]])
     prior_mean = start_endmembers("hapke", 1, start).expand_as(start)
@@ -83,10 +83,10 @@ def main() -> None:
 
     from sattools.compare.metrics import image_errors, map_errors
     from sattools.export.novel import render_item
-    from sattools.fit.material import AMPLITUDE, SHAPE
+    from sattools.fit.materials.parameters import AMPLITUDE, SHAPE
+    from sattools.fit.materials.scene import ReflectiveScene
     from sattools.fit.model import FittedModel
     from sattools.fit.options import FitOptions
-    from sattools.fit.reflective import ReflectiveScene
     from sattools.fit.stage import fit
     from sattools.prior import PriorOptions
     from sattools.prior.stage import prior

@@ -26,8 +26,8 @@ import numpy as np
 from sattools.compare import Truth, compare_dsm, read_reference
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
-from sattools.prior.match import Match, match
-from sattools.prior.pairs import choose_pairs
+from sattools.prior.matching.match import Match, match
+from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.stage import crop, make_frame, write_maps
 from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy

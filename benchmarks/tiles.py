@@ -53,7 +53,7 @@ def likeness(seed: int, size: int, views: int, cut: list[str]) -> dict[str, Any]
     """One city, both ways."""
     from sattools.compare import compare_dsm, read_reference
     from sattools.fit.options import FitOptions
-    from sattools.fit.tile_plan import Plan
+    from sattools.fit.tiles.plan import Plan
 
     with tempfile.TemporaryDirectory() as folder:
         scene = simulate(folder, size, views, seed)

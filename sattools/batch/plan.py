@@ -22,7 +22,7 @@ _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": T
 _DIGESTS = Table(other=Items(Anything(), 3, 3))
 # what a configuration may hold, in the order of the pipe
 COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare")
-TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles`
+TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles.stage`
 OPTIONAL = ("normalise", "prior")  # run only where a configuration asks for them; `fit` does without or by itself
 
 
@@ -233,7 +233,7 @@ def after_shared(run: Task, shared: Task) -> Task:
 
 
 def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
-    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles`.
+    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles.stage`.
 
     Args:
         run: task of the run.

@@ -10,9 +10,9 @@ import torch
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.ray_start import ray_set, restored_field
-from sattools.fit.rays import RayTrainer
-from sattools.fit.train import make_quadrature
+from sattools.fit.rays.start import ray_set, restored_field
+from sattools.fit.rays.trainer import RayTrainer
+from sattools.fit.surface.trainer import make_quadrature
 from sattools.render import ParallelRays, render
 from sattools.views import View
 

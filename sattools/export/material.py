@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from sattools.export.context import Exported
-from sattools.fit.material import AMPLITUDE, SHAPE, radiance_factor, surface_normals
-from sattools.fit.material_std import SLOPE_STD
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor, surface_normals
+from sattools.fit.materials.scene import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
+from sattools.fit.materials.uncertainty import SLOPE_STD
 from sattools.fit.model import FittedModel
-from sattools.fit.reflective import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
 from sattools.scene.raster import write_cog
 
 ABSOLUTE = "absolute: the images are reflectances"

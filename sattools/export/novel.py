@@ -15,9 +15,9 @@ from sattools.errors import SceneError
 from sattools.export.context import Exported
 from sattools.export.field_views import field_picture, surface_picture
 from sattools.fit.illumination import light_scale
+from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
-from sattools.fit.reflective import ReflectiveScene
-from sattools.fit.surface import SurfaceScene
+from sattools.fit.surface.scene import SurfaceScene
 from sattools.render import ParallelRays, sun_visibility
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE

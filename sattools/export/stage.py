@@ -162,7 +162,7 @@ def _views(exported: Exported, options: ExportOptions, progress: Progress) -> No
     """Maps of a reflectance model, the images asked for, the scene under another sun."""
     from sattools.export.material import material_maps, network_maps, write_material
     from sattools.export.novel import write_relit, write_view
-    from sattools.fit.reflective import ReflectiveScene
+    from sattools.fit.materials.scene import ReflectiveScene
 
     try:
         surface = exported.model.surface()

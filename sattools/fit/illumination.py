@@ -15,9 +15,9 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.material import SHAPE, surface_normals
+from sattools.fit.materials.parameters import SHAPE, surface_normals
+from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.options import FitOptions
-from sattools.fit.reflective import ReflectiveScene
 from sattools.fit.resample import resample_map
 from sattools.scene import Grid, Item, Scene
 from sattools.views import Source

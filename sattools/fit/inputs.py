@@ -14,10 +14,10 @@ import numpy as np
 
 from sattools import __version__
 from sattools.errors import OutputExistsError, SceneError
-from sattools.fit.coarse import PRODUCT
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
+from sattools.fit.tiles.shared import PRODUCT
 from sattools.progress import Progress
 from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale

@@ -14,9 +14,9 @@ from sattools.camera.view_direction import ViewDirection
 from sattools.errors import InputError
 from sattools.fit.checkpoint import load, save
 from sattools.fit.illumination import Radiance
-from sattools.fit.reflective import restored
+from sattools.fit.materials.scene import restored
 from sattools.fit.resume import IlluminationOptions
-from sattools.fit.surface import SurfaceScene
+from sattools.fit.surface.scene import SurfaceScene
 from sattools.scene import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.members import GRID, HEIGHT_LIMITS_M

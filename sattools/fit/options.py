@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from sattools.fit.ray_options import RayOptions
+from sattools.fit.rays.options import RayOptions
 from sattools.settings import option
 
 

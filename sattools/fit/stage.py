@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from sattools.fit.coarse import PRODUCT
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE
 from sattools.fit.inputs import holding_out, may_write
 from sattools.fit.options import FitOptions
-from sattools.fit.tiles import fit_tiled
+from sattools.fit.tiles.shared import PRODUCT
+from sattools.fit.tiles.stage import fit_tiled
 from sattools.fit.whole import choose_device, fit_whole, set_up
 from sattools.progress import Progress, silent
 from sattools.scene import Scene

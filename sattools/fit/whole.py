@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import torch
 
 from sattools.errors import SceneError
-from sattools.fit.coarse import PRODUCT, read_coarse
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, Fitted, save_fit
 from sattools.fit.illumination import Radiance, calibrated, check_light, exposed, radiance_kind
 from sattools.fit.inputs import holding_out, load_prior, may_write
 from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.schedule import schedule
-from sattools.fit.surface_job import SurfaceJob
+from sattools.fit.surface.job import SurfaceJob
+from sattools.fit.surface.schedule import schedule
+from sattools.fit.tiles.shared import PRODUCT, read_coarse
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
@@ -71,7 +71,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         if options.field == "surface":
             fitted = _fit_surface(scene, setup, sources, prior, told)
         else:
-            from sattools.fit.rays_stage import fit_rays
+            from sattools.fit.rays.stage import fit_rays
 
             fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told, radiance=setup.radiance)
         fitted.notes[:0] = setup.notes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from sattools.prior.match import Match
+from sattools.prior.matching.match import Match
 
 UNIQUENESS_SCALE = 0.3  # cost gap to the next best height at which this factor is 1 - 1/e
 FULL_AGREEMENT = 0.9  # agreement of well-matched images

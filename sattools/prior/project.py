@@ -37,7 +37,7 @@ def seen_by(
     """
     import cv2
 
-    from sattools.prior.kernels import descend
+    from sattools.prior.matching.kernels import descend
 
     low, high = z_range
     rows, cols = shape

@@ -28,7 +28,7 @@ def correlate(
     images, masks, parallax, heights, z_ref, first_hit_height, shadow_height, dark, tolerance, pairs,
     radius, noise, shadow_noise, brightness, margin, unseen, power=1, weak=0.0, mixed=0.0, base=None,
 ):  # fmt: skip
-    """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.kernels.correlate`."""
+    """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.matching.kernels.correlate`."""
     views, rows, cols = images.shape
     volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))  # [H, W, D]
     near = range(-radius, radius + 1)

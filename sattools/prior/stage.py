@@ -11,10 +11,10 @@ from sattools.prior.confidence import match_confidence
 from sattools.prior.files import write_sensor_map
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
-from sattools.prior.match import Match, margin_for, match
+from sattools.prior.matching.match import Match, margin_for, match
+from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
-from sattools.prior.pairs import choose_pairs
 from sattools.prior.project import seen_by
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene

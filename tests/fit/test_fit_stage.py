@@ -13,9 +13,9 @@ from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import exposed
 from sattools.fit.options import FitOptions
-from sattools.fit.pose import remove_gauge
 from sattools.fit.resample import resample_map
 from sattools.fit.stage import choose_device, fit
+from sattools.fit.surface.pose import remove_gauge
 from sattools.prior import PriorOptions
 from sattools.prior.stage import prior, write_maps
 from sattools.scene import Grid

@@ -11,11 +11,17 @@ import torch
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import load
-from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, IlluminationModel, shadow_regularisation, shadow_weight
-from sattools.fit.irradiance_choice import Shown, transient_share
 from sattools.fit.losses import GAMMA, photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.fit.surface.light import (
+    FIRST_EPOCH,
+    WARM_UP_EPOCHS,
+    IlluminationModel,
+    shadow_regularisation,
+    shadow_weight,
+)
+from sattools.fit.surface.light_selection import Shown, transient_share
 from sattools.render import sun_visibility
 from sattools.scene.raster import read_raster
 

@@ -19,8 +19,8 @@ from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_soft
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
-from sattools.fit.ray_start import depth_std_m, restored_field
-from sattools.fit.rays_stage import _duration
+from sattools.fit.rays.stage import _duration
+from sattools.fit.rays.start import depth_std_m, restored_field
 from sattools.fit.stage import fit
 from sattools.fit.trace import Trace
 from sattools.prior.files import read_prior
@@ -169,7 +169,7 @@ def test_durations_are_said_in_units_that_people_use(seconds: Any, text: Any) ->
 
 
 def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(make_town: Any, monkeypatch: Any) -> None:
-    from sattools.fit import rays_stage
+    from sattools.fit.rays import stage as rays_stage
 
     monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
     monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)

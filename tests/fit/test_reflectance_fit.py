@@ -11,16 +11,24 @@ import torch
 
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
-from sattools.fit.auto import blocks_of, choose_model, extreme_views
 from sattools.fit.checkpoint import load
-from sattools.fit.endmembers import cluster_endmembers
 from sattools.fit.illumination import light_scale, phase_angles, radiance_kind, views_left_out
-from sattools.fit.inversion import Samples, invert, material_mean, predict, shape_of, solve_amplitudes, start_endmembers
-from sattools.fit.material import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals
+from sattools.fit.materials.endmembers import cluster_endmembers
+from sattools.fit.materials.inversion import (
+    Samples,
+    invert,
+    material_mean,
+    predict,
+    shape_of,
+    solve_amplitudes,
+    start_endmembers,
+)
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals
+from sattools.fit.materials.scene import ReflectiveScene
+from sattools.fit.materials.selection import blocks_of, choose_model, extreme_views
 from sattools.fit.options import FitOptions
-from sattools.fit.reflective import ReflectiveScene
-from sattools.fit.schedule import schedule
 from sattools.fit.stage import fit
+from sattools.fit.surface.schedule import schedule
 from sattools.reflectance import hapke
 from sattools.render import sun_visibility
 from sattools.scene import Scene

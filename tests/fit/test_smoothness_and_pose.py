@@ -9,10 +9,10 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
-from sattools.fit.pose import image_shift, remove_gauge
-from sattools.fit.regularise import edge_weights, smoothness_penalty
-from sattools.fit.schedule import schedule
-from sattools.fit.surface import SurfaceScene, start_scene
+from sattools.fit.surface.pose import image_shift, remove_gauge
+from sattools.fit.surface.scene import SurfaceScene, start_scene
+from sattools.fit.surface.schedule import schedule
+from sattools.fit.surface.smoothness import edge_weights, smoothness_penalty
 
 
 def plane(rows: Any = 20, cols: Any = 24, east: Any = 0.7, south: Any = -0.3) -> Any:

@@ -14,11 +14,11 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
 from sattools.errors import SceneError
-from sattools.fit import tile_plan
 from sattools.fit.checkpoint import load
-from sattools.fit.coarse import Coarse, sampled
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.fit.tiles import plan as tile_plan
+from sattools.fit.tiles.shared import Coarse, sampled
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 

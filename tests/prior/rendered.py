@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sattools.prior.frame import Frame
-from sattools.prior.match import margin_for
+from sattools.prior.matching.match import margin_for
 
 RANGE = (-4.0, 16.0)
 CELL = 0.5

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from sattools.prior.consistency import RayMinima, count_consistent_views, filled, update_minima
 from sattools.prior.frame import Frame
-from sattools.prior.visibility import UNKNOWN
+from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, update_minima
+from sattools.prior.visibility.occlusion import UNKNOWN
 
 HEIGHTS = np.array([0.0, 2.0])
 MARGIN = 2

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from sattools.prior import courtyards, match
-from sattools.prior.courtyards import doubtful
 from sattools.prior.frame import Frame
+from sattools.prior.matching import match
+from sattools.prior.matching.sweep import MatchTask
 from sattools.prior.options import PriorOptions
-from sattools.prior.sweep import MatchTask
-from sattools.prior.visibility import UNKNOWN, all_visible, compute_visibility, dark_noise, measure_dark
+from sattools.prior.visibility import courtyards
+from sattools.prior.visibility.courtyards import doubtful
+from sattools.prior.visibility.occlusion import UNKNOWN, all_visible, compute_visibility, dark_noise, measure_dark
 
 CELL = 0.5
 HEIGHTS = (-4.0, 18.0)

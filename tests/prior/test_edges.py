@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
-from sattools.prior.edges import compare_sides, leaning, snap_edges
 from sattools.prior.frame import Frame
+from sattools.prior.visibility.edges import compare_sides, leaning, snap_edges
 
 NOISE = 0.04
 

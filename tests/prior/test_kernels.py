@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sattools.prior import reference
-from sattools.prior.kernels import correlate, descend, first_hit_heights, shadow_heights
-from sattools.prior.sgm import aggregate, lowest, second_best_margin
-from sattools.prior.sweep import PLANES
+from sattools.prior.matching.kernels import correlate, descend, first_hit_heights, shadow_heights
+from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
+from sattools.prior.matching.sweep import PLANES
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}

@@ -8,12 +8,12 @@ import pytest
 from rendered import CELL, RANGE, views_of
 
 from sattools.prior.confidence import match_confidence
-from sattools.prior.consistency import filled
 from sattools.prior.frame import Frame
-from sattools.prior.kernels import correlate
-from sattools.prior.match import match
+from sattools.prior.matching.kernels import correlate
+from sattools.prior.matching.match import match
+from sattools.prior.matching.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
-from sattools.prior.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
+from sattools.prior.visibility.consistency import filled
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_nothing_is_filled_where_no_image_reaches(house: Any, monkeypatch: pytes
         asked.append(stands)
         return filled(height, stands, cell)
 
-    monkeypatch.setattr("sattools.prior.match.filled", spy)
+    monkeypatch.setattr("sattools.prior.matching.match.filled", spy)
     match(replace(frame, masks=masks), ALL, RANGE, PriorOptions())
     assert asked[0][:8, :8].all()
     assert not asked[0].all()  # beside the walls something is filled
@@ -168,7 +168,7 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monk
             *rest,
         )
 
-    monkeypatch.setattr("sattools.prior.kernels.correlate", spy)
+    monkeypatch.setattr("sattools.prior.matching.kernels.correlate", spy)
     match(frame, ALL, RANGE, PriorOptions(step=4.0, rough_passes=1))
     assert len(seen) == 3
     assert min(seen) >= 0

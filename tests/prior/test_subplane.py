@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from rendered import RANGE, views_of
 
-from sattools.prior import match as matching
+from sattools.prior.matching import match as matching
+from sattools.prior.matching.subplane import best_nearby, local_planes, refine_subplane
+from sattools.prior.matching.sweep import MatchTask
 from sattools.prior.options import PriorOptions
-from sattools.prior.subplane import best_nearby, local_planes, refine_subplane
-from sattools.prior.sweep import MatchTask
-from sattools.prior.visibility import all_visible
+from sattools.prior.visibility.occlusion import all_visible
 
 SLOPES = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)]
 PAIRS = np.array([(a, b) for a in range(5) for b in range(a + 1, 5)])

@@ -1,4 +1,4 @@
-"""How an area is cut into tiles, what they share, and what is done of them; see `sattools.fit.tiles`."""
+"""How an area is cut into tiles, what they share, and what is done of them; see `sattools.fit.tiles.stage`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ import torch
 
 from sattools import __version__
 from sattools.errors import InputError, SceneError
-from sattools.fit.coarse import PRODUCT
 from sattools.fit.files import CHECKPOINT, MODEL, STATE
 from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.resume import OTHER_FIT
-from sattools.fit.schedule import schedule
+from sattools.fit.surface.schedule import schedule
+from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, subprogress
 from sattools.scene import Asset, Grid, Scene

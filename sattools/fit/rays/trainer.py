@@ -12,9 +12,9 @@ from torch import Tensor
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
 from sattools.fit.illumination import Radiance
-from sattools.fit.irradiance import FIRST_EPOCH, WARM_UP_EPOCHS, shadow_regularisation, shadow_weight
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
+from sattools.fit.surface.light import FIRST_EPOCH, WARM_UP_EPOCHS, shadow_regularisation, shadow_weight
 from sattools.reflectance import hapke, rpv
 from sattools.render.volume import RayBatch, composite, guided, stratified, towards_sun
 

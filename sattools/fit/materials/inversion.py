@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sattools.fit.material import AMPLITUDE, SHAPE, Kind, radiance_factor
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind, radiance_factor
 
 STEP = 1e-3  # of the finite differences in the unbounded form
 GAP_SHARE = 0.02  # error of the model and the geometry, as share of the signal

@@ -18,9 +18,9 @@ from sattools.fit.illumination import Radiance
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.ray_maps import read_maps
-from sattools.fit.ray_start import base_surface, box_over, filled_prior, make_field, ray_set
-from sattools.fit.rays import RayTrainer
+from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.start import base_surface, box_over, filled_prior, make_field, ray_set
+from sattools.fit.rays.trainer import RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress

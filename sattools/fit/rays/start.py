@@ -16,7 +16,7 @@ from sattools.field.voxel import VoxelField
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays import RaySet, concatenated
+from sattools.fit.rays.trainer import RaySet, concatenated
 from sattools.render import ParallelRays, Quadrature, plate_slopes, render, sun_visibility
 from sattools.scene import Grid
 from sattools.views import View, shown_on

@@ -16,9 +16,9 @@ from scipy.ndimage import binary_dilation, binary_opening, grey_closing, label, 
 from scipy.ndimage import mean as mean_over
 
 from sattools.prior.frame import Frame
+from sattools.prior.matching.sweep import MatchTask, sweep_blocks
 from sattools.prior.options import PriorOptions
-from sattools.prior.sweep import MatchTask, sweep_blocks
-from sattools.prior.visibility import UNKNOWN, Visibility, at_surface, compute_visibility
+from sattools.prior.visibility.occlusion import UNKNOWN, Visibility, at_surface, compute_visibility
 
 POOR = 0.5  # agreement above which a cell is not doubted
 DARK_VIEWS = 0.5  # share of the views in whose sun a doubted cell lies that show it as dark as shadow

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 
 from sattools.errors import SceneError
-from sattools.fit.coarse import sampled
 from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
 from sattools.fit.model import FittedModel
-from sattools.fit.tile_plan import COARSE, COMMON, FOLDER, Plan
+from sattools.fit.tiles.plan import COARSE, COMMON, FOLDER, Plan
+from sattools.fit.tiles.shared import sampled
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
@@ -62,7 +62,7 @@ class FeatheredMosaic:
 
 
 def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
-    """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles`.
+    """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles.stage`.
 
     Args:
         plan: tiles and their scenes.

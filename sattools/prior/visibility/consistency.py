@@ -15,7 +15,7 @@ import numpy as np
 
 from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
-from sattools.prior.visibility import at_surface
+from sattools.prior.visibility.occlusion import at_surface
 
 SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
 REACH_M = 20.0  # distance within which a standing cell is looked for

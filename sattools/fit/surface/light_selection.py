@@ -16,10 +16,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
-from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.losses import tone
 from sattools.fit.options import FitOptions
-from sattools.fit.surface import SurfaceScene
+from sattools.fit.surface.light import IlluminationModel
+from sattools.fit.surface.scene import SurfaceScene
 from sattools.render import sun_visibility
 from sattools.views import View, shown_on
 

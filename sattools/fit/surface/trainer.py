@@ -12,12 +12,12 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.irradiance import IlluminationModel
 from sattools.fit.losses import photometric, robust_scale
 from sattools.fit.options import FitOptions
-from sattools.fit.pose import image_shift, remove_gauge
-from sattools.fit.regularise import EdgeWeights, edge_weights, smoothness_penalty
-from sattools.fit.surface import SurfaceScene
+from sattools.fit.surface.light import IlluminationModel
+from sattools.fit.surface.pose import image_shift, remove_gauge
+from sattools.fit.surface.scene import SurfaceScene
+from sattools.fit.surface.smoothness import EdgeWeights, edge_weights, smoothness_penalty
 from sattools.render import ParallelRays, Quadrature, render, sun_visibility
 from sattools.views import View
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
-from sattools.fit.train import StageSettings
+from sattools.fit.surface.trainer import StageSettings
 
 LEAST_COARSE_CELLS = 4  # of a stage along the area's shorter side
 

@@ -12,20 +12,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.fit.auto import Choice, choose_model, draw
-from sattools.fit.coarse import Coarse
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT
 from sattools.fit.illumination import Radiance, light_scale, material_notes, prior_normals
 from sattools.fit.inputs import fingerprint
-from sattools.fit.irradiance import IlluminationModel
-from sattools.fit.irradiance_choice import choose_light
+from sattools.fit.materials.scene import ReflectiveScene, reflective, restored
+from sattools.fit.materials.selection import Choice, choose_model, draw
 from sattools.fit.options import FitOptions
-from sattools.fit.reflective import ReflectiveScene, reflective, restored
 from sattools.fit.resume import IlluminationOptions, Interrupted
-from sattools.fit.surface import SurfaceScene, start_scene
+from sattools.fit.surface.light import IlluminationModel
+from sattools.fit.surface.light_selection import choose_light
+from sattools.fit.surface.scene import SurfaceScene, start_scene
+from sattools.fit.surface.trainer import REFRESH, StageSettings, StageTrainer
+from sattools.fit.tiles.shared import Coarse
 from sattools.fit.trace import Row, Trace
-from sattools.fit.train import REFRESH, StageSettings, StageTrainer
 from sattools.progress import Progress
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene

@@ -8,14 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter, minimum_filter
 
-from sattools.prior.consistency import RayMinima, count_consistent_views, filled
-from sattools.prior.courtyards import RoughSurface, open_courtyards
-from sattools.prior.edges import snap_edges
 from sattools.prior.frame import Frame
+from sattools.prior.matching.subplane import refine_subplane
+from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
 from sattools.prior.options import PriorOptions
-from sattools.prior.subplane import refine_subplane
-from sattools.prior.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
-from sattools.prior.visibility import UNKNOWN, all_visible, at_surface, compute_visibility, erode, measure_dark
+from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled
+from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
+from sattools.prior.visibility.edges import snap_edges
+from sattools.prior.visibility.occlusion import (
+    UNKNOWN,
+    all_visible,
+    at_surface,
+    compute_visibility,
+    erode,
+    measure_dark,
+)
 from sattools.progress import Progress, silent, subprogress
 
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies

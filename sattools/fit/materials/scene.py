@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, fields
 import torch
 from torch import Tensor
 
-from sattools.fit.endmembers import cluster_endmembers
-from sattools.fit.inversion import (
+from sattools.fit.materials.endmembers import cluster_endmembers
+from sattools.fit.materials.inversion import (
     Samples,
     Solution,
     invert,
@@ -19,9 +19,9 @@ from sattools.fit.inversion import (
     solve_amplitudes,
     start_endmembers,
 )
-from sattools.fit.material import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
-from sattools.fit.material_std import parameter_std
-from sattools.fit.surface import SurfaceScene
+from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
+from sattools.fit.materials.uncertainty import parameter_std
+from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
 
 STANDARD_SUN_DEG = 15.0

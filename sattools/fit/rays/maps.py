@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from sattools.fit.rays import HAPKE_B_MAX, RayTrainer
+from sattools.fit.rays.trainer import HAPKE_B_MAX, RayTrainer
 from sattools.render.volume import RayBatch, composite, median_share, stratified
 from sattools.scene import Grid
 

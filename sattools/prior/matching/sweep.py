@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sattools.prior.consistency import RayMinima, update_minima
 from sattools.prior.frame import Frame
 from sattools.prior.options import PriorOptions
-from sattools.prior.visibility import Visibility, dark_noise
+from sattools.prior.visibility.consistency import RayMinima, update_minima
+from sattools.prior.visibility.occlusion import Visibility, dark_noise
 from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
@@ -152,7 +152,7 @@ def sweep(
     Returns:
         height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
     """
-    from sattools.prior.sgm import aggregate, lowest, second_best_margin
+    from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 
     options = task.options
     volume = agreement(task, visibility, heights)
@@ -182,7 +182,7 @@ def agreement(task: MatchTask, visibility: Visibility, heights: np.ndarray, base
     Returns:
         ``[H, W, D]`` float32, at most 1.
     """
-    from sattools.prior.kernels import correlate
+    from sattools.prior.matching.kernels import correlate
 
     frame, options = task.frame, task.options
     shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)

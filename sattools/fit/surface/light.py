@@ -1,8 +1,8 @@
 """Light on the surface: learned sun visibility with shadow regularisation, and transient objects.
 
 The sun visibility of a cell is s = tau * s_geo (geometric shadows) or s = tau * s_net (learned ones), see
-`sattools.fit.surface`. s_net comes from features of the cell and the sun's direction, so that it can be softer and
-lighter than a geometric shadow; the regularisation ties it to what the heights would cast.
+`sattools.fit.surface.scene`. s_net comes from features of the cell and the sun's direction, so that it can be softer
+and lighter than a geometric shadow; the regularisation ties it to what the heights would cast.
 """
 
 from __future__ import annotations

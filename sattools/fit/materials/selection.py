@@ -8,8 +8,16 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from sattools.fit.inversion import ROBUST, Samples, invert, noise_of, predict, solve_amplitudes, start_endmembers
-from sattools.fit.material import Kind
+from sattools.fit.materials.inversion import (
+    ROBUST,
+    Samples,
+    invert,
+    noise_of,
+    predict,
+    solve_amplitudes,
+    start_endmembers,
+)
+from sattools.fit.materials.parameters import Kind
 
 Model = Literal["lambert", "rpv", "hapke"]
 LADDER: tuple[Kind, ...] = ("rpv", "hapke")

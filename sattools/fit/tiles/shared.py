@@ -1,7 +1,7 @@
 """What the tiles of an area share: colours, light and poses of the images, and the surface around a tile.
 
-All of it comes from a coarse fit of the whole area (see `sattools.fit.tiles`), whose model file a tile's scene names as
-its product ``coarse``.
+All of it comes from a coarse fit of the whole area (see `sattools.fit.tiles.stage`), whose model file a tile's scene
+names as its product ``coarse``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch.nn.functional import grid_sample
 from sattools.errors import SceneError
 from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.resume import IlluminationOptions
-from sattools.fit.surface import SurfaceScene
+from sattools.fit.surface.scene import SurfaceScene
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 

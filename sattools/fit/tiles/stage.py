@@ -13,9 +13,9 @@ import logging
 from dataclasses import replace
 
 from sattools.errors import SceneError
-from sattools.fit.mosaic import mosaic_tiles
 from sattools.fit.options import FitOptions
-from sattools.fit.tile_plan import WHOLE, Plan, saying
+from sattools.fit.tiles.mosaic import mosaic_tiles
+from sattools.fit.tiles.plan import WHOLE, Plan, saying
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from sattools.compiled import njit, prange
-from sattools.prior.sweep import MatchTask, agreement
-from sattools.prior.visibility import Visibility
+from sattools.prior.matching.sweep import MatchTask, agreement
+from sattools.prior.visibility.occlusion import Visibility
 
 PARTS = 2  # of a plane's distance
 REACH = 6  # cells around, of the same surface, whose agreement counts: single cells are noisy

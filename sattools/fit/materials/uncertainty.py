@@ -7,8 +7,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from sattools.fit.inversion import STEP, Samples, Solution, noise_of, predict
-from sattools.fit.material import AMPLITUDE, SHAPE, Kind
+from sattools.fit.materials.inversion import STEP, Samples, Solution, noise_of, predict
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind
 
 SLOPE_STD = 0.06  # of the surface's slopes, metres per metre: about 3.5 degrees
 TEXTURE_STD = 0.04  # of the amplitude: texture finer than the surface's own error in place is smeared

@@ -1,0 +1,1 @@
+"""Reflectance models of the surface: endmembers, inversion, uncertainty."""

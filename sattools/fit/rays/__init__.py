@@ -1,0 +1,1 @@
+"""Fields that are trained ray by ray: density grids and networks."""

@@ -1,0 +1,1 @@
+"""Areas that are fitted in tiles and joined."""

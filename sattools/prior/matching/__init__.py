@@ -1,0 +1,1 @@
+"""Multi-view matching: pairs, cost volume, aggregation, refinement."""

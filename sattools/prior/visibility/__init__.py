@@ -1,0 +1,1 @@
+"""What hides what: occlusion, courtyards, consistency of views, edges."""
