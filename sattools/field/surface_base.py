@@ -35,11 +35,19 @@ class SurfaceBase:
 
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Density ``[N]`` per metre and colour ``[N, C]`` at points ``[N, 3]`` [m]."""
+        height, *colour = self._read(torch.cat([self.height[..., None], self.colour], dim=-1), points)
+        density = torch.sigmoid((height - points[:, 2]) / self.softness) / self.softness
+        return density, torch.stack(colour, dim=-1)
+
+    def heights(self, points: Tensor) -> Tensor:
+        """Heights ``[N]`` of the surface over or under points ``[N, 3]`` [m]."""
+        return self._read(self.height[..., None], points)[0]
+
+    def _read(self, maps: Tensor, points: Tensor) -> Tensor:
         where = self.box.scaled(points)[:, :2] * points.new_tensor([1.0, -1.0])  # rows run south
-        maps = torch.cat([self.height[..., None], self.colour], dim=-1).permute(2, 0, 1)[None]
         # cells are areas: the box ends at their outer edges
-        read = grid_sample(maps, where[None, None], padding_mode="border", align_corners=False)[0, :, 0].T
-        return torch.sigmoid((read[:, 0] - points[:, 2]) / self.softness) / self.softness, read[:, 1:]
+        read = grid_sample(maps.permute(2, 0, 1)[None], where[None, None], padding_mode="border", align_corners=False)
+        return read[0, :, 0]
 
     def tensors(self) -> dict[str, Tensor]:
         """What `restored` needs beside the box: heights and softness [m], colours."""

@@ -13,6 +13,8 @@ from sattools.scene import Grid
 
 COARSE, FINE = 64, 48  # samples per vertical ray, and around its median
 REACH = 2.0  # of the fine samples, in distances of the coarse ones
+FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: anywhere, around it, around the median
+AROUND_M, FINE_M = 4.0, 1.0
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
 IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
 
@@ -54,11 +56,9 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     for row in range(grid.height):
         start = torch.stack([x, torch.full_like(x, -(row + 0.5) * grid.cell_size), torch.full_like(x, high)], dim=1)
         batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
-        t = stratified(len(x), COARSE, None)
+        t, reach, fine = _first_samples(trainer, start, z_range)
         weights, _ = _seen(trainer, batch, t)
-        near = (torch.arange(FINE) + 0.5) / FINE * 2 - 1
-        fine = median_share(weights, t)[:, None] + REACH / COARSE * near
-        t = torch.cat([t, fine.clamp(0, 1)], dim=1).sort(dim=1).values
+        t = _with_samples_around(t, median_share(weights, t), reach, fine)
         weights, features = _seen(trainer, batch, t)
         share, total = median_share(weights, t), weights.sum(dim=1).clamp_min(1e-6)
         centre = (weights * t).sum(dim=1) / total
@@ -80,6 +80,29 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     return GroundMaps(maps["height"], maps["height_mean"], maps["height_std"], maps["albedo"], heads, images)
 
 
+def evaluations(trainer: RayTrainer, grid: Grid) -> int:
+    """Points at which `read_maps` evaluates the field, in counts."""
+    base = getattr(trainer.field, "base", None)
+    return grid.width * grid.height * (2 * COARSE + FINE if base is None else 2 * (FREE + AROUND) + FINE_AROUND)
+
+
+def _first_samples(trainer: RayTrainer, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
+    """Shares of vertical rays ``[R, S]`` in [0, 1] to look at first; reach and number of those around their median."""
+    low, high = z_range
+    base = getattr(trainer.field, "base", None)
+    if base is None:
+        return stratified(len(start), COARSE, None), REACH / COARSE, FINE
+    share = (high - base.heights(start)) / (high - low)
+    free = stratified(len(start), FREE, None)
+    return _with_samples_around(free, share, AROUND_M / (high - low), AROUND), FINE_M / (high - low), FINE_AROUND
+
+
+def _with_samples_around(t: Tensor, share: Tensor, reach: float, count: int) -> Tensor:
+    """Shares ``[R, S]`` in [0, 1] and ``count`` more, evenly within ``reach`` of ``share`` ``[R]``, ascending."""
+    near = (torch.arange(count) + 0.5) / count * 2 - 1
+    return torch.cat([t, (share[:, None] + reach * near).clamp(0, 1)], dim=1).sort(dim=1).values
+
+
 def _seen(trainer: RayTrainer, batch: RayBatch, t: Tensor) -> tuple[Tensor, Tensor]:
     """Weights ``[R, S]`` and features of samples."""
     sigma, features = trainer.field.density(batch.points(t).reshape(-1, 3))
@@ -99,4 +122,4 @@ def _per_image(trainer: RayTrainer, surface: Tensor) -> dict[str, Tensor]:
     return {product: torch.stack(views, dim=1) for product, views in found.items()}
 
 
-__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "read_maps"]
+__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "evaluations", "read_maps"]

@@ -18,7 +18,7 @@ from sattools.fit.illumination import Radiance
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.maps import evaluations, read_maps
 from sattools.fit.rays.start import base_surface, box_over, filled_prior, make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
 from sattools.fit.resume import Interrupted
@@ -32,7 +32,8 @@ ROWS, SAVE_EVERY = 20, 5  # rows of the trace per fit; checkpoints among them
 TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
-BUDGET_SHARE = 0.93  # of the budget; the surface must still be read off
+BUDGET_SHARE = 0.93  # of the budget
+FORWARD_SHARE = 1 / 3  # of a step: a field is evaluated, and its gradients cost twice as much
 VOXEL_RATES = {"logits": 0.1, "albedo": 0.03}
 
 
@@ -195,15 +196,14 @@ class _RayJob:
         watch = subprogress(progress, 0.0, 0.95)
         for number in range(start, options.steps):
             if number == TRIAL and start == 0 and options.budget:
-                self._plan_within(options.budget, first)
+                self._plan_within(options, first)
             begun = trace.seconds()
             loss = trainer.step(number)
             total, count = total + loss, count + 1
             done, now = number + 1, trace.seconds()
             # a step of a network can take a minute: none begins that would end after the budget
-            over = (
-                bool(options.budget) and 2 * now - begun > BUDGET_SHARE * (options.budget or 0) and done < options.steps
-            )
+            step_s = (now - first) / (done - start)
+            over = bool(options.budget) and 2 * now - begun > self._room(options, step_s) and done < options.steps
             if done % every == 0 or done == options.steps or over:
                 row: Row = {"seconds": round(now, 3), "step": done, "loss": total / count}
                 trace.rows.append(row | self._score(options.reference))
@@ -224,10 +224,17 @@ class _RayJob:
                 return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"]
         return []
 
-    def _plan_within(self, budget: float, first: float) -> None:
+    def _room(self, options: FitOptions, step_s: float) -> float:
+        """Seconds of the budget for steps of so many seconds: the surface must still be read off."""
+        samples = options.rays * (options.samples + options.guided)
+        reading = step_s * FORWARD_SHARE * evaluations(self.trainer, self.grid) / samples
+        return BUDGET_SHARE * (options.budget or 0.0) - reading
+
+    def _plan_within(self, options: FitOptions, first: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""
         now = self.trace.seconds()
-        more = (BUDGET_SHARE * budget - now) / max((now - first) / TRIAL, 1e-6)
+        step_s = (now - first) / TRIAL
+        more = (self._room(options, step_s) - now) / max(step_s, 1e-6)
         self.trainer.plan(max(TRIAL + 1, min(self.trainer.steps, TRIAL + round(more))))
 
     def _score(self, reference: str | None) -> Row:
