@@ -31,6 +31,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dask_cluster import Cluster
 from forked import Result, preload, run, start
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
@@ -331,37 +332,6 @@ def cluster(bench: Bench, trials: int) -> int:
         else:
             bench.check_end(job, root, whole)
     return trials
-
-
-class Cluster:
-    """A scheduler and a worker, processes of their own on the loopback interface."""
-
-    def __enter__(self) -> Cluster:
-        code = (
-            "import asyncio\nfrom distributed import Scheduler\n"
-            "async def main():\n async with Scheduler(host='127.0.0.1', port=0, dashboard=False) as s:\n"
-            "  print(s.address, flush=True)\n  await s.finished()\nasyncio.run(main())"
-        )
-        self.scheduler = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        assert self.scheduler.stdout is not None
-        self.address = self.scheduler.stdout.readline().strip()
-        self.start_worker()
-        return self
-
-    def start_worker(self) -> None:
-        code = (
-            "import asyncio, sys\nfrom distributed import Worker\n"
-            "async def main():\n async with Worker(sys.argv[1], nthreads=1) as w:\n  await w.finished()\n"
-            "asyncio.run(main())"
-        )
-        self.worker = subprocess.Popen([sys.executable, "-c", code, self.address], stderr=subprocess.DEVNULL)
-
-    def __exit__(self, *_: object) -> None:
-        for process in (self.worker, self.scheduler):
-            process.kill()
-            process.wait()
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ REACH = 2.0  # of the fine samples, in distances of the coarse ones
 FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: anywhere, around it, around the median
 AROUND_M, FINE_M = 4.0, 1.0
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
-IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
+IMAGE_HEADS = {"sun": "s_net", "tau": "tau"}  # answers that differ between images
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,13 @@ class GroundMaps:
 
     Attributes:
         height: ``[H, W]`` median of the transmittance [m].
-        height_mean: ``[H, W]`` its mean [m].
-        height_std: ``[H, W]`` its standard deviation [m].
+        height_std: ``[H, W]`` standard deviation of the transmittance's height [m].
         albedo: ``[H, W, C]``.
         heads: ``[H, W]`` parameters of a reflectance model by name.
-        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients, uncertainty.
+        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients.
     """
 
     height: Tensor
-    height_mean: Tensor
     height_std: Tensor
     albedo: Tensor
     heads: dict[str, Tensor] = field(default_factory=dict)
@@ -63,8 +61,7 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
         share, total = median_share(weights, t), weights.sum(dim=1).clamp_min(1e-6)
         centre = (weights * t).sum(dim=1) / total
         spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt()
-        found = {"height": high - (high - low) * share, "height_mean": high - (high - low) * centre}
-        found["height_std"] = spread * (high - low)
+        found = {"height": high - (high - low) * share, "height_std": spread * (high - low)}
         answers = trainer.field.look(features, None, None)
         for name in ("albedo", *MAP_HEADS):
             if name in answers:
@@ -77,7 +74,7 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     if "b" in heads:
         heads["b"] = heads["b"].clamp_max(HAPKE_B_MAX)
     images = {name: maps[name].permute(2, 0, 1).contiguous() for name in IMAGE_HEADS.values() if name in maps}
-    return GroundMaps(maps["height"], maps["height_mean"], maps["height_std"], maps["albedo"], heads, images)
+    return GroundMaps(maps["height"], maps["height_std"], maps["albedo"], heads, images)
 
 
 def evaluations(trainer: RayTrainer, grid: Grid) -> int:

@@ -100,8 +100,6 @@ def _model_of(
     extra |= {f"base.{n}": t for n, t in base.tensors().items()} if base else {}
     box = box_over(grid, z_range)
     extra["box"] = torch.tensor([box.low, box.high])
-    if "beta" in maps.images and options.beta:
-        extra["beta"] = maps.images["beta"]
     assert options.brdf != "auto"  # `check`
     return FittedModel(
         grid=grid,
