@@ -247,12 +247,12 @@ def truth_on(scene: Any, grid: Any, height: Any, height_grid: Any) -> list[tuple
     import torch
 
     from sattools.camera.rpc import RPC
-    from sattools.fit.resample import resample_map
     from sattools.render import sun_visibility
     from sattools.scene.raster import read_image
+    from sattools.scene.regrid import resize_map
     from sattools.views import make_view, shown_on
 
-    heights = resample_map(height, height_grid, grid).numpy()
+    heights = resize_map(height, height_grid, grid)
     middle = float(np.median(heights))
     found = []
     for item in scene.train_items():

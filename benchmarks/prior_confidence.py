@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from sattools.compare import compare_dsm, read_reference
-from sattools.compare.resample import resampled
 from sattools.compare.truth import read_dfc2019
 from sattools.scene import Scene
 from sattools.scene.files import write_text
 from sattools.scene.raster import read_raster
+from sattools.scene.regrid import reproject_map
 
 
 def error_and_confidence(scene: Scene, arguments: argparse.Namespace) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +36,7 @@ def error_and_confidence(scene: Scene, arguments: argparse.Namespace) -> tuple[n
     # the confidence must follow the heights where registration moved them
     east, north, _ = compared.figures["shift_m"]
     moved = type(grid)(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
-    cell_confidence = resampled(confidence[0], moved, truth.grid)
+    cell_confidence = reproject_map(confidence[0], moved, truth.grid)
     known = np.isfinite(compared.difference) & np.isfinite(cell_confidence)
     return np.abs(compared.difference[known]), cell_confidence[known]
 

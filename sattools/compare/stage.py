@@ -14,7 +14,6 @@ import numpy as np
 from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, image_errors, map_errors
 from sattools.compare.options import CompareOptions
 from sattools.compare.registration import Registration, register, search_margin, shifted
-from sattools.compare.resample import moved, padded, resampled
 from sattools.compare.steps import add_step_errors, step_text
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
@@ -25,6 +24,7 @@ from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_image, read_raster, write_cog
+from sattools.scene.regrid import reproject_map
 
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
 
@@ -73,7 +73,7 @@ def compare_dsm(
         raise InputError("prediction: found an array without a grid, expected both")
     reference = np.where(truth.counted(), truth.heights, np.float32(np.nan))
     margin = search_margin(reference.shape) if method in ("ncc", "nuth-kaab") else 0
-    wide = resampled(heights, grid, padded(truth.grid, margin))
+    wide = reproject_map(heights, grid, truth.grid.widened(margin))
     if not np.isfinite(wide).any():
         raise InputError(f"prediction: found no height within {truth.name}, expected overlap")
     shift = register(wide, reference, method, margin)
@@ -81,7 +81,7 @@ def compare_dsm(
     filled = shifted(fill_holes(wide), shift.columns, shift.rows, margin) + shift.up
     known = None
     if measured is not None:
-        only = resampled(np.where(measured, heights, np.float32(np.nan)), grid, padded(truth.grid, margin))
+        only = reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, truth.grid.widened(margin))
         known = np.isfinite(shifted(only, shift.columns, shift.rows, margin))
     figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
@@ -239,7 +239,7 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -
         raise InputError(f"{reference}: found {array.shape[0]} bands, expected {predicted.shape[0]} as in {name}")
     # a map lies where its surface lies: it moves with the DSM
     east, north, _ = result.registration.metres(result.grid.cell_size)
-    carried = resampled(predicted, predicted_grid, moved(grid, -east, -north))
+    carried = reproject_map(predicted, predicted_grid, grid.moved(-east, -north))
     errors = map_errors(carried, array.astype(np.float32))
     from sattools.compare.picture import scatter_picture
 

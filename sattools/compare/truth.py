@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from sattools.compare.metrics import WATER
-from sattools.compare.resample import resampled
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.opening import opened
 from sattools.scene.raster import read_image, read_raster
+from sattools.scene.regrid import reproject_map
 
 DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none
 CORRECTED_CLASSES = ("JAX_004", "JAX_260")  # their first class map misses water; users of the contest mask with _v2
@@ -124,7 +124,7 @@ def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
         code_array, code_grid = read_raster(Path(classes))
         same = code_grid == grid
         class_codes = code_array[0].astype(np.float32)
-        codes = _class_codes(class_codes if same else resampled(class_codes, code_grid, grid, nearest=True))
+        codes = _class_codes(class_codes if same else reproject_map(class_codes, code_grid, grid, nearest=True))
     return Truth(dsm.stem, "dsm", grid, known_heights(array[0]), codes)
 
 

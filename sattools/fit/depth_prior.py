@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.fit.resample import resample_map
 from sattools.scene import Grid
+from sattools.scene.regrid import resize_map
 
 GROUND_SHARE = 0.3  # of the height range: where the ground usually lies
 
@@ -41,7 +41,9 @@ class DepthPrior:
 
     def on(self, grid: Grid, device: torch.device | None = None) -> DepthPrior:
         """The prior on another grid with the same upper left corner, on a device."""
-        height, confidence = (resample_map(m.numpy(), self.grid, grid) for m in (self.height, self.confidence))
+        height, confidence = (
+            torch.from_numpy(resize_map(m.numpy(), self.grid, grid)) for m in (self.height, self.confidence)
+        )
         return DepthPrior(height.to(device), confidence.to(device), grid)
 
     def median_height(self) -> float:

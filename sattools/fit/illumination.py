@@ -18,8 +18,8 @@ from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.materials.parameters import SHAPE, surface_normals
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.options import FitOptions
-from sattools.fit.resample import resample_map
 from sattools.scene import Grid, Item, Scene
+from sattools.scene.regrid import resize_map
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
@@ -196,7 +196,7 @@ def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:
     weight = gaussian_filter(known.astype(np.float64), sigma, mode="nearest")
     smooth = gaussian_filter(np.where(known, height, 0.0).astype(np.float64), sigma, mode="nearest")
     smooth = np.where(weight > 1e-3, smooth / np.maximum(weight, 1e-3), np.nanmean(height))
-    on_grid = resample_map(smooth, own, grid)
+    on_grid = torch.from_numpy(resize_map(smooth, own, grid))
     return surface_normals(torch.nan_to_num(on_grid, nan=float(np.nanmean(height))), grid.cell_size)
 
 

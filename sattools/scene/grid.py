@@ -107,6 +107,15 @@ class Grid:
         """The same with that many more cells on every side."""
         return self.part(slice(-cells, self.height + cells), slice(-cells, self.width + cells))
 
+    def moved(self, east_m: float, north_m: float) -> Grid:
+        """The same cells elsewhere.
+
+        Args:
+            east_m: eastwards [m].
+            north_m: northwards [m].
+        """
+        return replace(self, left=self.left + east_m, top=self.top + north_m)
+
     def window(self, other: Grid) -> tuple[slice, slice]:
         """Rows and columns of this grid that another one covers. Raises SceneError where it covers none."""
         west, south, east, north = other.bounds

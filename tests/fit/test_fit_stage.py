@@ -13,13 +13,13 @@ from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import exposed
 from sattools.fit.options import FitOptions
-from sattools.fit.resample import resample_map
 from sattools.fit.stage import choose_device, fit
 from sattools.fit.surface.pose import remove_gauge
 from sattools.prior import PriorOptions
 from sattools.prior.stage import prior, write_maps
 from sattools.scene import Grid
 from sattools.scene.raster import read_raster
+from sattools.scene.regrid import resize_map
 from sattools.views import load_sources
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[5])
@@ -162,17 +162,6 @@ def test_a_machine_without_cuda_says_so() -> None:
             choose_device("cuda")
 
 
-def test_a_map_on_a_coarser_grid_is_the_mean_of_its_known_cells() -> None:
-    fine, coarse = Grid("EPSG:32617", 0, 0, 1.0, 4, 4), Grid("EPSG:32617", 0, 0, 2.0, 2, 2)
-    array = np.arange(16.0).reshape(4, 4)
-    array[0, 0] = np.nan
-    array[2:, 2:] = np.nan
-    found = resample_map(array, fine, coarse)
-    assert found[0].tolist() == pytest.approx([(1 + 4 + 5) / 3, (2 + 3 + 6 + 7) / 4])
-    assert float(found[1, 0]) == pytest.approx((8 + 9 + 12 + 13) / 4)
-    assert torch.isnan(found[1, 1])
-
-
 def test_a_view_whose_camera_is_off_by_a_pixel_is_moved_back(make_town: Any) -> None:
     """A camera that points one pixel (0.5 m) too far east is answered by rays half a metre further east.
 
@@ -208,6 +197,6 @@ def test_cells_that_stray_from_the_prior_take_its_height_back_unless_it_was_a_gu
     write_maps(scene, wrong, np.full_like(wrong, confidence), grid)
     notes = fit(scene, replace(QUICK, epochs=[40]))["notes"]
     model, meta = load(scene.path(scene.products["model"]))
-    apart = (model["height"] - resample_map(wrong, grid, Grid.from_dict(meta["grid"]))).abs()
+    apart = np.abs(model["height"].numpy() - resize_map(wrong, grid, Grid.from_dict(meta["grid"])))
     assert (float(apart.max()) <= 2.0) == back
     assert any("put back" in text for text in notes) == back

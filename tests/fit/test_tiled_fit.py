@@ -18,7 +18,7 @@ from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.fit.tiles import plan as tile_plan
-from sattools.fit.tiles.shared import Coarse, sampled
+from sattools.fit.tiles.shared import Coarse
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 
@@ -177,15 +177,6 @@ def test_what_stands_outside_a_tile_throws_its_shadow_into_it() -> None:
     assert (lit[:, :50] == 1).all()
     # from the other side it stands in nobody's way
     assert (coarse.cast(flat, 1.0, (-sun[0], 0.0, 0.5)) == 1).all()
-
-
-def test_a_map_on_another_grid_keeps_its_place() -> None:
-    source = Grid("EPSG:32617", 10.0, 50.0, 2.0, 20, 20)
-    x, y = np.meshgrid(source.x(), source.y())
-    found = sampled(torch.from_numpy(x + 3 * y), source, Grid("EPSG:32617", 15.0, 45.0, 1.0, 7, 5))
-    x, y = np.meshgrid(np.arange(15.5, 22), np.arange(44.5, 40, -1))
-    # 32-bit coordinates of a map of 20 cells
-    assert np.abs(found.numpy() - (x + 3 * y)).max() < 1e-3
 
 
 @pytest.mark.parametrize(

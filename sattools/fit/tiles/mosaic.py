@@ -14,13 +14,13 @@ from sattools.errors import SceneError
 from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
 from sattools.fit.model import FittedModel
 from sattools.fit.tiles.plan import COARSE, COMMON, FOLDER, Plan
-from sattools.fit.tiles.shared import sampled
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
 from sattools.scene.dependencies import record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_raster
+from sattools.scene.regrid import sample_map
 from sattools.scene.tiles import Tile
 
 MAPS = ("height", "height_std", "albedo")
@@ -125,7 +125,9 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
 
 def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
     """The maps of a model on another grid, without those of single images."""
-    height, height_std, albedo = (sampled(getattr(model, name), model.grid, grid) for name in MAPS)
+    height, height_std, albedo = (
+        torch.from_numpy(sample_map(getattr(model, name).numpy(), model.grid, grid)) for name in MAPS
+    )
     return replace(model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None)
 
 
@@ -142,7 +144,7 @@ def _mosaic_priors(plan: Plan, names: list[str]) -> None:
                 mosaic.add(tile, values[0], grid.cell_size)
         else:
             values, grid = read_raster(plan.root(COARSE) / DSM)
-            rough = sampled(torch.from_numpy(values[0]), grid, tile.grid).numpy()
+            rough = sample_map(values[0], grid, tile.grid)
             height.add(tile, rough, tile.grid.cell_size)
             confidence.add(tile, np.zeros_like(rough), tile.grid.cell_size)
     write_maps(plan.scene, height.done()[..., 0], confidence.done()[..., 0], whole)

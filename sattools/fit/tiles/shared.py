@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from sattools.errors import SceneError
 from sattools.fit.model import COLOURS, FittedModel
@@ -20,6 +19,7 @@ from sattools.fit.resume import IlluminationOptions
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
+from sattools.scene.regrid import sample_map
 
 PRODUCT = "coarse"
 
@@ -70,29 +70,10 @@ class Coarse:
             self.tile.crs, self.tile.left - left * cell_size, self.tile.top + up * cell_size, cell_size,
             cols + east, rows + north,
         )  # fmt: skip
-        around = sampled(self.height, self.grid, wide, outside=bottom)
+        around = torch.from_numpy(sample_map(self.height.numpy(), self.grid, wide, outside=bottom))
         around[up : up + rows, left : left + cols] = height.detach().cpu()
         lit = sun_visibility(around, cell_size, sun)[up : up + rows, left : left + cols]
         return lit.contiguous().to(height.device)
-
-
-def sampled(array: Tensor, source: Grid, target: Grid, outside: float | None = None) -> Tensor:
-    """A map ``[H, W]`` or ``[H, W, C]`` on another grid, bilinear; beyond the source its border, or a number.
-
-    Args:
-        array: see above.
-        source: its grid.
-        target: grid to resample to.
-        outside: value beyond the source; None = that of its border.
-    """
-    maps = array[None] if array.ndim == 2 else array.permute(2, 0, 1)
-    x = (torch.from_numpy(target.x()) - source.left) / (source.width * source.cell_size) * 2 - 1
-    y = (source.top - torch.from_numpy(target.y())) / (source.height * source.cell_size) * 2 - 1
-    where = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)[None].float()
-    values = grid_sample(maps[None].float(), where, padding_mode="border", align_corners=False)[0]
-    if outside is not None:
-        values[:, (where[0].abs() > 1).any(dim=-1)] = outside
-    return values[0] if array.ndim == 2 else values.permute(1, 2, 0).contiguous()
 
 
 def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
@@ -114,4 +95,4 @@ def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
     return Coarse(colours, model.illumination, model.height, model.grid, scene.require_grid())
 
 
-__all__ = ["PRODUCT", "Coarse", "read_coarse", "sampled"]
+__all__ = ["PRODUCT", "Coarse", "read_coarse"]

@@ -24,6 +24,7 @@ from sattools.prior.visibility.occlusion import (
     measure_dark,
 )
 from sattools.progress import Progress, silent, subprogress
+from sattools.scene.regrid import split_cells
 
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
@@ -85,8 +86,8 @@ def match(
         z_range, surface = _rough_passes(task, progress)
         task = replace(task, z_range=z_range)
         visibility = surface.visibility.doubled()
-        guide = _doubled(surface.height)
-        ceiling = None if surface.ceiling is None else _doubled(surface.ceiling)
+        guide = split_cells(surface.height)
+        ceiling = None if surface.ceiling is None else split_cells(surface.ceiling)
     last = subprogress(progress, 0.4, 1.0)
     minima = RayMinima.unknown(frame)
     height, score, uniqueness = sweep_blocks(task, visibility, last, guide=guide, ceiling=ceiling, minima=minima)
@@ -149,11 +150,6 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[tuple[float, flo
             break
         before = surface.height
     return rough.z_range, surface
-
-
-def _doubled(rough: np.ndarray) -> np.ndarray:
-    """Maps of heights [m] on cells of half the size."""
-    return rough.repeat(2, axis=0).repeat(2, axis=1)
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import grey_erosion, uniform_filter
 
 from sattools.prior.frame import Frame
+from sattools.scene.regrid import split_cells
 
 UNKNOWN = -1e9  # first hit of a ray, height of a shade, radiance of shadow when nothing is known: seen, lit, not dark
 SURELY_SHADED_M = 2.0  # depth below the edge of a shadow at which a point surely lies in it
@@ -35,7 +36,7 @@ class Visibility:
     def doubled(self) -> Visibility:
         """The same on cells of half the size."""
         first_hit_height, shadow_height = (
-            a.repeat(2, axis=1).repeat(2, axis=2) for a in (self.first_hit_height, self.shadow_height)
+            split_cells(heights) for heights in (self.first_hit_height, self.shadow_height)
         )
         return Visibility(first_hit_height, shadow_height, self.dark)
 

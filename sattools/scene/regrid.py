@@ -1,0 +1,115 @@
+"""Maps of one ground grid on another: the one place where cells change their size or their lattice."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sattools.scene.grid import Grid
+
+
+def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: bool = False) -> np.ndarray:
+    """A map on a grid of any CRS and lattice; NaN = no value, also outside.
+
+    Bilinear (averaging where ``target`` is coarser). A cell is NaN where the nearest source cell is, so that
+    interpolation neither shrinks holes nor grows them.
+
+    Args:
+        array: ``[H, W]`` or ``[B, H, W]``.
+        source: its grid.
+        target: grid to resample to.
+        nearest: take the nearest cell instead of interpolating.
+
+    Returns:
+        ``[h, w]`` or ``[B, h, w]`` float32.
+    """
+    if source == target:
+        return array.astype(np.float32)
+    from rasterio.enums import Resampling
+    from rasterio.warp import reproject
+
+    def warp(method: Resampling) -> np.ndarray:
+        result = np.full((*array.shape[:-2], *target.shape), np.nan, dtype=np.float32)
+        reproject(
+            array.astype(np.float32),
+            result,
+            src_transform=source.transform,
+            src_crs=source.crs,
+            src_nodata=np.nan,
+            dst_transform=target.transform,
+            dst_crs=target.crs,
+            dst_nodata=np.nan,
+            resampling=method,
+        )
+        return result
+
+    near = warp(Resampling.nearest)
+    if nearest:
+        return near
+    return np.where(np.isfinite(near), warp(Resampling.bilinear), np.float32(np.nan))
+
+
+def resize_map(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
+    """A map on a grid with the same upper left corner: the mean over coarser cells, bilinear on finer ones.
+
+    NaN = unknown; a cell is known where more than half of what it is made of is.
+
+    Args:
+        array: ``[H, W]``.
+        source: its grid.
+        target: grid to resample to; its cells beyond the source continue the border.
+
+    Returns:
+        ``[h, w]`` float32.
+    """
+    import cv2
+
+    factor = target.cell_size / source.cell_size
+    size = (round(target.height * factor), round(target.width * factor))
+    edge = [(0, max(0, wanted - found)) for wanted, found in zip(size, array.shape, strict=True)]
+    whole = np.pad(array, edge, mode="edge")[: size[0], : size[1]].astype(np.float32)
+    known = np.isfinite(whole)
+    method = cv2.INTER_AREA if factor > 1 else cv2.INTER_LINEAR
+    layers = (np.where(known, whole, np.float32(0)), known.astype(np.float32))
+    value, weight = (cv2.resize(layer, target.shape[::-1], interpolation=method) for layer in layers)
+    mean: np.ndarray = value / np.maximum(weight, np.float32(1e-6))
+    return np.where(weight > 0.5, mean, np.float32(np.nan))
+
+
+def sample_map(array: np.ndarray, source: Grid, target: Grid, outside: float | None = None) -> np.ndarray:
+    """A map without gaps at the centres of another grid's cells in the same CRS, bilinear.
+
+    Args:
+        array: ``[H, W]`` or ``[H, W, C]``.
+        source: its grid.
+        target: grid to resample to.
+        outside: value beyond the source; None = that of its border.
+
+    Returns:
+        ``[h, w]`` or ``[h, w, C]`` float32.
+    """
+    from scipy.ndimage import map_coordinates
+
+    col = (target.x() - source.left) / source.cell_size - 0.5
+    row = (source.top - target.y()) / source.cell_size - 0.5
+    where = np.meshgrid(row, col, indexing="ij")
+    layers = array[..., None] if array.ndim == 2 else array
+    sampled = np.stack(
+        [
+            map_coordinates(layers[..., k].astype(np.float64), where, order=1, mode="nearest")
+            for k in range(layers.shape[2])
+        ],
+        axis=-1,
+    ).astype(np.float32)
+    if outside is not None:
+        rows = (row < -0.5) | (row > source.height - 0.5)
+        cols = (col < -0.5) | (col > source.width - 0.5)
+        sampled[rows[:, None] | cols[None, :]] = outside
+    return sampled[..., 0] if array.ndim == 2 else sampled
+
+
+def split_cells(array: np.ndarray) -> np.ndarray:
+    """A map ``[..., H, W]`` on cells of half the size, ``[..., 2 H, 2 W]``: every cell as four equal ones."""
+    return array.repeat(2, axis=-2).repeat(2, axis=-1)
+
+
+__all__ = ["reproject_map", "resize_map", "sample_map", "split_cells"]

@@ -1,0 +1,73 @@
+"""Maps on other grids: same place, same mean, holes neither shrunk nor grown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sattools.scene import Grid
+from sattools.scene.regrid import reproject_map, resize_map, sample_map, split_cells
+
+
+def test_a_map_on_a_coarser_grid_is_the_mean_of_its_known_cells() -> None:
+    fine, coarse = Grid("EPSG:32617", 0, 0, 1.0, 4, 4), Grid("EPSG:32617", 0, 0, 2.0, 2, 2)
+    array = np.arange(16.0).reshape(4, 4)
+    array[0, 0] = np.nan
+    array[2:, 2:] = np.nan
+    on_coarse = resize_map(array, fine, coarse)
+    assert on_coarse[0].tolist() == pytest.approx([(1 + 4 + 5) / 3, (2 + 3 + 6 + 7) / 4])
+    assert float(on_coarse[1, 0]) == pytest.approx((8 + 9 + 12 + 13) / 4)
+    assert np.isnan(on_coarse[1, 1])
+
+
+def test_cells_that_do_not_divide_are_shared_by_area() -> None:
+    fine, coarse = Grid("EPSG:32617", 0, 0, 1.0, 3, 3), Grid("EPSG:32617", 0, 0, 1.5, 2, 2)
+    array = np.broadcast_to([0.0, 6.0, 12.0], (3, 3))
+    # 1 and 1/2 of the first two cells, 1/2 and 1 of the last two
+    np.testing.assert_allclose(resize_map(array, fine, coarse), [[2.0, 10.0], [2.0, 10.0]], rtol=1e-6)
+
+
+def test_a_map_on_a_finer_grid_is_bilinear_and_continues_its_border() -> None:
+    coarse, fine = Grid("EPSG:32617", 0, 0, 2.0, 2, 1), Grid("EPSG:32617", 0, 0, 1.0, 4, 2)
+    on_fine = resize_map(np.array([[0.0, 8.0]]), coarse, fine)
+    np.testing.assert_allclose(on_fine, [[0.0, 2.0, 6.0, 8.0]] * 2)
+
+
+def test_a_target_that_reaches_beyond_the_source_repeats_its_last_cells() -> None:
+    source, target = Grid("EPSG:32617", 0, 0, 1.0, 2, 2), Grid("EPSG:32617", 0, 0, 1.0, 3, 3)
+    larger = resize_map(np.array([[1.0, 2.0], [3.0, 4.0]]), source, target)
+    np.testing.assert_array_equal(larger, [[1, 2, 2], [3, 4, 4], [3, 4, 4]])
+
+
+@pytest.mark.parametrize("bands", [None, 3])
+def test_a_map_on_another_grid_keeps_its_place(bands: int | None) -> None:
+    source, target = Grid("EPSG:32617", 10.0, 50.0, 2.0, 20, 20), Grid("EPSG:32617", 15.0, 45.0, 1.0, 7, 5)
+    x, y = np.meshgrid(source.x(), source.y())
+    plane = x + 3 * y if bands is None else np.stack([x + 3 * y] * bands, axis=-1)
+    x, y = np.meshgrid(np.arange(15.5, 22), np.arange(44.5, 40, -1))
+    sampled = sample_map(plane, source, target)
+    # a sum of values up to 170 in 32 bits
+    np.testing.assert_allclose(sampled if bands is None else sampled[..., 1], x + 3 * y, atol=2e-5)
+
+
+def test_beyond_the_source_stands_its_border_or_a_number() -> None:
+    source = Grid("EPSG:32617", 0.0, 0.0, 1.0, 2, 2)
+    wide = source.widened(1)
+    array = np.array([[1.0, 2.0], [3.0, 4.0]])
+    np.testing.assert_array_equal(sample_map(array, source, wide)[0], [1, 1, 2, 2])
+    np.testing.assert_array_equal(sample_map(array, source, wide, outside=-9.0)[:, 0], [-9, -9, -9, -9])
+    np.testing.assert_array_equal(sample_map(array, source, wide, outside=-9.0)[1:3, 1:3], array)
+
+
+def test_a_hole_stays_as_large_as_it_was_in_another_crs_or_lattice() -> None:
+    source = Grid("EPSG:32617", 500000.0, 3400000.0, 1.0, 8, 8)
+    array = np.full((8, 8), 5.0, np.float32)
+    array[2:4, 2:4] = np.nan
+    moved = reproject_map(array, source, source.moved(1.0, -1.0))
+    assert np.isnan(moved).sum() == 4 + 8 + 7  # the hole, and a row and a column that lie outside now
+    assert np.isnan(moved[1:3, 1:3]).all()
+    assert float(np.nanmax(moved)) == float(np.nanmin(moved)) == 5.0
+
+
+def test_splitting_cells_keeps_their_values() -> None:
+    np.testing.assert_array_equal(split_cells(np.array([[1, 2]])), [[1, 1, 2, 2], [1, 1, 2, 2]])
