@@ -28,6 +28,26 @@ class Exported:
         """Maps ``[..., H, W]`` of any unit, with NaN in cells of no data."""
         return np.where(self.valid, maps, np.nan)
 
+    def band_names(self, name: str, count: int) -> tuple[list[str], dict[str, str]]:
+        """Descriptions of a map's spectral bands, and tags with their wavelengths where `normalise` knew the bands.
+
+        Args:
+            name: of the map.
+            count: its bands.
+
+        Returns:
+            ``["albedo red", ...]``, or numbers from 1; ``{"WAVELENGTHS_UM": "0.66 ..."}`` or nothing.
+        """
+        assets = (item.assets.get("radiance") for item in self.scene.items if item.id in self.model.items)
+        bands = next((asset.extra.get("eo:bands") for asset in assets if asset is not None), None) or []
+        if len(bands) != count:
+            return [f"{name} {b + 1}" for b in range(count)], {}
+        words = [str(band.get("common_name", band.get("name"))) for band in bands]
+        lengths = [band.get("center_wavelength") for band in bands]
+        known = all(isinstance(length, int | float) for length in lengths)
+        tags = {"WAVELENGTHS_UM": " ".join(f"{length:g}" for length in lengths)} if known else {}
+        return [f"{name} {word}" for word in words], tags
+
 
 def shadow_suns(model: FittedModel) -> list[tuple[str, Sun]]:
     """Ids and suns (unit vectors) of the images whose shadows are known."""

@@ -85,7 +85,8 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
         if stem == "normal" and array.shape[0] == 3:
             bands = ["normal east", "normal north", "normal up"]
         else:
-            bands = [name] if array.shape[0] == 1 else [f"{name} {b + 1}" for b in range(array.shape[0])]
+            bands, wavelengths = ([name], {}) if array.shape[0] == 1 else exported.band_names(name, array.shape[0])
+            own |= wavelengths
         unit = "degrees" if name in ("theta", "theta_std", "normal_std") else "1"
         write_cog(scene.output(href), exported.shown(array), grid, units=unit, tags=own, descriptions=bands)
         scene.products[name] = href

@@ -107,13 +107,13 @@ def _write_heights(exported: Exported, vertical: str) -> str:
 
 def _write_albedo(exported: Exported) -> None:
     scene, model = exported.scene, exported.model
-    bands = [f"albedo {b + 1}" for b in range(model.albedo.shape[-1])]
+    bands, wavelengths = exported.band_names("albedo", model.albedo.shape[-1])
     scale = "relative: radiance of the first training image in full sun"
     if model.absolute:
         scale = f"absolute: {model.radiance}"
-    relative = {"SCALE": scale, "SOFTWARE": "sattools"}
+    tags = {"SCALE": scale, "SOFTWARE": "sattools", **wavelengths}
     colours = exported.shown(model.albedo.permute(2, 0, 1).numpy())
-    write_cog(scene.output(ALBEDO), colours, model.grid, units="1", tags=relative, descriptions=bands)
+    write_cog(scene.output(ALBEDO), colours, model.grid, units="1", tags=tags, descriptions=bands)
 
 
 def _write_validity(scene: Scene, validity: np.ndarray, grid: Grid) -> dict[str, float]:

@@ -235,9 +235,13 @@ def _from_xml(path: Path) -> Metadata:
     return Metadata(
         rpc=RPC.from_file(path) if model else None,
         rpc_source=str(path) if model else None,
-        time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME") or ""),
+        time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME", "acquisitionDateTime") or ""),
         platform=find_platform(first("SATID") or ""),
-        sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL"), str(path)),
+        sun=parse_sun(
+            first("MEANSUNAZ", "SUNAZ", "illuminationAzimuthAngle"),
+            first("MEANSUNEL", "SUNEL", "illuminationElevationAngle"),
+            str(path),
+        ),
     )
 
 

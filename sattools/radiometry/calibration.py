@@ -26,7 +26,6 @@ SOLAR_IRRADIANCE = {
         "N": 1053.21, "N2": 856.599,
     },
 }  # fmt: skip
-WORLDVIEW_BANDS = ("C", "B", "G", "Y", "R", "RE", "N", "N2")  # order of an eight-band product
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,6 @@ def reflectance(
 
 __all__ = [
     "SOLAR_IRRADIANCE",
-    "WORLDVIEW_BANDS",
     "BandCalibration",
     "earth_sun_distance",
     "read_calibration",

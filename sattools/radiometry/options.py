@@ -23,11 +23,16 @@ class NormaliseOptions:
     bands: list[int] = option(
         [], "Band to take, from 1 (repeatable, in order; default: 5 3 2 = RGB of eight WorldView bands, else all)."
     )
-    quantity: Literal["auto", "toa_reflectance", "reflectance_factor", "relative"] = option(
+    quantity: Literal["auto", "toa_reflectance", "reflectance_factor", "radiance", "relative"] = option(
         "auto",
         "What the result is: pi L / (E cos sun zenith), pi L / E, or DN / full scale (auto: the first that the "
-        "metadata of all images allow, else relative).",
+        "metadata of all images allow, else relative). With --scale: what the numbers are already; radiance "
+        "[W / m^2 / sr / um] becomes a reflectance.",
     )
+    scale: str | None = option(
+        None, "Numbers that are calibrated already: quantity per DN, a number or a fraction such as 1/10000."
+    )
+    offset: float = option(0.0, "Added after --scale [unit of the quantity].", minimum=-1e6)
     metadata: str | None = option(None, "Folder with vendor metadata (.IMD, .XML, DIM_*.XML) for the calibration.")
     gamma: float | None = option(
         None, "Undo this exponent on 8-bit tone-mapped images, linear = (DN / 255)^gamma (default: leave them).",

@@ -3,31 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
-from sattools.radiometry.calibration import (
-    WORLDVIEW_BANDS,
-    BandCalibration,
-    earth_sun_distance,
-    read_calibration,
-    reflectance,
-    with_irradiance,
-)
+from sattools.radiometry.bands import eo_bands
 from sattools.radiometry.histogram import histogram_figure
+from sattools.radiometry.kind import ImageScale, choose_quantity, image_scales
 from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import read_image, write_image_like
-from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)
 FIGURE = "normalise/histogram.png"
@@ -48,7 +39,7 @@ class _Job:
     scene: Scene
     options: NormaliseOptions
     quantity: str
-    calibrations: dict[str, list[BandCalibration]]
+    scales: dict[str, ImageScale]
     bits: dict[str, int]
     reference: np.ndarray | None = None  # [2, C] middle and spread of the first image, for --match
     numbers: list[list[np.ndarray]] = field(default_factory=list)
@@ -81,9 +72,9 @@ def normalise(
     if not items:
         raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
     notes: list[str] = []
-    calibrations = {item.id: _calibration(scene, item, options) for item in items}
-    quantity = _quantity(scene, items, options, calibrations, notes)
-    job = _Job(scene, options, quantity, calibrations, _bits(items, options, notes))
+    scales = image_scales(scene, items, options)
+    quantity = choose_quantity(scene, scales, options, notes)
+    job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
     paths = begin(scene, "normalise", [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], overwrite)
     shares = {}
     for k, item in enumerate(items):
@@ -106,25 +97,25 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     everything = read_image(path)
     chosen = _bands(job.scene, item, everything.shape[0], options)
     bands = everything[[b - 1 for b in chosen]]
-    saturation = options.saturation if options.saturation is not None else 2.0**bits - 1
+    scale = job.scales[item.id]
+    saturation = options.saturation if options.saturation is not None else scale.saturation(bits)
     empty, full = invalid_numbers(bands, saturation)
     values = np.where(empty, np.nan, bands)
     if options.saturated == "mask":
         values = np.where(full, np.nan, values)
-    tone_mapped = bits <= 8
+    tone_mapped = bits <= 8 and scale.reflectance is None
     if job.quantity == "relative":
         radiance = linear_radiance(values, bits, options.black)
         if tone_mapped and options.gamma is not None:
             radiance = undo_gamma(radiance, options.gamma)
     else:
-        calibration = [job.calibrations[item.id][b - 1] for b in chosen]
-        distance = earth_sun_distance(datetime.fromisoformat(item.properties["datetime"]))
-        elevation = item.sun[1] if job.quantity == "toa_reflectance" and item.sun else None
-        radiance = reflectance(values - options.black, calibration, distance, elevation)
+        radiance = scale.apply(values - options.black, chosen, job.quantity)
     if options.match:
         radiance = _match(job, radiance)
-    write_image_like(output, radiance, path, [f"band {b}" for b in chosen])
-    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"])
+    bands_of = eo_bands(item.properties.get("platform"), scale.names, chosen)
+    write_image_like(output, radiance, path, [str(band["name"]) for band in bands_of])
+    extra = {"eo:bands": bands_of}
+    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], extra)
     item.properties["sattools:radiance"] = "relative" if options.match else job.quantity
     left = tone_mapped and options.gamma is None
     item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
@@ -142,6 +133,9 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     }
     if not known.size:
         raise SceneError(f"{path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)")
+    if scale.reflectance is not None and shares["above_1"] > 0.5:
+        share = 100 * shares["above_1"]
+        notes.append(f"{item.id}: {share:.0f} % of the pixels have a reflectance above 1 (is the scale right?)")
     if shares["saturated"] > 0.05:
         notes.append(f"{item.id}: {100 * shares['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
     return {name: round(share, 6) for name, share in shares.items()}
@@ -186,66 +180,6 @@ def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> l
     if wrong:
         raise SceneError(f"scene {scene.id}: item {item.id} has {count} bands, expected --bands within them: {wrong}")
     return chosen
-
-
-def _calibration(scene: Scene, item: Item, options: NormaliseOptions) -> list[BandCalibration]:
-    """Calibration per band of the image, from the first metadata file that has one; empty if there is none."""
-    original = Path(item.properties.get("sattools:source") or scene.path(item.assets["image"].href))
-    folders = [Path(options.metadata)] if options.metadata else []
-    if options.metadata and not folders[0].is_dir():
-        raise SceneError(f"{options.metadata}: found no folder, expected one with vendor metadata")
-    if original.parent.is_dir():
-        folders.append(original.parent)
-    for path in sidecars(original, folders):
-        bands = with_irradiance(read_calibration(path), item.properties.get("platform"))
-        order = {name: k for k, name in enumerate(WORLDVIEW_BANDS)}
-        if bands and all(b.name in order for b in bands):
-            bands.sort(key=lambda b: order[b.name])
-        if bands:
-            return bands
-    return []
-
-
-def _quantity(
-    scene: Scene,
-    items: list[Item],
-    options: NormaliseOptions,
-    calibrations: dict[str, list[BandCalibration]],
-    notes: list[str],
-) -> str:
-    """The quantity asked for, or the best that all images allow."""
-
-    def lacks(item: Item, sun: bool) -> str | None:
-        bands = calibrations[item.id]
-        count = item.properties.get("sattools:bands")
-        if item_bits(item.properties) <= 8:
-            return "it has 8-bit, tone-mapped numbers"
-        if not bands or any(b.irradiance is None for b in bands):
-            return "no metadata with a calibration and a solar irradiance were found"
-        if count is not None and len(bands) != count:
-            return f"the calibration has {len(bands)} bands, the image {count}"
-        if not item.properties.get("datetime"):
-            return "its time is unknown"
-        if sun and (item.sun is None or item.sun[1] <= 0):
-            return "its sun is unknown or below the horizon"
-        return None
-
-    wanted = options.quantity
-    if wanted == "relative":
-        return wanted
-    for quantity in ("toa_reflectance", "reflectance_factor"):
-        if wanted not in ("auto", quantity):
-            continue
-        reasons = {item.id: lacks(item, quantity == "toa_reflectance") for item in items}
-        missing = {name: reason for name, reason in reasons.items() if reason}
-        if not missing:
-            return quantity
-        if wanted != "auto":
-            name, reason = next(iter(missing.items()))
-            raise SceneError(f"scene {scene.id}: {quantity} was asked for, but of {name} {reason}")
-    commonest = Counter(r for r in reasons.values() if r).most_common(1)[0][0]
-    notes.append(f"linear up to an unknown factor: {commonest}")
-    return "relative"
 
 
 __all__ = ["normalise"]

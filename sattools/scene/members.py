@@ -81,13 +81,15 @@ PROPERTIES: Mapping[str, Any] = {
     ),
 }
 
+_BAND = Table({"name": Text(), "common_name": Text(), "center_wavelength": Number(0, 1e3, unit="um")})
+
 ITEM = Table(
     {
         "geometry": Maybe(Geometry()),
         "bbox": Maybe(Items(_ANGLE, 4, 4)),
         "properties": Table(PROPERTIES),
         "assets": Table(
-            other=Table({"href": _HREF, "type": Text(), "roles": Items(Text())}, ("href",)),
+            other=Table({"href": _HREF, "type": Text(), "roles": Items(Text()), "eo:bands": Items(_BAND)}, ("href",)),
         ),
     },
     ("id", "properties", "assets"),

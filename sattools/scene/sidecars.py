@@ -14,7 +14,7 @@ def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
     # Airbus writes IMG_<name>_R1C1.TIF beside DIM_<name>.XML and RPC_<name>.XML
     core_tile = re.sub(r"_r\d+c\d+$", "", core)
     names = [f"{stem}.json", f"{stem}_rpc.txt", f"{stem}.rpb", f"{stem}.xml", f"{stem}.imd"]
-    names += [f"{stem}_metadata.json", f"{stem}_rpc.xml", f"{stem}.rpc"]
+    names += [f"{stem}_metadata.json", f"{stem}_metadata.xml", f"{stem}_rpc.xml", f"{stem}.rpc"]
     for c in dict.fromkeys((core, core_tile)):
         names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
     beside = []

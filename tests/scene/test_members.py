@@ -49,6 +49,11 @@ NONSENSE = {
     "item list": (lambda d: d["features"].append([1]), "found .1., expected an object"),
     "asset": (lambda d: d["features"][0]["assets"].update(image="x.tif"), "assets.image: found 'x.tif'"),
     "href": (lambda d: d["features"][0]["assets"]["image"].update(href=3), "href: found 3"),
+    "band": (lambda d: d["features"][0]["assets"]["image"].update({"eo:bands": ["red"]}), r"eo:bands.0.: found 'red'"),
+    "wavelength": (
+        lambda d: d["features"][0]["assets"]["image"].update({"eo:bands": [{"center_wavelength": "short"}]}),
+        "center_wavelength: found 'short'",
+    ),
     "href NUL": (lambda d: d["features"][0]["assets"]["image"].update(href="a\0b"), "without NUL"),
     "rpc of another": (
         lambda d: d["features"][0]["assets"].update(rpc=d["features"][1]["assets"]["rpc"]),

@@ -1,0 +1,108 @@
+"""Spectral bands by platform: names, STAC common names, wavelengths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sattools.scene.jsonio import JsonObject
+
+
+@dataclass(frozen=True)
+class Band:
+    """A spectral band: the vendor's name, STAC's common name, limits of the passband [um]."""
+
+    name: str
+    common_name: str
+    low_um: float
+    high_um: float
+
+    @property
+    def centre_um(self) -> float:
+        """Middle of the passband [um]."""
+        return round((self.low_um + self.high_um) / 2, 4)
+
+    def to_dict(self) -> JsonObject:
+        """Entry of STAC `eo:bands` (EO extension 1.1); the width is that of the passband."""
+        width = round(self.high_um - self.low_um, 4)
+        return {
+            "name": self.name,
+            "common_name": self.common_name,
+            "center_wavelength": self.centre_um,
+            "full_width_half_max": width,
+        }
+
+
+_WORLDVIEW = (
+    Band("P", "pan", 0.45, 0.80),
+    Band("C", "coastal", 0.40, 0.45),
+    Band("B", "blue", 0.45, 0.51),
+    Band("G", "green", 0.51, 0.58),
+    Band("Y", "yellow", 0.585, 0.625),
+    Band("R", "red", 0.63, 0.69),
+    Band("RE", "rededge", 0.705, 0.745),
+    Band("N", "nir08", 0.77, 0.895),
+    Band("N2", "nir09", 0.86, 1.04),
+)
+_PLEIADES = (
+    Band("P", "pan", 0.47, 0.83),
+    Band("B0", "blue", 0.43, 0.55),
+    Band("B1", "green", 0.50, 0.62),
+    Band("B2", "red", 0.59, 0.71),
+    Band("B3", "nir", 0.74, 0.94),
+)
+_SPOT = (
+    Band("P", "pan", 0.45, 0.745),
+    Band("B0", "blue", 0.455, 0.525),
+    Band("B1", "green", 0.53, 0.59),
+    Band("B2", "red", 0.625, 0.695),
+    Band("B3", "nir", 0.76, 0.89),
+)
+# nominal passbands of the vendors' data sheets
+PLATFORM_BANDS: Mapping[str, Sequence[Band]] = {
+    "WorldView-2": _WORLDVIEW,
+    "WorldView-3": _WORLDVIEW,
+    "Pleiades-1A": _PLEIADES,
+    "Pleiades-1B": _PLEIADES,
+    "SPOT-6": _SPOT,
+    "SPOT-7": _SPOT,
+}
+WORLDVIEW_BANDS = ("C", "B", "G", "Y", "R", "RE", "N", "N2")  # order of an eight-band product
+WORLDVIEW_FOUR = ("B", "G", "R", "N")  # order of a four-band product
+
+
+def names_of(platform: str | None, count: int) -> tuple[str, ...]:
+    """The vendor's names of an image's bands by their number, where the platform's products have one order only.
+
+    Args:
+        platform: as in STAC, or None.
+        count: bands of the image.
+
+    Returns:
+        ``count`` names, or none.
+    """
+    if (platform or "").startswith("WorldView"):
+        return {1: ("P",), 4: WORLDVIEW_FOUR, 8: WORLDVIEW_BANDS}.get(count, ())
+    return ("P",) if platform in PLATFORM_BANDS and count == 1 else ()
+
+
+def eo_bands(platform: str | None, names: Sequence[str], chosen: Sequence[int]) -> list[JsonObject]:
+    """STAC `eo:bands` of the bands taken from an image.
+
+    Args:
+        platform: as in STAC, or None.
+        names: the vendor's names of all bands of the image; empty if unknown.
+        chosen: numbers of the bands taken, from 1.
+
+    Returns:
+        One entry a band, with wavelengths where the platform's are known.
+    """
+    known = {band.name: band for band in PLATFORM_BANDS.get(platform or "", ())}
+    entries: list[JsonObject] = []
+    for number in chosen:
+        name = names[number - 1] if number <= len(names) else f"band {number}"
+        entries.append(known[name].to_dict() if name in known else {"name": name})
+    return entries
+
+
+__all__ = ["PLATFORM_BANDS", "WORLDVIEW_BANDS", "WORLDVIEW_FOUR", "Band", "eo_bands", "names_of"]

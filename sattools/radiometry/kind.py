@@ -1,0 +1,213 @@
+"""What an image's numbers are and become: declared by the user, by metadata, or calibrated by a vendor's factors."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from sattools.errors import SceneError
+from sattools.radiometry.bands import WORLDVIEW_BANDS, names_of
+from sattools.radiometry.calibration import (
+    BandCalibration,
+    earth_sun_distance,
+    read_calibration,
+    reflectance,
+    with_irradiance,
+)
+from sattools.radiometry.declared import Declared, parse_scale, read_declared, scale_of_image
+from sattools.radiometry.linear import item_bits
+from sattools.radiometry.options import NormaliseOptions
+from sattools.scene import Item, Scene
+from sattools.scene.sidecars import sidecars
+
+REFLECTANCES = ("toa_reflectance", "reflectance_factor")
+
+
+@dataclass(frozen=True)
+class ImageScale:
+    """What is known of an image's numbers.
+
+    Attributes:
+        item: the image.
+        declared: its numbers are a quantity already; or None.
+        calibration: radiance per number, band by band; or empty.
+    """
+
+    item: Item
+    declared: Declared | None
+    calibration: tuple[BandCalibration, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The vendor's names of all bands of the image; empty if unknown."""
+        stated = self.declared.names if self.declared else ()
+        count = int(self.item.properties.get("sattools:bands") or 0)
+        return (
+            stated or tuple(b.name for b in self.calibration) or names_of(self.item.properties.get("platform"), count)
+        )
+
+    @property
+    def reflectance(self) -> str | None:
+        """Which reflectance the numbers are already, but for a scale; None where they are none."""
+        stated = self.declared.quantity if self.declared else None
+        return stated if stated in REFLECTANCES else None
+
+    def saturation(self, bits: int) -> float:
+        """Digital number from which a pixel is saturated: full scale, or the largest of the file for reflectance."""
+        if self.reflectance is None:
+            return 2.0**bits - 1
+        kind = str(self.item.properties.get("sattools:dtype") or "uint16")
+        return float(np.iinfo(kind).max) if np.dtype(kind).kind in "iu" else np.inf
+
+    def apply(self, numbers: np.ndarray, bands: Sequence[int], quantity: str) -> np.ndarray:
+        """The quantity ``[C, H, W]``, float32, nothing clipped.
+
+        Args:
+            numbers: ``[C, H, W]`` digital numbers less the black level.
+            bands: which they are, counted from 1.
+            quantity: ``toa_reflectance`` or ``reflectance_factor``.
+        """
+        if self.declared is not None and self.reflectance is not None:
+            return self.declared.apply(numbers, list(bands))
+        distance = earth_sun_distance(datetime.fromisoformat(self.item.properties["datetime"]))
+        elevation = self.item.sun[1] if quantity == "toa_reflectance" and self.item.sun else None
+        return reflectance(numbers, [self.calibration[b - 1] for b in bands], distance, elevation)
+
+    def lacks(self, sun: bool) -> str | None:
+        """Why the vendor's factors do not give a reflectance; None where they do.
+
+        Args:
+            sun: the sun's elevation is needed.
+        """
+        properties, bands = self.item.properties, self.calibration
+        count = properties.get("sattools:bands")
+        if self.declared is not None and self.declared.quantity is None:
+            return f"{self.declared.source} states a scale but not of what (expected --quantity)"
+        if item_bits(properties) <= 8 and self.declared is None:
+            return "it has 8-bit, tone-mapped numbers"
+        if not bands or any(b.irradiance is None for b in bands):
+            return "no metadata with a calibration and a solar irradiance were found"
+        if count is not None and len(bands) != count:
+            return f"the calibration has {len(bands)} bands, the image {count}"
+        if not properties.get("datetime"):
+            return "its time is unknown"
+        if sun and (self.item.sun is None or self.item.sun[1] <= 0):
+            return "its sun is unknown or below the horizon"
+        return None
+
+
+def image_scales(scene: Scene, items: Sequence[Item], options: NormaliseOptions) -> dict[str, ImageScale]:
+    """What is known of every image's numbers, by id.
+
+    Raises:
+        SceneError: no such folder of metadata, or a scale without its quantity.
+        InputError: an image or metadata file that cannot be read.
+    """
+    declared = _declared_by_user(options)
+    return {item.id: _of_image(scene, item, options, declared) for item in items}
+
+
+def choose_quantity(scene: Scene, scales: dict[str, ImageScale], options: NormaliseOptions, notes: list[str]) -> str:
+    """The quantity asked for, or the best that all images allow.
+
+    Args:
+        scene: for its name in messages.
+        scales: of all images.
+        options: of the stage.
+        notes: told why it is not a reflectance.
+
+    Raises:
+        SceneError: a quantity that an image does not allow.
+    """
+    wanted = options.quantity
+    if wanted == "relative":
+        return wanted
+    stated = {scale.reflectance for scale in scales.values()}
+    if len(stated) == 1 and (only := stated.pop()) is not None:
+        if wanted not in ("auto", only):
+            raise SceneError(f"scene {scene.id}: {wanted} was asked for, but the images are {only}")
+        return only
+    for quantity in REFLECTANCES:
+        if wanted not in ("auto", "radiance", quantity):
+            continue
+        reasons = {name: _reason(scale, quantity) for name, scale in scales.items()}
+        missing = {name: reason for name, reason in reasons.items() if reason}
+        if not missing:
+            return quantity
+        if wanted == quantity or (wanted == "radiance" and quantity == REFLECTANCES[-1]):
+            name, reason = next(iter(missing.items()))
+            raise SceneError(f"scene {scene.id}: {wanted} was asked for, but of {name} {reason}")
+    commonest = Counter(r for r in reasons.values() if r).most_common(1)[0][0]
+    notes.append(f"linear up to an unknown factor: {commonest}")
+    return "relative"
+
+
+def _reason(scale: ImageScale, quantity: str) -> str | None:
+    """Why an image cannot become that quantity."""
+    if scale.reflectance is not None:
+        return None if scale.reflectance == quantity else f"the numbers are {scale.reflectance}"
+    return scale.lacks(quantity == "toa_reflectance")
+
+
+def _declared_by_user(options: NormaliseOptions) -> Declared | None:
+    if options.scale is None:
+        if options.offset:
+            raise SceneError("--offset: found it without --scale, expected both")
+        return None
+    if options.quantity in ("auto", "relative"):
+        raise SceneError(
+            f"--scale: found --quantity {options.quantity}, expected toa_reflectance, reflectance_factor or radiance"
+        )
+    return Declared(options.quantity, (parse_scale(options.scale),), (options.offset,), "--scale")
+
+
+def _of_image(scene: Scene, item: Item, options: NormaliseOptions, declared: Declared | None) -> ImageScale:
+    copy = scene.path(item.assets["image"].href)
+    original = Path(item.properties.get("sattools:source") or copy)
+    folders = [Path(options.metadata)] if options.metadata else []
+    if options.metadata and not folders[0].is_dir():
+        raise SceneError(f"{options.metadata}: found no folder, expected one with vendor metadata")
+    if original.parent.is_dir():
+        folders.append(original.parent)
+    files = sidecars(original, folders)
+    bands = _calibration(files, item)
+    if declared is None:
+        declared = next(filter(None, (read_declared(path, original) for path in files)), None) or scale_of_image(copy)
+        if declared is not None and declared.quantity is None:
+            asked = options.quantity if options.quantity in (*REFLECTANCES, "radiance") else None
+            declared = None if bands else replace(declared, quantity=asked)
+    if declared is not None and declared.quantity == "radiance":
+        bands = _radiance_bands(declared, item, bands)
+    return ImageScale(item, declared, tuple(bands))
+
+
+def _radiance_bands(declared: Declared, item: Item, bands: list[BandCalibration]) -> list[BandCalibration]:
+    """Declared radiance as a calibration: irradiance from the metadata, or from the platform's table."""
+    count = int(item.properties.get("sattools:bands") or 1)
+    names = [b.name for b in bands] or list(names_of(item.properties.get("platform"), count))
+    rows = [
+        BandCalibration(names[k] if k < len(names) else f"band {k + 1}", *declared.of_band(k + 1)) for k in range(count)
+    ]
+    stated = {b.name: b.irradiance for b in bands}
+    rows = [replace(row, irradiance=stated.get(row.name)) for row in rows]
+    return with_irradiance(rows, item.properties.get("platform"))
+
+
+def _calibration(files: Sequence[Path], item: Item) -> list[BandCalibration]:
+    """Calibration per band of the image, from the first metadata file that has one; empty if there is none."""
+    for path in files:
+        bands = with_irradiance(read_calibration(path), item.properties.get("platform"))
+        order = {name: k for k, name in enumerate(WORLDVIEW_BANDS)}
+        if bands and all(b.name in order for b in bands):
+            bands.sort(key=lambda b: order[b.name])
+        if bands:
+            return bands
+    return []
+
+
+__all__ = ["REFLECTANCES", "ImageScale", "choose_quantity", "image_scales"]
