@@ -175,7 +175,12 @@ def choose_pairs(tangents: Array, max_pairs: int) -> list[tuple[int, int]]:
 
 
 def find_tie_points(
-    views: Sequence[TiePointImage], crs: str, options: TiePointOptions | None = None, progress: Progress = silent
+    views: Sequence[TiePointImage],
+    crs: str,
+    options: TiePointOptions | None = None,
+    progress: Progress = silent,
+    *,
+    z_ref: float | None = None,
 ) -> Tracks:
     """Tie points of overlapping images.
 
@@ -184,6 +189,7 @@ def find_tie_points(
         crs: projected ground CRS [m].
         options: see `TiePointOptions`; None = the defaults.
         progress: told the share done and what is being done.
+        z_ref: height around which the ground is looked for [m]; None = the middle of the cameras' own ranges.
 
     Returns: tracks; each is one ground point seen in two or more images.
     Raises: InputError when fewer than two views are given.
@@ -191,7 +197,8 @@ def find_tie_points(
     options = options or TiePointOptions()
     if len(views) < 2:
         raise InputError(f"tie points: found {len(views)} image, expected at least 2")
-    z_ref = float(np.median([v.rpc.alt_offset for v in views]))
+    if z_ref is None:
+        z_ref = float(np.median([v.rpc.alt_offset for v in views]))
     features = []
     for k, view in enumerate(views):
         progress(0.5 * k / len(views), f"features of {view.name}")

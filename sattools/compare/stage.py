@@ -23,6 +23,7 @@ from sattools.scene.document import Item, Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.pixels import image_part
 from sattools.scene.raster import read_image, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
 
@@ -212,7 +213,7 @@ def _radiance(scene: Scene, item: Item) -> np.ndarray:
 
     if "radiance" in item.assets:
         return read_image(scene.path(item.assets["radiance"].href))
-    return linear_radiance(read_image(scene.path(item.assets["image"].href)), item_bits(item.properties))
+    return linear_radiance(image_part(scene, item).read(), item_bits(item.properties))
 
 
 def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
+import zlib
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,14 +23,18 @@ from rasterio.windows import Window
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
-from sattools.scene.files import write_bytes
+from sattools.scene.files import write_with
 from sattools.scene.location import RemotePath
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
-from sattools.scene.raster import sensor_profile
+from sattools.scene.raster import block_means, sensor_profile
 from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)
+LARGE_PX = 36_000_000  # of an image, beyond which none is read as a whole
+LARGE_TOTAL_PX = 200_000_000  # of all images together
+REDUCED_PX = 12_000_000
+_STRIP_PX = 32_000_000
 
 
 @dataclass
@@ -48,6 +54,7 @@ class SourceImage:
     mask_like: bool = False  # the band marked as alpha holds two values at most
     masked: bool = False  # a mask lies beside the bands
     tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used
+    read_range: tuple[tuple[int, int, int, int], tuple[float, float]] | None = None  # window, its extreme numbers
 
     def warn(self, text: str) -> None:
         """A note that the user sees at once."""
@@ -163,51 +170,131 @@ def _corners(data: DatasetReader, size: int) -> list[tuple[int, int]]:
     return [(c, r) for c in sorted(cols) for r in sorted(rows)]
 
 
-def read_gray(source: SourceImage) -> NDArray[np.float32]:
+def block_factor(size: tuple[int, int], sizes: Sequence[tuple[int, int]]) -> int:
+    """Pixels along an axis that are read as one where images are looked at as a whole; 1 for small ones.
+
+    Args:
+        size: (height, width) of the image [px].
+        sizes: of all images.
+    """
+    pixels = [h * w for h, w in sizes]
+    if max(pixels) <= LARGE_PX and sum(pixels) <= LARGE_TOTAL_PX:
+        return 1
+    budget = min(REDUCED_PX, LARGE_TOTAL_PX // len(sizes))
+    return max(1, math.ceil(math.sqrt(size[0] * size[1] / budget)))
+
+
+def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> NDArray[np.float32]:
     """Mean of the bands over the source's window `[H, W]`, NaN where a band has no data.
 
-    Raises InputError: truncated, or a band without any data. Adds a note where pixels are not finite.
+    Adds a note where pixels are not finite, and to the source the range of its values.
+
+    Args:
+        source: the image.
+        factor: pixels along an axis of which the mean is taken; rows and columns left over at the end are dropped.
+        whole: the window is all that is used of the image, which then must show something in every band.
+
+    Raises:
+        InputError: truncated, or a band without any data.
     """
-    col, row, width, height = source.window
-    check_memory(14.0 * height * width, f"{source.path}: {width} x {height} pixels", "give --aoi or --bounds")
-    total = np.zeros((height, width), np.float32)
-    valid = np.ones((height, width), bool)
-    nonzero = np.zeros((height, width), bool)
+    _, _, width, height = source.window
+    rows, cols = height // factor, width // factor
+    needed = 14.0 * min(height * width, _STRIP_PX + factor * width) if factor > 1 else 14.0 * height * width
+    check_memory(needed + 4.0 * rows * cols, f"{source.path}: {width} x {height} pixels", "give --aoi or --bounds")
+    gray = np.empty((rows, cols), np.float32)
+    ranges = _Ranges(source.bands)
+    strip = rows if factor == 1 else max(1, _STRIP_PX // (factor * width))
     with opened(source.path) as data:
-        for band in range(1, data.count + 1):
-            values = _read(data, source, band, Window(col, row, width, height))
-            good = np.isfinite(values) if np.issubdtype(values.dtype, np.floating) else np.ones(values.shape, bool)
-            if not good.all() and band == 1:
-                share = 100.0 * (1.0 - good.mean())
-                source.notes.append(f"{share:.2g} % of the pixels are NaN and were masked")
-            if data.nodata is not None:
-                good &= values != data.nodata
-            low, high = (values[good].min(), values[good].max()) if good.any() else (0, 0)
-            if low == high:
-                what = f"{low:g} everywhere" if good.any() else "no-data or NaN everywhere"
+        for first in range(0, rows, strip):
+            some = min(strip, rows - first)
+            piece = _gray_rows(data, source, first * factor, some * factor, ranges)
+            if factor > 1:
+                blocks = piece[:, : cols * factor].reshape(1, some, factor, cols, factor)
+                piece = block_means(blocks)[0].astype(np.float32)
+            gray[first : first + some] = piece
+    if whole:
+        ranges.check(source)
+        if not np.isfinite(gray).any():
+            raise InputError(f"{source.path}: found no pixel that is valid in all bands, expected an image")
+        source.read_range = (source.window, ranges.overall())
+    return gray
+
+
+@dataclass
+class _Ranges:
+    """Smallest and largest valid number of every band, and the share of the first band that is not finite."""
+
+    bands: int
+    low: NDArray[np.float64] = field(init=False)
+    high: NDArray[np.float64] = field(init=False)
+    odd: int = 0
+    seen: int = 0
+
+    def __post_init__(self) -> None:
+        self.low, self.high = np.full(self.bands, np.inf), np.full(self.bands, -np.inf)
+
+    def add(self, band: int, values: NDArray[np.generic], good: NDArray[np.bool_]) -> None:
+        """Numbers of a band, counted from 1, and which of them are data."""
+        if good.any():
+            known = values[good]
+            self.low[band - 1] = min(self.low[band - 1], float(known.min()))
+            self.high[band - 1] = max(self.high[band - 1], float(known.max()))
+
+    def check(self, source: SourceImage) -> None:
+        """Raise InputError for a band without any data; note pixels that are not finite."""
+        if self.odd:
+            share = 100.0 * self.odd / self.seen
+            source.notes.append(f"{share:.2g} % of the pixels are NaN and were masked")
+        for band, (low, high) in enumerate(zip(self.low, self.high, strict=True), 1):
+            if low >= high:
+                what = f"{low:g} everywhere" if low == high else "no-data or NaN everywhere"
                 raise InputError(f"{source.path}: found band {band} to be {what}, expected an image")
-            nonzero |= values != 0
-            valid &= good
-            total += np.where(good, values, 0).astype(np.float32)
-    if not valid.any():
-        raise InputError(f"{source.path}: found no pixel that is valid in all bands, expected an image")
+
+    def overall(self) -> tuple[float, float]:
+        """Of all bands."""
+        return float(self.low.min()), float(self.high.max())
+
+
+def _gray_rows(
+    data: DatasetReader, source: SourceImage, first: int, count: int, ranges: _Ranges
+) -> NDArray[np.float32]:
+    """Mean of the bands ``[count, width]`` in rows of the source's window."""
+    col, row, width, _ = source.window
+    total = np.zeros((count, width), np.float32)
+    valid = np.ones((count, width), bool)
+    nonzero = np.zeros((count, width), bool)
+    for band in range(1, data.count + 1):
+        values = _read(data, source, band, Window(col, row + first, width, count))
+        good = np.isfinite(values) if np.issubdtype(values.dtype, np.floating) else np.ones(values.shape, bool)
+        if band == 1:
+            ranges.odd += int((~good).sum())
+            ranges.seen += good.size
+        if data.nodata is not None:
+            good &= values != data.nodata
+        ranges.add(band, values, good)
+        nonzero |= values != 0
+        valid &= good
+        total += np.where(good, values, 0).astype(np.float32)
     # Vendors fill the frame around an image with 0 in all bands without saying so.
     return np.where(valid & nonzero, total / source.bands, np.nan).astype(np.float32)
 
 
 def value_range(source: SourceImage) -> tuple[float, float]:
     """Smallest and largest finite value of the window that is not no-data."""
+    if source.read_range is not None and source.read_range[0] == source.window:
+        return source.read_range[1]
     col, row, width, height = source.window
-    low, high = np.inf, -np.inf
+    ranges = _Ranges(source.bands)
+    strip = max(1, _STRIP_PX // max(1, width))
     with opened(source.path) as data:
         for band in range(1, data.count + 1):
-            values = _read(data, source, band, Window(col, row, width, height))
-            good = np.isfinite(values)
-            if data.nodata is not None:
-                good &= values != data.nodata
-            if good.any():
-                low, high = min(low, float(values[good].min())), max(high, float(values[good].max()))
-    return low, high
+            for first in range(0, height, strip):
+                values = _read(data, source, band, Window(col, row + first, width, min(strip, height - first)))
+                good = np.isfinite(values)
+                if data.nodata is not None:
+                    good &= values != data.nodata
+                ranges.add(band, values, good)
+    return ranges.overall()
 
 
 def significant_bits(source: SourceImage, highest: float) -> int | None:
@@ -226,6 +313,8 @@ def significant_bits(source: SourceImage, highest: float) -> int | None:
 def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
 
+    Strip by strip, and read back before the file gets its name.
+
     Args:
         source: the image.
         rpc: the camera.
@@ -234,20 +323,31 @@ def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     Raises: InputError when the source cannot be read; SattoolsError when the target cannot be written.
     """
     col, row, width, height = source.window
+    sums: list[tuple[int, Window, int]] = []
     with opened(source.path) as data:
         profile = sensor_profile(source.dtype, data.count, height, width, data.nodata)
         profile |= {"interleave": "pixel" if data.count > 1 else "band", "bigtiff": "if_safer"}
-        with rasterio.MemoryFile() as memory:
-            with memory.open(**profile) as out:
-                strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
+        strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
+
+        def write(path: Path) -> None:
+            with rasterio.open(path, "w", **profile) as out:
                 for first in range(0, height, strip):
                     rows = min(strip, height - first)
                     for band in range(1, data.count + 1):
                         values = _read(data, source, band, Window(col, row + first, width, rows))
-                        out.write(values, band, window=Window(0, first, width, rows))
+                        place = Window(0, first, width, rows)
+                        out.write(values, band, window=place)
+                        sums.append((band, place, zlib.crc32(values.tobytes())))
                 out.descriptions = data.descriptions
                 out.update_tags(ns="RPC", **rpc.to_tags())
-            write_bytes(target, memory.getbuffer())
+
+        def check(path: Path) -> None:
+            with rasterio.open(path) as written:
+                for band, place, expected in sums:
+                    if zlib.crc32(written.read(band, window=place).tobytes()) != expected:
+                        raise OSError(5, "found other pixels than were written")
+
+        write_with(target, write, check)
 
 
 def _read(data: DatasetReader, source: SourceImage, band: int, window: Window) -> NDArray[np.generic]:
@@ -261,7 +361,10 @@ def _read(data: DatasetReader, source: SourceImage, band: int, window: Window) -
 
 
 __all__ = [
+    "LARGE_PX",
+    "LARGE_TOTAL_PX",
     "SourceImage",
+    "block_factor",
     "check_ids",
     "image_id",
     "load_source",

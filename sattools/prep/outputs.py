@@ -14,9 +14,12 @@ from sattools.prep.images import SourceImage, write_image
 from sattools.prep.items import describe, tie_point_features
 from sattools.prep.layout import crop_window
 from sattools.progress import Progress
-from sattools.scene import Scene
+from sattools.scene import GEOTIFF_TYPE, Asset, Scene
 from sattools.scene.files import write_text
+from sattools.scene.location import RemotePath
+from sattools.scene.pixels import WINDOW
 
+COPY_LIMIT = 2 << 30  # bytes of pixels in all, above which images are referred to
 MARGIN_PX = 16  # around the area asked for, once the cameras are corrected
 REPORTS = {
     "adjustment": "adjustment.json",
@@ -26,15 +29,22 @@ REPORTS = {
 
 
 def write_images(
-    scene: Scene, sources: Sequence[SourceImage], result: Adjustment, crop: bool, progress: Progress
+    scene: Scene,
+    sources: Sequence[SourceImage],
+    result: Adjustment,
+    progress: Progress,
+    *,
+    crop: bool,
+    copy: bool | None = None,
 ) -> None:
-    """Write pixels and cameras, and add the items.
+    """Write pixels, unless they stay where they are, and cameras, and add the items.
 
     Args:
         scene: with its grid and height range; gets the items.
         sources: the images.
         result: their corrected cameras.
         crop: to the scene's area.
+        copy: the pixels, or refer to them; None = as many as `COPY_LIMIT`.
         progress: told the share done.
 
     Raises:
@@ -42,16 +52,29 @@ def write_images(
     """
     grid, heights = scene.require_grid(), scene.require_height_range()
     full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
-    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
-        progress(k / len(sources), f"writing {source.id}")
-        if crop:
+    if crop:
+        for source, rpc in zip(sources, full, strict=True):
             source.window = crop_window(rpc, grid.crs, grid.bounds, heights, source.size, MARGIN_PX)
             if min(source.window[2:]) < 1:
                 raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
+    if copy is None:
+        copy = sum(_bytes(source) for source in sources) <= COPY_LIMIT
+    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
+        progress(k / len(sources), f"writing {source.id}")
         camera = rpc.cropped(source.window[0], source.window[1])
-        write_image(source, camera, scene.output(f"images/{source.id}.tif"))
+        item = describe(source, camera, result.views[k], grid, heights)
+        if copy or isinstance(source.path, RemotePath):
+            write_image(source, camera, scene.output(f"images/{source.id}.tif"))
+        else:
+            item.assets["image"] = Asset(
+                str(source.path.absolute()), GEOTIFF_TYPE, ["data"], {WINDOW: list(source.window)}
+            )
         write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
-        scene.items.append(describe(source, camera, result.views[k], grid, heights))
+        scene.items.append(item)
+
+
+def _bytes(source: SourceImage) -> int:
+    return source.window[2] * source.window[3] * source.bands * np.dtype(source.dtype).itemsize
 
 
 def write_reports(scene: Scene, result: Adjustment) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
@@ -27,7 +26,8 @@ from sattools.prep.gate import (
     check_places_and_suns,
     check_sources,
 )
-from sattools.prep.images import SourceImage, check_ids, load_source, read_gray
+from sattools.prep.images import SourceImage, check_ids, load_source
+from sattools.prep.large import GrayImages, read_grays, tie_points_by_windows
 from sattools.prep.layout import (
     Bounds,
     common_bounds,
@@ -74,28 +74,26 @@ def prepare(
     ids = check_ids(images)
     _check_options(options, ids)
     scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
-    begin(scene, "prep", _outputs(ids), overwrite, _inputs(images, options))
+    begin(scene, "prep", _outputs(ids, options), overwrite, _inputs(images, options))
     progress(0.0, "reading metadata")
     notes: list[str] = []
     sources, crs, asked = survey(images, ids, options, notes)
 
-    grays = []
-    for k, source in enumerate(sources):
-        progress(0.02 + 0.08 * k / len(sources), f"reading {source.id}")
-        grays.append(read_gray(source))
-    check_pixels(sources, grays)
-    result = _adjusted(sources, grays, crs, options, subprogress(progress, 0.1, 0.75))
+    whole = read_grays(sources, subprogress(progress, 0.02, 0.1))
+    check_pixels(sources, whole.grays)
+    result = _adjusted(sources, whole, crs, options, subprogress(progress, 0.1, 0.75))
     if options.correction == "none":
         notes.append("cameras were left as they are (correction none)")
     notes += result.notes
     roles = _roles(options, result, sources, notes)
     _warn(check_corrections(result, sources), notes)
-    heights = _height_range(options, result, grays, crs, asked, subprogress(progress, 0.75, 0.85))
+    heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
     scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked)
     scene.height_range_m = heights
-    write_images(scene, sources, result, asked is not None, subprogress(progress, 0.85, 1.0))
+    last = subprogress(progress, 0.85, 1.0)
+    write_images(scene, sources, result, last, crop=asked is not None, copy=options.copy)
     for item, source in zip(scene.items, sources, strict=True):
         item.properties["sattools:role"] = roles[source.id]
         notes += [f"{source.id}: {r}" for r in source.notes]
@@ -114,18 +112,22 @@ def prepare(
 
 def _adjusted(
     sources: Sequence[SourceImage],
-    grays: Sequence[NDArray[np.float32]],
+    whole: GrayImages,
     crs: str,
     options: PrepOptions,
     progress: Progress,
 ) -> Adjustment:
     """Cameras of the sources' windows, corrected by tie points unless the options forbid it."""
     cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
-    views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, grays, cameras, strict=True)]
     model = "shift" if options.correction == "none" else options.correction
-    sizes = [(g.shape[0], g.shape[1]) for g in grays]
+    sizes = [(s.window[3], s.window[2]) for s in sources]
+    matching = subprogress(progress, 0.0, 0.45 / 0.65)
     try:
-        tracks = find_tie_points(views, crs, progress=subprogress(progress, 0.0, 0.45 / 0.65))
+        if whole.reduced:
+            tracks = tie_points_by_windows(sources, whole, crs, matching)
+        else:
+            views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, whole.grays, cameras, strict=True)]
+            tracks = find_tie_points(views, crs, progress=matching)
         last = subprogress(progress, 0.45 / 0.65, 1.0)
         result = adjust(cameras, [s.id for s in sources], sizes, tracks, AdjustOptions(model=model), last)
     except SattoolsError:
@@ -267,9 +269,10 @@ def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     return [path for path in paths if not isinstance(path, RemotePath)]
 
 
-def _outputs(ids: Sequence[str]) -> list[str]:
-    """All files that will be written; images that do not show the area are left out."""
-    return [*REPORTS.values(), "scene.json", *(href for i in ids for href in (f"images/{i}.tif", f"rpc/{i}_RPC.TXT"))]
+def _outputs(ids: Sequence[str], options: PrepOptions) -> list[str]:
+    """All files that may be written; images that do not show the area are left out."""
+    copies = [] if options.copy is False else [f"images/{i}.tif" for i in ids]
+    return [*REPORTS.values(), "scene.json", *copies, *(f"rpc/{i}_RPC.TXT" for i in ids)]
 
 
 def _middle(sources: Sequence[SourceImage]) -> tuple[float, float]:
@@ -314,7 +317,7 @@ def _cropped_to_area(sources: list[SourceImage], crs: str, asked: Bounds, notes:
 def _height_range(
     options: PrepOptions,
     result: Adjustment,
-    grays: Sequence[NDArray[np.float32]],
+    whole: GrayImages,
     crs: str,
     asked: Bounds | None,
     progress: Progress,
@@ -323,14 +326,15 @@ def _height_range(
     if low is None or high is None:
         heights = result.heights()
         middle = float(np.median(heights))
+        cameras = whole.cameras(result.rpcs)
         polygons = [
             ground_polygon(r, (0, 0, g.shape[1], g.shape[0]), middle, crs)
-            for r, g in zip(result.rpcs, grays, strict=True)
+            for r, g in zip(cameras, whole.grays, strict=True)
         ]
         bounds = asked or common_bounds(polygons)
         if bounds is None:
             raise InputError("images: found no ground that two of them show, expected images that overlap")
-        estimate = estimate_height_range(heights, grays, result.rpcs, crs, bounds, progress=progress)
+        estimate = estimate_height_range(heights, whole.grays, cameras, crs, bounds, progress=progress)
         low, high = (estimate[0] if low is None else low), (estimate[1] if high is None else high)
     return round(float(low), 2), round(float(high), 2)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
 from sattools.radiometry.bands import eo_bands
@@ -18,7 +19,8 @@ from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import read_image, write_image_like
+from sattools.scene.pixels import image_part
+from sattools.scene.raster import write_image_like, write_sensor_image
 
 log = logging.getLogger(__name__)
 FIGURE = "normalise/histogram.png"
@@ -93,8 +95,8 @@ def normalise(
 
 def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, float]:
     options, bits = job.options, job.bits[item.id]
-    path = job.scene.path(item.assets["image"].href)
-    everything = read_image(path)
+    part = image_part(job.scene, item)
+    path, everything = part.path, part.read()
     chosen = _bands(job.scene, item, everything.shape[0], options)
     bands = everything[[b - 1 for b in chosen]]
     scale = job.scales[item.id]
@@ -113,7 +115,12 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     if options.match:
         radiance = _match(job, radiance)
     bands_of = eo_bands(item.properties.get("platform"), scale.names, chosen)
-    write_image_like(output, radiance, path, [str(band["name"]) for band in bands_of])
+    names = [str(band["name"]) for band in bands_of]
+    if part.referred:
+        camera = RPC.from_file(job.scene.path(item.assets["rpc"].href))
+        write_sensor_image(output, radiance, camera.to_tags(), nodata=float("nan"), descriptions=names)
+    else:
+        write_image_like(output, radiance, path, names)
     extra = {"eo:bands": bands_of}
     item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], extra)
     item.properties["sattools:radiance"] = "relative" if options.match else job.quantity

@@ -53,6 +53,8 @@ _FIGURES |= {"mae_centred": _LENGTH, "mae_capped_5m": _LENGTH, "near_steps": _PL
 _ERRORS = Members(
     {
         **_FIGURES,
+        "completeness": Number(),
+        "within_1m": Number(),
         "cells": Maybe(Number(0)),
         "classes": Maybe(Members(other=Members(_FIGURES))),
         "shift_m": Items(Number(), 3, 3),

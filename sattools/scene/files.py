@@ -19,7 +19,7 @@ import os
 import socket
 import stat
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,21 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     Raises:
         SattoolsError: the folder is not writable, the disk is full, or what was read back is not what was written.
     """
+    content = memoryview(data).cast("B")
+    write_with(path, lambda temporary: _write(temporary, content), lambda temporary: _check(temporary, content))
+
+
+def write_with(path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
+    """Write a file that is too large for memory: what `write_bytes` promises, for a writer of its own.
+
+    Args:
+        path: target file.
+        write: makes the file of the name that it is given.
+        check: raises OSError where what can be read of that file is not what was written.
+
+    Raises:
+        SattoolsError: the folder is not writable, the disk is full, or what was read back is not what was written.
+    """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
     try:
@@ -53,7 +68,7 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
         _remove_orphans(path)
         _temporary.add(temporary)
         try:
-            _write(temporary, memoryview(data).cast("B"))
+            _made(temporary, path, write, check)
             waiting = _held_back.get()
             if waiting is None:
                 _rename([(temporary, path)])
@@ -64,6 +79,19 @@ def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
             raise
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
+    """A new file, synced and checked; what libraries say of a full disk is an OSError."""
+    from rasterio.errors import RasterioError
+
+    try:
+        write(temporary)
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        check(temporary)
+    except RasterioError as error:
+        raise OSError(5, " ".join(str(error).split())[:200].replace(temporary.name, path.name)) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -199,12 +227,14 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _write(path: Path, data: memoryview) -> None:
-    """Write, sync and read back a new file with the permissions that any new file has."""
+    """Write a new file with the permissions that any new file has."""
     with open(path, "xb") as file:
         for start in range(0, len(data), _PIECE):
             file.write(data[start : start + _PIECE])
-        file.flush()
-        os.fsync(file.fileno())
+
+
+def _check(path: Path, data: memoryview) -> None:
+    """Read a file back."""
     with open(path, "rb") as file:
         if os.fstat(file.fileno()).st_size != len(data):
             raise OSError(5, "found a truncated file after writing")

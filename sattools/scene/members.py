@@ -89,7 +89,16 @@ ITEM = Table(
         "bbox": Maybe(Items(_ANGLE, 4, 4)),
         "properties": Table(PROPERTIES),
         "assets": Table(
-            other=Table({"href": _HREF, "type": Text(), "roles": Items(Text()), "eo:bands": Items(_BAND)}, ("href",)),
+            other=Table(
+                {
+                    "href": _HREF,
+                    "type": Text(),
+                    "roles": Items(Text()),
+                    "eo:bands": Items(_BAND),
+                    "sattools:window": Items(Number(0, 10**7, whole=True), 4, 4),
+                },
+                ("href",),
+            ),
         ),
     },
     ("id", "properties", "assets"),

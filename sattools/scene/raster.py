@@ -122,6 +122,9 @@ def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
     transform = data.transform
     if data.crs is None:
         raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
+    if not (data.crs.is_projected or data.crs.is_geographic):
+        name = " ".join(data.crs.to_wkt().split())[:60]
+        raise InputError(f"{path}: found a coordinate reference system of no place on Earth ({name}), expected a map's")
     if abs(transform.b) > 1e-9 or abs(transform.d) > 1e-9 or abs(transform.a + transform.e) > 1e-6 * abs(transform.a):
         raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
     return Grid(data.crs.to_string(), transform.c, transform.f, transform.a, data.width, data.height)
@@ -158,7 +161,7 @@ def read_image(path: Path, window: tuple[slice, slice] | None = None, reduce: in
             some = min(strip, height - row)
             first = rows.start + row * reduce
             piece = _numbers(data, path, slice(first, first + some * reduce), cols)[..., : width * reduce]
-            array[:, row : row + some] = _means(piece.reshape(data.count, some, reduce, width, reduce))
+            array[:, row : row + some] = block_means(piece.reshape(data.count, some, reduce, width, reduce))
     return array
 
 
@@ -171,7 +174,7 @@ def _numbers(data: rasterio.DatasetReader, path: Path, rows: slice, cols: slice)
     return array
 
 
-def _means(blocks: np.ndarray) -> np.ndarray:
+def block_means(blocks: np.ndarray) -> np.ndarray:
     """Means ``[B, H, W]`` of ``[B, H, n, W, n]``; NaN where fewer than half of the pixels are known."""
     known = np.isfinite(blocks)
     count = known.sum(axis=(2, 4))

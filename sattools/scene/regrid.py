@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sattools.errors import SceneError
 from sattools.scene.grid import Grid
 
 
@@ -21,25 +22,36 @@ def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: boo
 
     Returns:
         ``[h, w]`` or ``[B, h, w]`` float32.
+
+    Raises:
+        SceneError: no transformation between the two CRS is known.
     """
     if source == target:
         return array.astype(np.float32)
+    from rasterio._err import CPLE_BaseError
     from rasterio.enums import Resampling
+    from rasterio.errors import RasterioError
     from rasterio.warp import reproject
 
     def warp(method: Resampling) -> np.ndarray:
         result = np.full((*array.shape[:-2], *target.shape), np.nan, dtype=np.float32)
-        reproject(
-            array.astype(np.float32),
-            result,
-            src_transform=source.transform,
-            src_crs=source.crs,
-            src_nodata=np.nan,
-            dst_transform=target.transform,
-            dst_crs=target.crs,
-            dst_nodata=np.nan,
-            resampling=method,
-        )
+        try:
+            reproject(
+                array.astype(np.float32),
+                result,
+                src_transform=source.transform,
+                src_crs=source.crs,
+                src_nodata=np.nan,
+                dst_transform=target.transform,
+                dst_crs=target.crs,
+                dst_nodata=np.nan,
+                resampling=method,
+            )
+        except (RasterioError, CPLE_BaseError) as error:
+            text = " ".join(str(error).split())[:120]
+            raise SceneError(
+                f"grid: found no way from {source.crs[:80]} to {target.crs[:80]} ({text}), expected CRS of one place"
+            ) from None
         return result
 
     near = warp(Resampling.nearest)

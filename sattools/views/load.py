@@ -15,7 +15,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
-from sattools.scene.raster import image_shape, read_image
+from sattools.scene.pixels import image_part
 from sattools.views.check import check_cells, check_extent, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
 
@@ -67,14 +67,13 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'image' or 'radiance'")
     cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
     names = ["radiance" if "radiance" in item.assets else "image" for item in items]
-    paths = [scene.path(item.assets[name].href) for item, name in zip(items, names, strict=True)]
-    shapes = [image_shape(path) for path in paths]
-    check_scene(scene, items, cameras, shapes)
+    parts = [image_part(scene, item, name) for item, name in zip(items, names, strict=True)]
+    check_scene(scene, items, cameras, [part.shape for part in parts])
     around = _surroundings(scene, cameras)
     sources = []
-    for item, camera, name, path, shape in zip(items, cameras, names, paths, shapes, strict=True):
-        rows, cols, reduce = _needed(camera, shape, around, scene.height_range_m)
-        radiance = read_image(path, (rows, cols), reduce)
+    for item, camera, name, part in zip(items, cameras, names, parts, strict=True):
+        rows, cols, reduce = _needed(camera, part.shape, around, scene.height_range_m)
+        radiance = part.read((rows, cols), reduce)
         if name == "image":
             radiance = linear_radiance(radiance, item_bits(item.properties))
         rpc = camera.cropped(cols.start, rows.start).reduced(reduce)
@@ -90,8 +89,8 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
         usual = bands.most_common(1)[0][0]
         odd = next(k for k, s in enumerate(sources) if s.radiance.shape[0] != usual)
         raise SceneError(
-            f"{paths[odd]}: found {sources[odd].radiance.shape[0]} bands, expected {usual} bands as most of the other "
-            "images have"
+            f"{parts[odd].path}: found {sources[odd].radiance.shape[0]} bands, expected {usual} bands as most of the "
+            "other images have"
         )
     return sources
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sattools.errors import SattoolsError
 from sattools.scene import Grid
 from sattools.scene.regrid import reproject_map, resize_map, sample_map, split_cells
 
@@ -67,6 +68,14 @@ def test_a_hole_stays_as_large_as_it_was_in_another_crs_or_lattice() -> None:
     assert np.isnan(moved).sum() == 4 + 8 + 7  # the hole, and a row and a column that lie outside now
     assert np.isnan(moved[1:3, 1:3]).all()
     assert float(np.nanmax(moved)) == float(np.nanmin(moved)) == 5.0
+
+
+def test_a_crs_of_no_place_on_earth_is_told_in_one_line() -> None:
+    site = 'LOCAL_CS["site",LOCAL_DATUM["here",0],UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+    source, target = Grid(site, 0.0, 0.0, 1.0, 2, 2), Grid("EPSG:32617", 0.0, 0.0, 1.0, 2, 2)
+    with pytest.raises(SattoolsError, match="found no way from LOCAL_CS") as caught:
+        reproject_map(np.zeros((2, 2)), source, target)
+    assert "\n" not in str(caught.value)
 
 
 def test_splitting_cells_keeps_their_values() -> None:

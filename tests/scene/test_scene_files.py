@@ -104,7 +104,14 @@ def test_rasters_without_a_place_or_turned_ones_are_refused(tmp_path: Path) -> N
     turned = rasterio.Affine(0.5, 0.1, 0, 0.1, -0.5, 0)
     with rasterio.open(tmp_path / "turned.tif", "w", crs="EPSG:32617", transform=turned, **size) as data:
         data.write(np.ones((1, 4, 4), np.uint8))
+    site = rasterio.crs.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
+    with rasterio.open(
+        tmp_path / "site.tif", "w", crs=site, transform=rasterio.Affine(1, 0, 0, 0, -1, 0), **size
+    ) as data:
+        data.write(np.ones((1, 4, 4), np.uint8))
     with pytest.raises(InputError, match="found no coordinate reference system"):
         read_raster(tmp_path / "nowhere.tif")
+    with pytest.raises(InputError, match=r"site\.tif: found a coordinate reference system of no place on Earth"):
+        read_raster(tmp_path / "site.tif")
     with pytest.raises(InputError, match="found a rotated or non-square grid"):
         read_raster(tmp_path / "turned.tif")
