@@ -22,6 +22,7 @@ FLOORS = [
     {"prep", "prior", "fit", "export", "compare", "simulate"},
     {"batch"},
     {"report"},
+    {"doctor"},
     {"api", "cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}

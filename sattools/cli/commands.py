@@ -12,6 +12,7 @@ COMMANDS = {
     "batch": "Many scenes in many configurations -> one table, error against seconds.",
     "report": "Scene or batch -> one self-contained HTML page.",
     "info": "Print a summary of a scene.",
+    "doctor": "Say what is installed and what is missing.",
 }
 
 __all__ = ["COMMANDS"]

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sattools.camera.ground import to_geographic
 from sattools.errors import SattoolsError
 from sattools.scene.grid import Grid
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
 
 # option -> (CRS, name, PROJ's file)
 GEOIDS = {
@@ -29,22 +34,37 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
     """
     if vertical == "ellipsoid":
         return height, ELLIPSOID
-    from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
-    code, name, file = GEOIDS[vertical]
+    _, name, file = GEOIDS[vertical]
     x, y = np.meshgrid(grid.x(), grid.y())
     lon, lat = to_geographic(grid.crs, x.ravel(), y.ravel())
     try:
-        # without the geoid's grid PROJ would silently hand the ellipsoidal heights back ("ballpark" transformation)
-        transformer = Transformer.from_crs("EPSG:4979", code, always_xy=True, only_best=True, allow_ballpark=False)
-        _, _, above = transformer.transform(lon, lat, height.astype(np.float64).ravel(), errcheck=True)
+        _, _, above = _transformer(vertical).transform(lon, lat, height.astype(np.float64).ravel(), errcheck=True)
     except ProjError as error:
         raise SattoolsError(
             f"--vertical {vertical}: found no grid of the {name} in PROJ, expected {file} "
-            f"(install it with `projsync --file {file}`)"
+            f"(fetch it with `sattools doctor --fetch-geoids`)"
         ) from error
     return np.asarray(above).reshape(height.shape), name
 
 
-__all__ = ["ELLIPSOID", "to_datum"]
+def has_grid(vertical: str) -> bool:
+    """Whether PROJ has the grid of a geoid."""
+    from pyproj.exceptions import ProjError
+
+    try:
+        _transformer(vertical).transform(15.0, 46.0, 0.0, errcheck=True)
+    except ProjError:
+        return False
+    return True
+
+
+def _transformer(vertical: str) -> Transformer:
+    from pyproj import Transformer
+
+    # without the geoid's grid PROJ would silently hand the ellipsoidal heights back ("ballpark" transformation)
+    return Transformer.from_crs("EPSG:4979", GEOIDS[vertical][0], always_xy=True, only_best=True, allow_ballpark=False)
+
+
+__all__ = ["ELLIPSOID", "GEOIDS", "has_grid", "to_datum"]

@@ -126,7 +126,7 @@ def test_referred_images_are_the_same_scene_as_copied_ones(folder: Path) -> None
     middle = plain_bounds(folder)
     bounds = [middle[0] - 30, middle[1] - 30, middle[0] + 30, middle[1] + 30]
     copied, referred = (
-        prepare(paths(folder), PrepOptions(out=str(folder / name), bounds=bounds, copy=copy, **options))[0]  # type: ignore[arg-type]
+        prepare(paths(folder), PrepOptions(out=str(folder / name), bounds=bounds, copy=copy, **options))[0]
         for name, copy in (("copied", True), ("referred", False))
     )
     assert not (referred.root / "images").exists()

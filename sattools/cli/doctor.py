@@ -1,0 +1,31 @@
+"""`sattools doctor`: is everything there that the suite can use?"""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+
+@click.command("doctor")
+@click.option("--json", "as_json", is_flag=True, help="Print what was found as JSON.")
+@click.option(
+    "--fetch-geoids", is_flag=True, help="First download the EGM96 and EGM2008 grids that `export --vertical` needs."
+)
+def command(as_json: bool, fetch_geoids: bool) -> None:
+    """Say what is installed, what is missing and what to do about it; status 1 where the suite cannot work."""
+    from sattools import doctor
+
+    if fetch_geoids:
+        doctor.fetch_geoids(lambda text: click.echo(text, err=True))
+    findings = doctor.examine()
+    if as_json:
+        click.echo(json.dumps([finding.to_dict() for finding in findings], indent=1))
+    else:
+        width = max(len(finding.name) for finding in findings)
+        for finding in findings:
+            click.echo(f"{finding.state:8s}{finding.name:{width}s}  {finding.text}")
+            if finding.remedy and finding.state != "ok":
+                click.echo(f"{'':8s}{'':{width}s}  -> {finding.remedy}")
+    if any(finding.state == "missing" for finding in findings):
+        raise SystemExit(1)

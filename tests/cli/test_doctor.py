@@ -1,0 +1,86 @@
+"""`sattools doctor` says what is there, what is not, and what to do about it."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from click.testing import CliRunner
+
+from sattools import doctor
+from sattools.cli import main
+from sattools.errors import SattoolsError
+from sattools.export import datum
+
+
+def test_this_installation_is_sound() -> None:
+    result = CliRunner().invoke(main, ["doctor", "--json"])
+    assert result.exit_code == 0
+    findings = {row["name"]: row for row in json.loads(result.stdout)}
+    assert findings["rasterio"]["state"] == "ok"
+    assert findings["GDAL"]["text"].startswith("3.")
+    assert "missing" not in {row["state"] for row in findings.values()}
+
+
+def test_people_read_a_line_per_thing_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [doctor.Finding("Python", "ok", "3.11"), doctor.Finding("torch", "missing", "not there", "install it")]
+    monkeypatch.setattr(doctor, "examine", lambda: rows)
+    result = CliRunner().invoke(main, ["doctor"])
+    assert result.exit_code == 1
+    assert result.stdout == "ok      Python  3.11\nmissing torch   not there\n                -> install it\n"
+
+
+def test_a_library_that_cannot_be_imported_is_a_finding_and_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> list[doctor.Finding]:
+        raise ImportError("libfoo.so:\nno such file")
+
+    broken.__name__ = "_torch"
+    monkeypatch.setattr(doctor, "_torch", broken)
+    found = next(f for f in doctor.examine() if f.name == "torch" and f.state == "missing")
+    assert found.text == "ImportError: libfoo.so: no such file"
+
+
+def test_a_python_that_is_too_old_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "sys", SimpleNamespace(version_info=(3, 9, 1), version="3.9.1 x", executable="p"))
+    (found,) = doctor._python()
+    assert (found.state, found.remedy) == ("missing", "use Python 3.11 to 3.13")
+
+
+def test_geoid_grids_are_fetched_where_they_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pyproj.datadir
+    import pyproj.transformer
+
+    fetched: list[tuple[str, str]] = []
+
+    class Group:
+        def __init__(self, source: str, target: str, always_xy: bool) -> None:
+            self.target = target
+
+        def download_grids(self, folder: str, open_license: bool) -> None:
+            fetched.append((self.target, folder))
+
+    monkeypatch.setattr(pyproj.transformer, "TransformerGroup", Group)
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path / "proj"))
+    monkeypatch.setattr(datum, "has_grid", lambda name: name == "egm2008")
+    said: list[str] = []
+    doctor.fetch_geoids(said.append)
+    assert fetched == [("EPSG:4326+5773", str(tmp_path / "proj"))]
+    assert said == [f"EGM96 geoid: {tmp_path}/proj/us_nga_egm96_15.tif", "EGM2008 geoid: there already"]
+
+
+def test_no_network_is_one_line_with_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pyproj.datadir
+    import pyproj.transformer
+
+    class Group:
+        def __init__(self, *_: str, always_xy: bool) -> None:
+            pass
+
+        def download_grids(self, folder: str, open_license: bool) -> None:
+            raise OSError("Name or service\nnot known")
+
+    monkeypatch.setattr(pyproj.transformer, "TransformerGroup", Group)
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path))
+    monkeypatch.setattr(datum, "has_grid", lambda name: False)
+    with pytest.raises(SattoolsError, match=r"EGM96 geoid: cannot be fetched \(Name or service not known\)"):
+        doctor.fetch_geoids(print)
