@@ -55,6 +55,7 @@ class OptionSpec:
         minimum, maximum: inclusive limits, or None.
         count: how many values it takes at once.
         renamed: former names of choices.
+        words: what a number may be instead, such as ``auto``.
 
     Numbers are finite, and no larger than `LARGEST` where nothing else is said.
     """
@@ -70,6 +71,7 @@ class OptionSpec:
     maximum: float | None
     count: int = 1
     renamed: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    words: tuple[str, ...] = ()
 
 
 def specs(cls: type) -> list[OptionSpec]:
@@ -95,9 +97,18 @@ def specs(cls: type) -> list[OptionSpec]:
                 item.metadata["maximum"],
                 _count(hint),
                 item.metadata["renamed"],
+                _words(hint, kind),
             )
         )
     return options
+
+
+def _words(hint: Any, kind: type) -> tuple[str, ...]:
+    """Texts that stand beside numbers, as in `float | Literal["auto"] | None`."""
+    if kind not in (int, float):
+        return ()
+    parts = [part for part in typing.get_args(hint) if typing.get_origin(part) is typing.Literal]
+    return tuple(word for part in parts for word in typing.get_args(part))
 
 
 def _count(hint: Any) -> int:

@@ -289,7 +289,7 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
     if earlier is not None:
         plan.results[task.scene, task.configuration] = earlier
         return False
-    if not configuration.resolved.get("fit", {}).get("tile"):
+    if configuration.resolved.get("fit", {}).get("tile") in (None, 0, "auto"):  # auto: tiles within the run's own task
         plan.jobs.append(job)
         shared = shared_task(Path(task.folder).parents[2], task, content, configuration)
         if shared is not None:

@@ -35,7 +35,9 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     --resume and ends with the same surface as one that was not.
     """
     options = build(FitOptions, {**values, **_preset(values["preset"], values["start"])})
-    if options.tile and 2 * options.overlap >= options.tile:
+    if options.tile == "auto" and options.part != "all":
+        raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
+    if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:
         raise click.BadParameter(
             f"found {options.overlap:g} m, expected less than half of --tile {options.tile:g} m", param_hint="--overlap"
         )
@@ -47,6 +49,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return fit(scene, options, progress, overwrite)
 
-    run_scenes(
-        Run("fit", options, dry_run, print_config, overwrite, at_once=False), scenes, work, plan="fit the surface"
-    )
+    def foreseen(scene: Scene) -> str:
+        from sattools.fit.foresight import foresee
+
+        return str(foresee(scene, options))
+
+    run = Run("fit", options, dry_run, print_config, overwrite, at_once=False)
+    run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen)

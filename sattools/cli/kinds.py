@@ -25,6 +25,24 @@ class Finite(click.FloatRange):
         return super()._describe_range() if self.min is not None or self.max is not None else ""
 
 
+class FiniteOr(Finite):
+    """A finite number within limits, or one of some words."""
+
+    name = "number or word"
+
+    def __init__(self, words: Sequence[str], low: float | None, high: float | None) -> None:
+        super().__init__(min=low, max=high)
+        self.words = tuple(words)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        return value if value in self.words else super().convert(value, param, ctx)
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """See `click.ParamType.get_metavar`."""
+        return "|".join(("FLOAT", *self.words))
+
+
 class Whole(click.IntRange):
     """A whole number within limits; 1.7 of a configuration file is none."""
 
@@ -61,6 +79,8 @@ def kind_of(spec: OptionSpec) -> Any:
     """Click's type of an option; None where click finds it by itself."""
     if spec.choices:
         return Renamed(spec.choices, spec.renamed) if spec.renamed else click.Choice(spec.choices)
+    if spec.words:
+        return FiniteOr(spec.words, spec.minimum, spec.maximum)
     if spec.kind is float:
         return Finite(min=spec.minimum, max=spec.maximum)
     if spec.kind is int:
@@ -80,6 +100,8 @@ def check_value(option: click.Option, value: Any) -> None:
         kind = Number(whole=True)
     elif isinstance(option.type, click.types.FloatParamType):
         kind = Number()
+    if isinstance(option.type, FiniteOr) and value in option.type.words:
+        return
     several = option.multiple or option.nargs != 1
     try:
         Maybe(Items(kind, option.nargs if option.nargs > 1 else 0) if several else kind).check(value, "value")
@@ -87,4 +109,4 @@ def check_value(option: click.Option, value: Any) -> None:
         raise InputError(str(error).removeprefix("value: ")) from None
 
 
-__all__ = ["Finite", "Renamed", "Whole", "check_value", "kind_of"]
+__all__ = ["Finite", "FiniteOr", "Renamed", "Whole", "check_value", "kind_of"]

@@ -47,6 +47,8 @@ def run_scenes(
     emit: Callable[[Scene, dict[str, Any]], str] | None = None,
     plan: str = "",
     before: Callable[[Scene], Scene] | None = None,
+    *,
+    foreseen: Callable[[Scene], str] | None = None,
 ) -> None:
     """Apply ``work`` to every scene and pass the results on as soon as they are done.
 
@@ -57,6 +59,7 @@ def run_scenes(
         emit: makes the line for stdout from the scene and the history entry; None = the scene document.
         plan: for --dry-run, what would be done.
         before: does what the command needs and the scene has not.
+        foreseen: for --dry-run, what it will take.
     """
     if run.print_config:
         print_config(run.command, run.options)
@@ -66,7 +69,8 @@ def run_scenes(
         if not scene.root.is_dir():
             raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
         if run.dry_run:
-            click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}", err=True)
+            takes = f": {foreseen(scene)}" if foreseen else ""
+            click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}{takes}", err=True)
             return scene.to_json()
         scene, entry = apply(run, before(scene) if before else scene, work)
         return emit(scene, entry) if emit else scene.to_json()

@@ -68,10 +68,10 @@ class FitOptions(RayOptions):
     smooth: float | None = option(
         None, "Weight of the height smoothness (default: 0.4, or 0.05 from a flat start).", minimum=0
     )
-    tile: float | None = option(
+    tile: float | Literal["auto"] | None = option(
         None,
         "Fit the area in tiles of at most this edge, joined without seams, where all at once needs too much memory "
-        "[m]; 0 = all at once.",
+        "[m]; 0 = all at once, auto = as the free memory asks for.",
         minimum=0,
     )
     overlap: float = option(32.0, "With --tile: distance by which a tile reaches into its neighbours [m].", minimum=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE
+from sattools.fit.foresight import with_tile
 from sattools.fit.inputs import holding_out, may_write
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.shared import PRODUCT
@@ -30,6 +31,7 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         SceneError: fewer than two usable images, or unknown held-out ids.
         OutputExistsError: there is a model and ``overwrite`` is False, or ``resume`` finds a finished fit.
     """
+    options = with_tile(scene, options)
     if not options.tile or PRODUCT in scene.products:  # a tile is fitted as a whole
         return fit_whole(scene, options, progress, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite, (CHECKPOINT, STATE)))

@@ -76,6 +76,7 @@ class Plan:
         if PRIOR[0] in scene.products and options.prior_weight > 0:
             cells.append(raster_grid(scene.path(scene.products[PRIOR[0]])).cell_size)
         assert options.tile is not None
+        assert options.tile != "auto"  # `sattools.fit.stage.fit` has chosen
         tiles = make_tiles(grid, options.tile, options.overlap, common_cell(cells))
         most = max(tile.grid.width * tile.grid.height for tile in tiles)
         factor = max(1, math.ceil(math.sqrt(grid.width * grid.height / most)))

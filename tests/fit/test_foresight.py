@@ -1,0 +1,104 @@
+"""What a fit will take is said before it begins, and tiles are chosen by the memory that is free."""
+
+from collections.abc import Callable
+
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.fit import foresight
+from sattools.fit.foresight import chosen_tile, foresee, with_tile
+from sattools.fit.options import FitOptions
+from sattools.scene import Grid, Scene
+
+AUTO = FitOptions(tile="auto")
+GIB = 2**30
+
+
+@pytest.fixture
+def town(town_source: Scene) -> Scene:
+    """Six training images; the area is set by the tests, nothing is read."""
+    return Scene.from_json(town_source.to_json())
+
+
+def of_size(scene: Scene, edge_m: float) -> Scene:
+    cells = round(edge_m / 0.5)
+    scene.grid = Grid(scene.require_grid().crs, 0.0, edge_m, 0.5, cells, cells)
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("edge_m", "free", "tile"),
+    [
+        (256, 16 * GIB, None),  # fits
+        (1000, 64 * GIB, None),
+        (3000, 64 * GIB, 1024.0),  # would fit; tiles keep progress
+        (3000, 8 * GIB, 512.0),
+        (3000, 3 * GIB, 256.0),
+        (3000, GIB, 256.0),  # the smallest, whatever it takes
+        (400, GIB, 256.0),
+        (200, GIB, None),  # no tile is smaller
+    ],
+)
+def test_auto_takes_the_largest_tile_that_half_of_the_free_memory_holds(
+    town: Scene, monkeypatch: pytest.MonkeyPatch, edge_m: float, free: int, tile: float | None
+) -> None:
+    monkeypatch.setattr(foresight, "available", lambda: free)
+    assert chosen_tile(of_size(town, edge_m), AUTO) == tile
+
+
+def test_a_tile_that_is_given_stays(town: Scene) -> None:
+    for given, tile in ((300.0, 300.0), (0.0, None), (None, None)):
+        options = FitOptions(tile=given)
+        assert chosen_tile(town, options) == tile
+        assert with_tile(town, options) is options
+
+
+def test_more_ground_and_more_images_take_more(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foresight, "available", lambda: 64 * GIB)
+    small, large = foresee(of_size(town, 200), AUTO), foresee(of_size(town, 400), AUTO)
+    assert large.area_km2 == pytest.approx(4 * small.area_km2) == pytest.approx(0.16)
+    assert large.memory > small.memory
+    assert large.cpu_s > 2 * small.cpu_s
+    huge = foresee(of_size(town, 3000), AUTO)
+    # 3 x 3 tiles, each with its overlap: memory is that of one of them
+    assert huge.tiles == 9
+    assert huge.memory < foresee(of_size(town, 1200), FitOptions(tile=None)).memory
+    two = Scene.from_json(town.to_json())
+    two.items = two.items[:2]
+    assert foresee(two, AUTO).cpu_s < foresee(town, AUTO).cpu_s
+
+
+def test_a_dry_run_says_it_and_fits_nothing(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    result = CliRunner().invoke(main, ["fit", "--dry-run", "--tile", "auto", str(scene.root / "scene.json")])
+    assert result.exit_code == 0
+    assert "would fit the surface for scene TOWN" in result.stderr
+    assert "km2" in result.stderr
+    assert "6 images, all at once: about" in result.stderr
+    assert not (scene.root / "fit").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--tile", "often"], "often"),
+        (["--tile", "auto", "--part", "split"], "found auto with --part split, expected metres"),
+    ],
+)
+def test_what_cannot_be_meant_is_wrong_usage(make_town: Callable[[], Scene], arguments: list[str], words: str) -> None:
+    result = CliRunner().invoke(main, ["fit", *arguments, str(make_town().root / "scene.json")])
+    assert result.exit_code == 2
+    assert words in result.stderr
+
+
+def test_auto_in_a_configuration_file(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    config = scene.root / "c.toml"
+    config.write_text('[fit]\ntile = "auto"\n')
+    arguments = ["fit", "--config", str(config), "--print-config", str(scene.root / "scene.json")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0
+    assert 'tile = "auto"' in result.stdout
+    config.write_text('[fit]\ntile = "often"\n')
+    assert CliRunner().invoke(main, arguments).exit_code == 2
