@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import geopandas
 from damage import damage, rpb, xml
 from forked import Result, preload, run, warm
 
@@ -59,6 +60,9 @@ class Target:
     commands: tuple[tuple[str, ...], ...]
 
 
+CHANGE = ("change", SCENE, "{root}/truth/TINY_DSM.tif", "--out", "{root}/changed")
+
+
 def on(*command: str) -> tuple[str, ...]:
     return (*command, SCENE)
 
@@ -85,8 +89,12 @@ TARGETS = [
     Target("prior/confidence.tif", (on("fit", *WITH_PRIOR, "--overwrite"),)),
     Target("export/dsm.tif", (on("compare", "--overwrite"), on("report"),
                               ("compare", "--predicted", "{root}/export/dsm.tif", "--dsm",
-                               "{root}/truth/TINY_DSM.tif"))),
-    Target("export/validity.tif", (on("compare", "--overwrite"),)),
+                               "{root}/truth/TINY_DSM.tif"), CHANGE)),
+    Target("export/validity.tif", (on("compare", "--overwrite"), CHANGE)),
+    Target("export/dsm_std.tif", (CHANGE,)),
+    Target("export/albedo.tif", (CHANGE,)),
+    Target("area.gpkg", ((*CHANGE, "--polygons", "{root}/area.gpkg"),)),
+    Target("aoi.geojson", ((*CHANGE, "--polygons", "{root}/aoi.geojson"),)),
     Target("truth/TINY_DSM.tif", (on("compare", "--overwrite"), on("compare", "--truth", "{root}/truth", "--overwrite"),
                                   ("simulate", "--dsm", "{root}/truth/TINY_DSM.tif", "--size", "32", "--views", "2",
                                    "--out", "{root}/made"))),
@@ -99,7 +107,7 @@ TARGETS = [
     Target("batch/table.csv", (("report", "{root}/batch"),)),
     Target("batch/digests.json", (("batch", "--dry-run", "--out", "{root}/batch", SCENE),)),
 ]  # fmt: skip
-COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare", "simulate", "report", "batch")
+COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare", "change", "simulate", "report", "batch")
 ODD_TEXT = [
     *("", " ", "nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "-1e9", "1" * 400, "0x10", "1,5", "π", "\udc80",
       "a" * 5000, "../../../etc/passwd", "/dev/zero", "/dev/full", "/vsicurl/http://127.0.0.1:9/x.tif", "-", "--", "*",
@@ -141,6 +149,7 @@ class Fuzz:
                 {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": ring}]}
             )
         )
+        geopandas.read_file(self.base / "aoi.geojson").to_file(self.base / "area.gpkg")
         self.must([*self.filled(PREP, self.base)])
         shutil.copy(self.base / "out/S/adjustment.json", self.base / "adjustment.json")
         shutil.rmtree(self.base / "out")
@@ -152,7 +161,7 @@ class Fuzz:
         shutil.copytree(self.base, root)
         for command in ([*PREP], on("prior", "--overwrite", "--resolution", "4"), on("normalise"),
                         on("fit", *WITH_PRIOR, "--overwrite"), on("export", "--overwrite", "--view", "TINY_002"),
-                        on("compare", "--overwrite"), on("report"), on("info")):  # fmt: skip
+                        on("compare", "--overwrite"), on("report"), on("info"), CHANGE):  # fmt: skip
             warm(["--threads", "1", "-q", *self.filled(command, root)])
 
     def _vendor(self) -> None:
@@ -264,6 +273,7 @@ class Fuzz:
             "simulate": ("simulate", "--size", "32", "--views", "2", "--dates", "1", "--gsd", "1", "--out",
                          "{root}/made"),
             "batch": ("batch", "--dry-run", "--out", "{root}/batch", SCENE), "info": on("info"), "report": on("report"),
+            "change": CHANGE,
         }  # fmt: skip
         command = self.filled(usual.get(name, on(name, "--overwrite")), root)
         where = rng.choice([1, len(command)])

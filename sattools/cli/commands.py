@@ -8,6 +8,7 @@ COMMANDS = {
     "fit": "Fit a volumetric scene by differentiable rendering.",
     "export": "Fitted scene -> DSM, albedo, shadows as georeferenced files.",
     "compare": "Compare a DSM with lidar and print the error table.",
+    "change": "Two dates -> what has risen or sunk, volumes, significance.",
     "simulate": "Make a ray-traced scene with known truth.",
     "batch": "Many scenes in many configurations -> one table, error against seconds.",
     "report": "Scene or batch -> one self-contained HTML page.",

@@ -159,10 +159,11 @@ def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
 def _step(run: Run, label: str) -> Step:
     from sattools.scene.runner import Step
 
-    return Step(run.command, run.options, run.overwrite, _progress(run.command, label), run.at_once)
+    return Step(run.command, run.options, run.overwrite, progress_of(run.command, label), run.at_once)
 
 
-def _progress(command: str, label: str) -> Progress:
+def progress_of(command: str, label: str) -> Progress:
+    """Progress as `--progress` asks for it, that notices interrupts."""
     context = click.get_current_context(silent=True)
     mode = (context.find_root().obj or {}).get("progress", "none") if context else "none"
     return checked(make_progress(mode, f"{command} {label}"))
@@ -220,4 +221,14 @@ def _print_line(line: str) -> None:
         sys.exit(1)
 
 
-__all__ = ["Run", "apply", "documents", "each_scene", "parse", "report_error", "run_scenes", "run_source"]
+__all__ = [
+    "Run",
+    "apply",
+    "documents",
+    "each_scene",
+    "parse",
+    "progress_of",
+    "report_error",
+    "run_scenes",
+    "run_source",
+]

@@ -1,0 +1,1 @@
+"""What has changed between two dates: heights, reflectance, volumes, and how sure that is."""

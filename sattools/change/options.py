@@ -1,0 +1,33 @@
+"""Options of `sattools change`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sattools.settings import option
+
+
+@dataclass(frozen=True)
+class ChangeOptions:
+    """How two surfaces are compared."""
+
+    out: str = option("change", "Folder for the maps, polygons and the table.")
+    register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
+        "ncc",
+        "How the later surface is brought onto the earlier one: whole cells by correlation, below a cell by slopes, in "
+        "height only, or not.",
+    )
+    min_height: float = option(2.0, "Smallest mean change of height of a region [m].", minimum=0.0)
+    min_area: float = option(25.0, "Smallest area of a region [m2].", minimum=0.0)
+    rim: float = option(
+        1.5, "Regions narrower than twice that are the edges of things that have not changed [m].", minimum=0.0
+    )
+    correlation: float = option(5.0, "Distance over which errors of heights go together [m].", minimum=0.0)
+    confidence: float = option(
+        0.95, "Probability with which a surface without changes shows no region at all.", minimum=0.5, maximum=0.999999
+    )
+    polygons: str | None = option(None, "Vector file: change and volume within each of its polygons, too.")
+
+
+__all__ = ["ChangeOptions"]

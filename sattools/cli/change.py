@@ -1,0 +1,43 @@
+"""`sattools change`: what has changed between two dates."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+
+from sattools.change.options import ChangeOptions
+from sattools.cli.options import build, common_options, dataclass_options
+from sattools.cli.options import print_config as show_config
+from sattools.cli.pipe import progress_of, report_error
+from sattools.errors import SattoolsError
+
+
+@click.command("change")
+@click.argument("before")
+@click.argument("after")
+@dataclass_options(ChangeOptions)
+@common_options
+def command(before: str, after: str, overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Compare the surfaces of two dates, BEFORE and AFTER: scene documents after `export`, or rasters of heights.
+
+    Writes maps of the change of height (and albedo), its significance, and polygons of what has risen or sunk with
+    their volumes into --out; the table as JSON on stdout.
+    """
+    options = build(ChangeOptions, values)
+    if print_config:
+        show_config("change", options)
+        return
+    if dry_run:
+        click.echo(f"sattools change: would compare {before} with {after} into {options.out}", err=True)
+        return
+    from sattools.change.stage import change
+
+    try:
+        table = change(before, after, options, progress_of("change", f"{before} {after}"), overwrite)
+    except SattoolsError as error:
+        report_error("change", error)
+        sys.exit(1)
+    click.echo(json.dumps(table))

@@ -1,0 +1,165 @@
+"""What has changed between two dates."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from shapely.geometry import box
+
+from sattools.change.detect import HeightChange, cell_sigma, find_regions, sums
+from sattools.change.options import ChangeOptions
+from sattools.cli import main
+from sattools.scene.grid import Grid
+from sattools.scene.raster import read_raster, write_cog
+
+CRS = "EPSG:32617"
+SIZE = 80  # cells of 1 m
+GRID = Grid(crs=CRS, left=436000.0, top=3355080.0, cell_size=1.0, width=SIZE, height=SIZE)
+
+
+def run(*arguments: Any) -> Result:
+    return CliRunner().invoke(main, ["change", *map(str, arguments)])
+
+
+def city(seed: int, *, noise: float = 0.3, houses: tuple[tuple[int, int], ...] = ((10, 10), (10, 50), (50, 10))) -> Any:
+    """Houses of 12 x 12 m and 8 m height; errors of a surface go together over about 5 cells."""
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(seed)
+    errors = gaussian_filter(rng.standard_normal((SIZE, SIZE)), 2.0)
+    heights = noise * errors / errors.std()
+    for row, column in houses:
+        heights[row : row + 12, column : column + 12] += 8.0
+    return heights.astype(np.float32)
+
+
+def saved(path: Path, heights: Any, grid: Grid = GRID) -> Path:
+    write_cog(path, heights, grid, units="m")
+    return path
+
+
+def regions_between(old: Any, new: Any, **options: Any) -> Any:
+    difference = new - old
+    chosen = ChangeOptions(**options)
+    return find_regions(HeightChange(difference, cell_sigma(difference, None), 1.0, chosen.correlation), chosen)
+
+
+def test_a_house_that_went_and_one_that_came_are_found_with_their_volumes() -> None:
+    old = city(1)
+    new = city(2, houses=((10, 10), (10, 50), (50, 50)))
+    labels, regions = regions_between(old, new)
+    assert len(regions) == 2
+    sunk = min(regions, key=lambda r: r.mean_m)
+    risen = max(regions, key=lambda r: r.mean_m)
+    # opening rounds the corners of the square off; the noise of both dates is 0.4 m, of a mean over 144 m2 0.2 m
+    assert sunk.mean_m == pytest.approx(-8.0, abs=0.6)
+    assert risen.volume_m3 == pytest.approx(8.0 * 144, rel=0.1)
+    assert abs(risen.volume_m3 - 8.0 * risen.area_m2) < 3 * risen.volume_std_m3
+    assert max(r.p_value for r in regions) < 1e-6
+    assert (labels[52:60, 52:60] == risen.label).all()
+    assert (labels[52:60, 12:20] == sunk.label).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_nothing_is_found_where_nothing_has_changed(seed: int) -> None:
+    # walls one cell apart, as surfaces of two dates have them
+    moved = city(100 + seed, houses=((10, 11), (9, 50), (50, 10)))
+    assert regions_between(city(seed), moved)[1] == []
+
+
+def test_one_noisy_surface_hides_a_small_change_that_a_sure_one_shows() -> None:
+    difference = np.zeros((SIZE, SIZE), np.float32)
+    difference[20:26, 20:26] = 2.5
+    options = ChangeOptions()
+    for std, found in ((0.1, 1), (1.5, 0)):
+        sigma = cell_sigma(difference, np.full_like(difference, std))
+        assert len(find_regions(HeightChange(difference, sigma, 1.0, 5.0), options)[1]) == found
+
+
+def test_cells_without_a_height_do_not_count() -> None:
+    difference = np.full((4, 4), 2.0, np.float32)
+    difference[0] = np.nan
+    figures = sums(np.ones((4, 4), bool), HeightChange(difference, np.ones_like(difference), 2.0, 0.0))
+    assert (figures.area_m2, figures.mean_m, figures.volume_m3) == (48.0, 2.0, 96.0)
+    assert figures.volume_std_m3 == pytest.approx(48.0 / np.sqrt(12))
+
+
+def test_the_command_writes_maps_polygons_and_a_table(tmp_path: Path) -> None:
+    old = saved(tmp_path / "old.tif", city(1))
+    wider = Grid(crs=CRS, left=435990.0, top=3355090.0, cell_size=1.0, width=SIZE + 20, height=SIZE + 20)
+    later = np.pad(city(2, houses=((10, 10), (10, 50), (50, 50))), 10, constant_values=np.nan)
+    new = saved(tmp_path / "new.tif", np.roll(later + 3.0, 2, axis=1), wider)  # 2 m east and 3 m up
+    area = geopandas.GeoDataFrame(geometry=[box(436045, 3355015, 436067, 3355035)], crs=CRS)
+    area.to_crs("EPSG:4326").to_file(tmp_path / "area.gpkg")
+    out = tmp_path / "out"
+    result = run(old, new, "--out", out, "--polygons", tmp_path / "area.gpkg")
+    assert result.exit_code == 0, result.stderr
+    table = json.loads(result.stdout)
+    assert table["shift_m"][:2] == [-2.0, 0.0]
+    assert table["shift_m"][2] == pytest.approx(-3.0, abs=0.1)
+    assert sorted(np.sign(region["mean_m"]) for region in table["regions"]) == [-1, 1]
+    assert table["polygons"][0]["volume_m3"] == pytest.approx(8 * 144, rel=0.1)
+    frame = geopandas.read_file(out / "changes.gpkg")
+    assert sorted(frame["kind"]) == ["risen", "sunk"]
+    assert frame.crs.to_epsg() == 32617
+    assert frame.area.sum() == pytest.approx(sum(region["area_m2"] for region in table["regions"]))
+    heights, grid = read_raster(out / "height_change.tif")
+    assert grid == GRID
+    assert np.nanmean(heights[0, 52:60, 52:60]) == pytest.approx(8.0, abs=0.5)
+    assert (out / "height_change.png").stat().st_size > 1000
+    # again: refused, and nothing replaced
+    assert run(old, new, "--out", out).exit_code == 1
+    assert run(old, new, "--out", out, "--overwrite").exit_code == 0
+
+
+def test_scenes_are_compared_where_images_have_measured(make_town: Any, tmp_path: Path) -> None:
+    from sattools.export.options import ExportOptions
+    from sattools.export.stage import export
+    from sattools.fit.options import FitOptions
+    from sattools.fit.stage import fit
+
+    town = make_town()
+    options = FitOptions(resolution=2.0, coarsest=2.0, epochs=(1,), prior_weight=0.0)
+    from sattools.progress import silent
+
+    fit(town, options, silent)
+    export(town, ExportOptions(), silent)
+    document = town.output("scene.json")
+    document.write_text(town.to_json() + "\n")
+    result = run(document, document, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.stderr
+    table = json.loads(result.stdout)
+    assert table["regions"] == []
+    assert table["nmad_m"] == 0.0
+    assert (tmp_path / "out" / "albedo_change.tif").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("old.tif", "nowhere.tif"), "nowhere.tif"),
+        (("old.tif", "far.tif"), "expected overlap"),
+        (("old.tif", "old.tif", "--polygons", "old.tif"), "expected one of .gpkg"),
+        (("old.tif", "old.tif", "--polygons", "broken.gpkg"), "found other content"),
+        (("old.tif", "old.tif", "--polygons", "points.gpkg"), "found no polygon"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(arguments: Any, message: str, tmp_path: Path) -> None:
+    saved(tmp_path / "old.tif", city(1))
+    away = Grid(crs=CRS, left=536000.0, top=3355080.0, cell_size=1.0, width=SIZE, height=SIZE)
+    saved(tmp_path / "far.tif", city(1), away)
+    (tmp_path / "broken.gpkg").write_text("no database")
+    geopandas.GeoDataFrame(geometry=geopandas.points_from_xy([436010], [3355010]), crs=CRS).to_file(
+        tmp_path / "points.gpkg"
+    )
+    result = run(*[a if a.startswith("--") else tmp_path / a for a in arguments], "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
