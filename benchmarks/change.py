@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from sattools.scene import Scene
 from sattools.scene.raster import read_raster, write_cog
 
 BUILDING, GROUND = 6, 2
@@ -36,7 +37,7 @@ def sattools(*arguments: str, text: str = "") -> str:
 def dated(folder: Path, name: str, dsm: Path, classes: Path, seed: int, size: float) -> Path:
     """The document of an exported scene over a DSM."""
     document = folder / name / "scene.json"
-    if document.exists() and "dsm" in json.loads(document.read_text())["products"]:
+    if document.exists() and "dsm" in Scene.from_file(document).products:
         return document
     text = sattools(
         "simulate", "--id", name, "--out", str(folder), "--dsm", str(dsm), "--classes", str(classes),

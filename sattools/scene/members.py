@@ -117,6 +117,10 @@ GRID = Table(
     None,
 )
 
+_RECORD = Table(
+    {"inputs": Text(), "items": Items(Text()), "outputs": Table(other=Maybe(Text()))}, ("inputs", "items", "outputs")
+)
+
 _ENTRY = Table(
     {
         "command": Text(),
@@ -127,6 +131,7 @@ _ENTRY = Table(
         "notes": Items(Text(empty=True, longest=100_000)),
         "parts": Table({"seconds": Number(0), "peak_memory_mb": Number(0)}, ("seconds", "peak_memory_mb")),
         "errors": Table({"classes": Table(other=Table())}),
+        "made": Maybe(Table(other=_RECORD)),
     },
     ("command",),
 )

@@ -78,6 +78,10 @@ NONSENSE = {
     "products": (lambda d: ours(d).update(products=["x"]), "products: found"),
     "history": (lambda d: ours(d).update(history=[{}]), "found no 'command'"),
     "history seconds": (lambda d: ours(d).update(history=[{"command": "fit", "seconds": "1"}]), "seconds: found '1'"),
+    "history record": (
+        lambda d: ours(d).update(history=[{"command": "fit", "made": {"fit": {"items": [], "outputs": {}}}}]),
+        "made.fit: found no 'inputs'",
+    ),
     "history text": (lambda d: ours(d).update(history="none"), "history: found 'none'"),
     "root": (lambda d: ours(d).update(root=5), "root: found 5"),
 }
