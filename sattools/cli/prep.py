@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 @click.command("prep")
 @click.argument("images", nargs=-1, type=click.Path(path_type=str), metavar="IMAGE...")
 @dataclass_options(PrepOptions)
-@click.option("--aoi", help="GeoJSON file of the area of interest; with --dfc2019 the name of an area such as JAX_068.")
+@click.option(
+    "--aoi",
+    help="Vector file (GeoJSON, GeoPackage, shapefile, FlatGeobuf) of the area of interest; "
+    "with --dfc2019 the name of an area such as JAX_068.",
+)
 @click.option(
     "--bounds",
     nargs=4,

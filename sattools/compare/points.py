@@ -13,10 +13,10 @@ import numpy as np
 
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
-from sattools.scene.jsonio import TEXT_LIMIT, JsonObject, read_bytes, read_json, read_text
+from sattools.scene.jsonio import JsonObject, read_text
+from sattools.scene.vectors import read_features
 
 TEXT = ("name",)
-_MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
 PLACES = (("x", "y"), ("lon", "lat"))
 
 
@@ -77,27 +77,8 @@ def _number(text: str | None) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
-def _check_vector(path: Path) -> None:
-    """Raise InputError unless the file begins as one of the formats that are read.
-
-    GDAL opens by content: a VRT or WFS description under another name would make it read other files and hosts.
-    """
-    head = read_bytes(path, TEXT_LIMIT * 16)[:512]
-    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if start.startswith(b"{"):
-        read_json(path, "GeoJSON")  # its depth and numbers
-    elif not head.startswith(_MAGIC):
-        raise InputError(f"{path}: found another format, expected CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf")
-
-
 def _read_vector(path: Path) -> list[Point]:
-    import geopandas
-
-    _check_vector(path)
-    try:
-        frame = geopandas.read_file(path)
-    except Exception as error:  # GDAL's drivers raise a dozen kinds
-        raise InputError(f"{path}: cannot be read ({error}), expected a vector file of sample points") from error
+    frame = read_features(path, "sample points in a CSV or vector file")
     if "geometry" not in frame or frame.geometry.isna().any() or frame.geometry.is_empty.any():
         raise InputError(f"{path}: found features without a place, expected points")
     if not (frame.geometry.geom_type == "Point").all():

@@ -1,4 +1,4 @@
-"""The area asked for: bounds on the command line or a GeoJSON polygon."""
+"""The area asked for: bounds on the command line or polygons of a vector file."""
 
 from __future__ import annotations
 
@@ -13,6 +13,17 @@ from sattools.errors import InputError
 from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
+from sattools.scene.vectors import is_geojson, read_polygons
+
+
+def bounds_from_file(path: Path, crs: str) -> Bounds:
+    """Bounds in `crs` [m] of all polygons of a GeoJSON, GeoPackage, shapefile or FlatGeobuf."""
+    if isinstance(path, RemotePath) or is_geojson(path):
+        return bounds_from_geojson(path, crs)
+    boxes = np.array([shape.bounds for shape in read_polygons(path, crs)], dtype=np.float64)
+    west, south = boxes[:, :2].min(axis=0)
+    east, north = boxes[:, 2:].max(axis=0)
+    return _box(np.array([west, east]), np.array([south, north]), str(path))
 
 
 def bounds_from_geojson(path: Path, crs: str) -> Bounds:
@@ -109,4 +120,4 @@ def _positions(node: Any) -> list[tuple[float, float]]:
     return []
 
 
-__all__ = ["bounds_from_geojson", "bounds_from_numbers"]
+__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers"]

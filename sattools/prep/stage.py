@@ -16,7 +16,7 @@ from sattools.camera.ground import check_projected, check_scale, ground_sample_d
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, find_tie_points
 from sattools.errors import InputError, SattoolsError
-from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
+from sattools.prep.area import bounds_from_file, bounds_from_numbers
 from sattools.prep.gate import (
     check_cells,
     check_corrections,
@@ -288,7 +288,7 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
     if options.aoi and options.bounds:
         raise InputError("area: found both --aoi and --bounds, expected one of them")
     if options.aoi:
-        return bounds_from_geojson(location(options.aoi), crs)
+        return bounds_from_file(location(options.aoi), crs)
     return bounds_from_numbers(options.bounds, crs, options.crs) if options.bounds else None
 
 

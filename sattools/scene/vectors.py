@@ -1,27 +1,57 @@
-"""Polygons of vector files."""
+"""Features of vector files: the one place where they are read."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 from sattools.errors import InputError
+from sattools.scene.jsonio import read_json, reason
 
-# name's end -> how such a file begins: GDAL would open whatever it finds, documents that point elsewhere included
-FORMATS = {
-    ".gpkg": b"SQLite format 3",
-    ".shp": b"\x00\x00\x27\x0a",
-    ".fgb": b"fgb",
-    ".geojson": b"{",
-    ".json": b"{",
-}
+FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
+_MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
+_LONGEST = 200  # characters of what GDAL says, which repeats coordinates by the page
+
+
+def is_geojson(path: Path) -> bool:
+    """Whether a file holds JSON, by its first character."""
+    return _head(path).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
+
+
+def read_features(path: Path, expected: str) -> Any:
+    """The features of a file's first layer, as a GeoDataFrame.
+
+    Only files that begin as one of `FORMATS`: GDAL opens by content, and a VRT or WFS description under another name
+    would make it read other files and hosts.
+
+    Args:
+        path: the file.
+        expected: what it should hold, for messages.
+
+    Raises:
+        InputError: missing, of another format, or damaged.
+    """
+    import geopandas
+
+    if is_geojson(path):
+        read_json(path, "GeoJSON")  # its depth and numbers
+    elif not _head(path).startswith(_MAGIC):
+        raise InputError(f"{path}: found another format, expected {expected}: {FORMATS}")
+    try:
+        with warnings.catch_warnings():  # what GDAL repairs is missing afterwards, and that is told
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return geopandas.read_file(path, engine="pyogrio")
+    except Exception as error:  # GDAL's drivers raise a dozen kinds
+        text = " ".join(str(error).split())[:_LONGEST]
+        raise InputError(f"{path}: cannot be read ({text}), expected {expected}: {FORMATS}") from None
 
 
 def read_polygons(path: Path, crs: str) -> list[Any]:
-    """The polygons of a GeoPackage, Shapefile, FlatGeobuf or GeoJSON file, in a CRS.
+    """The polygons of a vector file, in a CRS.
 
     Args:
-        path: the file; its first layer is read.
+        path: GeoPackage, GeoJSON, shapefile or FlatGeobuf; its first layer is read.
         crs: projected ground CRS [m].
 
     Returns:
@@ -30,35 +60,29 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
     Raises:
         InputError: missing, of another format, without a CRS, or without polygons.
     """
-    import geopandas
-
-    path = Path(path)
-    begins = FORMATS.get(path.suffix.lower())
-    if begins is None:
-        raise InputError(f"{path}: found a name that ends in {path.suffix!r}, expected one of {', '.join(FORMATS)}")
+    frame = read_features(path, "polygons")
+    if getattr(frame, "crs", None) is None:
+        raise InputError(f"{path}: found no coordinate reference system, expected one")
     try:
-        with open(path, "rb") as file:
-            head = file.read(64)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}), expected a vector file") from None
-    if not head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(begins):
-        raise InputError(f"{path}: found other content than a {path.suffix} file's, expected polygons")
-    try:
-        frame = geopandas.read_file(path, engine="pyogrio")
-        if getattr(frame, "crs", None) is None:
-            raise InputError(f"{path}: found no coordinate reference system, expected one")
         frame = frame.to_crs(crs)
-    except InputError:
-        raise
-    except Exception as error:  # GDAL's drivers raise a dozen kinds
-        text = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: cannot be read ({text}), expected a vector file with polygons") from None
+    except Exception as error:  # of pyproj, shapely and numpy
+        text = " ".join(str(error).split())[:_LONGEST]
+        raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
+    kinds = ("Polygon", "MultiPolygon")
     shapes = [
-        s for s in frame.geometry if s is not None and s.geom_type in ("Polygon", "MultiPolygon") and not s.is_empty
+        shape for shape in frame.geometry if shape is not None and shape.geom_type in kinds and not shape.is_empty
     ]
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
     return shapes
 
 
-__all__ = ["FORMATS", "read_polygons"]
+def _head(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return file.read(512)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise InputError(f"{path}: found {reason(error)}, expected a readable {FORMATS}") from None
+
+
+__all__ = ["FORMATS", "is_geojson", "read_features", "read_polygons"]

@@ -145,8 +145,8 @@ def test_scenes_are_compared_where_images_have_measured(make_town: Any, tmp_path
     [
         (("old.tif", "nowhere.tif"), "nowhere.tif"),
         (("old.tif", "far.tif"), "expected overlap"),
-        (("old.tif", "old.tif", "--polygons", "old.tif"), "expected one of .gpkg"),
-        (("old.tif", "old.tif", "--polygons", "broken.gpkg"), "found other content"),
+        (("old.tif", "old.tif", "--polygons", "old.tif"), "found another format, expected polygons"),
+        (("old.tif", "old.tif", "--polygons", "broken.gpkg"), "found another format"),
         (("old.tif", "old.tif", "--polygons", "points.gpkg"), "found no polygon"),
     ],
 )

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import geopandas
 import numpy as np
 import pytest
 from shapely.geometry import Polygon, box
@@ -11,7 +12,7 @@ from synthetic_views import ALT0, EAST_M, LAT0, LON0, NORTH_M, parallel_rpc
 
 from sattools.camera.ground import from_geographic
 from sattools.errors import InputError
-from sattools.prep.area import bounds_from_geojson, bounds_from_numbers
+from sattools.prep.area import bounds_from_file, bounds_from_geojson, bounds_from_numbers
 from sattools.prep.items import off_nadir_deg
 from sattools.prep.layout import common_bounds, crop_window, default_cell_size, footprint, groups
 
@@ -85,6 +86,15 @@ def test_geojson_area_in_degrees_or_in_its_own_crs(tmp_path: Path) -> None:
     path.write_text(json.dumps({"type": "FeatureCollection", "features": []}))
     with pytest.raises(InputError, match="found no polygon"):
         bounds_from_geojson(path, UTM33)
+
+
+@pytest.mark.parametrize("suffix", ["gpkg", "shp", "fgb"])
+def test_area_of_other_vector_formats_in_their_own_crs(suffix: str, tmp_path: Path) -> None:
+    frame = geopandas.GeoDataFrame(geometry=[box(X, Y, X + 10, Y + 5), box(X + 2, Y, X + 4, Y + 20)], crs=UTM33)
+    path = tmp_path / f"area.{suffix}"
+    frame.to_crs("EPSG:4326").to_file(path)
+    # polygons turned into degrees and back: their corners return to a hair
+    assert bounds_from_file(path, UTM33) == pytest.approx((X, Y, X + 10, Y + 20), abs=1e-3)
 
 
 def test_off_nadir_is_smaller_than_incidence_by_the_earths_curvature() -> None:
