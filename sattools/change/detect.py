@@ -21,12 +21,14 @@ class HeightChange:
         sigma: ``[H, W]`` its standard deviation [m].
         cell_size: edge of a cell [m].
         correlation: distance over which errors go together [m].
+        confidence: ``[H, W]`` of the less sure date's matching, 0 to 1; None = unknown.
     """
 
     difference: np.ndarray
     sigma: np.ndarray
     cell_size: float
     correlation: float
+    confidence: np.ndarray | None = None
 
     @property
     def area_m2(self) -> float:
@@ -90,7 +92,8 @@ def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndar
     A cell counts where its change is larger than ``min_height`` and twice its standard deviation. What is narrower than
     two rims is dropped, as a wall that two surfaces place a cell apart is no change. Of a region's cells only one per
     square of the correlation length is independent, and as many places for a region as fit into the area are looked
-    at (Bonferroni).
+    at (Bonferroni). That is about noise; where matching failed altogether, in narrow shaded gaps above all, the
+    surface's own deviation knows nothing of it, but its confidence does.
 
     Args:
         heights: the change.
@@ -118,7 +121,7 @@ def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndar
 
 
 def region_of(where: np.ndarray, heights: HeightChange, options: ChangeOptions, label: int) -> Region | None:
-    """The region of some cells, or None where it is too small or not significant.
+    """The region of some cells, or None where it is too small, not significant or not sure.
 
     Args:
         where: ``[H, W]`` bool.
@@ -128,6 +131,8 @@ def region_of(where: np.ndarray, heights: HeightChange, options: ChangeOptions, 
     """
     found = sums(where, heights)
     if found.area_m2 < options.min_area or abs(found.mean_m) < options.min_height:
+        return None
+    if heights.confidence is not None and np.median(np.nan_to_num(heights.confidence[where])) < options.min_confidence:
         return None
     places = max(1.0, heights.area_m2 / found.area_m2)
     p_value = min(1.0, math.erfc(abs(found.mean_m) / found.std_m / math.sqrt(2)) * places)

@@ -27,6 +27,9 @@ class ChangeOptions:
     confidence: float = option(
         0.95, "Probability with which a surface without changes shows no region at all.", minimum=0.5, maximum=0.999999
     )
+    min_confidence: float = option(
+        0.25, "Least confidence of both dates' matching within a region, its median.", minimum=0.0, maximum=1.0
+    )
     polygons: str | None = option(None, "Vector file: change and volume within each of its polygons, too.")
 
 

@@ -39,6 +39,7 @@ class Surface:
         height: ``[H, W]`` [m]; NaN where nothing was measured.
         std: ``[H, W]`` [m], or None.
         albedo: ``[C, H, W]``, or None.
+        confidence: ``[H, W]`` of the matching, 0 to 1, or None.
         grid: of all of them.
         files: that were read.
     """
@@ -47,6 +48,7 @@ class Surface:
     height: np.ndarray
     std: np.ndarray | None
     albedo: np.ndarray | None
+    confidence: np.ndarray | None
     grid: Grid
     files: tuple[Path, ...]
 
@@ -61,7 +63,7 @@ def read_surface(source: str) -> Surface:
     path = Path(location(source))
     if path.suffix.lower() != ".json":
         array, grid = read_raster(path)
-        return Surface(path.stem, known_heights(array[0]).astype(np.float32), None, None, grid, (path,))
+        return Surface(path.stem, known_heights(array[0]).astype(np.float32), None, None, None, grid, (path,))
     scene = Scene.from_file(path)
     if "dsm" not in scene.products:
         raise InputError(f"{path}: found no product 'dsm', expected a scene after `sattools export`")
@@ -74,8 +76,13 @@ def read_surface(source: str) -> Surface:
         measured = np.where(validity[0] == MEASURED, measured, np.float32(np.nan))
     std = _beside(files, "dsm_std", grid)
     albedo = _beside(files, "albedo", grid)
-    used = tuple(files[name] for name in ("dsm", "dsm_std", "albedo", "validity") if name in files)
-    return Surface(scene.id, measured, None if std is None else std[0], albedo, grid, (path, *used))
+    confidence = None
+    if "prior_confidence" in files:
+        own, own_grid = read_raster(files["prior_confidence"])
+        confidence = reproject_map(own[0].astype(np.float32), own_grid, grid)
+    names = ("dsm", "dsm_std", "albedo", "validity", "prior_confidence")
+    used = tuple(files[name] for name in names if name in files)
+    return Surface(scene.id, measured, None if std is None else std[0], albedo, confidence, grid, (path, *used))
 
 
 def change(
@@ -108,8 +115,10 @@ def change(
     difference = moved["height"] - old.height
     if not np.isfinite(difference).any():
         raise InputError(f"{new.name}: found no measured height in common with {old.name}, expected overlap")
-    std = _together(old.std, moved.get("std"))
-    heights = HeightChange(difference, cell_sigma(difference, std), old.grid.cell_size, options.correlation)
+    std = _together(old.std, moved.get("std"), np.hypot)
+    confidence = _together(old.confidence, moved.get("confidence"), np.fmin)
+    sigma = cell_sigma(difference, std)
+    heights = HeightChange(difference, sigma, old.grid.cell_size, options.correlation, confidence)
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in shift]}
@@ -164,7 +173,7 @@ def _onto(
     # the mean height difference, which registration takes out, contains the changes; the median does not
     offset = float(np.nanmedian(maps["height"] - old.height)) if options.register != "none" else 0.0
     maps["height"] = maps["height"] - offset
-    for name in ("std", "albedo"):
+    for name in ("std", "albedo", "confidence"):
         array = getattr(new, name)
         if array is not None:
             layers = reproject_map(array[None] if array.ndim == 2 else array, new.grid, wide)
@@ -174,10 +183,11 @@ def _onto(
     return maps, (east, north, -offset)
 
 
-def _together(old: np.ndarray | None, new: np.ndarray | None) -> np.ndarray | None:
+def _together(old: np.ndarray | None, new: np.ndarray | None, how: np.ufunc) -> np.ndarray | None:
+    """Both dates' maps in one; what only one of them has."""
     if old is None or new is None:
         return old if new is None else new
-    return np.hypot(old, new)
+    return np.asarray(how(old, new))
 
 
 def _albedo_change(old: np.ndarray, new: np.ndarray, labels: np.ndarray) -> np.ndarray:

@@ -82,6 +82,18 @@ def test_one_noisy_surface_hides_a_small_change_that_a_sure_one_shows() -> None:
         assert len(find_regions(HeightChange(difference, sigma, 1.0, 5.0), options)[1]) == found
 
 
+def test_what_matching_was_not_sure_of_is_no_change() -> None:
+    difference = np.zeros((SIZE, SIZE), np.float32)
+    difference[20:30, 20:30] = difference[50:60, 50:60] = 6.0
+    confidence = np.full_like(difference, 0.6)
+    confidence[20:30, 20:30] = 0.1
+    heights = HeightChange(difference, cell_sigma(difference, None), 1.0, 5.0, confidence)
+    labels, regions = find_regions(heights, ChangeOptions())
+    assert len(regions) == 1
+    assert (labels[52:58, 52:58] == 1).all()
+    assert len(find_regions(heights, ChangeOptions(min_confidence=0.0))[1]) == 2
+
+
 def test_cells_without_a_height_do_not_count() -> None:
     difference = np.full((4, 4), 2.0, np.float32)
     difference[0] = np.nan
