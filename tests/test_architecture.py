@@ -20,7 +20,7 @@ FLOORS = [
     {"field", "views"},
     {"render"},
     {"prep", "prior", "fit", "export", "compare", "simulate"},
-    {"batch", "change"},
+    {"align", "batch", "change"},
     {"report"},
     {"doctor"},
     {"api", "cli"},

@@ -209,6 +209,21 @@ class RPC:
         """The camera whose projections lie (dcol, drow) pixels further right and down: an image-space bias."""
         return replace(self, col_offset=self.col_offset + float(dcol), row_offset=self.row_offset + float(drow))
 
+    def moved(self, dlon: float, dlat: float, dh: float) -> RPC:
+        """The camera that sees at (lon + dlon, lat + dlat, h + dh) what this one sees at (lon, lat, h).
+
+        Args:
+            dlon: eastwards [degrees].
+            dlat: northwards [degrees].
+            dh: upwards [m].
+        """
+        return replace(
+            self,
+            lon_offset=self.lon_offset + float(dlon),
+            lat_offset=self.lat_offset + float(dlat),
+            alt_offset=self.alt_offset + float(dh),
+        )
+
     def cropped(self, col0: float, row0: float) -> RPC:
         """The camera of a crop whose first pixel is pixel (col0, row0) of the full image."""
         return self.shifted(-col0, -row0)

@@ -7,6 +7,7 @@ COMMANDS = {
     "prior": "Multi-view matching -> rough surface, confidence, normals.",
     "fit": "Fit a volumetric scene by differentiable rendering.",
     "export": "Fitted scene -> DSM, albedo, shadows as georeferenced files.",
+    "align": "Move a scene onto a reference DEM or control points.",
     "compare": "Compare a DSM with lidar and print the error table.",
     "change": "Two dates -> what has risen or sunk, volumes, significance.",
     "simulate": "Make a ray-traced scene with known truth.",

@@ -1,0 +1,42 @@
+"""`sattools align`: bring a scene onto a reference."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sattools.align.options import AlignOptions
+from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.pipe import Run, run_scenes
+from sattools.progress import Progress
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+    from sattools.scene.jsonio import JsonObject
+
+
+@click.command("align")
+@scene_argument
+@dataclass_options(AlignOptions)
+@common_options
+def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
+    """Move an exported scene onto a reference DEM or ground control points: DSM, maps, model and cameras together.
+
+    The shift and what is left go to the history and to stderr; the files from before stay where they are.
+    """
+    options = build(AlignOptions, values)
+
+    def work(scene: Scene, progress: Progress) -> JsonObject:
+        from sattools.align.stage import align
+
+        figures = align(scene, options, progress, overwrite)
+        s = figures["shift"]
+        click.echo(
+            f"scene {scene.id}: moved by {s['east']:+.2f} m east, {s['north']:+.2f} m north, {s['up']:+.2f} m up; "
+            f"NMAD {s['before']:.2f} before, {s['after']:.2f} after",
+            err=True,
+        )
+        return figures
+
+    run_scenes(Run("align", options, dry_run, print_config, overwrite), scenes, work, plan="move onto the reference")
