@@ -88,7 +88,7 @@ def _drop_stale(scene: Scene) -> list[Section]:
 def _images(scene: Scene) -> Section:
     section = Section("Images")
     outlines = {
-        item.id: item.geometry["coordinates"][0]
+        item.id: [place[:2] for place in item.geometry["coordinates"][0]]  # some have a height
         for item in scene.items
         if item.geometry and item.geometry.get("type") == "Polygon"
     }

@@ -13,7 +13,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV
 from sattools.simulate.materials import grain
-from sattools.simulate.terrain import check_heights, window
+from sattools.simulate.terrain import check_heights, check_relief, window
 from sattools.simulate.world import World
 
 GROUND = 2
@@ -128,6 +128,7 @@ def _relief_of(dsm: str, size_m: float, gsd: float, cell: float) -> tuple[Grid, 
     check_heights(str(dsm), heights)
     own, wide, (rows, columns) = window(whole, size_m, MARGIN_M)
     part = heights[0][np.ix_(rows, columns)].astype(np.float64)
+    check_relief(str(dsm), part, wide.width * wide.cell_size)
     if not np.isfinite(part).all():
         nearest = distance_transform_edt(~np.isfinite(part), return_distances=False, return_indices=True)
         part = part[tuple(nearest)]

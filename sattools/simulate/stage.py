@@ -142,13 +142,14 @@ def world_of(options: SimulateOptions) -> tuple[Grid, World]:
 
 
 def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
-    from sattools.simulate.terrain import build_terrain, check_heights, window
+    from sattools.simulate.terrain import build_terrain, check_heights, check_relief, window
 
     assert options.dsm is not None  # the caller has looked
     heights, whole = read_raster(Path(options.dsm))
     check_projected(whole.crs)
     check_heights(options.dsm, heights)
     grid, wide, (rows, columns) = window(whole, options.size, DSM_MARGIN_M)
+    check_relief(options.dsm, heights[0][np.ix_(rows, columns)], wide.width * wide.cell_size)
     classes = None
     if options.classes is not None:
         codes, code_grid = read_raster(Path(options.classes))

@@ -18,6 +18,9 @@ ROOFS = ("gravel", "membrane", "tar", "tiles", "slate", "metal")
 OPEN_GROUND = ("grass", "soil", "pavement")
 
 
+CLIFF_M, STEEPEST = 1000.0, 4.0  # no cliff is higher, no longer slope steeper than that many metres per metre
+
+
 def build_terrain(
     heights: np.ndarray, grid: Grid, classes: np.ndarray | None, cell_size: float, rng: np.random.Generator
 ) -> World:
@@ -117,6 +120,23 @@ def check_heights(path: str, heights: np.ndarray) -> None:
     low, high = HEIGHT_LIMITS_M
     if known.size and (known.min() < low or known.max() > high):
         raise InputError(f"{path}: found heights from {known.min():g} to {known.max():g} m, expected some of the Earth")
+
+
+def check_relief(path: str, heights: np.ndarray, width_m: float) -> None:
+    """Raise InputError for relief that no place has: oblique images of it would be far larger than the scene.
+
+    Args:
+        path: of the DSM.
+        heights: ``[H, W]`` within the scene [m].
+        width_m: of the scene with what lies around it [m].
+    """
+    known = heights[np.isfinite(heights)]
+    highest = CLIFF_M + STEEPEST * width_m
+    if known.size and np.ptp(known) > highest:
+        raise InputError(
+            f"{path}: found {np.ptp(known):.0f} m between the lowest and the highest place of {width_m:g} m of ground, "
+            f"expected at most {highest:.0f} m (feet, or a wrong no-data value?)"
+        )
 
 
 def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tuple[np.ndarray, np.ndarray]]:

@@ -258,3 +258,12 @@ def test_a_batch_table_of_no_numbers_is_refused(tmp_path: Path, value: Any) -> N
     (tmp_path / "table.csv").write_text(f"scene,configuration,status,seconds,mae_m\nA,b,done,{value},1.0\n")
     with pytest.raises(InputError, match=r"table\.csv: found seconds -?(nan|inf) of A, expected a finite number"):
         read_rows(tmp_path / "table.csv")
+
+
+def test_footprints_some_of_whose_corners_have_a_height(make_town: Any) -> None:
+    scene = make_town()
+    corners = scene.items[0].geometry["coordinates"][0]
+    corners[0] = [*corners[0], 12.0]  # as GeoJSON allows
+    (scene.root / "scene.json").write_text(scene.to_json())
+    result = run(scene.root)
+    assert result.exit_code == 0, result.output

@@ -106,3 +106,13 @@ def test_heights_that_are_not_of_the_earth_are_refused(tmp_path: Path, terrain: 
     options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2)
     with pytest.raises(InputError, match=r"dsm\.tif: found heights from 0 to 1e\+30 m, expected some of the Earth"):
         simulate(options, tmp_path / "out")
+
+
+@pytest.mark.parametrize("terrain", ["city", "natural"])
+def test_relief_that_no_place_has_is_refused(tmp_path: Path, terrain: Any) -> None:
+    heights = np.zeros((120, 120), np.float32)
+    heights[50:70, 50:70] = 7500.0  # oblique images of such a tower would reach kilometres beyond the scene
+    write_cog(tmp_path / "dsm.tif", heights, Grid("EPSG:32617", 436000.0, 3357000.0, 1.0, 120, 120))
+    options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2)
+    with pytest.raises(InputError, match=r"dsm\.tif: found 7500 m between the lowest and the highest place"):
+        simulate(options, tmp_path / "out")
