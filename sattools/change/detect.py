@@ -10,6 +10,7 @@ import numpy as np
 from sattools.change.options import ChangeOptions
 
 LEAST_SIGMA_M = 0.05
+GAP_M2 = 50.0  # gaps between walls in which matching fails are not larger
 
 
 @dataclass(frozen=True)
@@ -132,8 +133,11 @@ def region_of(where: np.ndarray, heights: HeightChange, options: ChangeOptions, 
     found = sums(where, heights)
     if found.area_m2 < options.min_area or abs(found.mean_m) < options.min_height:
         return None
-    if heights.confidence is not None and np.median(np.nan_to_num(heights.confidence[where])) < options.min_confidence:
-        return None
+    if heights.confidence is not None:
+        sure = float(np.median(np.nan_to_num(heights.confidence[where])))
+        # places where matching failed are small: the larger a region is, the less its confidence has to say
+        if sure < options.min_confidence * min(1.0, GAP_M2 / found.area_m2):
+            return None
     places = max(1.0, heights.area_m2 / found.area_m2)
     p_value = min(1.0, math.erfc(abs(found.mean_m) / found.std_m / math.sqrt(2)) * places)
     return None if p_value > 1 - options.confidence else Region(label=label, p_value=p_value, **asdict(found))

@@ -28,7 +28,10 @@ class ChangeOptions:
         0.95, "Probability with which a surface without changes shows no region at all.", minimum=0.5, maximum=0.999999
     )
     min_confidence: float = option(
-        0.25, "Least confidence of both dates' matching within a region, its median.", minimum=0.0, maximum=1.0
+        0.25,
+        "Least confidence of both dates' matching within a region of up to 50 m2, its median; larger ones need less.",
+        minimum=0.0,
+        maximum=1.0,
     )
     polygons: str | None = option(None, "Vector file: change and volume within each of its polygons, too.")
 
