@@ -24,6 +24,7 @@ COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
 SUN_SAMPLES = 24
 LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
 HAPKE_B_MAX = 0.95
+ADAM_EPSILON = 1e-8  # torch's own
 
 
 @dataclass
@@ -82,6 +83,7 @@ class RayTrainer:
         gain, offset: ``[V, C]`` first colour relations; the first view's stay.
         rates: Adam steps of the field's tensors that do not take `options.rate`.
         radiance: what the images' numbers are; gain and offset stay where they have one scale.
+        epsilon: of Adam, in the unit of a gradient.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class RayTrainer:
         rates: dict[str, float] | None = None,
         *,
         radiance: Radiance = "relative",
+        epsilon: float = ADAM_EPSILON,
     ) -> None:
         self.field, self.rays, self.options = field, rays, options
         self.radiance = radiance
@@ -110,7 +113,7 @@ class RayTrainer:
             own = (rates or {}).get(name.removeprefix("field."), options.rate)
             rate = own if name.startswith("field.") else EMBEDDING_RATE if name == "embedding" else COLOUR_RATE
             groups.append({"params": [tensor], "lr": rate, "initial": rate})
-        self.adam = torch.optim.Adam(groups)
+        self.adam = torch.optim.Adam(groups, eps=epsilon)
         self.unsaid = torch.zeros(2, dtype=torch.float64)  # loss and steps since the last row of the trace
         self.plan(options.steps)
 
