@@ -1,12 +1,12 @@
-"""The suite's own neural field: every column may choose between heights; small grids and a network shade it."""
+"""The suite's own fast field: every column may choose between heights, and walls have colours of their own."""
 
 from __future__ import annotations
 
 import math
 
 import torch
-from torch import Tensor, nn
-from torch.nn.functional import grid_sample, pad, relu
+from torch import Tensor
+from torch.nn.functional import grid_sample, pad
 
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid
@@ -16,13 +16,10 @@ OUTLIERS = 0.05  # share of the heights around it that are lower than its low on
 BLOCK = 64  # rows whose surroundings are searched at once
 LEAST_STEP_M = 0.25  # between two heights of a column; below it a share means nothing
 START = 4.0  # logit of what the prior says is there, and the negative one of what it says is not
-SHADES_M = (8.0, 4.0, 2.0)  # cells of the grids that a network turns into shades
-FEATURES, HIDDEN = 4, 16  # per grid; of the network
-STAY, EDGES, LIFT = 1e-3, 1e-3, 1e-3  # in the penalty: a changed mind, the length of edges, lifted heights
-# steps of Adam: logits of shares, metres, logits of colours, features, weights
-RATES = {"presence": 0.1, "lift": 0.01, "colour": 0.02}
-RATES |= {f"grid.{k}": 0.01 for k in range(len(SHADES_M))}
-RATES |= {f"{layer}.{part}": 1e-3 for layer in ("hidden", "shade") for part in ("weight", "bias")}
+SHADES_M = (4.0, 2.0, 1.0)  # cells of the grids of colours
+STAY, EDGES, LIFT = 1e-3, 1e-3, 1e-3  # in the penalty: changed parts, the length of edges, lifted heights
+# steps of Adam: logits of shares, metres, logits of colours
+RATES = {"presence": 0.1, "lift": 0.01, "colour": 0.02} | {f"grid.{k}": 0.02 for k in range(len(SHADES_M))}
 EPSILON = 1e-15  # of Adam: the gradient of a share that is not there yet is very small (Müller et al. 2022, section 4)
 
 
@@ -37,44 +34,32 @@ class NeuralField:
     1 and q nearly 0: the prior's surface. The logit of a share is counted from where the part lets half of the light
     through from above. All is bilinear between the middles of cells: the step of a share from cell to cell is a wall.
 
-    A colour is the mean of the colours of the three heights, by their parts of the density, plus a shade: features of
-    grids of several cell sizes through a small network (as Müller et al. 2022, "Instant neural graphics primitives",
-    dense grids in place of hashed ones), so that a wall can have colours of its own.
+    The logit of a colour is the mean of those of the three heights, by their parts of the density, and the sum of grids
+    of several cell sizes in space (as the encoding of Müller et al. 2022, "Instant neural graphics primitives", dense
+    instead of hashed and read as colours without a network), so that a wall can have colours of its own.
 
     Args:
         box: the part of space.
         base: the surface it starts from; its grid is that of the columns.
-        seed: of the features and the network's weights.
     """
 
     heads = frozenset({"albedo"})
 
-    def __init__(self, box: Box, base: SurfaceBase, seed: int = 0) -> None:
+    def __init__(self, box: Box, base: SurfaceBase) -> None:
         self.box, self.base, self.bands = box, base, base.colour.shape[-1]
         self.heights, colours = columns(base.height, base.colour)
         steps = self.heights.diff(dim=0).clamp_min(LEAST_STEP_M)
-        # density times the part's length is ln 2 there
-        self.half = torch.log(base.softness * math.log(2) / steps)
-        start = START * torch.ones_like(self.half)
-        start[0] -= self.half[0]  # solid, not just there
-        start[1] *= -1
-        self.start = torch.sigmoid(start)
-        self.presence, self.lift = start, torch.zeros_like(self.heights)
+        self.optical = steps / base.softness  # depths of the parts where they are solid
+        self.half = torch.log(math.log(2) / self.optical)
+        self.presence = START * torch.ones_like(self.half)
+        self.presence[0] -= self.half[0]  # solid, not just there
+        self.presence[1] *= -1
+        self.lift = torch.zeros_like(self.heights)
         self.colour = before_sigmoid(colours, 0.0, 1.0).permute(0, 3, 1, 2).flatten(0, 1).contiguous()
-        random = torch.Generator().manual_seed(seed)
         size = [(high - low) for low, high in zip(box.low, box.high, strict=True)][::-1]
         self.grids = [
-            1e-2 * torch.randn(FEATURES, *(math.ceil(edge / cell) + 1 for edge in size), generator=random).to(self.half)
-            for cell in SHADES_M
+            base.colour.new_zeros(self.bands, *(math.ceil(edge / cell) + 1 for edge in size)) for cell in SHADES_M
         ]
-        self.hidden, self.shade = nn.Linear(FEATURES * len(SHADES_M), HIDDEN), nn.Linear(HIDDEN, self.bands)
-        bound = self.hidden.in_features**-0.5
-        with torch.no_grad():
-            self.hidden.weight.copy_((2 * torch.rand(self.hidden.weight.shape, generator=random) - 1) * bound)
-            for zero in (self.hidden.bias, self.shade.weight, self.shade.bias):
-                zero.zero_()
-        for layer in (self.hidden, self.shade):
-            layer.to(self.half)
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """See `Field.density` [1/m] at points [m]; features: the point [m] and the parts of the three heights."""
@@ -90,16 +75,16 @@ class NeuralField:
         """See `Field.look`: colours."""
         points, parts = features[:, :3], features[:, 3:]
         raw = (self._over(self.colour, points).reshape(3, self.bands, -1) * parts.T[:, None]).sum(dim=0).T
-        codes = torch.cat([self._within(grid, points) for grid in self.grids]).T
-        return {"albedo": torch.sigmoid(raw + self.shade(relu(self.hidden(codes))))}
+        shade = torch.stack([self._within(grid, points) for grid in self.grids]).sum(dim=0).T
+        return {"albedo": torch.sigmoid(raw + shade)}
 
     def choices(self, points: Tensor) -> Tensor:
         """The three heights ``[3, N]`` [m] over or under points ``[N, 3]`` [m], in ascending order at the start."""
         return self._over(self.heights + self.lift, points)
 
     def _over(self, maps: Tensor, points: Tensor) -> Tensor:
-        """Values ``[K, N]`` of maps ``[K, H, W]`` over or under points; rows run south, the box ends at cells' edges."""
-        where = self.box.scaled(points)[:, :2] * points.new_tensor([1.0, -1.0])
+        """Values ``[K, N]`` of maps ``[K, H, W]`` over or under points."""
+        where = self.box.scaled(points)[:, :2] * points.new_tensor([1.0, -1.0])  # rows run south
         return grid_sample(maps[None], where[None, None], padding_mode="border", align_corners=False)[0, :, 0]
 
     def _within(self, grid: Tensor, points: Tensor) -> Tensor:
@@ -109,19 +94,17 @@ class NeuralField:
         return read[0, :, 0, 0]
 
     def penalty(self) -> Tensor:
-        """What an unfounded change costs, unitless."""
+        """What an unfounded change costs, unitless: parts that are no more, new ones as far as they hide, edges."""
         present = torch.sigmoid(self.presence)
         edges, rough = (m.diff(dim=1).abs().mean() + m.diff(dim=2).abs().mean() for m in (present, self.lift))
-        stay = (present - self.start).abs().mean()
-        return STAY * stay + EDGES * edges + LIFT * (rough + self.lift.abs().mean())
+        lower, upper = torch.sigmoid(self.presence + self.half)
+        changed = (1 - lower).mean() - torch.expm1(-upper * self.optical[1]).mean()
+        return STAY * changed / 2 + EDGES * edges + LIFT * (rough + self.lift.abs().mean())
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """Logits of shares and colours, metres of lift, features and weights."""
+        """Logits of shares and colours, metres of lift."""
         named = {"presence": self.presence, "lift": self.lift, "colour": self.colour}
-        named |= {f"grid.{k}": grid for k, grid in enumerate(self.grids)}
-        for name, layer in (("hidden", self.hidden), ("shade", self.shade)):
-            named |= {f"{name}.{part}": tensor for part, tensor in layer.named_parameters()}
-        return named
+        return named | {f"grid.{k}": grid for k, grid in enumerate(self.grids)}
 
 
 def columns(height: Tensor, colour: Tensor) -> tuple[Tensor, Tensor]:

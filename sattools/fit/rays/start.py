@@ -168,7 +168,7 @@ def make_field(
         return MlpField(NETWORKS[options.network], box, bands, options.width, options.seed, base=base)
     if options.field == "neural":
         assert base is not None  # `check` has seen to a prior
-        return NeuralField(box, base, options.seed)
+        return NeuralField(box, base)
     start = prior.height if prior is not None else torch.full(grid.shape, z_ref)
     planes = max(8, round((z_range[1] - z_range[0]) / VOXEL_PLANES_M))
     return VoxelField(box, (planes, *grid.shape), start, torch.full((*grid.shape, bands), 0.2))
