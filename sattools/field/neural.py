@@ -17,9 +17,9 @@ BLOCK = 64  # rows whose surroundings are searched at once
 LEAST_STEP_M = 0.25  # between two heights of a column; below it a share means nothing
 START = 4.0  # logit of what the prior says is there, and the negative one of what it says is not
 SHADES_M = (4.0, 2.0, 1.0)  # cells of the grids of colours
-STAY, EDGES, LIFT = 1e-3, 1e-3, 1e-3  # in the penalty: changed parts, the length of edges, lifted heights
-# steps of Adam: logits of shares, metres, logits of colours
-RATES = {"presence": 0.1, "lift": 0.01, "colour": 0.02} | {f"grid.{k}": 0.02 for k in range(len(SHADES_M))}
+STAY, EDGES = 3e-3, 1e-3  # in the penalty: changed parts, the length of edges
+# steps of Adam: logits of shares and of colours
+RATES = {"presence": 0.1, "colour": 0.02} | {f"grid.{k}": 0.02 for k in range(len(SHADES_M))}
 EPSILON = 1e-15  # of Adam: the gradient of a share that is not there yet is very small (Müller et al. 2022, section 4)
 
 
@@ -54,7 +54,6 @@ class NeuralField:
         self.presence = START * torch.ones_like(self.half)
         self.presence[0] -= self.half[0]  # solid, not just there
         self.presence[1] *= -1
-        self.lift = torch.zeros_like(self.heights)
         self.colour = before_sigmoid(colours, 0.0, 1.0).permute(0, 3, 1, 2).flatten(0, 1).contiguous()
         size = [(high - low) for low, high in zip(box.low, box.high, strict=True)][::-1]
         self.grids = [
@@ -63,7 +62,7 @@ class NeuralField:
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """See `Field.density` [1/m] at points [m]; features: the point [m] and the parts of the three heights."""
-        read = self._over(torch.cat([self.heights + self.lift, self.presence, self.half]), points)
+        read = self._over(torch.cat([self.heights, self.presence, self.half]), points)
         share = torch.sigmoid(read[3:5] + read[5:7])
         low, own, high = torch.sigmoid((read[:3] - points[:, 2]) / self.base.softness)
         lower, upper = share[0], share[0] * share[1]
@@ -79,8 +78,8 @@ class NeuralField:
         return {"albedo": torch.sigmoid(raw + shade)}
 
     def choices(self, points: Tensor) -> Tensor:
-        """The three heights ``[3, N]`` [m] over or under points ``[N, 3]`` [m], in ascending order at the start."""
-        return self._over(self.heights + self.lift, points)
+        """The three heights ``[3, N]`` [m] over or under points ``[N, 3]`` [m], in ascending order."""
+        return self._over(self.heights, points)
 
     def _over(self, maps: Tensor, points: Tensor) -> Tensor:
         """Values ``[K, N]`` of maps ``[K, H, W]`` over or under points."""
@@ -96,14 +95,14 @@ class NeuralField:
     def penalty(self) -> Tensor:
         """What an unfounded change costs, unitless: parts that are no more, new ones as far as they hide, edges."""
         present = torch.sigmoid(self.presence)
-        edges, rough = (m.diff(dim=1).abs().mean() + m.diff(dim=2).abs().mean() for m in (present, self.lift))
+        edges = present.diff(dim=1).abs().mean() + present.diff(dim=2).abs().mean()
         lower, upper = torch.sigmoid(self.presence + self.half)
         changed = (1 - lower).mean() - torch.expm1(-upper * self.optical[1]).mean()
-        return STAY * changed / 2 + EDGES * edges + LIFT * (rough + self.lift.abs().mean())
+        return STAY * changed / 2 + EDGES * edges
 
     def named_tensors(self) -> dict[str, Tensor]:
-        """Logits of shares and colours, metres of lift."""
-        named = {"presence": self.presence, "lift": self.lift, "colour": self.colour}
+        """Logits of shares and colours."""
+        named = {"presence": self.presence, "colour": self.colour}
         return named | {f"grid.{k}": grid for k, grid in enumerate(self.grids)}
 
 
