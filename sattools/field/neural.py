@@ -17,9 +17,10 @@ BLOCK = 64  # rows whose surroundings are searched at once
 LEAST_STEP_M = 0.25  # between two heights of a column; below it a share means nothing
 START = 4.0  # logit of what the prior says is there, and the negative one of what it says is not
 SHADES_M = (4.0, 2.0, 1.0)  # cells of the grids of colours
-STAY, EDGES = 3e-3, 1e-3  # in the penalty: changed parts, the length of edges
+STAY, EDGES = 2e-3, 1e-3  # in the penalty: changed parts, the length of edges
 # steps of Adam: logits of shares and of colours
 RATES = {"presence": 0.1, "colour": 0.02} | {f"grid.{k}": 0.02 for k in range(len(SHADES_M))}
+BEGIN = {"presence": 0.35}  # share of the training that colours have to themselves: they explain much that is no shape
 EPSILON = 1e-15  # of Adam: the gradient of a share that is not there yet is very small (Müller et al. 2022, section 4)
 
 
@@ -137,4 +138,4 @@ def columns(height: Tensor, colour: Tensor) -> tuple[Tensor, Tensor]:
     return heights, colours
 
 
-__all__ = ["EPSILON", "RATES", "NeuralField", "columns"]
+__all__ = ["BEGIN", "EPSILON", "RATES", "NeuralField", "columns"]

@@ -21,7 +21,7 @@ from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.maps import evaluations, read_maps
 from sattools.fit.rays.start import base_surface, box_over, filled_prior, make_field, ray_set
-from sattools.fit.rays.trainer import ADAM_EPSILON, RayTrainer
+from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress
@@ -35,7 +35,10 @@ TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
 FORWARD_SHARE = 1 / 3  # of a step: a field is evaluated, and its gradients cost twice as much
-RATES = {"voxel": {"logits": 0.1, "albedo": 0.03}, "neural": neural.RATES}
+STEPS = {
+    "voxel": FieldSteps({"logits": 0.1, "albedo": 0.03}),
+    "neural": FieldSteps(neural.RATES, neural.BEGIN, neural.EPSILON),
+}
 
 
 def fit_rays(
@@ -82,8 +85,8 @@ def fit_rays(
         assert prior_here is not None  # `check`
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
     field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], prior_here, base=base)
-    rates, epsilon = RATES.get(options.field), neural.EPSILON if options.field == "neural" else ADAM_EPSILON
-    trainer = RayTrainer(field, rays, options, gain, offset, rates, radiance=radiance, epsilon=epsilon)
+    steps = STEPS.get(options.field, FieldSteps())
+    trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
     notes = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
     job = _RayJob(scene.output(CHECKPOINT), fingerprint(scene, options, sources, prior), trainer, grid, z_range, trace)
     notes += job.run(options, progress)
@@ -145,13 +148,13 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
         raise SceneError(f"--shadow learned: network {options.network} has no head for it, expected --shadow geometric")
     if options.solar_weight > 0 and (options.field != "mlp" or "sun" not in NETWORKS[options.network].heads):
         raise SceneError("--solar-weight: expected a network with learned shadows, --network satnerf")
-    if options.field in RATES and options.shadow == "learned":
+    if options.field in STEPS and options.shadow == "learned":
         raise SceneError(f"--shadow learned: a {options.field} field has no head for it, expected --shadow geometric")
     if options.brdf == "lambert":
         return
     if options.brdf == "auto":
         raise SceneError("--brdf auto: expected --field surface; name the model for other fields")
-    if options.field in RATES:
+    if options.field in STEPS:
         raise SceneError(f"--brdf {options.brdf}: a {options.field} field has no head for it, expected --brdf lambert")
     if options.network != options.brdf:
         raise SceneError(
