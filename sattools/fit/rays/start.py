@@ -187,7 +187,8 @@ def restored_field(model: FittedModel) -> Field:
     start = {name.removeprefix("base."): t for name, t in model.extra.items() if name.startswith("base.")}
     base = SurfaceBase.restored(start, box) if start else None
     if model.field == "neural":
-        assert base is not None
+        if base is None:
+            raise KeyError("base.height")
         field = NeuralField(box, base)
     elif model.field == "mlp":
         width = own["trunk.0.weight"].shape[0]
