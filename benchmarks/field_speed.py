@@ -1,4 +1,4 @@
-"""Surface, density grid and networks on one scene in one run: samples per second, and error after equal seconds.
+"""Surface, density grid, columns and networks on one scene in one run: samples a second, error after equal seconds.
 
     python benchmarks/field_speed.py [--seconds 60] [--seed 1] [--size 64] [--width N] [--fields ...] [--out FILE.json]
 
@@ -6,7 +6,9 @@ Every field gets the same seconds of training on the same simulated city (six vi
 the surface ends sooner if its 16 epochs are done; surface and grid start from the depth prior, whose seconds are
 given beside; so do the networks, but for those marked "noise", which start as in their papers. Samples are
 positions at which a field was evaluated forward in a training step, those of rays to the sun included; scoring does
-not count. Not measured on a GPU.
+not count. CPU seconds are those of the whole fit, start and reading-off included: on a busy machine they say more than
+the seconds. The last line is how many points a CPU second torch's `grid_sample` reads, forward and alone, of as many
+values as the neural field has at a point. Not measured on a GPU.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 NETWORKS = ("eonerf", "eonerf-learned-shadow", "satnerf", "spsnerf", "rpv-nerf", "hapke-nerf")
-FIELDS = ["surface", "voxel", *NETWORKS, "eonerf, noise", "satnerf, noise"]
+FIELDS = ["surface", "voxel", "neural", *NETWORKS, "eonerf, noise", "satnerf, noise"]
 
 
 def main() -> None:
@@ -63,6 +65,7 @@ def main() -> None:
     print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
     for row in rows:
         print("| " + " | ".join(str(row.get(n, "")) for n in names) + " |")
+    print(f"grid_sample: {raw_rate() / 1e6:.2f} M points/CPU s")
     if options.out:
         options.out.write_text(json.dumps(rows, indent=1) + "\n")
 
@@ -70,13 +73,14 @@ def main() -> None:
 def run(scene: Any, name: str, options: argparse.Namespace) -> dict[str, Any]:
     """One field for the given seconds."""
     from sattools.field.mlp import MlpField
+    from sattools.field.neural import NeuralField
     from sattools.field.voxel import VoxelField
     from sattools.fit.presets import resolve
     from sattools.fit.stage import fit
     from sattools.render.surface import COUNTER
 
     counted = {"points": 0}
-    kept = {cls: cls.density for cls in (MlpField, VoxelField)}
+    kept = {cls: cls.density for cls in (MlpField, NeuralField, VoxelField)}
     for cls, density in kept.items():
 
         def count(self: Any, points: Any, density: Any = density) -> Any:
@@ -87,6 +91,8 @@ def run(scene: Any, name: str, options: argparse.Namespace) -> dict[str, Any]:
     given: dict[str, Any] = {"budget": options.seconds}
     if name in ("surface", "voxel"):
         chosen = resolve("fast", {**given, "resolution": 1.0, "field": name, "steps": 10**6})
+    elif name == "neural":
+        chosen = resolve("fast", {**given, "field": name, "steps": 10**6})
     else:
         preset, _, start = name.partition(", ")
         chosen = resolve(preset, {**given, "width": options.width, "start": start or "prior"})
@@ -95,7 +101,9 @@ def run(scene: Any, name: str, options: argparse.Namespace) -> dict[str, Any]:
         fit(scene, resolve("fast", {"epochs": [1], "resolution": 1.0}))  # compiles
         before = COUNTER["forward"]
     ends: list[int] = []
+    begun = time.process_time()
     fit(scene, chosen, lambda share, text: ends.append(counted["points"]))
+    used = time.process_time() - begun
     for cls, density in kept.items():
         cls.density = density  # type: ignore[method-assign]
     with open(scene.path("fit/trace.csv"), newline="", encoding="utf-8") as file:
@@ -105,9 +113,31 @@ def run(scene: Any, name: str, options: argparse.Namespace) -> dict[str, Any]:
         "field": name,
         "seconds": round(seconds, 1),
         "samples/s": f"{samples / seconds / 1e6:.4f} M",
+        "CPU [s]": round(used, 1),
+        "samples/CPU s": f"{samples / used / 1e6:.4f} M",
         "MAE [m]": error(scene, "model"),
         "peak [GB]": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
     }
+
+
+def raw_rate(points: int = 2048 * 32, cells: int = 128, layers: int = 50) -> float:
+    """Points a CPU second that `grid_sample` reads of the maps and volumes of a neural field of three bands."""
+    import torch
+    from torch.nn.functional import grid_sample
+
+    where = torch.rand(1, 1, points, 2) * 2 - 1
+    inside = torch.rand(1, 1, 1, points, 3) * 2 - 1
+    maps = [torch.rand(1, channels, cells, cells) for channels in (7, 9)]
+    volumes = [torch.rand(1, 3, layers // n, cells // (2 * n), cells // (2 * n)) for n in (1, 2, 4)]
+    seconds = []
+    for _ in range(10):
+        begun = time.process_time()
+        for values in maps:
+            grid_sample(values, where, align_corners=False)
+        for values in volumes:
+            grid_sample(values, inside, align_corners=True)
+        seconds.append(time.process_time() - begun)
+    return points / sorted(seconds)[len(seconds) // 2]
 
 
 def error(scene: Any, product: str) -> float:

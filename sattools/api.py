@@ -143,8 +143,11 @@ def fit(
     from sattools.fit.presets import with_preset
     from sattools.fit.stage import fit as stage
 
-    if isinstance(options, Mapping) and "preset" in options:
-        options = {**with_preset(str(options["preset"])), **options}
+    if isinstance(options, Mapping):
+        asked = (
+            str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "prior"), ("field", ""))
+        )
+        options = {**with_preset(*asked), **options}
     own = _options(FitOptions, options)
     step = Step("fit", own, overwrite, _progress(progress, "fit"), at_once=False)
     return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]

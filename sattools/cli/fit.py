@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from sattools.scene import Scene
 
 
-def _preset(name: str, start: str) -> dict[str, Any]:
+def _preset(name: str, start: str, field: str) -> dict[str, Any]:
     """The preset's values, less those that the user gave on the command line or in a file."""
     from sattools.fit.presets import with_preset
 
     context = click.get_current_context()
     default = (click.core.ParameterSource.DEFAULT, None)
-    return {k: v for k, v in with_preset(name, start).items() if context.get_parameter_source(k) in default}
+    return {k: v for k, v in with_preset(name, start, field).items() if context.get_parameter_source(k) in default}
 
 
 @click.command("fit")
@@ -34,7 +34,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     Writes fit/model.safetensors and fit/trace.csv below the scene's root. A fit that was interrupted goes on with
     --resume and ends with the same surface as one that was not.
     """
-    options = build(FitOptions, {**values, **_preset(values["preset"], values["start"])})
+    options = build(FitOptions, {**values, **_preset(values["preset"], values["start"], values["field"])})
     if options.tile == "auto" and options.part != "all":
         raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
     if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:

@@ -71,7 +71,7 @@ def field_picture(
 def _options(model: FittedModel) -> FitOptions:
     """Of the fit, as far as they say how the field is shown."""
     return FitOptions(
-        field="mlp" if model.field == "mlp" else "voxel",
+        field=model.field,  # type: ignore[arg-type]
         network=model.network or "eonerf",  # type: ignore[arg-type]
         shadow=model.shadow,
         transient=model.transient,

@@ -52,20 +52,33 @@ PRESETS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 # of a network that starts from the prior, instead of the paper's values
 WARM: dict[str, Any] = {"samples": 8, "guided": 16, "rays": 256, "steps": 2000, "rate": 1e-4, "prior_weight": 0.2}
+# of `--field neural`; its rates are its own
+NEURAL: dict[str, Any] = {
+    "samples": 16, "guided": 16, "rays": 2048, "steps": 1500, "depth_weight": 0.0, "pose": False,
+}  # fmt: skip
 
 
 def resolve(preset: str, given: JsonObject) -> FitOptions:
     """Options of a preset; what is ``given`` wins."""
-    return FitOptions(**{**with_preset(preset, given.get("start", "prior")), **given})
+    start, field = given.get("start", "prior"), given.get("field", "")
+    return FitOptions(**{**with_preset(preset, start, field), **given})
 
 
-def with_preset(preset: str, start: str = "prior") -> JsonObject:
-    """The values that a preset sets, for a network that starts from the ``prior`` or from ``noise``."""
+def with_preset(preset: str, start: str = "prior", field: str = "") -> JsonObject:
+    """The values that a preset sets, for a network that starts from the ``prior`` or from ``noise``.
+
+    Args:
+        preset: its name.
+        start: of a network.
+        field: that is asked for beside it.
+    """
     known = set(FitOptions.__dataclass_fields__)
     values = PRESETS[preset]
     if start == "prior" and values.get("field") == "mlp":
         # a paper without dense depths keeps its losses: the prior is where its network starts, and no more
         values = {**values, **WARM, "depth_weight": values.get("depth_weight", 0.0)}
+    if field == "neural":
+        values = {**values, **NEURAL}
     return {"preset": preset, **{name: value for name, value in values.items() if name in known}}
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import dataclasses
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from sattools.field.neural import NeuralField
+from sattools.field.protocol import Field
 from sattools.fit.rays.trainer import HAPKE_B_MAX, RayTrainer
 from sattools.render.volume import RayBatch, composite, median_share, stratified
 from sattools.scene import Grid
@@ -34,8 +37,8 @@ class GroundMaps:
     height: Tensor
     height_std: Tensor
     albedo: Tensor
-    heads: dict[str, Tensor] = field(default_factory=dict)
-    images: dict[str, Tensor] = field(default_factory=dict)
+    heads: dict[str, Tensor] = dataclasses.field(default_factory=dict)
+    images: dict[str, Tensor] = dataclasses.field(default_factory=dict)
 
 
 @torch.no_grad()
@@ -79,19 +82,29 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
 
 def evaluations(trainer: RayTrainer, grid: Grid) -> int:
     """Points at which `read_maps` evaluates the field, in counts."""
-    base = getattr(trainer.field, "base", None)
-    return grid.width * grid.height * (2 * COARSE + FINE if base is None else 2 * (FREE + AROUND) + FINE_AROUND)
+    somewhere = torch.zeros(1, 3)
+    known = _known_surfaces(trainer.field, somewhere)
+    return grid.width * grid.height * (2 * (FREE + len(known) * AROUND) + FINE_AROUND if known else 2 * COARSE + FINE)
 
 
 def _first_samples(trainer: RayTrainer, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
     """Shares of vertical rays ``[R, S]`` in [0, 1] to look at first; reach and number of those around their median."""
     low, high = z_range
-    base = getattr(trainer.field, "base", None)
-    if base is None:
+    known = _known_surfaces(trainer.field, start)
+    if not known:
         return stratified(len(start), COARSE, None), REACH / COARSE, FINE
-    share = (high - base.heights(start)) / (high - low)
-    free = stratified(len(start), FREE, None)
-    return _with_samples_around(free, share, AROUND_M / (high - low), AROUND), FINE_M / (high - low), FINE_AROUND
+    t = stratified(len(start), FREE, None)
+    for height in known:
+        t = _with_samples_around(t, (high - height) / (high - low), AROUND_M / (high - low), AROUND)
+    return t, FINE_M / (high - low), FINE_AROUND
+
+
+def _known_surfaces(field: Field, points: Tensor) -> list[Tensor]:
+    """Heights ``[N]`` [m] over or under points ``[N, 3]`` [m] that a field can have its surface at, if it knows any."""
+    if isinstance(field, NeuralField):
+        return list(field.choices(points))
+    base = getattr(field, "base", None)
+    return [] if base is None else [base.heights(points)]
 
 
 def _with_samples_around(t: Tensor, share: Tensor, reach: float, count: int) -> Tensor:

@@ -10,10 +10,12 @@ from sattools.settings import option
 
 @dataclass(frozen=True)
 class RayOptions:
-    """What only `--field voxel` and `--field mlp` use, and which field it is."""
+    """What fields that are trained ray by ray use, and which field it is."""
 
-    field: Literal["surface", "voxel", "mlp"] = option(
-        "surface", "What is fitted: a surface, a density grid, or a network of points."
+    field: Literal["surface", "voxel", "mlp", "neural"] = option(
+        "surface",
+        "What is fitted: a surface, a density grid, a network of points, or columns that choose between heights, with "
+        "colours along walls (neural; with values of its own for the options below).",
     )
     network: Literal["satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv", "hapke"] = option(
         "eonerf", "Network of --field mlp."

@@ -1,4 +1,4 @@
-"""`fit --field voxel|mlp`: pixels become rays, a field is trained on them, and its surface is read off."""
+"""`fit --field voxel|mlp|neural`: pixels become rays, a field is trained on them, and its surface is read off."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from sattools.errors import SceneError
+from sattools.field import neural
 from sattools.field.networks import NETWORKS
 from sattools.field.surface_base import SurfaceBase
 from sattools.fit.depth_prior import DepthPrior, reference_height
@@ -20,7 +21,7 @@ from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.maps import evaluations, read_maps
 from sattools.fit.rays.start import base_surface, box_over, filled_prior, make_field, ray_set
-from sattools.fit.rays.trainer import RayTrainer
+from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress
@@ -34,7 +35,10 @@ TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
 FORWARD_SHARE = 1 / 3  # of a step: a field is evaluated, and its gradients cost twice as much
-VOXEL_RATES = {"logits": 0.1, "albedo": 0.03}
+STEPS = {
+    "voxel": FieldSteps({"logits": 0.1, "albedo": 0.03}),
+    "neural": FieldSteps(neural.RATES, neural.BEGIN, neural.EPSILON),
+}
 
 
 def fit_rays(
@@ -64,7 +68,7 @@ def fit_rays(
     trace = Trace()
     check(options, prior is not None, sources)
     whole, z_range = scene.require_grid(), scene.require_height_range()
-    warm = options.field == "mlp" and options.start == "prior"  # and so as detailed as the prior
+    warm = _starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
     z_ref = reference_height(prior, z_range)
     views = views_on(sources, grid, z_ref, z_range)
@@ -81,8 +85,8 @@ def fit_rays(
         assert prior_here is not None  # `check`
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
     field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], prior_here, base=base)
-    rates = VOXEL_RATES if options.field == "voxel" else None
-    trainer = RayTrainer(field, rays, options, gain, offset, rates, radiance=radiance)
+    steps = STEPS.get(options.field, FieldSteps())
+    trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
     notes = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
     job = _RayJob(scene.output(CHECKPOINT), fingerprint(scene, options, sources, prior), trainer, grid, z_range, trace)
     notes += job.run(options, progress)
@@ -136,20 +140,22 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
     """
     if options.guided and not has_prior:
         raise SceneError("--guided: found no prior to sample around, expected --prior-weight above 0")
-    if options.field == "mlp" and options.start == "prior" and not has_prior:
+    if options.field == "neural" and options.start != "prior":
+        raise SceneError("--field neural: found --start noise, expected --start prior, which is all that it knows")
+    if _starts_from_prior(options) and not has_prior:
         raise SceneError("--start prior: found no prior, expected --prior-weight above 0 (or --start noise)")
     if options.field == "mlp" and options.shadow == "learned" and "sun" not in NETWORKS[options.network].heads:
         raise SceneError(f"--shadow learned: network {options.network} has no head for it, expected --shadow geometric")
     if options.solar_weight > 0 and (options.field != "mlp" or "sun" not in NETWORKS[options.network].heads):
         raise SceneError("--solar-weight: expected a network with learned shadows, --network satnerf")
-    if options.field == "voxel" and options.shadow == "learned":
-        raise SceneError("--shadow learned: a voxel field has no head for it, expected --shadow geometric")
+    if options.field in STEPS and options.shadow == "learned":
+        raise SceneError(f"--shadow learned: a {options.field} field has no head for it, expected --shadow geometric")
     if options.brdf == "lambert":
         return
     if options.brdf == "auto":
         raise SceneError("--brdf auto: expected --field surface; name the model for other fields")
-    if options.field == "voxel":
-        raise SceneError(f"--brdf {options.brdf}: a voxel field has no head for it, expected --brdf lambert")
+    if options.field in STEPS:
+        raise SceneError(f"--brdf {options.brdf}: a {options.field} field has no head for it, expected --brdf lambert")
     if options.network != options.brdf:
         raise SceneError(
             f"--brdf {options.brdf}: network {options.network} has no head for it, expected --network {options.brdf}"
@@ -159,6 +165,10 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
             f"--brdf {options.brdf} with --field mlp: found no prior for its normals, expected --normals prior and a "
             "--prior-weight above 0"
         )
+
+
+def _starts_from_prior(options: FitOptions) -> bool:
+    return options.field in ("mlp", "neural") and options.start == "prior"
 
 
 @dataclass

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from sattools.field.mlp import MlpField
 from sattools.field.networks import NETWORKS
+from sattools.field.neural import NeuralField
 from sattools.field.protocol import Box, Field
 from sattools.field.surface_base import SurfaceBase
 from sattools.field.voxel import VoxelField
@@ -165,6 +166,9 @@ def make_field(
     box = box_over(grid, z_range)
     if options.field == "mlp":
         return MlpField(NETWORKS[options.network], box, bands, options.width, options.seed, base=base)
+    if options.field == "neural":
+        assert base is not None  # `check` has seen to a prior
+        return NeuralField(box, base)
     start = prior.height if prior is not None else torch.full(grid.shape, z_ref)
     planes = max(8, round((z_range[1] - z_range[0]) / VOXEL_PLANES_M))
     return VoxelField(box, (planes, *grid.shape), start, torch.full((*grid.shape, bands), 0.2))
@@ -180,9 +184,13 @@ def restored_field(model: FittedModel) -> Field:
     low, high = (tuple(corner) for corner in model.extra["box"].tolist())
     box, bands = Box(low, high), model.albedo.shape[-1]
     field: Field
-    if model.field == "mlp":
-        start = {name.removeprefix("base."): t for name, t in model.extra.items() if name.startswith("base.")}
-        base = SurfaceBase.restored(start, box) if start else None
+    start = {name.removeprefix("base."): t for name, t in model.extra.items() if name.startswith("base.")}
+    base = SurfaceBase.restored(start, box) if start else None
+    if model.field == "neural":
+        if base is None:
+            raise KeyError("base.height")
+        field = NeuralField(box, base)
+    elif model.field == "mlp":
         width = own["trunk.0.weight"].shape[0]
         field = MlpField(NETWORKS[str(model.network)], box, bands, width, base=base)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,6 +25,7 @@ COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
 SUN_SAMPLES = 24
 LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
 HAPKE_B_MAX = 0.95
+ADAM_EPSILON = 1e-8  # torch's own
 
 
 @dataclass
@@ -50,6 +52,21 @@ class RaySet:
     suns: Tensor
     view_vectors: Tensor
     top: float
+
+
+@dataclass(frozen=True)
+class FieldSteps:
+    """How Adam moves a field's tensors.
+
+    Attributes:
+        rates: steps of those that do not take `FitOptions.rate`, by name.
+        begin: share of the training before which a tensor stays as it is, by name.
+        epsilon: of Adam, in the unit of a gradient.
+    """
+
+    rates: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    begin: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    epsilon: float = ADAM_EPSILON
 
 
 @dataclass(frozen=True)
@@ -80,7 +97,7 @@ class RayTrainer:
         rays: the pixels.
         options: of the fit.
         gain, offset: ``[V, C]`` first colour relations; the first view's stay.
-        rates: Adam steps of the field's tensors that do not take `options.rate`.
+        field_steps: how the field's tensors move.
         radiance: what the images' numbers are; gain and offset stay where they have one scale.
     """
 
@@ -91,7 +108,7 @@ class RayTrainer:
         options: FitOptions,
         gain: Tensor,
         offset: Tensor,
-        rates: dict[str, float] | None = None,
+        field_steps: FieldSteps = FieldSteps(),
         *,
         radiance: Radiance = "relative",
     ) -> None:
@@ -107,10 +124,11 @@ class RayTrainer:
         groups = []
         for name, tensor in self.tensors.items():
             tensor.requires_grad_(True)
-            own = (rates or {}).get(name.removeprefix("field."), options.rate)
+            own = field_steps.rates.get(name.removeprefix("field."), options.rate)
             rate = own if name.startswith("field.") else EMBEDDING_RATE if name == "embedding" else COLOUR_RATE
-            groups.append({"params": [tensor], "lr": rate, "initial": rate})
-        self.adam = torch.optim.Adam(groups)
+            begin = field_steps.begin.get(name.removeprefix("field."), 0.0)
+            groups.append({"params": [tensor], "lr": rate, "initial": rate, "begin": begin})
+        self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon)
         self.unsaid = torch.zeros(2, dtype=torch.float64)  # loss and steps since the last row of the trace
         self.plan(options.steps)
 
@@ -126,7 +144,8 @@ class RayTrainer:
         random = torch.Generator().manual_seed(options.seed * 1_000_003 + number)
         epoch = number // self.epoch_steps + 1
         for group in self.adam.param_groups:
-            group["lr"] = group["initial"] * DECAY ** (epoch - 1)
+            begun = number >= group["begin"] * self.steps
+            group["lr"] = group["initial"] * DECAY ** (epoch - 1) if begun else 0.0
         chosen = torch.randint(len(rays.target), (options.rays,), generator=random)
         self.adam.zero_grad(set_to_none=True)
         loss, extra = self._losses(chosen, epoch, number / self.steps, random)
