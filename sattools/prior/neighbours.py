@@ -68,16 +68,16 @@ def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, pass
         around = np.pad(here, 1, mode="reflect", reflect_type="odd") if min(rows, cols) > 1 else np.pad(here, 1, "edge")
         total, weight = _OWN * here, np.full(height.shape, _OWN, np.float32)
         for down, right, share in _PAIRS:
-            pair = np.float32(share)
-            both = []
+            pair = np.full(height.shape, share, np.float32)
+            both = np.zeros(height.shape, np.float32)
             for sign in (1, -1):
-                i, j = 1 + sign * down, 1 + sign * right
-                near = around[i : i + rows, j : j + cols]
-                step = ~(np.abs(near - here) <= STEP_M)  # also where one of them is NaN
-                crossing = np.minimum(around_across[i : i + rows, j : j + cols], across)
-                pair = np.minimum(pair, np.where(step, share * crossing * np.isfinite(near), np.float32(share)))
-                both.append(np.nan_to_num(near))
-            total += pair * (both[0] + both[1])
+                there = slice(1 + sign * down, 1 + sign * down + rows), slice(1 + sign * right, 1 + sign * right + cols)
+                near = around[there]
+                same = np.abs(near - here) <= STEP_M
+                crossing = np.where(np.isfinite(near), np.minimum(around_across[there], across), np.float32(0))
+                pair = np.minimum(pair, np.float32(share) * np.where(same, np.float32(1), crossing))
+                both += np.nan_to_num(near)
+            total += pair * both
             weight += 2 * pair
         here = total / weight
     return here
