@@ -53,10 +53,20 @@ def test_a_fit_that_agrees_with_the_prior_keeps_its_walls() -> None:
     assert found.s_net is None
 
 
-def test_corrections_are_carried_over() -> None:
+def test_corrections_are_carried_over_but_not_beside_walls() -> None:
     given = a_prior()
-    found = with_detail(a_model(given.on(COARSE).height + 0.7), given)
-    torch.testing.assert_close(found.height, given.height + 0.7, atol=1e-5, rtol=0)
+    corrected = with_detail(a_model(given.on(COARSE).height + 0.7), given).height - given.height
+    torch.testing.assert_close(corrected[:, :12], torch.full((40, 12), 0.7), atol=1e-5, rtol=0)
+    torch.testing.assert_close(corrected[:, 19:], torch.full((40, 12), 0.7), atol=1e-5, rtol=0)
+    # what a fit on coarse cells makes of a wall is the mean of both sides
+    assert float(corrected[:, 14:16].abs().max()) < 0.25 * 0.7 + 1e-5
+
+
+def test_a_steep_slope_is_no_wall() -> None:
+    slope = torch.linspace(0, 18.6, 31).expand(FINE.shape).contiguous()  # 1.24 metres a metre
+    given = DepthPrior(slope, torch.ones(FINE.shape), FINE)
+    found = with_detail(a_model(given.on(COARSE).height - 0.4), given)
+    torch.testing.assert_close(found.height, slope - 0.4, atol=1e-4, rtol=0)
 
 
 def test_where_there_is_no_prior_the_fit_stands() -> None:
