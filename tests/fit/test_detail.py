@@ -66,7 +66,18 @@ def test_a_steep_slope_is_no_wall() -> None:
     slope = torch.linspace(0, 18.6, 31).expand(FINE.shape).contiguous()  # 1.24 metres a metre
     given = DepthPrior(slope, torch.ones(FINE.shape), FINE)
     found = with_detail(a_model(given.on(COARSE).height - 0.4), given)
-    torch.testing.assert_close(found.height, slope - 0.4, atol=1e-4, rtol=0)
+    # the last coarse cell is half beyond the prior
+    torch.testing.assert_close(found.height[:, :28], slope[:, :28] - 0.4, atol=1e-4, rtol=0)
+
+
+def test_noise_of_the_prior_stays_only_near_walls() -> None:
+    given = a_prior()
+    smooth = given.on(COARSE).height
+    noise = torch.from_numpy(np.random.default_rng(0).normal(0, 0.2, FINE.shape).astype(np.float32))
+    noisy = replace(given, height=given.height + noise)
+    left = with_detail(a_model(smooth), noisy).height - given.height
+    assert float(left[4:-4, 4:10].abs().max()) < 1e-4
+    assert float(left[4:-4, 13:17].std()) > 0.1
 
 
 def test_where_there_is_no_prior_the_fit_stands() -> None:

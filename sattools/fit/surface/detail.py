@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
+from torch.nn.functional import max_pool2d, pad
 
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.model import FittedModel
@@ -22,9 +23,9 @@ from sattools.scene.regrid import resize_map, sample_map
 
 
 def with_detail(model: FittedModel, prior: DepthPrior) -> FittedModel:
-    """The model on the prior's cells: prior + correction, the other maps interpolated.
+    """The model on the prior's cells: interpolated, but near walls the prior with the fit's correction.
 
-    Beside walls, whose rays do not count in the fit either, there is no correction.
+    In cells with a wall, whose rays do not count in the fit either, there is no correction.
 
     Args:
         model: a surface without reflectance model, on coarser cells with the same upper left corner.
@@ -33,10 +34,15 @@ def with_detail(model: FittedModel, prior: DepthPrior) -> FittedModel:
     Returns:
         The model on the prior's grid; where the prior has no height, the fit's own is interpolated.
     """
+    wall = _with_wall(prior.height.numpy(), prior.grid, model.grid)
     correction = model.height - prior.on(model.grid).height
-    correction[_with_wall(prior.height.numpy(), prior.grid, model.grid)] = 0.0
-    fine = prior.height + _on(correction.nan_to_num(0.0), model.grid, prior.grid)
-    height = torch.where(fine.isfinite(), fine, _on(model.height, model.grid, prior.grid))
+    correction[wall] = 0.0
+    detailed = prior.height + _on(correction.nan_to_num(0.0), model.grid, prior.grid)
+    # where no wall is near, what the prior has beyond the fit's cells is noise, most of all on rough ground; at the
+    # border, coarse cells cannot be interpolated
+    near = _on(max_pool2d(pad(wall.float(), (1, 1, 1, 1), value=1.0)[None], 3, 1)[0], model.grid, prior.grid)
+    plain = _on(model.height, model.grid, prior.grid)
+    height = torch.where(detailed.isfinite(), plain + near * (detailed - plain), plain)
     return replace(
         model,
         grid=prior.grid,
