@@ -52,7 +52,10 @@ class FitOptions(RayOptions):
     material_smooth: float = option(0.02, "Weight of the smoothness of w (rho0) within a material.", minimum=0)
     views: str = option("all", "Images to train on: all, or nearest-nadir:N of the training images.")
     resolution: float | None = option(
-        None, "Finest cell of the surface [m] (default: twice the scene grid's, about three pixels).", minimum=0.01
+        None,
+        "Finest cell of the surface [m] (default: fitted on twice the scene grid's, about three pixels, as a "
+        "correction of the prior, and given on the prior's).",
+        minimum=0.01,
     )
     coarsest: float | None = option(
         None,

@@ -13,6 +13,7 @@ from sattools.fit.illumination import Radiance, calibrated, check_light, exposed
 from sattools.fit.inputs import holding_out, load_prior, may_write
 from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
+from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.schedule import schedule
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
@@ -129,6 +130,9 @@ def _fit_surface(
         tau=maps.get("tau"),
         extra=extra,
     )
+    # who asks for a cell size gets it; reflectances are found with the normals of the fit's own cells
+    if prior and options.resolution is None and options.brdf == "lambert" and prior.grid.cell_size < finest.cell_size:
+        model = with_detail(model, prior)
     return Fitted(model, job.trace, notes + more)
 
 

@@ -77,7 +77,9 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
         if not (plan.root(name) / MODEL).exists():
             raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
     progress(1.0, f"joining {len(names)} tiles")
-    whole = scene.require_grid().resized(plan.finest)
+    # a fit may give its surface on the cells of the prior, finer than its own
+    cell = FittedModel.load(plan.root(names[0]) / MODEL).grid.cell_size if names else plan.finest
+    whole = scene.require_grid().resized(cell)
     common = FittedModel.load(scene.root / COMMON)
     made = {}
     if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
@@ -91,7 +93,7 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
             model = FittedModel.load(plan.root(tile.name) / MODEL)
             softness = model.softness
         else:
-            model = _resampled(common, tile.grid.resized(plan.finest))
+            model = _resampled(common, tile.grid.resized(cell))
         for name in MAPS:
             values = getattr(model, name).numpy()
             if name not in mosaics:

@@ -11,6 +11,7 @@ from scipy.ndimage import median_filter, minimum_filter
 from sattools.prior.frame import Frame
 from sattools.prior.matching.subplane import refine_subplane
 from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
+from sattools.prior.neighbours import mean_of_neighbours
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
@@ -99,10 +100,11 @@ def match(
     beyond_images = ~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0)
     height = filled(height, (2 * agreeing > views) | beyond_images, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
+    doubt = None
     if options.edges:
-        height = snap_edges(frame, hits, height, tolerance, options.edges)
+        height, doubt = snap_edges(frame, hits, height, tolerance, options.edges)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
-    return Match(height, score, uniqueness, views, agreeing)
+    return Match(mean_of_neighbours(height, doubt), score, uniqueness, views, agreeing)
 
 
 def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, median_filter, minimu
 
 from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
+from sattools.prior.neighbours import doubtful_walls
 
 NEAR = 3  # cells from a height step within which a cell may change sides: the matching window and its blur
 REACH = 5  # cells around it that tell how high either side is
@@ -37,8 +38,8 @@ STEEP = 0.05  # tangent of the angle from the vertical below which a view sees t
 
 def snap_edges(
     frame: Frame, first_hit_height: np.ndarray, height: np.ndarray, tolerance: float, noise: float
-) -> np.ndarray:
-    """Move height steps to where the images change.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move height steps to where the images change, and say how sure the images are of it.
 
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
     high one window too wide, most of all where a dark strip of shaded ground follows. But the strip does not look like
@@ -60,7 +61,7 @@ def snap_edges(
         noise: standard deviation of brightness on one material.
 
     Returns:
-        ``[H, W]`` float32 heights [m].
+        ``[H, W]`` float32 heights [m], and ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`.
     """
     off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
     off_step = minimum_filter(off_step, 3, mode="nearest")
@@ -76,15 +77,16 @@ def snap_edges(
         first_hit_height, tolerance, noise, below, above, roof, foot,
     )  # fmt: skip
     beside_wall = np.isfinite(below)
+    doubt = doubtful_walls(roof, beside_wall, frame.cell)
     if not beside_wall.any():
-        return median_filter(height, 3, mode="nearest")
+        return median_filter(height, 3, mode="nearest"), doubt
     side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
     lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell)
     high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
     moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
-    return median_filter(moved, 3, mode="nearest")
+    return median_filter(moved, 3, mode="nearest"), doubt
 
 
 def leaning(rims: np.ndarray, foot: np.ndarray, scale: float) -> np.ndarray:

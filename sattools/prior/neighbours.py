@@ -1,0 +1,86 @@
+"""The last step of matching: means over neighbouring cells, except across walls whose place the images agree on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+STEP_M = 2.0  # height step between neighbours from which they may be two sides of a wall
+PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpolated
+FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
+SCALE_M = 20.0  # distance over which it is averaged
+ALL_CELLS = 300.0  # walls all over the area that count as much as those around
+# the mean of 3 x 3 cells weighted 1 2 1 by 1 2 1, as pairs of opposite neighbours: rows, columns, weight of either
+_PAIRS = ((0, 1, 2 / 16), (1, 0, 2 / 16), (1, 1, 1 / 16), (1, -1, 1 / 16))
+_OWN = 4 / 16
+
+
+def doubtful_walls(likeness: np.ndarray, beside_wall: np.ndarray, cell: float) -> np.ndarray:
+    """How little the images say of where the walls around every cell are.
+
+    A single cell that looks like neither side is one every wall has, so what counts is how surely cells beside walls
+    belong to one side on the average around, drawn to that of the whole area where walls are few.
+
+    Args:
+        likeness: ``[H, W]`` to the high side, -1 ... 1; 0 = unknown.
+        beside_wall: ``[H, W]`` bool.
+        cell: edge of a cell [m].
+
+    Returns:
+        ``[H, W]`` float32: 0 = walls are in place, 1 = they may be anywhere near; 1 also away from all walls.
+    """
+    doubt = np.ones(likeness.shape, np.float32)
+    if not beside_wall.any():
+        return doubt
+    scale = SCALE_M / cell
+    cells = 2 * math.pi * scale * scale
+    sure = np.where(beside_wall, np.abs(likeness), 0.0)
+    total = gaussian_filter(sure, scale, mode="constant") * cells
+    count = gaussian_filter(beside_wall.astype(np.float64), scale, mode="constant") * cells
+    mean = (total + ALL_CELLS * float(sure[beside_wall].mean())) / (count + ALL_CELLS)
+    doubt[beside_wall] = np.clip((FIRM[1] - mean[beside_wall]) / (FIRM[1] - FIRM[0]), 0.0, 1.0)
+    return doubt
+
+
+def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, passes: int = PASSES) -> np.ndarray:
+    """Heights averaged over neighbouring cells, across a step only as far as it may as well be elsewhere.
+
+    A wall in the wrong place costs its whole height; where nothing says on which side of it a cell lies, the mean of
+    both sides is the height to expect. Opposite neighbours get the same weight, so that planes stay as they are, also
+    where they end at a wall.
+
+    Args:
+        height: ``[H, W]`` [m]; NaN = none.
+        doubt: ``[H, W]`` 0 ... 1, weight of a cell for one on the other side of a step; None = 0.
+        passes: times that 3 x 3 cells are averaged.
+
+    Returns:
+        ``[H, W]`` float32 heights [m]; NaN where there was none.
+    """
+    rows, cols = height.shape
+    across = np.zeros(height.shape, np.float32) if doubt is None else doubt.astype(np.float32)
+    around_across = np.pad(across, 1, mode="edge")
+    here = height.astype(np.float32)
+    for _ in range(passes):
+        # mirrored in value, too: a slope goes on beyond the border
+        around = np.pad(here, 1, mode="reflect", reflect_type="odd") if min(rows, cols) > 1 else np.pad(here, 1, "edge")
+        total, weight = _OWN * here, np.full(height.shape, _OWN, np.float32)
+        for down, right, share in _PAIRS:
+            pair = np.full(height.shape, share, np.float32)
+            both = np.zeros(height.shape, np.float32)
+            for sign in (1, -1):
+                there = slice(1 + sign * down, 1 + sign * down + rows), slice(1 + sign * right, 1 + sign * right + cols)
+                near = around[there]
+                same = np.abs(near - here) <= STEP_M
+                crossing = np.where(np.isfinite(near), np.minimum(around_across[there], across), np.float32(0))
+                pair = np.minimum(pair, np.float32(share) * np.where(same, np.float32(1), crossing))
+                both += np.nan_to_num(near)
+            total += pair * both
+            weight += 2 * pair
+        here = total / weight
+    return here
+
+
+__all__ = ["doubtful_walls", "mean_of_neighbours"]

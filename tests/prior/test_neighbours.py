@@ -1,0 +1,84 @@
+"""Means over neighbouring cells, except across walls that the images agree on."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sattools.prior.neighbours import doubtful_walls, mean_of_neighbours
+
+ROWS, COLS = np.mgrid[0:30, 0:40].astype(np.float32)
+
+
+@pytest.fixture
+def wall() -> Any:
+    """A step of 10 m between sloping planes."""
+    return np.where(COLS < 20, 3.0 + 0.3 * ROWS, 13.0 + 0.2 * COLS).astype(np.float32)
+
+
+def test_a_plane_stays_as_it_is() -> None:
+    plane = 5.0 + 0.4 * ROWS - 0.7 * COLS
+    np.testing.assert_allclose(mean_of_neighbours(plane), plane, atol=1e-4)
+    np.testing.assert_allclose(mean_of_neighbours(plane, np.ones(plane.shape)), plane, atol=1e-4)
+
+
+def test_noise_on_a_flat_goes_down() -> None:
+    noise = np.random.default_rng(0).normal(0, 0.2, ROWS.shape).astype(np.float32)
+    found = mean_of_neighbours(noise)[3:-3, 3:-3]
+    # (1 4 6 4 1) / 16 along both axes leaves 70 / 256 of the standard deviation
+    assert found.std() == pytest.approx(0.2 * 70 / 256, rel=0.15)
+    assert mean_of_neighbours(noise).mean() == pytest.approx(noise.mean(), abs=0.01)
+
+
+def test_a_wall_that_the_images_agree_on_stays_sharp_and_planes_end_at_it(wall: Any) -> None:
+    np.testing.assert_allclose(mean_of_neighbours(wall, np.zeros(wall.shape)), wall, atol=1e-4)
+    np.testing.assert_allclose(mean_of_neighbours(wall), wall, atol=1e-4)
+
+
+def test_a_wall_that_may_be_anywhere_becomes_a_ramp_around_its_place(wall: Any) -> None:
+    flat = np.where(COLS < 20, 0.0, 10.0).astype(np.float32)
+    found = mean_of_neighbours(flat, np.ones(flat.shape))
+    np.testing.assert_allclose(found[15, 17:23], 10 / 16 * np.array([0, 1, 5, 11, 15, 16]), atol=1e-5)
+    half = mean_of_neighbours(flat, np.full(flat.shape, 0.5))[15]
+    assert 0 < half[19] < found[15, 19]
+    np.testing.assert_allclose(half[19] + half[20], 10.0, atol=1e-5)
+
+
+def test_doubt_on_one_side_alone_does_not_move_the_wall(wall: Any) -> None:
+    doubt = np.where(COLS < 20, 1.0, 0.0)
+    np.testing.assert_allclose(mean_of_neighbours(wall, doubt), wall, atol=1e-4)
+
+
+def test_no_data_stays_no_data_and_spreads_nowhere() -> None:
+    plane = 5.0 + 0.4 * ROWS - 0.7 * COLS
+    holes = plane.copy()
+    holes[10:14, 5:9] = holes[0, 0] = np.nan
+    for doubt in (None, np.ones(plane.shape)):
+        found = mean_of_neighbours(holes, doubt)
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(holes))
+        np.testing.assert_allclose(found[np.isfinite(holes)], plane[np.isfinite(holes)], atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (2, 2), (7, 1)])
+def test_areas_of_a_few_cells(shape: Any) -> None:
+    found = mean_of_neighbours(np.full(shape, 3.0, np.float32), np.ones(shape))
+    np.testing.assert_allclose(found, 3.0)
+
+
+@pytest.mark.parametrize(("likeness", "doubt"), [(0.9, 0.0), (-0.9, 0.0), (0.6, 0.0), (0.5, 0.5), (0.4, 1.0), (0, 1)])
+def test_doubt_is_how_little_cells_beside_walls_look_like_one_side(likeness: Any, doubt: Any) -> None:
+    beside = abs(COLS - 20) < 3
+    found = doubtful_walls(np.where(beside, likeness, 0.0), beside, 0.5)
+    np.testing.assert_allclose(found[beside], doubt, atol=1e-6)
+    np.testing.assert_array_equal(found[~beside], 1.0)
+
+
+def test_single_cells_that_look_like_neither_side_are_no_doubt() -> None:
+    beside = abs(COLS - 20) < 3
+    likeness = np.where(beside, 0.9, 0.0)
+    likeness[::5, 19] = 0.0
+    assert doubtful_walls(likeness, beside, 0.5)[beside].max() == 0.0
+
+
+def test_without_walls_there_is_nothing_to_keep_apart() -> None:
+    np.testing.assert_array_equal(doubtful_walls(np.zeros((4, 5)), np.zeros((4, 5), bool), 0.5), 1.0)
