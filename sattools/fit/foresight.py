@@ -19,8 +19,8 @@ BASE_BYTES = 450e6
 BYTES_PER_CELL = 300.0
 BYTES_PER_CELL_AND_IMAGE = 140.0
 START_S = 4.0
-MATCH_S = 2.2e-8  # CPU seconds per cell, height plane and pair of images
-FIT_S = 8.0e-6  # CPU seconds per cell and image
+MATCH_S = 1.5e-8  # CPU seconds per cell, height plane and pair of images
+FIT_S = 2.0e-6  # CPU seconds per cell and image
 
 
 @dataclass(frozen=True)
