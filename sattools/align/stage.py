@@ -15,9 +15,10 @@ from sattools.camera.ground import from_geographic, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError, SceneError
+from sattools.export.validity import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
-from sattools.scene.dependencies import MADE, STAGES, check_current, drop, files_of, latest, record
+from sattools.scene.dependencies import MADE, STAGES, check_current, drop, files_of, latest, names_of, record
 from sattools.scene.files import check_outputs
 from sattools.scene.jsonio import JsonObject, read_text
 from sattools.scene.location import location
@@ -26,7 +27,6 @@ from sattools.scene.raster import read_raster, write_cog
 
 HEIGHTS = ("dsm", "prior_dsm")
 ON_THE_GROUND = ("shadow", "s_net", "tau")  # assets of images that are maps of the ground
-MEASURED = 1  # in a scene's map of validity
 COLUMNS = ("z", "item", "column", "row")
 
 
@@ -162,8 +162,9 @@ def read_control_points(path: Path, crs: str) -> list[ControlPoint]:
 def _moves(scene: Scene, folder: str, shift: Shift) -> dict[tuple[str | None, str], Move]:
     """All maps of the ground that move, by image (None = of the scene) and name."""
     moves: dict[tuple[str | None, str], Move] = {}
+    made = set().union(*(names_of(stage) for stage in STAGES.values()))  # a reference that the scene brings stays
     for name, href in scene.products.items():
-        if Path(href).suffix == ".tif":
+        if name in made and Path(href).suffix == ".tif":
             up = shift.up if name in HEIGHTS else 0.0
             moves[None, name] = Move(scene.path(href), f"{folder}/{name}.tif", up)
     for item in scene.items:

@@ -15,6 +15,7 @@ from sattools.compare.picture import difference_picture
 from sattools.compare.registration import register, search_margin, shifted
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
+from sattools.export.validity import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import check_current
@@ -27,7 +28,6 @@ from sattools.scene.vectors import read_polygons
 
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
 POLYGONS, PICTURE, TABLE = "changes.gpkg", "height_change.png", "change.json"
-MEASURED = 1  # in a scene's map of validity
 
 
 @dataclass(frozen=True)

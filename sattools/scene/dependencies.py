@@ -90,7 +90,7 @@ def drop(scene: Scene, stage: str) -> list[str]:
     gone = []
     for later in ORDER[ORDER.index(stage) :]:
         made = STAGES[later]
-        for name in [name for name in scene.products if name in _names(made)]:
+        for name in [name for name in scene.products if name in names_of(made)]:
             del scene.products[name]
             gone.append(name)
         for item in scene.items:
@@ -183,12 +183,13 @@ def _has_outputs(scene: Scene, stage: str) -> bool:
 def _outputs(scene: Scene, stage: str) -> dict[str, str | None]:
     """Digest of every file that a stage has left, by the name of the product or `item/asset`."""
     made = STAGES[stage]
-    hrefs = {name: href for name, href in scene.products.items() if name in _names(made)}
+    hrefs = {name: href for name, href in scene.products.items() if name in names_of(made)}
     hrefs |= {f"{i.id}/{name}": i.assets[name].href for i in scene.items for name in made.assets if name in i.assets}
     return {name: digest(scene.path(href)) for name, href in hrefs.items()}
 
 
-def _names(made: Stage) -> set[str]:
+def names_of(made: Stage) -> set[str]:
+    """Products that a stage may leave, their standard deviations included."""
     return {*made.products, *(f"{name}_std" for name in made.products)}
 
 
@@ -223,5 +224,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "MADE", "STAGES", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "record", "stale",
+    "MADE", "STAGES", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "names_of", "record",
+    "stale",
 ]  # fmt: skip

@@ -141,6 +141,7 @@ def test_surface_maps_model_and_cameras_move_together(exported: Scene, tmp_path:
         assert project(new[name], CRS, *place) == pytest.approx(project(camera, CRS, x, y, 3.0), abs=1e-3)
     # all later commands work on, and find nothing stale: what is exported again is what was moved
     assert "errors" not in scene.products
+    assert scene.products["truth_dsm"] == exported.products["truth_dsm"]
     assert run("compare", "--overwrite", document).exit_code == 0
     assert json.loads(scene.path("compare/errors.json").read_text())["mae"] == pytest.approx(score, abs=0.02)
     assert run("export", "--overwrite", document).exit_code == 0
