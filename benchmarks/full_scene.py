@@ -1,13 +1,18 @@
-"""Whole satellite images through `sattools prep`: does it finish, in which memory, and how good are the cameras?
+"""Whole satellite images through the suite: does it finish, in which memory, and how good is what comes out?
 
     python benchmarks/full_scene.py --size 20000 --views 3 --out FOLDER [--memory-gb 4] [--keep]
+    python benchmarks/full_scene.py --size 10000 --city --pipe --out FOLDER [--tile 512] [--threads 2] [--keep]
 
-Makes images of SIZE x SIZE pixels of 0.5 m by warping an endless random texture over rolling ground of 60 m, seen by
-RPC cameras of known error (up to 12 pixels), strip by strip, without ever holding one in memory; runs `prep` on them
-in a process of its own; prints its seconds, CPU seconds and peak memory, what is left of the cameras' errors (the part
-that tie points can see, in pixels at the image's corners and centre), and what the scene takes on the disk. 8-bit
-pixels, about SIZE^2 bytes an image. The exit status is 1 where the memory was exceeded or a camera is off by more than
-half a pixel.
+Makes images of SIZE x SIZE pixels of 0.5 m, seen by RPC cameras of known error (up to 12 pixels), strip by strip,
+without ever holding one in memory: an endless random texture warped over rolling ground of 60 m, or with --city houses
+on that ground, traced ray by ray (`large_world.py`). 8-bit pixels, about SIZE^2 bytes an image. Then `prep`, and with
+--pipe `fit | export | compare` as well, each in a process of its own.
+
+Printed: seconds, CPU seconds and peak memory of every command; what is left of the cameras' errors (the part that tie
+points can see, in pixels at the image's corners and centre); with --pipe CPU seconds per km2, the error of the DSM on
+five squares of 256 m against the truth, the same squares fitted alone (--alone), and whether the joined surface steps
+where tiles meet: the 95th percentile of the step of the error across the lines where tiles were joined, against that
+across all other lines. The exit status is 1 where the memory was exceeded or a camera is off by more than half a pixel.
 """
 
 from __future__ import annotations
@@ -19,15 +24,23 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import rasterio
+from large_world import DATE, SUN, City, look, rolling
 from rasterio.windows import Window
 
 from sattools.camera import RPC
+from sattools.camera.ground import to_geographic
+from sattools.scene import Grid
+from sattools.scene.raster import raster_grid, write_cog
+from sattools.scene.tiles import make_tiles
+from sattools.simulate.files import sat_nerf_metadata
 
 GSD_M = 0.5
 LON, LAT, ALT = 15.0, 46.0, 300.0
@@ -36,12 +49,17 @@ BIAS_PX = [(0.0, 0.0), (9.0, -7.0), (-6.0, 10.0), (4.0, 4.0)]
 PERIODS = (2048, 1789)  # cells of two textures, which together do not repeat within a scene
 
 
-def camera(run: tuple[float, float], size: int, bias: tuple[float, float]) -> RPC:
-    """Parallel lines of sight over a plane ground: col and row are linear in longitude, latitude and height."""
+def metres_per_degree() -> tuple[float, float]:
+    """(east, north) at the middle of the scene [m]."""
     e2 = 6.69437999014e-3
     w2 = 1 - e2 * math.sin(math.radians(LAT)) ** 2
     east = math.radians(6378137.0 / math.sqrt(w2) * math.cos(math.radians(LAT)))
-    north = math.radians(6378137.0 * (1 - e2) / w2**1.5)
+    return east, math.radians(6378137.0 * (1 - e2) / w2**1.5)
+
+
+def camera(run: tuple[float, float], size: int, bias: tuple[float, float]) -> RPC:
+    """Parallel lines of sight over a plane ground: col and row are linear in longitude, latitude and height."""
+    east, north = metres_per_degree()
     scale, degrees, metres = size / 2, size * GSD_M / 2 / north, 300.0
     col, row, one = np.zeros(20), np.zeros(20), np.zeros(20)
     one[0] = 1.0
@@ -51,11 +69,6 @@ def camera(run: tuple[float, float], size: int, bias: tuple[float, float]) -> RP
     return RPC(
         middle + bias[1], middle + bias[0], LAT, LON, ALT, scale, scale, degrees, degrees, metres, row, one, col, one
     )
-
-
-def height(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Of the ground above ALT [m]."""
-    return 30.0 * np.sin(east / 700.0) * np.cos(north / 900.0)
 
 
 def textures(seed: int = 0) -> list[np.ndarray]:
@@ -74,31 +87,59 @@ def textures(seed: int = 0) -> list[np.ndarray]:
     return pieces
 
 
-def write_image(path: Path, run: tuple[float, float], rpc: RPC, size: int, pieces: list[np.ndarray]) -> None:
+def write_image(
+    path: Path, run: tuple[float, float], rpc: RPC, size: int, pieces: list[np.ndarray], city: City | None
+) -> None:
     """An image of the ground, strip by strip."""
     profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "uint8", "tiled": True}
+    rng = np.random.default_rng(round(1000 * (run[0] + 10 * run[1])) % 2**32)
     rows_at_once = 512
     with rasterio.open(path, "w", blockxsize=512, blockysize=512, bigtiff="if_safer", **profile) as out:
         cols = (np.arange(size, dtype=np.float64) - (size - 1) / 2) * GSD_M
         for first in range(0, size, rows_at_once):
             count = min(rows_at_once, size - first)
             rows = -(np.arange(first, first + count, dtype=np.float64) - (size - 1) / 2) * GSD_M
-            east0, north0 = np.meshgrid(cols, rows)
-            h = height(east0, north0)
-            for _ in range(4):
-                h = height(east0 + run[0] * h, north0 + run[1] * h)
-            east, north = (east0 + run[0] * h) / GSD_M, (north0 + run[1] * h) / GSD_M
-            total = np.zeros((count, size), np.float32)
-            for piece in pieces:
-                period = len(piece)
-                wrapped = np.pad(piece, 1, mode="wrap")
-                at_col, at_row = (np.mod(v, period).astype(np.float32) + 1 for v in (east, -north))
-                for c in range(0, size, 16384):  # OpenCV's limit for the size of a map is 32767
-                    part = slice(c, min(size, c + 16384))
-                    total[:, part] += cv2.remap(wrapped, at_col[:, part], at_row[:, part], cv2.INTER_LINEAR)
-            grey = np.clip(120 + 18 * total, 1, 254).astype(np.uint8)
-            out.write(grey, 1, window=Window(0, first, size, count))
+            if city is None:
+                seen, east, north = None, *on_ground(run, cols, rows)
+            else:
+                limits = (city.low, city.top)
+                seen, east, north = look(city.height, city.bright, city.wall, limits, np.array(run), cols, rows)
+            texture = sampled(pieces, east / GSD_M, north / GSD_M)
+            if seen is None:
+                grey = 120 + 18 * texture
+            else:  # stains of a few metres on everything, and the sensor's noise
+                grey = 400 * seen * (1 + 0.05 * texture) + 10 + rng.normal(0, 1.0, seen.shape)
+            out.write(np.clip(grey, 1, 254).astype(np.uint8), 1, window=Window(0, first, size, count))
         out.update_tags(ns="RPC", **rpc.to_tags())
+
+
+def write_sun(path: Path, rpc: RPC, size: int) -> None:
+    """The metadata that tell where the sun stood."""
+    corners = [[float(v) for v in rpc.localization(c, r, ALT)] for c, r in ((0, 0), (size, 0), (size, size), (0, size))]
+    record = sat_nerf_metadata(path.name, rpc, (size, size), SUN, DATE, [*corners, corners[0]])
+    path.with_suffix(".json").write_text(json.dumps(record), encoding="utf-8")
+
+
+def on_ground(run: tuple[float, float], cols: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays meet the rolling ground (east, north) [m]."""
+    east0, north0 = np.meshgrid(cols, rows)
+    h = rolling(east0, north0)
+    for _ in range(4):
+        h = rolling(east0 + run[0] * h, north0 + run[1] * h)
+    return east0 + run[0] * h, north0 + run[1] * h
+
+
+def sampled(pieces: list[np.ndarray], east: np.ndarray, north: np.ndarray) -> np.ndarray:
+    """Sum of the textures at places in cells."""
+    total = np.zeros(east.shape, np.float32)
+    for piece in pieces:
+        period = len(piece)
+        wrapped = np.pad(piece, 1, mode="wrap")
+        at_col, at_row = (np.mod(v, period).astype(np.float32) + 1 for v in (east, -north))
+        for c in range(0, east.shape[1], 16384):  # OpenCV's limit for the size of a map is 32767
+            part = slice(c, min(east.shape[1], c + 16384))
+            total[:, part] += cv2.remap(wrapped, at_col[:, part], at_row[:, part], cv2.INTER_LINEAR)
+    return total
 
 
 def errors_px(scene: dict, true: list[RPC], root: Path, size: int) -> list[float]:
@@ -106,18 +147,161 @@ def errors_px(scene: dict, true: list[RPC], root: Path, size: int) -> list[float
     low, high = scene["sattools"]["height_range_m"]
     middle = (low + high) / 2
     places = [(0, 0), (size - 1, 0), (0, size - 1), (size - 1, size - 1), (size / 2, size / 2)]
-    rows = []
+    rows: list[list[np.ndarray]] = []
     for feature, rpc in zip(scene["features"], true, strict=True):
         found = RPC.from_file(root / feature["assets"]["rpc"]["href"])
         rows.append([np.subtract(found.projection(*rpc.localization(c, r, middle), middle), (c, r)) for c, r in places])
-    found = np.array(rows)  # [V, 5, 2]
-    design = np.zeros((*found.shape, 3))
+    left = np.array(rows)  # [V, 5, 2]
+    design = np.zeros((*left.shape, 3))
     design[..., 0, 0] = design[..., 1, 1] = 1.0
     for k in range(len(true)):
         design[k, :, :, 2] = np.array([-RUNS[k][0], RUNS[k][1]]) / GSD_M
-    flat, target = design.reshape(-1, 3), found.ravel()
-    rest = (target - flat @ np.linalg.lstsq(flat, target, rcond=None)[0]).reshape(found.shape)
+    flat, target = design.reshape(-1, 3), left.ravel()
+    rest = (target - flat @ np.linalg.lstsq(flat, target, rcond=None)[0]).reshape(left.shape)
     return [round(float(np.hypot(*view.T).max()), 3) for view in rest]
+
+
+@dataclass
+class Outcome:
+    """How a command ended."""
+
+    status: int
+    output: bytes
+    seconds: float
+    cpu_s: float
+    peak_gb: float
+
+
+def command(*arguments: str, given: bytes = b"") -> Outcome:
+    """Run a command of the suite in a process of its own and say what it took."""
+    begun = time.perf_counter()
+    with tempfile.TemporaryFile() as source, tempfile.TemporaryFile() as target, tempfile.TemporaryFile() as said:
+        source.write(given)
+        source.seek(0)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "sattools", *arguments], stdin=source, stdout=target, stderr=said
+        )
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        target.seek(0)
+        output = target.read()
+        said.seek(0)
+        if process.returncode:
+            sys.stderr.write(said.read().decode())
+    used = usage.ru_utime + usage.ru_stime
+    done = Outcome(process.returncode, output, time.perf_counter() - begun, used, usage.ru_maxrss / 2**20)
+    took = f"{done.seconds:.0f} s, {used:.0f} CPU s, {done.peak_gb:.2f} GiB peak"
+    print(f"{arguments[0]}: exit status {done.status}, {took}", flush=True)
+    return done
+
+
+def local(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Local coordinates (east, north) ``[H, W]`` [m] of a grid's cells, as the cameras have them."""
+    x, y = np.meshgrid(grid.x(), grid.y())
+    lon, lat = to_geographic(grid.crs, x, y)
+    east, north = metres_per_degree()
+    return (lon - LON) * east, (lat - LAT) * north
+
+
+def squares(scene: dict, edge: float, place: Path, city: City) -> list[tuple[Grid, Path]]:
+    """The truth on five squares of the scene: near its middle and its corners."""
+    whole = Grid.from_dict(scene["sattools"]["grid"])
+    cell, count = 0.5, round(edge / 0.5)
+    west, south, east, north = whole.bounds
+    found = []
+    for k, (a, b) in enumerate([(0.5, 0.5), (0.2, 0.2), (0.8, 0.2), (0.2, 0.8), (0.8, 0.8)]):
+        left = round(west + a * (east - west) - edge / 2)
+        top = round(south + b * (north - south) + edge / 2)
+        grid = Grid(whole.crs, float(left), float(top), cell, count, count)
+        path = place / f"truth_{k}.tif"
+        write_cog(path, (ALT + city.above(*local(grid))).astype(np.float32), grid, units="m")
+        found.append((grid, path))
+    return found
+
+
+def seams(dsm: Path, lines: tuple[set[int], set[int]], city: City, shift: tuple[float, float]) -> dict[str, float]:
+    """Steps of the error across lines where tiles meet and across all others, their 95th percentiles [m].
+
+    The worst joint is compared with the 95th percentile of all other lines.
+    """
+    at: dict[str, list[float]] = {"joint": [], "elsewhere": []}
+    with rasterio.open(dsm) as data:
+        grid = raster_grid(dsm)
+        for axis, own in enumerate(lines):
+            length = data.height if axis == 0 else data.width
+            others = np.random.default_rng(0).choice(np.arange(8, length - 8), min(200, length - 16), replace=False)
+            for kind, some in (("joint", sorted(own)), ("elsewhere", [int(v) for v in others])):
+                for line in some:
+                    rows, cols = slice(0, data.height), slice(0, data.width)
+                    two = slice(line - 1, line + 1)
+                    part = (two, cols) if axis == 0 else (rows, two)
+                    heights = data.read(1, window=Window.from_slices(*part))
+                    east, north = local(grid.part(*part))
+                    error = heights - ALT - city.above(east + shift[0], north + shift[1])
+                    step = np.abs(np.diff(error, axis=axis))
+                    at[kind].append(float(np.nanmean(np.minimum(step, 2.0))))
+    return {
+        "worst_joint_m": max(at["joint"], default=float("nan")),
+        "elsewhere_95_m": float(np.percentile(at["elsewhere"], 95)),
+        "elsewhere_max_m": max(at["elsewhere"]),
+    }
+
+
+def joints(grid: Grid, tile: float, overlap: float, cell: float) -> tuple[set[int], set[int]]:
+    """Rows and columns of the surface at the middle of what two tiles share."""
+    ratio = grid.cell_size / cell
+    rows: set[int] = set()
+    cols: set[int] = set()
+    for one in make_tiles(grid, tile, overlap, max(grid.cell_size, 1.0)):
+        for lines, part, after in ((rows, one.rows, one.shared[1]), (cols, one.cols, one.shared[3])):
+            if after:
+                lines.add(round((part.stop - after / 2) * ratio))
+    return rows, cols
+
+
+def fitted_alone(square: Grid, truth: Path, files: list[Path], options: argparse.Namespace) -> float:
+    """MAE [m] of a square with the margin of a tile, prepared and fitted by itself."""
+    common = ["--threads", str(options.threads), "--quiet"]
+    west, south, east, north = square.bounds
+    m = options.overlap
+    bounds = [str(v) for v in (west - m, south - m, east + m, north + m)]
+    place = options.out / "alone"
+    shutil.rmtree(place, ignore_errors=True)
+    done = command("prep", *map(str, files), "--crs", square.crs, "--bounds", *bounds, "--out", str(place), *common)
+    for step in (["fit"], ["export"], ["compare", "--dsm", str(truth)]):
+        if done.status:
+            return math.nan
+        done = command(*step, *common, given=done.output)
+    return float(json.loads(next(place.rglob("errors.json")).read_text())["mae"])
+
+
+def pipe(scene: bytes, files: list[Path], options: argparse.Namespace, city: City) -> float:
+    """`fit | export | compare` of what `prep` has printed; the most memory that a command took [GiB]."""
+    common = ["--threads", str(options.threads), "--quiet"]
+    fitted = command("fit", "--tile", str(options.tile), "--overlap", str(options.overlap), *common, given=scene)
+    exported = command("export", *common, given=fitted.output) if fitted.status == 0 else fitted
+    if exported.status:
+        raise SystemExit(1)
+    document = json.loads(exported.output)
+    grid = Grid.from_dict(document["sattools"]["grid"])
+    area = grid.width * grid.height * grid.cell_size**2 / 1e6
+    spent = fitted.cpu_s + exported.cpu_s
+    print(f"{area:.1f} km2: fit and export take {spent / area:.0f} CPU s and {fitted.seconds / area:.0f} s a km2")
+    peak = max(fitted.peak_gb, exported.peak_gb)
+    root = Path(document["sattools"]["root"])
+    shift = (0.0, 0.0)
+    for own, truth in squares(document, 256.0, options.out, city):
+        compared = command("compare", "--dsm", str(truth), "--overwrite", *common, given=exported.output)
+        peak = max(peak, compared.peak_gb)
+        figures = json.loads((root / "compare/errors.json").read_text())
+        shift = (figures["shift_m"][0], figures["shift_m"][1])
+        alone = ""
+        if options.alone:
+            alone = f"; fitted alone {fitted_alone(own, truth, files, options):.3f} m"
+        print(f"{truth.name}: MAE {figures['mae']:.3f} m, median {figures['median']:.3f} m{alone}", flush=True)
+    dsm = root / document["sattools"]["products"]["dsm"]
+    print("seams:", seams(dsm, joints(grid, options.tile, options.overlap, raster_grid(dsm).cell_size), city, shift))
+    return peak
 
 
 def main() -> int:
@@ -126,35 +310,39 @@ def main() -> int:
     parser.add_argument("--views", type=int, default=3)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--memory-gb", type=float, default=4.0)
+    parser.add_argument("--city", action="store_true", help="houses on the ground")
+    parser.add_argument("--pipe", action="store_true", help="fit, export and compare as well")
+    parser.add_argument("--tile", type=float, default=512.0, help="of the fit [m]")
+    parser.add_argument("--overlap", type=float, default=32.0, help="of tiles [m]")
+    parser.add_argument("--alone", action="store_true", help="fit the squares alone, too")
+    parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--keep", action="store_true")
     options = parser.parse_args()
 
     options.out.mkdir(parents=True, exist_ok=True)
+    city = City(7) if options.city or options.pipe else None
     true = [camera(RUNS[k], options.size, (0.0, 0.0)) for k in range(options.views)]
     files = [options.out / f"full_{k}.tif" for k in range(options.views)]
     pieces = textures()
     begun = time.perf_counter()
     for k, file in enumerate(files):
         if not file.exists():
-            write_image(file, RUNS[k], camera(RUNS[k], options.size, BIAS_PX[k]), options.size, pieces)
+            rpc = camera(RUNS[k], options.size, BIAS_PX[k])
+            write_image(file, RUNS[k], rpc, options.size, pieces, city)
+            if city is not None:
+                write_sun(file, rpc, options.size)
     print(f"images made in {time.perf_counter() - begun:.0f} s", flush=True)
     target = options.out / "scene"
     shutil.rmtree(target, ignore_errors=True)
-    command = [sys.executable, "-m", "sattools", "prep", *map(str, files), "--out", str(target), "--id", "FULL"]
-    begun = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.PIPE)
-    output = process.stdout.read() if process.stdout else b""
-    _, status, usage = os.wait4(process.pid, 0)
-    seconds, code = time.perf_counter() - begun, os.waitstatus_to_exitcode(status)
-    peak = usage.ru_maxrss / 2**20
-    print(
-        f"prep: exit status {code}, {seconds:.0f} s, {usage.ru_utime + usage.ru_stime:.0f} CPU s, {peak:.2f} GiB peak"
-    )
-    if code:
+    done = command("prep", *map(str, files), "--out", str(target), "--id", "FULL", "--threads", str(options.threads))
+    if done.status:
         return 1
-    left = errors_px(json.loads(output), true, target / "FULL", options.size)
+    left = errors_px(json.loads(done.output), true, target / "FULL", options.size)
     size = sum(p.stat().st_size for p in target.rglob("*") if p.is_file()) / 2**20
-    print(f"cameras: {', '.join(f'{e:.2f}' for e in left)} px left; scene {size:.1f} MiB on the disk")
+    print(f"cameras: {', '.join(f'{e:.2f}' for e in left)} px left; scene {size:.1f} MiB on the disk", flush=True)
+    peak = done.peak_gb
+    if options.pipe and city is not None:
+        peak = max(peak, pipe(done.output, files, options, city))
     if not options.keep:
         shutil.rmtree(options.out)
     return int(peak > options.memory_gb or max(left) > 0.5)
