@@ -33,7 +33,7 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
         SattoolsError: PROJ has no grid for the geoid.
     """
     if vertical == "ellipsoid":
-        return height, ELLIPSOID
+        return height, datum_name(vertical)
     from pyproj.exceptions import ProjError
 
     _, name, file = GEOIDS[vertical]
@@ -46,7 +46,12 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
             f"--vertical {vertical}: found no grid of the {name} in PROJ, expected {file} "
             f"(fetch it with `sattools doctor --fetch-geoids`)"
         ) from error
-    return np.asarray(above).reshape(height.shape), name
+    return np.asarray(above).reshape(height.shape), datum_name(vertical)
+
+
+def datum_name(vertical: str) -> str:
+    """What a datum is called in the tags of a raster."""
+    return ELLIPSOID if vertical == "ellipsoid" else GEOIDS[vertical][1]
 
 
 def has_grid(vertical: str) -> bool:
@@ -67,4 +72,4 @@ def _transformer(vertical: str) -> Transformer:
     return Transformer.from_crs("EPSG:4979", GEOIDS[vertical][0], always_xy=True, only_best=True, allow_ballpark=False)
 
 
-__all__ = ["ELLIPSOID", "GEOIDS", "has_grid", "to_datum"]
+__all__ = ["ELLIPSOID", "GEOIDS", "datum_name", "has_grid", "to_datum"]

@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+import sys
 
 import numpy as np
 
 from sattools.errors import InputError, SceneError
+from sattools.export.blocks import Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
-from sattools.export.datum import to_datum
-from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
-from sattools.export.validity import FILLED, MEANING, MEASURED, UNSEEN, validity_of
+from sattools.export.surface_files import ALBEDO, DSM, IMAGE_MAPS, PICTURE, STD, VALIDITY, SurfaceFiles
+from sattools.export.validity import FILLED, MEASURED, UNSEEN, Witnesses
+from sattools.fit.model import FittedModel
+from sattools.fit.stored import StoredModel
 from sattools.progress import Progress, silent, subprogress
-from sattools.scene import Asset, Grid, Scene
+from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import write_cog
-
-if TYPE_CHECKING:
-    from sattools.fit.model import FittedModel
 
 log = logging.getLogger(__name__)
-# what the model may hold per image
-IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
-DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
-VALIDITY = "export/validity.tif"
 
 
 def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Write the DSM, its picture, where it is valid, the albedo and a shadow mask per image; adds products and assets.
 
-    Ground that fewer than two images reach is no-data in all of them, unless `options.fill` asks otherwise.
+    Ground that fewer than two images reach is no-data in all of them, unless `options.fill` asks otherwise. Maps of
+    large areas are read and written block by block.
 
     Args:
         scene: fitted; gets the products and assets.
@@ -48,81 +43,47 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         StaleError: the model was made from something else than the scene holds now.
         InputError: the model file is damaged.
     """
-    model = _read_model(scene, options)
-    height = model.height.numpy()
-    begin(scene, "export", _outputs(scene, options, model), overwrite)
+    stored = _open_model(scene, options)
+    at_once = _needs_surface(options, stored.head)
+    if at_once and stored.whole is None:
+        stored = StoredModel.open(stored.path, in_memory=sys.maxsize)
+    begin(scene, "export", _outputs(scene, options, stored.head), overwrite)
     progress(0.05, "what the images show")
-    validity = validity_of(scene, model.items, model.grid, height)
-    if validity is None:
+    witnesses = Witnesses(scene, stored.head.items)
+    if not witnesses.known:
         log.warning("scene %s: images or cameras of the fit are missing: nobody knows what they show", scene.id)
-    exported = Exported(scene, model, np.isfinite(height) if options.fill or validity is None else validity != UNSEEN)
-    progress(0.1, "DSM")
-    datum = _write_heights(exported, options.vertical)
-    fractions = None if validity is None else _write_validity(scene, validity, model.grid)
-    progress(0.3, "albedo")
-    _write_albedo(exported)
-    scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
-    if model.shadow != "none":
-        _shadows(exported, progress)
-    for name, description in IMAGE_MAPS.items():
-        if name in model.image_maps():
-            _image_maps(exported, name, description)
-    if _needs_surface(options, model):
+    surface = Surroundings(stored.grid, lambda rows, cols: stored.part(rows, cols).height.numpy())
+    pieces = blocks(stored.grid, at_once)
+    counts = np.zeros(3, np.int64)
+    with SurfaceFiles(scene, stored, options.vertical, witnesses.known) as files:
+        for k, block in enumerate(pieces):
+            progress(0.1 + 0.5 * k / len(pieces), "DSM, albedo, shadows" + (f", block {k + 1}" if k else ""))
+            model = stored.part(block.rows, block.cols)
+            known = np.isfinite(model.height.numpy())
+            validity = witnesses.validity(block, surface) if witnesses.known else None
+            exported = Exported(scene, model, known if options.fill or validity is None else validity != UNSEEN)
+            files.write(block, exported, surface, validity)
+            if validity is not None:
+                counts += np.bincount(validity.ravel(), minlength=3)
+    if at_once:
         _views(exported, options, subprogress(progress, 0.6, 1.0))
     progress(1.0, "exported")
-    return {"vertical_datum": datum, "validity": fractions, MADE: record(scene, "export")}
+    kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
+    shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
+    fractions = shares if witnesses.known else None
+    return {"vertical_datum": files.datum, "validity": fractions, MADE: record(scene, "export")}
 
 
-def _read_model(scene: Scene, options: ExportOptions) -> FittedModel:
+def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:
     """The scene's model, checked to be of what the scene holds now."""
-    from sattools.fit.model import FittedModel
-
     if "model" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected one for --view")
-    model = FittedModel.load(scene.path(scene.products["model"]))
+    stored = StoredModel.open(scene.path(scene.products["model"]))
     check_current(scene, "fit")
-    return model
-
-
-def _write_heights(exported: Exported, vertical: str) -> str:
-    """Write the DSM, its standard deviation and its picture; the vertical datum."""
-    scene, model = exported.scene, exported.model
-    heights, datum = to_datum(model.height.numpy(), model.grid, vertical)
-    dsm = exported.shown(heights)
-    tags = {"VERTICAL_DATUM": datum, "SOFTWARE": "sattools"}
-    write_cog(scene.output(DSM), dsm, model.grid, units="m", tags=tags, descriptions=["height"])
-    method = {
-        "METHOD": "curvature of the photometric loss; gross errors of matching are not in it",
-        "SOFTWARE": "sattools",
-    }
-    about = ["standard deviation of the height"]
-    std = exported.shown(model.height_std.numpy())
-    write_cog(scene.output(STD), std, model.grid, units="m", tags=method, descriptions=about)
-    write_picture(dsm, model.grid, f"{scene.id}: DSM, {model.grid.cell_size:g} m", scene.output(PICTURE))
-    return datum
-
-
-def _write_albedo(exported: Exported) -> None:
-    scene, model = exported.scene, exported.model
-    bands, wavelengths = exported.band_names("albedo", model.albedo.shape[-1])
-    scale = "relative: radiance of the first training image in full sun"
-    if model.absolute:
-        scale = f"absolute: {model.radiance}"
-    tags = {"SCALE": scale, "SOFTWARE": "sattools", **wavelengths}
-    colours = exported.shown(model.albedo.permute(2, 0, 1).numpy())
-    write_cog(scene.output(ALBEDO), colours, model.grid, units="1", tags=tags, descriptions=bands)
-
-
-def _write_validity(scene: Scene, validity: np.ndarray, grid: Grid) -> dict[str, float]:
-    """Write the map; the share of every kind of cell."""
-    tags = {"MEANING": MEANING, "SOFTWARE": "sattools"}
-    write_cog(scene.output(VALIDITY), validity, grid, nodata=None, tags=tags, descriptions=["validity"])
-    scene.products["validity"] = VALIDITY
-    kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
-    return {name: round(float((validity == kind).mean()), 4) for name, kind in kinds.items()}
+    return stored
 
 
 def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[str]:
@@ -143,19 +104,6 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
 
 def _needs_surface(options: ExportOptions, model: FittedModel) -> bool:
     return bool(model.brdf != "lambert" or options.view or options.sun is not None)
-
-
-def _image_maps(exported: Exported, name: str, description: str) -> None:
-    """One map ``[H, W]`` per image, on the ground grid."""
-    from sattools.export.novel import view_href
-
-    scene, model = exported.scene, exported.model
-    items = {item.id: item for item in scene.items}
-    for item_id, array in zip(model.items, model.image_maps()[name].numpy(), strict=True):
-        if item_id in items and np.isfinite(array).any():
-            href = view_href(name, item_id)
-            write_cog(scene.output(href), exported.shown(array), model.grid, units="1", descriptions=[description])
-            items[item_id].assets[name] = Asset(href)
 
 
 def _views(exported: Exported, options: ExportOptions, progress: Progress) -> None:
@@ -181,25 +129,6 @@ def _views(exported: Exported, options: ExportOptions, progress: Progress) -> No
         write_relit(exported, surface, options.sun)
         for name in options.view:
             write_view(exported, name, surface, options.sun)
-
-
-def _shadows(exported: Exported, progress: Progress) -> None:
-    """One mask per image, on the ground grid: 1 in cast shadow, 0 lit, 255 unknown."""
-    from sattools.export.novel import view_href
-    from sattools.render import sun_visibility
-
-    scene, model = exported.scene, exported.model
-    items = {item.id: item for item in scene.items}
-    suns = shadow_suns(model)
-    for k, (name, sun) in enumerate(suns):
-        progress(0.4 + 0.2 * k / len(suns), f"shadow of {name}")
-        if name not in items:
-            continue
-        lit = sun_visibility(model.height, model.grid.cell_size, sun).numpy()
-        href = view_href("shadow", name)
-        mask = np.where(exported.valid, lit < 0.5, 255).astype(np.uint8)
-        write_cog(scene.output(href), mask, model.grid, nodata=255, descriptions=["1 = cast shadow"])
-        items[name].assets["shadow"] = Asset(href)
 
 
 __all__ = ["export"]

@@ -2,75 +2,146 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from sattools.camera.ground import to_geographic
-from sattools.render import sun_visibility
+from sattools.camera.ground import ground_sample_distance, to_geographic
+from sattools.camera.rpc import RPC
+from sattools.export.blocks import Block, Surroundings
 from sattools.scene import Grid, Scene
-from sattools.views import Source, line_of_sight, load_sources
+from sattools.scene.pixels import ImagePart, image_part
+from sattools.views import line_of_sight
 
 UNSEEN, MEASURED, FILLED = 0, 1, 2
 MEANING = "1 = measured: two images see it; 2 = filled from neighbours: hidden from all but one; 0 = unseen"
 NEEDED = 2  # images that a height takes
 _STRIP_CELLS = 1_000_000
+_WHOLE_PIXELS = 16_000_000  # of an image whose frame is found pixel by pixel
+_FRAME_STEP = 16  # pixels along an axis that are looked at as one where it is larger
+_PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced
 
 
-def validity_of(scene: Scene, ids: Sequence[str], grid: Grid, height: NDArray[np.float32]) -> NDArray[np.uint8] | None:
-    """How every cell of a surface came by its height.
+@dataclass(frozen=True)
+class Witness:
+    """An image, and where its vendor's frame is.
+
+    Attributes:
+        rpc: its camera.
+        part: its pixels.
+        frame: ``[h, w]`` bool of squares of ``step`` pixels: no ground there; None = nowhere.
+        step: see above.
+    """
+
+    rpc: RPC
+    part: ImagePart
+    frame: NDArray[np.bool_] | None
+    step: int
+
+    def shown(self, grid: Grid, height: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether it has a valid pixel of a cell's surface point, hidden or not; every ray by the RPC itself.
+
+        Args:
+            grid: of the cells.
+            height: ``[H, W]`` [m above the ellipsoid].
+        """
+        shown = np.zeros(grid.shape, bool)
+        strip = max(1, _STRIP_CELLS // grid.width)
+        for first in range(0, grid.height, strip):
+            part = slice(first, min(first + strip, grid.height))
+            x, y = np.meshgrid(grid.x(), grid.y()[part])
+            lon, lat = to_geographic(grid.crs, x, y)
+            col, row = self.rpc.projection(lon, lat, height[part].astype(np.float64))
+            rows, cols = self.part.shape
+            inside = (col >= -0.5) & (row >= -0.5) & (col < cols - 0.5) & (row < rows - 0.5)
+            if inside.any():
+                step = self._reduction(grid, lon, lat, height[part])
+                shown[part][inside] = self._valid(np.round(row[inside]), np.round(col[inside]), step)
+        return shown
+
+    def _reduction(self, grid: Grid, lon: np.ndarray, lat: np.ndarray, height: np.ndarray) -> int:
+        at = lon.shape[0] // 2, lon.shape[1] // 2
+        pixel = ground_sample_distance(self.rpc, float(lon[at]), float(lat[at]), float(height[at]))
+        return max(1, int(grid.cell_size / pixel / _PIXELS_PER_CELL)) if math.isfinite(pixel) and pixel > 0 else 1
+
+    def _valid(self, row: np.ndarray, col: np.ndarray, reduce: int) -> NDArray[np.bool_]:
+        """Whether pixels ``[N]`` show something; ``reduce``: pixels along an axis that are read as one."""
+        r, c = row.astype(np.intp), col.astype(np.intp)
+        rows = slice(int(r.min()), min(self.part.shape[0], int(r.max()) + reduce))
+        cols = slice(int(c.min()), min(self.part.shape[1], int(c.max()) + reduce))
+        pixels = self.part.read((rows, cols), reduce)
+        height, width = pixels.shape[1:]
+        at = np.minimum((r - rows.start) // reduce, height - 1), np.minimum((c - cols.start) // reduce, width - 1)
+        valid = np.isfinite(pixels).all(axis=0)[at]
+        if self.frame is not None:
+            square = self.frame[np.minimum(r // self.step, len(self.frame) - 1),
+                                np.minimum(c // self.step, self.frame.shape[1] - 1)]  # fmt: skip
+            valid &= ~(square & ((pixels == 0).all(axis=0)[at] | (self.step == 1)))
+        return np.asarray(valid)
+
+
+class Witnesses:
+    """The images that a surface was made from.
 
     Args:
         scene: with the images.
-        ids: the images that the surface was made from.
-        grid: of the surface.
-        height: ``[H, W]`` [m above the ellipsoid], NaN = none.
-
-    Returns:
-        ``[H, W]``: 0 unseen = fewer than two images reach the cell; 2 filled = two reach it, but it is hidden from
-        all of them but one by what stands around it; 1 measured = two see it. None where the scene does not name the
-        images or cameras any more.
+        ids: of the images.
 
     Raises:
         InputError: an image or camera that cannot be read.
     """
-    used = [item for item in scene.items if item.id in ids]
-    if len(used) < len(ids) or not all("rpc" in i.assets and {"radiance", "image"} & i.assets.keys() for i in used):
-        return None
-    reached = np.zeros(grid.shape, np.uint16)
-    seen = np.zeros(grid.shape, np.uint16)
-    known = np.isfinite(height)
-    level = np.where(known, height, np.nanmin(height)).astype(np.float32) if known.any() else np.zeros_like(height)
-    surface = torch.from_numpy(level)
-    low, high = float(level.min()), float(level.max())
-    for item in used:
-        (source,) = load_sources(scene, [item])
-        shown = _shown(source, grid, level)
-        slope, _ = line_of_sight(source.rpc, grid, low, (low, max(high, low + 1.0)))
-        open_ = sun_visibility(surface, grid.cell_size, slope.unit()).numpy() >= 0.5
-        reached += shown
-        seen += shown & open_
-    of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)
-    return np.where(known & (reached >= NEEDED), of_reached, UNSEEN).astype(np.uint8)
+
+    def __init__(self, scene: Scene, ids: Sequence[str]) -> None:
+        self._scene = scene
+        used = [item for item in scene.items if item.id in ids]
+        named = all("rpc" in i.assets and {"radiance", "image"} & i.assets.keys() for i in used)
+        #: whether the scene still names all images and cameras
+        self.known = len(used) == len(ids) and named
+        self._witnesses = []
+        for item in used if self.known else []:
+            part = image_part(scene, item, "radiance" if "radiance" in item.assets else "image")
+            self._witnesses.append(Witness(RPC.from_file(scene.path(item.assets["rpc"].href)), part, *_frame(part)))
+
+    def validity(self, block: Block, surface: Surroundings) -> NDArray[np.uint8]:
+        """How every cell of a block came by its height.
+
+        Args:
+            block: of the surface.
+            surface: heights [m above the ellipsoid], NaN = none.
+
+        Returns:
+            ``[h, w]``: 0 unseen = fewer than two images reach the cell; 2 filled = two reach it, but it is hidden
+            from all of them but one by what stands around it; 1 measured = two see it.
+        """
+        reached, seen = (np.zeros(block.grid.shape, np.uint16) for _ in range(2))
+        height = surface.read(block.rows, block.cols)
+        known, level = np.isfinite(height), surface.level(height)
+        low, high = surface.low, max(surface.high, surface.low + 1.0)
+        for witness in self._witnesses if known.any() else []:
+            shown = witness.shown(block.grid, level)
+            reached += shown
+            if shown.any():
+                slope, _ = line_of_sight(witness.rpc, block.grid, low, (low, high))
+                seen += shown & (surface.lit(block, slope.unit(), True) >= 0.5)
+        of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)
+        return np.where(known & (reached >= NEEDED), of_reached, UNSEEN).astype(np.uint8)
 
 
-def _shown(source: Source, grid: Grid, height: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether an image has a valid pixel of a cell's surface point, hidden or not; every ray by the RPC itself."""
-    valid = valid_pixels(source.radiance)
-    rows, cols = valid.shape
-    shown = np.zeros(grid.shape, bool)
-    strip = max(1, _STRIP_CELLS // grid.width)
-    for first in range(0, grid.height, strip):
-        part = slice(first, min(first + strip, grid.height))
-        x, y = np.meshgrid(grid.x(), grid.y()[part])
-        lon, lat = to_geographic(grid.crs, x, y)
-        col, row = source.rpc.projection(lon, lat, height[part].astype(np.float64))
-        inside = (col >= -0.5) & (row >= -0.5) & (col < cols - 0.5) & (row < rows - 0.5)
-        c, r = (np.where(inside, np.round(a), 0).astype(np.intp) for a in (col, row))
-        shown[part] = inside & valid[r, c]
-    return shown
+def _frame(part: ImagePart) -> tuple[NDArray[np.bool_] | None, int]:
+    """Where the frame of zeros is that vendors put around an image without saying so, and pixels per square of it."""
+    from scipy.ndimage import binary_dilation
+
+    rows, cols = part.shape
+    step = 1 if rows * cols <= _WHOLE_PIXELS else _FRAME_STEP
+    pixels = part.read(None, step)
+    frame = np.isfinite(pixels).all(axis=0) & ~valid_pixels(pixels)
+    if not frame.any():
+        return None, step
+    # squares that hold some of the frame lie beside those of nothing else
+    return (frame if step == 1 else binary_dilation(frame, iterations=1, structure=np.ones((3, 3)))), step
 
 
 def valid_pixels(image: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -87,4 +158,4 @@ def valid_pixels(image: NDArray[np.float32]) -> NDArray[np.bool_]:
     return np.asarray(valid)
 
 
-__all__ = ["FILLED", "MEANING", "MEASURED", "UNSEEN", "valid_pixels", "validity_of"]
+__all__ = ["FILLED", "MEANING", "MEASURED", "UNSEEN", "Witnesses", "valid_pixels"]

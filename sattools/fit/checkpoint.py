@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import numpy as np
 from torch import Tensor
 
 from sattools.errors import InputError
-from sattools.scene.files import write_bytes
+from sattools.scene.files import write_bytes, write_with
 
 # one key, with the checksum inside: safetensors writes several in any order, and the same fit gives the same file
 KEY, CHECKSUM, VERSION = "sattools", "sha256", "version"
 FORMAT_VERSION = 2
+_PIECE = 1 << 22  # bytes that are read at a time
+_TYPES = {
+    "F64": "torch.float64", "F32": "torch.float32", "F16": "torch.float16", "BF16": "torch.bfloat16",
+    "I64": "torch.int64", "I32": "torch.int32", "I16": "torch.int16", "I8": "torch.int8", "U8": "torch.uint8",
+    "BOOL": "torch.bool",
+}  # fmt: skip
+Put = Callable[[str, int, np.ndarray], None]
 # what tensors and members of the description were called in version 1, which had no number
 _FORMERLY = {
     "amount": "amplitude", "members": "endmembers", "shares": "abundances", "lines": "view_vectors",
@@ -40,6 +50,102 @@ def save(path: Path, tensors: Mapping[str, Tensor], description: Mapping[str, An
     plain = json.loads(json.dumps({VERSION: FORMAT_VERSION, **description}))
     text = json.dumps({**plain, CHECKSUM: _checksum(tensors, plain)})
     write_bytes(path, to_bytes(tensors, metadata={KEY: text}))
+
+
+def save_in_pieces(
+    path: Path, shapes: Mapping[str, tuple[int, ...]], description: Mapping[str, Any], fill: Callable[[Put], None]
+) -> None:
+    """`save` for float32 tensors that are larger than memory.
+
+    Args:
+        path: file to write.
+        shapes: of the tensors, by name.
+        description: plain JSON types.
+        fill: is given ``put(name, first, values)``, which writes values from the first-th element of a tensor on.
+
+    Raises:
+        SattoolsError: the file cannot be written.
+    """
+    plain = json.loads(json.dumps({VERSION: FORMAT_VERSION, **description}))
+    unknown = "0" * hashlib.sha256().digest_size * 2
+    table: dict[str, Any] = {"__metadata__": {KEY: json.dumps({**plain, CHECKSUM: unknown})}}
+    begin: dict[str, int] = {}
+    end = 0
+    for name, shape in shapes.items():
+        begin[name], end = end, end + 4 * math.prod(shape)
+        table[name] = {"dtype": "F32", "shape": list(shape), "data_offsets": [begin[name], end]}
+    text = json.dumps(table).encode()
+    text += b" " * (-len(text) % 8)
+    base = 8 + len(text)
+
+    def write(target: Path) -> None:
+        with open(target, "x+b") as file:
+            file.write(len(text).to_bytes(8, "little") + text)
+            os.truncate(file.fileno(), base + end)
+
+            def put(name: str, first: int, values: np.ndarray) -> None:
+                file.seek(base + begin[name] + 4 * first)
+                file.write(np.ascontiguousarray(values, dtype="<f4").data)
+
+            fill(put)
+            file.flush()
+            file.seek(8 + text.index(unknown.encode()))
+            file.write(_checksum_of(file.name).encode())
+
+    def check(target: Path) -> None:
+        try:
+            verify(target)
+        except InputError as error:
+            raise OSError(5, "found other content than was written") from error
+
+    write_with(path, write, check)
+
+
+def verify(path: Path) -> None:
+    """Read a file of `save` piece by piece and compare it with its checksum.
+
+    Raises:
+        InputError: missing, damaged, or not written by sattools.
+    """
+    try:
+        with open(path, "rb") as file:
+            table, _ = _table(file)
+        expected = json.loads(table["__metadata__"][KEY]).get(CHECKSUM)
+        if expected is not None and expected != _checksum_of(path):
+            raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
+    except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
+        raise InputError(f"{path}: found no sattools model ({error})") from error
+
+
+def _table(file: IO[bytes]) -> tuple[dict[str, Any], int]:
+    """The table of contents of a safetensors file, and where its data begin."""
+    length = int.from_bytes(file.read(8), "little")
+    return dict(json.loads(file.read(min(length, 1 << 26)))), 8 + length
+
+
+def _checksum_of(path: Path | str) -> str:
+    """`_checksum` of what a file holds, in the memory of a piece."""
+    with open(path, "rb") as file:
+        table, base = _table(file)
+        description = json.loads(table.pop("__metadata__")[KEY])
+        description.pop(CHECKSUM, None)
+        known = hashlib.sha256(json.dumps(description, sort_keys=True).encode())
+        for name in sorted(table):
+            known.update(f"{name} {_TYPES[table[name]['dtype']]} {table[name]['shape']}".encode())
+            first, last = table[name]["data_offsets"]
+            file.seek(base + first)
+            for piece in _pieces(file, last - first):
+                known.update(piece)
+    return known.hexdigest()
+
+
+def _pieces(file: IO[bytes], count: int) -> Iterator[bytes]:
+    while count > 0:
+        piece = file.read(min(count, _PIECE))
+        if not piece:
+            raise ValueError("truncated")
+        count -= len(piece)
+        yield piece
 
 
 def load(path: Path) -> tuple[dict[str, Tensor], Mapping[str, Any]]:
@@ -86,4 +192,4 @@ def _checksum(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> 
     return known.hexdigest()
 
 
-__all__ = ["load", "save"]
+__all__ = ["Put", "load", "save", "save_in_pieces", "verify"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sattools.fit.model import FittedModel
+from sattools.fit.stored import StreamedModel
 from sattools.fit.trace import Trace
 from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, record
@@ -19,7 +20,7 @@ STATE = "fit/tiles/tiles.json"  # of a fit in tiles that is not finished
 class Fitted:
     """What a fit has come to: the model, what happened on the way, and notes for the history."""
 
-    model: FittedModel
+    model: FittedModel | StreamedModel
     trace: Trace
     notes: list[str]
 

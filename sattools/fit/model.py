@@ -127,6 +127,10 @@ class FittedModel:
         Raises:
             SattoolsError: it cannot be written.
         """
+        save(path, *self.parts())
+
+    def parts(self) -> tuple[dict[str, Tensor], JsonObject]:
+        """What its file holds: tensors of any unit by name, and the description."""
         tensors, description = dict(self.extra), {}
         for item in fields(self):
             value = getattr(self, item.name)
@@ -136,7 +140,7 @@ class FittedModel:
                 description[item.name] = self.grid.to_dict()
             elif item.name not in ("s_net", "tau", "extra"):
                 description[item.name] = value
-        save(path, tensors, description)
+        return tensors, description
 
     @classmethod
     def load(cls, path: Path) -> FittedModel:
@@ -146,7 +150,13 @@ class FittedModel:
             InputError: one line, naming the file: missing, damaged, or tensors and description that contradict each
                 other or hold what no surface has.
         """
-        tensors, description = load(path)
+        model = cls.of(*load(path), path)
+        _check_heights(path, model.height)
+        return model
+
+    @classmethod
+    def of(cls, tensors: dict[str, Tensor], description: Mapping[str, Any], path: Path) -> FittedModel:
+        """The model of a file's tensors, of any unit, and its description; raises as `load` does, but for heights."""
         _DESCRIPTION.check(description, f"{path}: model")
         for name in _MAPS:
             if name not in tensors:
@@ -177,7 +187,6 @@ class FittedModel:
         for name, maps in self.image_maps().items():
             if tuple(maps.shape[1:]) != shape:
                 raise InputError(f"{path}: found {name} of another size, expected {_by(shape)} as its grid has")
-        _check_heights(path, self.height)
 
 
 def _typed(description: Mapping[str, Any]) -> JsonObject:
@@ -196,10 +205,14 @@ def _neutral(views: int, albedo: Tensor) -> dict[str, Tensor]:
 
 
 def _check_heights(path: Path, height: Tensor) -> None:
-    if not height.is_floating_point() or not bool(height.isfinite().any()):
+    known = height[height.isfinite()] if height.is_floating_point() else height[:0]
+    check_height_limits(path, *((float(known.min()), float(known.max())) if known.numel() else (1.0, 0.0)))
+
+
+def check_height_limits(path: Path, low: float, high: float) -> None:
+    """Raise InputError where the lowest and highest height [m] of a model's file are none of the Earth."""
+    if low > high:
         raise InputError(f"{path}: found no finite height in the model, expected a fitted surface")
-    known = height[height.isfinite()]
-    low, high = float(known.min()), float(known.max())
     if low < HEIGHT_LIMITS_M[0] or high > HEIGHT_LIMITS_M[1]:
         raise InputError(f"{path}: found heights from {low:g} to {high:g} m, expected some of the Earth")
 
@@ -208,4 +221,4 @@ def _by(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape)) or "1"
 
 
-__all__ = ["COLOURS", "FittedModel"]
+__all__ = ["COLOURS", "FittedModel", "check_height_limits"]

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
 from sattools.scene import Grid, Scene
+from sattools.scene.cog import CogWriter
 from sattools.scene.raster import read_raster, write_sensor_image
+
+DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 
 
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
@@ -29,6 +34,51 @@ def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: s
         path, array[None].astype(np.float32), rpc.to_tags(), nodata=float("nan"), descriptions=[name], units=unit,
         tags={"SOFTWARE": "sattools"},
     )  # fmt: skip
+
+
+class MapFiles:
+    """The files of a scene's prior, written in strips; used by ``with``, at the end of which they are there.
+
+    Args:
+        scene: gets the products.
+        grid: of the maps.
+    """
+
+    def __init__(self, scene: Scene, grid: Grid) -> None:
+        about = {"SOFTWARE": "sattools"}
+        datum = {"VERTICAL_DATUM": "WGS84 ellipsoid", **about}
+        height: dict[str, Any] = {"units": "m", "tags": datum, "descriptions": ["height"]}
+        trust: dict[str, Any] = {"units": "1", "tags": about, "descriptions": ["confidence"]}
+        names = ["normal east", "normal north", "normal up"]
+        slant: dict[str, Any] = {"units": "1", "tags": about, "descriptions": names}
+        self.scene = scene
+        self._stack = ExitStack()
+        self._files = [
+            CogWriter(scene.output(DSM), grid, **height),
+            CogWriter(scene.output(CONFIDENCE), grid, **trust),
+            CogWriter(scene.output(NORMALS), grid, bands=3, **slant),
+        ]
+
+    def __enter__(self) -> MapFiles:
+        for file in self._files:
+            self._stack.enter_context(file)
+        return self
+
+    def write(self, height: np.ndarray, confidence: np.ndarray, slant: np.ndarray, rows: slice | None = None) -> None:
+        """Write some rows; None = all of them.
+
+        Args:
+            height: ``[h, W]`` [m].
+            confidence: ``[h, W]`` in [0, 1].
+            slant: normals ``[3, h, W]``.
+            rows: see above.
+        """
+        for file, values in zip(self._files, (height, confidence, slant), strict=True):
+            file.write(values, rows)
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+        self.scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
 
 
 def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np.ndarray, Grid]:
@@ -65,4 +115,4 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
     return arrays[0], arrays[1], grids[0]
 
 
-__all__ = ["read_prior", "write_sensor_map"]
+__all__ = ["CONFIDENCE", "DSM", "NORMALS", "MapFiles", "read_prior", "write_sensor_map"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.confidence import match_confidence
-from sattools.prior.files import write_sensor_map
+from sattools.prior.files import CONFIDENCE, DSM, NORMALS, MapFiles, write_sensor_map
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
 from sattools.prior.matching.match import Match, margin_for, match
@@ -21,7 +21,6 @@ from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import write_cog
 from sattools.views import (
     RadiometricBalance,
     Source,
@@ -35,7 +34,6 @@ from sattools.views import (
 from sattools.views.check import check_extent
 
 log = logging.getLogger(__name__)
-DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 Z_REF_SHARE = 0.3  # share of the height range below the reference height: most of a scene is near the ground
 
 REFERENCE_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
@@ -122,21 +120,8 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
         confidence: ``[H, W]`` in [0, 1].
         grid: of the maps.
     """
-    targets = {name: scene.output(name) for name in (DSM, CONFIDENCE, NORMALS)}
-    tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
-    write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
-    write_cog(
-        targets[CONFIDENCE],
-        confidence,
-        grid,
-        units="1",
-        tags={"SOFTWARE": "sattools"},
-        descriptions=["confidence"],
-    )
-    names = ["normal east", "normal north", "normal up"]
-    slant = normals(height, grid.cell_size)
-    write_cog(targets[NORMALS], slant, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=names)
-    scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
+    with MapFiles(scene, grid) as files:
+        files.write(height, confidence, normals(height, grid.cell_size))
 
 
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

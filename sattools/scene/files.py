@@ -57,11 +57,7 @@ def write_with(path: Path, write: Callable[[Path], None], check: Callable[[Path]
         SattoolsError: the folder is not writable, the disk is full, or what was read back is not what was written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a writable folder") from error
+    temporary = _beside(path)
     try:
         if path.is_dir():
             raise IsADirectoryError(21, "is a folder")
@@ -79,6 +75,30 @@ def write_with(path: Path, write: Callable[[Path], None], check: Callable[[Path]
             raise
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+@contextmanager
+def scratch(path: Path) -> Iterator[Path]:
+    """Name for a file beside a target, for what is too large for memory on the way to it; removed at the end.
+
+    Raises:
+        SattoolsError: the folder cannot be made.
+    """
+    temporary = _beside(Path(path))
+    _temporary.add(temporary)
+    try:
+        yield temporary
+    finally:
+        _discard(temporary)
+
+
+def _beside(path: Path) -> Path:
+    """A name in a target's folder that no other process takes, and by which what a killed one left is known."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a writable folder") from error
+    return path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
 
 
 def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
@@ -327,7 +347,9 @@ __all__ = [
     "digest",
     "locked",
     "remove_orphans",
+    "scratch",
     "write_bytes",
     "write_figure",
     "write_text",
+    "write_with",
 ]

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import rasterio
-import rasterio.shutil
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from sattools.errors import InputError, SattoolsError
+from sattools.errors import InputError
+from sattools.scene.cog import CogWriter
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
@@ -47,44 +47,10 @@ def write_cog(
         SattoolsError: wrong shape, or the file cannot be written.
     """
     array = np.asarray(array)
-    if array.ndim == 2:
-        array = array[None]
-    if array.shape[1:] != grid.shape:
-        raise SattoolsError(f"{path}: found an array of {array.shape[1:]}, expected the grid's {grid.shape}")
-    if array.dtype == np.float64:
-        array = array.astype(np.float32)
-    elif array.dtype == bool:
-        array = array.astype(np.uint8)
-    is_float = np.issubdtype(array.dtype, np.floating)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.MemoryFile() as memory, rasterio.MemoryFile(ext=".tif") as optimised:
-            with memory.open(
-                driver="GTiff",
-                dtype=array.dtype,
-                count=array.shape[0],
-                height=grid.height,
-                width=grid.width,
-                crs=grid.crs,
-                transform=grid.transform,
-                nodata=nodata if is_float or nodata is None or np.isfinite(nodata) else None,
-            ) as data:
-                data.write(array)
-                if units:
-                    data.units = [units] * array.shape[0]
-                if descriptions:
-                    data.descriptions = tuple(descriptions)
-                data.update_tags(**(tags or {}))
-            with memory.open() as data:
-                rasterio.shutil.copy(
-                    data,
-                    optimised.name,
-                    driver="COG",
-                    compress="DEFLATE",
-                    predictor="YES",
-                    overview_resampling="average" if is_float else "nearest",
-                )
-            write_bytes(path, optimised.getbuffer())
+    array = array[None] if array.ndim == 2 else array
+    about: dict[str, Any] = {"nodata": nodata, "units": units, "tags": tags, "descriptions": descriptions}
+    with CogWriter(path, grid, bands=array.shape[0], dtype=array.dtype, **about) as out:
+        out.write(array)
 
 
 def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Grid]:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import rasterio
 
+from sattools.export.blocks import Surroundings, blocks
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
-from sattools.export.validity import FILLED, MEASURED, UNSEEN, valid_pixels, validity_of
+from sattools.export.validity import FILLED, MEASURED, UNSEEN, Witnesses, valid_pixels
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
@@ -37,6 +38,11 @@ def fitted(fitted_source: Any, tmp_path: Path) -> Any:
     scene = Scene.from_json(fitted_source.to_json())
     scene.root = tmp_path / "TOWN"
     return scene
+
+
+def validity_of(scene: Any, ids: Any, grid: Grid, height: Any) -> Any:
+    (whole,) = blocks(grid)
+    return Witnesses(scene, ids).validity(whole, Surroundings(grid, lambda rows, cols: height[rows, cols]))
 
 
 def blank(scene: Any, item: Any, columns: Any) -> None:

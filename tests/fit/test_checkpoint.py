@@ -3,9 +3,11 @@
 import json
 from pathlib import Path
 
+import pytest
 import torch
 from safetensors.torch import save_file
 
+from sattools.errors import InputError
 from sattools.fit import checkpoint
 
 
@@ -30,3 +32,36 @@ def test_a_file_of_version_1_is_read_under_the_present_names(tmp_path: Path) -> 
         "illumination.features": 6, "field.members": 7,
     }  # fmt: skip
     assert meta == {"illumination_options": {"shadow": "none"}}
+
+
+def test_a_model_written_in_pieces_is_that_written_at_once(tmp_path: Path) -> None:
+    tensors = {"height": torch.arange(12.0).reshape(3, 4), "gain": torch.tensor([[0.5], [2.0]])}
+    checkpoint.save(tmp_path / "once.safetensors", tensors, {"shadow": "none"})
+
+    def fill(put: checkpoint.Put) -> None:
+        put("gain", 0, tensors["gain"].numpy())
+        for row in (2, 0, 1):
+            put("height", 4 * row, tensors["height"][row].numpy())
+
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    checkpoint.save_in_pieces(tmp_path / "pieces.safetensors", shapes, {"shadow": "none"}, fill)
+    again, meta = checkpoint.load(tmp_path / "pieces.safetensors")
+    assert meta == {"shadow": "none"}
+    assert {name: tensor.tolist() for name, tensor in again.items()} == {
+        "height": [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]], "gain": [[0.5], [2]],
+    }  # fmt: skip
+    for name in ("once", "pieces"):
+        checkpoint.verify(tmp_path / f"{name}.safetensors")
+
+
+def test_a_damaged_model_is_found_without_holding_it(tmp_path: Path) -> None:
+    path = tmp_path / "m.safetensors"
+    checkpoint.save(path, {"height": torch.zeros(50, 50)}, {"shadow": "none"})
+    content = bytearray(path.read_bytes())
+    content[-7] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"m\.safetensors: found other content than was written \(checksum\)"):
+        checkpoint.verify(path)
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(InputError, match=r"m\.safetensors: found no sattools model \(truncated\)"):
+        checkpoint.verify(path)

@@ -17,10 +17,12 @@ from sattools.errors import SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.fit.tiles import mosaic
 from sattools.fit.tiles import plan as tile_plan
 from sattools.fit.tiles.shared import Coarse
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
+from sattools.scene.raster import read_raster
 
 WHOLE = FitOptions(resolution=1.0, epochs=[8])
 TILED = replace(WHOLE, tile=32.0, overlap=8.0)
@@ -217,3 +219,18 @@ def test_a_tile_size_of_0_is_a_fit_at_once(make_town: Any) -> None:
     fit(scene, replace(WHOLE, tile=0.0, epochs=[1]))
     assert not any(json.loads(text).get("tiles") for text in [json.dumps(model(scene)[1])])
     assert not (scene.root / "fit/tiles").exists()
+
+
+def test_strips_of_any_height_join_to_the_same_model(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    for rows in (256, 7):
+        scene = make_town(f"STRIPS{rows}")
+        monkeypatch.setattr(mosaic, "STRIP_ROWS", rows)
+        fit(scene, replace(TILED, epochs=[2]))
+        made.append((model(scene)[0], [read_raster(scene.root / f"prior/{n}.tif")[0] for n in ("dsm", "normals")]))
+    (one, maps), (other, other_maps) = made
+    assert one.keys() == other.keys()
+    for name, tensor in one.items():
+        assert torch.equal(tensor.nan_to_num(-1), other[name].nan_to_num(-1)), name
+    for values, others in zip(maps, other_maps, strict=True):
+        np.testing.assert_array_equal(values, others)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import shutil
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,52 +15,82 @@ import torch
 from sattools.errors import SceneError
 from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
 from sattools.fit.model import FittedModel
+from sattools.fit.stored import CELL_MAPS, StoredModel, StreamedModel
 from sattools.fit.tiles.plan import COARSE, COMMON, FOLDER, Plan
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
 from sattools.scene.dependencies import record
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import read_raster
+from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import sample_map
 from sattools.scene.tiles import Tile
 
-MAPS = ("height", "height_std", "albedo")
+STRIP_ROWS = 256  # of the whole that are put together at a time
 
 
 class FeatheredMosaic:
-    """A map of the whole, summed up from weighted pieces.
+    """Some rows of a map of the whole, summed up from weighted pieces.
 
     Args:
         grid: of the whole.
+        rows: of it.
         bands: values per cell.
     """
 
-    def __init__(self, grid: Grid, bands: int) -> None:
-        self.grid = grid
-        self.total = np.zeros((*grid.shape, bands), np.float32)
-        self.weight = np.zeros(grid.shape, np.float32)
+    def __init__(self, grid: Grid, rows: slice, bands: int) -> None:
+        self.grid, self.rows = grid, rows
+        self.total = np.zeros((rows.stop - rows.start, grid.width, bands), np.float32)
+        self.weight = np.zeros(self.total.shape[:2], np.float32)
 
-    def add(self, tile: Tile, values: np.ndarray, cell: float) -> None:
-        """Add a tile's map ``[h, w]`` or ``[h, w, B]``; unknown (NaN) cells count nothing.
+    def add(self, tile: Tile, share: np.ndarray, values: np.ndarray, own: slice) -> None:
+        """Add some rows of a tile's map; unknown (NaN) cells count nothing.
 
         Args:
             tile: where it lies.
-            values: see above.
-            cell: edge of a cell [m].
+            share: ``[H, W]``, its weights.
+            values: ``[h, W]`` or ``[h, W, B]``, of these rows.
+            own: rows of the tile.
         """
-        rows, cols = tile.place(self.grid, values.shape[:2])
-        share = tile.weights(values.shape[:2], cell)[: rows.stop - rows.start, : cols.stop - cols.start]
-        piece = values.reshape(*values.shape[:2], -1)[: share.shape[0], : share.shape[1]]
-        share = np.where(np.isfinite(piece).all(axis=-1), share, 0).astype(np.float32)
-        self.total[rows, cols] += share[..., None] * np.nan_to_num(piece)
-        self.weight[rows, cols] += share
+        place, cols = tile.place(self.grid, share.shape)
+        first = place.start + own.start - self.rows.start
+        rows = slice(first, first + own.stop - own.start)
+        piece = values.reshape(*values.shape[:2], -1)[:, : cols.stop - cols.start]
+        part = share[own, : cols.stop - cols.start]
+        part = np.where(np.isfinite(piece).all(axis=-1), part, 0).astype(np.float32)
+        self.total[rows, cols] += part[..., None] * np.nan_to_num(piece)
+        self.weight[rows, cols] += part
 
     def done(self) -> np.ndarray:
-        """The map ``[H, W, B]`` in the unit of its pieces; NaN in cells where nothing was added."""
+        """The rows ``[h, W, B]`` in the unit of the pieces; NaN in cells where nothing was added."""
         with np.errstate(invalid="ignore"):
             self.total /= self.weight[..., None]  # 0 / 0 is NaN
         return self.total
+
+
+@dataclass
+class Piece:
+    """A tile with a map on it.
+
+    Attributes:
+        tile: where it lies.
+        grid: of the map.
+        read: the map or maps of some of its rows.
+    """
+
+    tile: Tile
+    grid: Grid
+    read: Callable[[slice], Any]
+
+    def share(self) -> np.ndarray:
+        """Weights of the map's cells."""
+        return self.tile.weights(self.grid.shape, self.grid.cell_size)
+
+    def rows_within(self, whole: Grid, rows: slice) -> slice | None:
+        """Those of its rows that lie in some rows of the whole."""
+        place, _ = self.tile.place(whole, self.grid.shape)
+        first, last = max(place.start, rows.start), min(place.stop, rows.stop)
+        return slice(first - place.start, last - place.start) if first < last else None
 
 
 def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
@@ -77,45 +109,16 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
         if not (plan.root(name) / MODEL).exists():
             raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
     progress(1.0, f"joining {len(names)} tiles")
-    # a fit may give its surface on the cells of the prior, finer than its own
-    cell = FittedModel.load(plan.root(names[0]) / MODEL).grid.cell_size if names else plan.finest
-    whole = scene.require_grid().resized(cell)
     common = FittedModel.load(scene.root / COMMON)
+    models = {name: StoredModel.open(plan.root(name) / MODEL, in_memory=0) for name in names}
+    # a fit may give its surface on the cells of the prior, finer than its own
+    cell = models[names[0]].grid.cell_size if names else plan.finest
+    whole = scene.require_grid().resized(cell)
     made = {}
     if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
         _mosaic_priors(plan, names)
         made = record(scene, "prior", scene.train_items(), implicit=True)
-    mosaics: dict[str, FeatheredMosaic] = {}
-    image_mosaics: dict[str, list[FeatheredMosaic]] = {}
-    softness = common.softness
-    for tile in plan.tiles:
-        if tile.name in names:
-            model = FittedModel.load(plan.root(tile.name) / MODEL)
-            softness = model.softness
-        else:
-            model = _resampled(common, tile.grid.resized(cell))
-        for name in MAPS:
-            values = getattr(model, name).numpy()
-            if name not in mosaics:
-                mosaics[name] = FeatheredMosaic(whole, values[..., None].shape[2])
-            mosaics[name].add(tile, values, model.grid.cell_size)
-        for name, layers_of in model.image_maps().items():
-            layers = image_mosaics.setdefault(name, [FeatheredMosaic(whole, 1) for _ in common.items])
-            for item, values in zip(model.items, layers_of.numpy(), strict=True):
-                layers[common.items.index(item)].add(tile, values, model.grid.cell_size)
-    maps = {name: torch.from_numpy(mosaic.done()) for name, mosaic in mosaics.items()}
-    of_images = {n: torch.from_numpy(np.stack([s.done()[..., 0] for s in own])) for n, own in image_mosaics.items()}
-    model = replace(
-        common,
-        grid=whole,
-        softness=softness,
-        height=maps["height"][..., 0],
-        height_std=maps["height_std"][..., 0],
-        albedo=maps["albedo"],
-        s_net=of_images.get("s_net"),
-        tau=of_images.get("tau"),
-        extra={},
-    )
+    model = _streamed(plan, models, common, whole)
     notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
     result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made)
     if spent := plan.spent():
@@ -125,31 +128,89 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
     return result
 
 
+def _streamed(plan: Plan, models: Mapping[str, StoredModel], common: FittedModel, whole: Grid) -> StreamedModel:
+    """The model of the whole, of which rows are put together when they are asked for."""
+
+    def piece(tile: Tile) -> Piece:
+        if tile.name in models:
+            model = models[tile.name]
+            return Piece(tile, model.grid, lambda rows: model.part(rows, slice(0, model.grid.width)))
+        grid = tile.grid.resized(whole.cell_size)
+        return Piece(tile, grid, lambda rows: _resampled(common, grid.part(rows, slice(0, grid.width))))
+
+    pieces = [piece(tile) for tile in plan.tiles]
+    heads = [model.head for model in models.values()]
+    images = {name for head in heads for name in head.image_maps()}
+
+    def maps_of(rows: slice) -> dict[str, np.ndarray]:
+        mosaics = {name: FeatheredMosaic(whole, rows, bands[name]) for name in CELL_MAPS}
+        layers = {name: [FeatheredMosaic(whole, rows, 1) for _ in common.items] for name in images}
+        for one in pieces:
+            own = one.rows_within(whole, rows)
+            if own is None:
+                continue
+            model, share = one.read(own), one.share()
+            for name, mosaic in mosaics.items():
+                mosaic.add(one.tile, share, getattr(model, name).numpy(), own)
+            for name, layers_of in model.image_maps().items():
+                for item, values in zip(model.items, layers_of.numpy(), strict=True):
+                    layers[name][common.items.index(item)].add(one.tile, share, values, own)
+        done = {name: mosaic.done() for name, mosaic in mosaics.items()}
+        per_image = {name: np.stack([one.done()[..., 0] for one in own]) for name, own in layers.items()}
+        return {**done, "height": done["height"][..., 0], "height_std": done["height_std"][..., 0], **per_image}
+
+    bands = {"height": 1, "height_std": 1, "albedo": common.albedo.shape[-1]}
+    head = replace(common, softness=heads[-1].softness if heads else common.softness)
+    return StreamedModel(head, whole, bands["albedo"], tuple(sorted(images)), maps_of, STRIP_ROWS)
+
+
 def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
     """The maps of a model on another grid, without those of single images."""
     height, height_std, albedo = (
-        torch.from_numpy(sample_map(getattr(model, name).numpy(), model.grid, grid)) for name in MAPS
+        torch.from_numpy(sample_map(getattr(model, name).numpy(), model.grid, grid)) for name in CELL_MAPS
     )
     return replace(model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None)
 
 
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:
     """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
-    from sattools.prior.stage import CONFIDENCE, DSM, write_maps
+    from sattools.prior.files import CONFIDENCE, DSM, MapFiles
+    from sattools.prior.normals import normals
 
     whole = plan.scene.require_grid()
-    height, confidence = FeatheredMosaic(whole, 1), FeatheredMosaic(whole, 1)
-    for tile in plan.tiles:
-        if tile.name in names:
-            for mosaic, href in ((height, DSM), (confidence, CONFIDENCE)):
-                values, grid = read_raster(plan.root(tile.name) / href)
-                mosaic.add(tile, values[0], grid.cell_size)
-        else:
-            values, grid = read_raster(plan.root(COARSE) / DSM)
-            rough = sample_map(values[0], grid, tile.grid)
-            height.add(tile, rough, tile.grid.cell_size)
-            confidence.add(tile, np.zeros_like(rough), tile.grid.cell_size)
-    write_maps(plan.scene, height.done()[..., 0], confidence.done()[..., 0], whole)
+    rough, rough_grid = read_raster(plan.root(COARSE) / DSM)
+
+    def piece(tile: Tile) -> Piece:
+        folder = plan.root(tile.name)
+        grid = raster_grid(folder / DSM) if tile.name in names else tile.grid
+
+        def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+            part = grid.part(rows, slice(0, grid.width))
+            if tile.name in names:
+                height, confidence = (read_raster(folder / href, part)[0][0] for href in (DSM, CONFIDENCE))
+                return height, confidence
+            height = sample_map(rough[0], rough_grid, part)
+            return height, np.zeros_like(height)
+
+        return Piece(tile, grid, read)
+
+    pieces = [piece(tile) for tile in plan.tiles]
+    with MapFiles(plan.scene, whole) as files:
+        for first in range(0, whole.height, STRIP_ROWS):
+            last = min(first + STRIP_ROWS, whole.height)
+            # a row more on either side, for the normals
+            rows = slice(max(0, first - 1), min(whole.height, last + 1))
+            mosaics = FeatheredMosaic(whole, rows, 1), FeatheredMosaic(whole, rows, 1)
+            for one in pieces:
+                own = one.rows_within(whole, rows)
+                if own is not None:
+                    share = one.share()
+                    for mosaic, values in zip(mosaics, one.read(own), strict=True):
+                        mosaic.add(one.tile, share, values, own)
+            height, confidence = (mosaic.done()[..., 0] for mosaic in mosaics)
+            inner = slice(first - rows.start, last - rows.start)
+            slant = normals(height, whole.cell_size)
+            files.write(height[inner], confidence[inner], slant[:, inner], slice(first, last))
 
 
 def _trace(plan: Plan, names: list[str]) -> Trace:

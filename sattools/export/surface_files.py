@@ -1,0 +1,150 @@
+"""The maps of a fitted surface, written block by block."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.export.blocks import Block, Surroundings
+from sattools.export.context import Exported, shadow_suns
+from sattools.export.datum import datum_name, to_datum
+from sattools.export.hillshade import write_picture
+from sattools.export.novel import view_href
+from sattools.export.validity import MEANING
+from sattools.fit.stored import StoredModel
+from sattools.scene import Asset, Scene
+from sattools.scene.cog import CogWriter
+
+# what the model may hold per image
+IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
+DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
+VALIDITY = "export/validity.tif"
+_PICTURE_CELLS = 3000  # along the longer edge of the picture
+_SOFTWARE = {"SOFTWARE": "sattools"}
+
+
+class SurfaceFiles:
+    """DSM, its standard deviation, validity, albedo, and per image the cast shadow and what the model holds.
+
+    Used by ``with``, at the end of which the files are there and the scene names them.
+
+    Args:
+        scene: gets products and assets.
+        stored: the model.
+        vertical: datum of the heights.
+        validity: whether it is known.
+
+    Raises:
+        SattoolsError: a file cannot be written, or the datum is not known here.
+    """
+
+    def __init__(self, scene: Scene, stored: StoredModel, vertical: str, validity: bool) -> None:
+        head, grid = stored.head, stored.grid
+        self.scene, self.grid, self.vertical, self.datum = scene, grid, vertical, datum_name(vertical)
+        self._stack = ExitStack()
+        self._step = max(1, math.ceil(max(grid.shape) / _PICTURE_CELLS))
+        self._picture = np.full([math.ceil(n / self._step) for n in grid.shape], np.nan, np.float32)
+        method = "curvature of the photometric loss; gross errors of matching are not in it"
+        scale = "relative: radiance of the first training image in full sun"
+        if head.absolute:
+            scale = f"absolute: {head.radiance}"
+        names, wavelengths = Exported(scene, head, np.ones((1, 1), bool)).band_names("albedo", head.albedo.shape[-1])
+        about: dict[str, dict[str, Any]] = {
+            DSM: {"units": "m", "tags": {"VERTICAL_DATUM": self.datum, **_SOFTWARE}, "descriptions": ["height"]},
+            STD: {
+                "units": "m",
+                "tags": {"METHOD": method, **_SOFTWARE},
+                "descriptions": ["standard deviation of the height"],
+            },
+            ALBEDO: {
+                "bands": len(names),
+                "units": "1",
+                "tags": {"SCALE": scale, **_SOFTWARE, **wavelengths},
+                "descriptions": names,
+            },
+        }
+        if validity:
+            tags = {"MEANING": MEANING, **_SOFTWARE}
+            about[VALIDITY] = {"dtype": np.uint8, "nodata": None, "tags": tags, "descriptions": ["validity"]}
+        items = {item.id for item in scene.items}
+        self._suns = [(name, sun) for name, sun in shadow_suns(head) if name in items]
+        for name, _ in self._suns:
+            shadow = {"dtype": np.uint8, "nodata": 255, "descriptions": ["1 = cast shadow"]}
+            about[view_href("shadow", name)] = shadow
+        self._image_maps = {
+            (kind, name): view_href(kind, name)
+            for kind in head.image_maps()
+            for name, known in zip(head.items, _known(stored, kind), strict=True)
+            if name in items and known
+        }
+        for (kind, _), href in self._image_maps.items():
+            about[href] = {"units": "1", "descriptions": [IMAGE_MAPS[kind]]}
+        self._files = {href: CogWriter(scene.output(href), grid, **options) for href, options in about.items()}
+
+    def __enter__(self) -> SurfaceFiles:
+        for file in self._files.values():
+            self._stack.enter_context(file)
+        return self
+
+    def write(
+        self, block: Block, exported: Exported, surface: Surroundings, validity: NDArray[np.uint8] | None
+    ) -> None:
+        """Write a block.
+
+        Args:
+            block: where it lies.
+            exported: the model of its cells, and where that may be shown.
+            surface: heights of the whole.
+            validity: ``[h, w]``, how its heights came about.
+        """
+        model = exported.model
+        heights, _ = to_datum(model.height.numpy(), block.grid, self.vertical)
+        dsm = exported.shown(heights)
+        self._put(DSM, dsm, block)
+        self._put(STD, exported.shown(model.height_std.numpy()), block)
+        self._put(ALBEDO, exported.shown(model.albedo.permute(2, 0, 1).numpy()), block)
+        if validity is not None:
+            self._put(VALIDITY, validity, block)
+        for name, sun in self._suns:
+            lit = surface.lit(block, sun, False)
+            self._put(view_href("shadow", name), np.where(exported.valid, lit < 0.5, 255).astype(np.uint8), block)
+        for (kind, name), href in self._image_maps.items():
+            self._put(href, exported.shown(model.image_maps()[kind][model.items.index(name)].numpy()), block)
+        rows, cols = (range(-(-s.start // self._step), -(-s.stop // self._step)) for s in (block.rows, block.cols))
+        first = rows.start * self._step - block.rows.start, cols.start * self._step - block.cols.start
+        small = dsm[first[0] :: self._step, first[1] :: self._step]
+        self._picture[rows.start : rows.stop, cols.start : cols.stop] = small
+
+    def _put(self, href: str, values: np.ndarray, block: Block) -> None:
+        self._files[href].write(values, block.rows, block.cols)
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+        if error[0] is not None:
+            return
+        scene = self.scene
+        grid = self.grid.resized(self.grid.cell_size * self._step)
+        title = f"{scene.id}: DSM, {self.grid.cell_size:g} m"
+        write_picture(self._picture, grid, title, scene.output(PICTURE))
+        scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
+        if VALIDITY in self._files:
+            scene.products["validity"] = VALIDITY
+        assets = [("shadow", name, view_href("shadow", name)) for name, _ in self._suns]
+        assets += [(kind, name, href) for (kind, name), href in self._image_maps.items()]
+        items = {item.id: item for item in scene.items}
+        for kind, name, href in assets:
+            items[name].assets[kind] = Asset(href)
+
+
+def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:
+    """Whether a map of every image is known anywhere."""
+    everywhere = slice(0, stored.grid.width)
+    parts = (stored.part(rows, everywhere).image_maps()[kind].numpy() for rows in stored.strips())
+    return np.logical_or.reduce([np.isfinite(part).any(axis=(1, 2)) for part in parts])
+
+
+__all__ = ["ALBEDO", "DSM", "IMAGE_MAPS", "PICTURE", "STD", "VALIDITY", "SurfaceFiles"]

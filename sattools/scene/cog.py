@@ -1,0 +1,160 @@
+"""Cloud-optimised GeoTIFFs that are written block by block: the memory of a block, whatever the size of the map."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from sattools.errors import SattoolsError
+from sattools.scene.files import scratch, write_bytes, write_with
+from sattools.scene.grid import Grid
+
+IN_MEMORY = 64 << 20  # bytes up to which a map is put together in memory
+TILE = 512  # cells along an edge: blocks that begin on multiples of it are written fastest
+_CACHE_MB = 64  # of GDAL, which would take a twentieth of the machine's memory by itself
+_ROWS = 512  # compared at a time
+
+
+class CogWriter:
+    """A map that is written in pieces, in any order; used by ``with``, at the end of which the file is there.
+
+    Args:
+        path: target file.
+        grid: its georeference.
+        bands: number of bands.
+        dtype: of the cells; float64 is stored as float32, bool as uint8.
+        nodata: no-data value (NaN for float maps).
+        units: unit of the bands, e.g. ``"m"``.
+        tags: dataset tags, e.g. the vertical datum.
+        descriptions: one name per band.
+
+    Raises:
+        SattoolsError: the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        grid: Grid,
+        *,
+        bands: int = 1,
+        dtype: Any = np.float32,
+        nodata: float | None = float("nan"),
+        units: str | None = None,
+        tags: Mapping[str, str] | None = None,
+        descriptions: Sequence[str] | None = None,
+    ) -> None:
+        self.path, self.grid = Path(path), grid
+        kind = np.dtype(dtype)
+        self.dtype = np.dtype(np.float32) if kind == np.float64 else np.dtype(np.uint8) if kind.kind == "b" else kind
+        self._is_float = np.issubdtype(self.dtype, np.floating)
+        self._stack = ExitStack()
+        self._profile = {
+            "driver": "GTiff",
+            "dtype": self.dtype,
+            "count": bands,
+            "height": grid.height,
+            "width": grid.width,
+            "crs": grid.crs,
+            "transform": grid.transform,
+            "nodata": nodata if self._is_float or nodata is None or np.isfinite(nodata) else None,
+        }
+        self._about = (units, dict(tags or {}), descriptions)
+        self._small = bands * grid.height * grid.width * self.dtype.itemsize <= IN_MEMORY
+
+    def __enter__(self) -> CogWriter:
+        self._stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            if self._small:
+                self._memory = self._stack.enter_context(rasterio.MemoryFile())
+                self._data = self._memory.open(**self._profile)
+            else:
+                self._raw = self._stack.enter_context(scratch(self.path))
+                laid_out = {"tiled": True, "blockxsize": TILE, "blockysize": TILE, "bigtiff": "if_safer"}
+                with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
+                    self._data = rasterio.open(self._raw, "w", **self._profile, **laid_out)
+        except (RasterioError, OSError) as error:
+            self._stack.close()
+            raise self._failed(error) from error
+        units, tags, descriptions = self._about
+        if units:
+            self._data.units = [units] * self._data.count
+        if descriptions:
+            self._data.descriptions = tuple(descriptions)
+        self._data.update_tags(**tags)
+        return self
+
+    def write(self, array: np.ndarray, rows: slice | None = None, cols: slice | None = None) -> None:
+        """Write a piece ``[h, w]`` or ``[B, h, w]``, of any unit, into these rows and columns; None = all of them.
+
+        Raises:
+            SattoolsError: wrong shape, or the file cannot be written.
+        """
+        rows, cols = rows or slice(0, self.grid.height), cols or slice(0, self.grid.width)
+        array = np.asarray(array)
+        array = array[None] if array.ndim == 2 else array
+        wanted = (rows.stop - rows.start, cols.stop - cols.start)
+        if array.shape[1:] != wanted:
+            raise SattoolsError(f"{self.path}: found an array of {array.shape[1:]}, expected the grid's {wanted}")
+        try:
+            self._data.write(array.astype(self.dtype, copy=False), window=Window.from_slices(rows, cols))
+        except (RasterioError, OSError) as error:
+            raise self._failed(error) from error
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._data.close()
+            if kind is None:
+                if self._small:
+                    self._finish_small()
+                else:
+                    self._finish_large()
+        except RasterioError as problem:
+            raise self._failed(problem) from problem
+        finally:
+            self._stack.close()
+
+    def _options(self) -> dict[str, Any]:
+        resampling = "average" if self._is_float else "nearest"
+        return {"driver": "COG", "compress": "DEFLATE", "predictor": "YES", "overview_resampling": resampling}
+
+    def _finish_small(self) -> None:
+        with rasterio.MemoryFile(ext=".tif") as optimised:
+            with self._memory.open() as data:
+                rasterio.shutil.copy(data, optimised.name, **self._options())
+            write_bytes(self.path, optimised.getbuffer())
+
+    def _finish_large(self) -> None:
+        def optimise(target: Path) -> None:
+            with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB), rasterio.open(self._raw) as data:
+                rasterio.shutil.copy(data, os.fspath(target), bigtiff="if_safer", **self._options())
+
+        def check(target: Path) -> None:
+            with rasterio.open(self._raw) as one, rasterio.open(target) as two:
+                for first in range(0, one.height, _ROWS):
+                    window = Window(0, first, one.width, min(_ROWS, one.height - first))
+                    if not np.array_equal(one.read(window=window), two.read(window=window), equal_nan=self._is_float):
+                        raise OSError(5, "found other cells than were written")
+
+        write_with(self.path, optimise, check)
+
+    def _failed(self, error: Exception) -> SattoolsError:
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
+        return SattoolsError(f"{self.path}: cannot be written ({reason})")
+
+
+__all__ = ["TILE", "CogWriter"]
