@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from rasterio._err import CPLE_BaseError
+from rasterio.errors import RasterioError
+from rasterio.warp import transform_bounds
 
 from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, image_errors, map_errors
 from sattools.compare.options import CompareOptions
@@ -24,9 +27,11 @@ from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.pixels import image_part
-from sattools.scene.raster import read_image, read_raster, write_cog
+from sattools.scene.raster import raster_grid, read_image, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
 
+_AT_ONCE = 4_000_000  # cells of a DSM that is read as a whole
+_SPARE_CELLS = 8
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
 
 
@@ -68,7 +73,7 @@ def compare_dsm(
     if isinstance(predicted, np.ndarray):
         heights = predicted
     else:
-        array, grid = read_raster(Path(predicted))
+        array, grid = read_around(Path(predicted), truth.grid, method)
         heights = known_heights(array[0])
     if grid is None:
         raise InputError("prediction: found an array without a grid, expected both")
@@ -95,6 +100,32 @@ def compare_dsm(
         "mask": truth.mask_text(),
     }
     return Comparison(figures, difference, truth.grid, shift)
+
+
+def read_around(path: Path, reference: Grid, method: str = "ncc") -> tuple[np.ndarray, Grid]:
+    """A raster ``[B, H, W]``, or of a large one the part that is compared with a reference, and its grid.
+
+    Args:
+        path: the file.
+        reference: grid of the reference.
+        method: of the registration, which looks around.
+
+    Raises:
+        InputError: as `sattools.scene.raster.read_raster`; no part of it lies there.
+    """
+    grid = raster_grid(path)
+    if grid.width * grid.height <= _AT_ONCE:
+        return read_raster(path)
+    margin = search_margin(reference.shape) if method in ("ncc", "nuth-kaab") else 0
+    around = reference.widened(margin + _SPARE_CELLS)
+    try:
+        west, south, east, north = transform_bounds(around.crs, grid.crs, *around.bounds)
+        spare = _SPARE_CELLS * grid.cell_size
+        box = (west - spare, south - spare, east + spare, north + spare)
+        rows, cols = grid.window(Grid.from_bounds(grid.crs, box, grid.cell_size))
+    except (SceneError, RasterioError, CPLE_BaseError) as error:
+        raise InputError(f"{path}: found no height where the reference lies, expected overlap") from error
+    return read_raster(path, grid.part(rows, cols))
 
 
 def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
@@ -138,7 +169,7 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
     )  # fmt: skip
     truth = read_truth(options, scene)
     progress(0.1, "registering")
-    heights, grid = read_raster(scene.path(scene.products["dsm"]))
+    heights, grid = read_around(scene.path(scene.products["dsm"]), truth.grid, options.register)
     result = compare_dsm(known_heights(heights[0]), truth, grid, options.register, _measured(scene, grid))
     figures: dict[str, Any] = {"scene": scene.id, **result.figures}
     if options.map:
@@ -162,7 +193,10 @@ def _measured(scene: Scene, grid: Grid) -> np.ndarray | None:
     if "validity" not in scene.products:
         return None
     path = scene.path(scene.products["validity"])
-    validity, own = read_raster(path)
+    try:
+        validity, own = read_raster(path, grid)
+    except SceneError:
+        own = None
     if own != grid:
         raise InputError(f"{path}: found another grid than the DSM's, expected the same")
     return np.asarray(validity[0] == 1)

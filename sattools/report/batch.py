@@ -14,7 +14,7 @@ from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.document import check_id
 from sattools.scene.jsonio import JsonObject, read_text
-from sattools.scene.raster import read_raster
+from sattools.scene.raster import read_overview
 
 SHOWN = 24  # difference maps of more runs would make a page that no browser likes
 NUMBERS = {name for name in SHORT if name.endswith("_m") or name in ("completeness", "seconds", "peak_memory_mb")}
@@ -81,11 +81,11 @@ def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     for row in done[:SHOWN]:
         root, name = folder / "runs" / row["configuration"] / row["scene"], f"{row['scene']}, {row['configuration']}"
         if (root / "export/dsm.tif").is_file():
-            heights, grid = read_raster(root / "export/dsm.tif")
+            heights, grid = read_overview(root / "export/dsm.tif")
             figure = picture(heights[0], grid, name)
             section.parts.append(Picture(figure, f"Heights of {name}", f"{name}: surface model, heights in metres."))
         if (root / "compare/difference.tif").is_file():
-            difference, grid = read_raster(root / "compare/difference.tif")
+            difference, grid = read_overview(root / "compare/difference.tif")
             caption = f"{name}: registered surface minus reference [m], blue too low, red too high, grey not scored."
             section.parts.append(Picture(difference_figure(difference[0], grid, name), f"Errors of {name}", caption))
     if len(done) > SHOWN:

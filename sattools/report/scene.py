@@ -17,7 +17,7 @@ from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json, read_text
-from sattools.scene.raster import read_image, read_raster
+from sattools.scene.raster import read_overview, read_some_pixels
 from sattools.scene.schema import Items, Maybe, Number, Text
 from sattools.scene.schema import Table as Members
 
@@ -155,7 +155,7 @@ def _radiometry(scene: Scene) -> Section:
     for item in scene.items:
         path = scene.path(item.assets[name].href) if name in item.assets else None
         if path is not None and path.is_file():
-            array = read_image(path)
+            array = read_some_pixels(path)
             gray = array.mean(axis=0).ravel()
             gray = gray[:: max(1, gray.size // _PIXELS)]
             values[item.id] = gray[np.isfinite(gray)]
@@ -174,12 +174,12 @@ def _surface(scene: Scene) -> Section:
     section = Section("Surface")
     path = _product(scene, "dsm")
     if path is not None:
-        heights, grid = read_raster(path)
+        heights, grid = read_overview(path)
         caption = f"Surface model, colours over a hillshade lit from the north-west; cells of {grid.cell_size:g} m."
         section.parts.append(Picture(picture(heights[0], grid, scene.id), "Map of the heights", caption))
     path = _product(scene, "difference")
     if path is not None:
-        difference, grid = read_raster(path)
+        difference, grid = read_overview(path)
         caption = "Registered surface minus reference: blue too low, red too high, grey not scored [m]."
         figure = difference_figure(difference[0], grid, "difference to the reference")
         section.parts.append(Picture(figure, "Map of the height differences", caption))
@@ -227,7 +227,7 @@ def _maps(scene: Scene) -> Section:
         path = _product(scene, name)
         if path is None:
             continue
-        array, grid = read_raster(path)
+        array, grid = read_overview(path)
         shown = array.astype(np.float32)
         shown = shown[:3] if shown.shape[0] >= 3 else shown[:1]
         caption = f"{label[0].upper()}{label[1:]}, product {name}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -76,6 +77,65 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
         if np.issubdtype(array.dtype, np.floating) and data.nodata is not None and np.isfinite(data.nodata):
             array = np.where(array == data.nodata, np.nan, array)
     return array, grid
+
+
+def read_overview(path: Path, cells: int = 4_000_000) -> tuple[np.ndarray, Grid]:
+    """`read_raster` for looking at: on so many times larger cells that there are no more than about ``cells``.
+
+    Float maps become means, others keep the values of some cells. Rows and columns left over at the end are dropped.
+
+    Args:
+        path: the file.
+        cells: see above.
+
+    Raises:
+        InputError: as `read_raster`.
+    """
+    with opened(path) as data:
+        grid = _grid_of(data, path)
+        step = math.ceil(math.sqrt(max(1.0, grid.width * grid.height / cells)))
+        if step == 1:
+            return read_raster(path)
+        rows, cols = grid.height // step, grid.width // step
+        window = Window(0, 0, cols * step, rows * step)
+        array = _decimated(data, path, window, (rows, cols), np.issubdtype(np.dtype(data.dtypes[0]), np.floating))
+    return array, Grid(grid.crs, grid.left, grid.top, grid.cell_size * step, cols, rows)
+
+
+def read_some_pixels(path: Path, pixels: int = 4_000_000) -> np.ndarray:
+    """About so many pixels ``[B, h, w]`` of an image, at even distances; NaN = no data.
+
+    They are those of an overview where the file brings one.
+
+    Args:
+        path: the file.
+        pixels: see above.
+
+    Raises:
+        InputError: as `read_image`.
+    """
+    with opened(path) as data:
+        step = math.ceil(math.sqrt(max(1.0, data.width * data.height / pixels)))
+        shape = math.ceil(data.height / step), math.ceil(data.width / step)
+        array = _decimated(data, path, Window(0, 0, data.width, data.height), shape, False).astype(np.float32)
+        if data.nodata is not None and np.isfinite(data.nodata):
+            array[array == np.float32(data.nodata)] = np.nan
+    return array
+
+
+def _decimated(
+    data: rasterio.DatasetReader, path: Path, window: Window, shape: tuple[int, int], means: bool
+) -> np.ndarray:
+    from rasterio.enums import Resampling
+
+    try:
+        return data.read(
+            window=window,
+            out_shape=(data.count, *shape),
+            resampling=Resampling.average if means else Resampling.nearest,
+        )
+    except RasterioError as error:
+        raise _damaged(data, path) from error
 
 
 def raster_grid(path: Path) -> Grid:
@@ -227,16 +287,22 @@ def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None
     try:
         return data.read(window=window)
     except RasterioError as error:
-        raise InputError(
-            f"{path}: found a damaged or truncated image ({data.count} bands, {data.width} x {data.height} expected)"
-        ) from error
+        raise _damaged(data, path) from error
+
+
+def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
+    return InputError(
+        f"{path}: found a damaged or truncated image ({data.count} bands, {data.width} x {data.height} expected)"
+    )
 
 
 __all__ = [
     "image_shape",
     "raster_grid",
     "read_image",
+    "read_overview",
     "read_raster",
+    "read_some_pixels",
     "sensor_profile",
     "write_cog",
     "write_image_like",
