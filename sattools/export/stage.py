@@ -12,11 +12,12 @@ from sattools.export.blocks import Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
 from sattools.export.surface_files import ALBEDO, DSM, IMAGE_MAPS, PICTURE, STD, VALIDITY, SurfaceFiles
-from sattools.export.validity import FILLED, MEASURED, UNSEEN, Witnesses
+from sattools.export.validity import FILLED, MEASURED, UNSEEN, UNWANTED, Witnesses
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StoredModel
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
+from sattools.scene.area import wanted_cells
 from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.jsonio import JsonObject
 
@@ -26,7 +27,8 @@ log = logging.getLogger(__name__)
 def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
     """Write the DSM, its picture, where it is valid, the albedo and a shadow mask per image; adds products and assets.
 
-    Ground that fewer than two images reach is no-data in all of them, unless `options.fill` asks otherwise. Maps of
+    Ground that fewer than two images reach is no-data in all of them, unless `options.fill` asks otherwise, and so is
+    ground outside the area that `prep` was asked for. Maps of
     large areas are read and written block by block.
 
     Args:
@@ -54,21 +56,28 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         log.warning("scene %s: images or cameras of the fit are missing: nobody knows what they show", scene.id)
     surface = Surroundings(stored.grid, lambda rows, cols: stored.part(rows, cols).height.numpy())
     pieces = blocks(stored.grid, at_once)
-    counts = np.zeros(3, np.int64)
+    counts = np.zeros(4, np.int64)
     with SurfaceFiles(scene, stored, options.vertical, witnesses.known) as files:
         for k, block in enumerate(pieces):
             progress(0.1 + 0.5 * k / len(pieces), "DSM, albedo, shadows" + (f", block {k + 1}" if k else ""))
             model = stored.part(block.rows, block.cols)
             known = np.isfinite(model.height.numpy())
             validity = witnesses.validity(block, surface) if witnesses.known else None
-            exported = Exported(scene, model, known if options.fill or validity is None else validity != UNSEEN)
+            valid = known if options.fill or validity is None else validity != UNSEEN
+            wanted = wanted_cells(scene, block.grid)
+            if wanted is not None:
+                valid = valid & wanted
+                validity = None if validity is None else np.where(wanted, validity, UNWANTED).astype(np.uint8)
+            exported = Exported(scene, model, valid)
             files.write(block, exported, surface, validity)
             if validity is not None:
-                counts += np.bincount(validity.ravel(), minlength=3)
+                counts += np.bincount(validity.ravel(), minlength=4)
     if at_once:
         _views(exported, options, subprogress(progress, 0.6, 1.0))
     progress(1.0, "exported")
     kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
+    if counts[UNWANTED]:
+        kinds["outside"] = UNWANTED
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
     return {"vertical_datum": files.datum, "validity": fractions, MADE: record(scene, "export")}

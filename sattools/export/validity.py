@@ -16,8 +16,11 @@ from sattools.scene import Grid, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.views import line_of_sight
 
-UNSEEN, MEASURED, FILLED = 0, 1, 2
-MEANING = "1 = measured: two images see it; 2 = filled from neighbours: hidden from all but one; 0 = unseen"
+UNSEEN, MEASURED, FILLED, UNWANTED = 0, 1, 2, 3
+MEANING = (
+    "1 = measured: two images see it; 2 = filled from neighbours: hidden from all but one; 0 = unseen; "
+    "3 = outside the area that was asked for"
+)
 NEEDED = 2  # images that a height takes
 _STRIP_CELLS = 1_000_000
 _WHOLE_PIXELS = 16_000_000  # of an image whose frame is found pixel by pixel
@@ -158,4 +161,4 @@ def valid_pixels(image: NDArray[np.float32]) -> NDArray[np.bool_]:
     return np.asarray(valid)
 
 
-__all__ = ["FILLED", "MEANING", "MEASURED", "UNSEEN", "Witnesses", "valid_pixels"]
+__all__ = ["FILLED", "MEANING", "MEASURED", "UNSEEN", "UNWANTED", "Witnesses", "valid_pixels"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
 from sattools.scene.vectors import is_geojson, read_polygons
+
+_SAME_M = 1.0
 
 
 def bounds_from_file(path: Path, crs: str) -> Bounds:
@@ -68,6 +70,50 @@ def _from_afar(path: RemotePath, crs: str) -> Bounds:
     return _bounds_of(corners, frame.crs.to_string() if frame.crs else "", crs, path)
 
 
+def wanted_area(aoi: Path | None, masks: Sequence[Path], crs: str) -> Callable[[Bounds], Any]:
+    """What is left of a rectangle in the polygons of the area of interest and outside of all masks.
+
+    Args:
+        aoi: vector file; None, or without polygons = everywhere.
+        masks: vector files of polygons.
+        crs: projected ground CRS [m].
+
+    Returns:
+        Function of bounds in ``crs``: the shapely geometry, or None where it is all of the rectangle.
+
+    Raises:
+        InputError: a file that cannot be read, masks without polygons.
+    """
+    import shapely
+
+    inside = None if aoi is None else shapely.union_all([shape.buffer(0) for shape in _polygons_of(aoi, crs)])
+    if aoi is not None and inside and not np.allclose(inside.bounds, bounds_from_file(aoi, crs), rtol=0, atol=_SAME_M):
+        inside = None  # points and lines beside the polygons, or a CRS that only one of two readers knows
+    outside = [shape.buffer(0) for path in masks for shape in read_polygons(path, crs)]
+
+    def within(bounds: Bounds) -> Any:
+        box = shapely.box(*bounds)
+        area = box if inside is None or inside.is_empty else inside.intersection(box)
+        area = area.difference(shapely.union_all(outside)) if outside else area
+        if area.is_empty:
+            names = ", ".join(str(path) for path in (aoi, *masks) if path)
+            raise InputError(f"{names}: found no ground that is left of the scene, expected some")
+        return None if area.equals_exact(box, 1e-3, normalize=True) else area
+
+    return within
+
+
+def _polygons_of(path: Path, crs: str) -> list[Any]:
+    if isinstance(path, RemotePath):
+        return []  # its bounds only
+    try:
+        return read_polygons(path, crs)
+    except InputError:
+        if is_geojson(path):  # lines and points have bounds, too
+            return []
+        raise
+
+
 def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | None) -> Bounds:
     """Bounds in `crs` from `--bounds W S E N`: in the CRS given with them, else in degrees.
 
@@ -120,4 +166,4 @@ def _positions(node: Any) -> list[tuple[float, float]]:
     return []
 
 
-__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers"]
+__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers", "wanted_area"]

@@ -29,12 +29,13 @@ class PrepOptions:
         None, "Highest height of the surface, m above the ellipsoid [default: found].", minimum=-12_000, maximum=12_000
     )
     holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")
+    mask: list[str] = option([], "Vector file of polygons (water, clouds) in which no surface is wanted; repeatable.")
     copy: bool | None = option(
         None,
         "Copy the pixels into the scene's folder, or refer to the original files by window and corrected camera "
         "[default: copy up to 2 GiB in all].",
     )
-    aoi: str | None = None  # GeoJSON file of the area of interest
+    aoi: str | None = None  # vector file of the area of interest
     bounds: list[float] = field(default_factory=list)  # west, south, east, north
 
 

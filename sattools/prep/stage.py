@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from sattools.camera.ground import check_projected, check_scale, ground_sample_d
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, find_tie_points
 from sattools.errors import InputError, SattoolsError
-from sattools.prep.area import bounds_from_file, bounds_from_numbers
+from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
 from sattools.prep.gate import (
     check_cells,
     check_corrections,
@@ -41,6 +42,7 @@ from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
+from sattools.scene.area import AREA, write_area
 from sattools.scene.dependencies import begin
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
@@ -78,6 +80,7 @@ def prepare(
     progress(0.0, "reading metadata")
     notes: list[str] = []
     sources, crs, asked = survey(images, ids, options, notes)
+    wanted = _wanted(options, crs)
 
     whole = read_grays(sources, subprogress(progress, 0.02, 0.1))
     check_pixels(sources, whole.grays)
@@ -98,6 +101,8 @@ def prepare(
         item.properties["sattools:role"] = roles[source.id]
         notes += [f"{source.id}: {r}" for r in source.notes]
     write_reports(scene, result)
+    if (area := wanted(scene.grid.bounds)) is not None:
+        write_area(scene, area)
     progress(1.0, "done")
     return scene, {
         "notes": notes,
@@ -143,7 +148,8 @@ def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:
     images = [location(p) for p in images]
     ids = check_ids(images)
     _check_options(options, ids)
-    survey(images, ids, options, [])
+    _, crs, _ = survey(images, ids, options, [])
+    _wanted(options, crs)
 
 
 def survey(
@@ -261,7 +267,7 @@ def check_places(sources: Sequence[SourceImage], crs: str) -> None:
 
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
-    paths = [Path(name) for name in (options.aoi,) if name]
+    paths = [Path(name) for name in (options.aoi, *options.mask) if name]
     for image in images:
         folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
         local = [folder for folder in folders if not isinstance(folder, RemotePath) and folder.is_dir()]
@@ -272,7 +278,7 @@ def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
 def _outputs(ids: Sequence[str], options: PrepOptions) -> list[str]:
     """All files that may be written; images that do not show the area are left out."""
     copies = [] if options.copy is False else [f"images/{i}.tif" for i in ids]
-    return [*REPORTS.values(), "scene.json", *copies, *(f"rpc/{i}_RPC.TXT" for i in ids)]
+    return [*REPORTS.values(), AREA, "scene.json", *copies, *(f"rpc/{i}_RPC.TXT" for i in ids)]
 
 
 def _middle(sources: Sequence[SourceImage]) -> tuple[float, float]:
@@ -290,6 +296,10 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
     if options.aoi:
         return bounds_from_file(location(options.aoi), crs)
     return bounds_from_numbers(options.bounds, crs, options.crs) if options.bounds else None
+
+
+def _wanted(options: PrepOptions, crs: str) -> Callable[[Bounds], Any]:
+    return wanted_area(location(options.aoi) if options.aoi else None, [Path(name) for name in options.mask], crs)
 
 
 def _cropped_to_area(sources: list[SourceImage], crs: str, asked: Bounds, notes: list[str]) -> list[SourceImage]:

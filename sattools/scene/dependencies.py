@@ -38,7 +38,7 @@ class Stage:
 
 # in the order of the pipe: a stage depends on all before it
 STAGES: dict[str, Stage] = {
-    "prep": Stage(),
+    "prep": Stage(("area",)),
     "normalise": Stage(("radiance_histogram",), ("radiance",)),
     "prior": Stage(("prior_dsm", "prior_confidence", "prior_normals"), ("depth", "confidence")),
     "fit": Stage(("model", "trace"), (), (FIT_ROLE,)),

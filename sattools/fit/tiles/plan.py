@@ -26,6 +26,7 @@ from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, subprogress
 from sattools.scene import Asset, Grid, Scene
+from sattools.scene.area import wanted_cells
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject, read_json
@@ -134,6 +135,9 @@ class Plan:
         balances = self._balances(coarse, sources, pilots) if makes_prior else {}
         names = []
         for tile in self.tiles:
+            wanted = wanted_cells(self.scene, tile.grid)
+            if wanted is not None and not wanted.any():
+                continue  # its surface is the coarse one, which `export` leaves out
             shown = [item.id for item in self.scene.train_items() if item.id not in unseen[tile.name]]
             if len(shown) < 2:
                 notes.append(f"tile {tile.name}: {len(shown)} images show it, its surface is the coarse one")

@@ -1,0 +1,116 @@
+"""An area of interest is its polygon, not its box, and masks are cut out of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import Point, Polygon, box
+
+from sattools.errors import InputError
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.export.validity import UNWANTED
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+from sattools.fit.tiles import plan
+from sattools.prep.area import wanted_area
+from sattools.prep.options import PrepOptions
+from sattools.prep.stage import prepare
+from sattools.scene.area import wanted_cells, write_area
+from sattools.scene.raster import read_raster
+
+UTM33 = "EPSG:32633"
+X, Y = 500_000.0, 5_094_000.0
+BOX = (X, Y, X + 100, Y + 100)
+QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0)
+
+
+def written(path: Path, *shapes: Any, crs: str = UTM33) -> Path:
+    geopandas.GeoDataFrame(geometry=list(shapes), crs=crs).to_file(path)
+    return path
+
+
+def test_the_wanted_area_is_the_polygon_without_the_masks(tmp_path: Path) -> None:
+    triangle = Polygon([(X, Y), (X + 100, Y), (X, Y + 100)])
+    aoi, lake = written(tmp_path / "aoi.gpkg", triangle), written(tmp_path / "lake.gpkg", box(X, Y, X + 10, Y + 20))
+    assert wanted_area(aoi, [], UTM33)(BOX).area == pytest.approx(5000.0)
+    assert wanted_area(aoi, [lake], UTM33)(BOX).area == pytest.approx(4800.0)
+    assert wanted_area(None, [lake], UTM33)(BOX).area == pytest.approx(9800.0)
+
+
+def test_a_rectangle_along_the_grid_needs_no_area(tmp_path: Path) -> None:
+    assert wanted_area(written(tmp_path / "aoi.gpkg", box(*BOX)), [], UTM33)(BOX) is None
+    assert wanted_area(None, [], UTM33)(BOX) is None
+
+
+def test_points_and_lines_ask_for_their_box(tmp_path: Path) -> None:
+    path = tmp_path / "points.geojson"
+    path.write_text(json.dumps({"type": "MultiPoint", "coordinates": [[15.0, 46.0], [15.1, 46.0], [15.0, 46.1]]}))
+    assert wanted_area(path, [], UTM33)(BOX) is None
+
+
+def test_a_mask_over_everything_and_one_without_polygons_are_refused(tmp_path: Path) -> None:
+    sea = written(tmp_path / "sea.gpkg", box(X - 1, Y - 1, X + 200, Y + 200))
+    with pytest.raises(InputError, match=r"sea\.gpkg: found no ground that is left of the scene"):
+        wanted_area(None, [sea], UTM33)(BOX)
+    with pytest.raises(InputError, match=r"wells\.gpkg: found no polygon, expected some"):
+        wanted_area(None, [written(tmp_path / "wells.gpkg", Point(X, Y))], UTM33)
+
+
+def test_ground_outside_the_area_is_no_data_in_all_products(make_town: Any) -> None:
+    scene = make_town()
+    west, south, east, north = scene.require_grid().bounds
+    write_area(scene, Polygon([(west, south), (east, south), (west, north)]))
+    fit(scene, QUICK)
+    made = export(scene, ExportOptions())
+    dsm, grid = read_raster(scene.path(scene.products["dsm"]))
+    wanted = wanted_cells(scene, grid)
+    assert wanted is not None
+    # the triangle is half of the square, but for cells on its edge
+    assert wanted.mean() == pytest.approx(0.5, abs=0.02)
+    assert np.isfinite(dsm[0])[wanted].mean() > 0.95
+    assert not np.isfinite(dsm[0])[~wanted].any()
+    validity = read_raster(scene.path(scene.products["validity"]))[0][0]
+    np.testing.assert_array_equal(validity == UNWANTED, ~wanted)
+    assert made["validity"]["outside"] == pytest.approx((~wanted).mean(), abs=1e-3)
+    assert np.isnan(read_raster(scene.path(scene.products["albedo"]))[0][:, ~wanted]).all()
+
+
+def test_tiles_outside_the_area_are_not_fitted(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_town()
+    west, south, _, north = scene.require_grid().bounds
+    write_area(scene, box(west, south, west + 10, north))
+    fitted = []
+    original = plan.fit_whole
+
+    def seen(one: Any, *given: Any) -> Any:
+        fitted.append(one.id)
+        return original(one, *given)
+
+    monkeypatch.setattr(plan, "fit_whole", seen)
+    fit(scene, replace(QUICK, tile=32.0, overlap=8.0))
+    assert fitted == ["TOWN.coarse", "TOWN.r0c0", "TOWN.r1c0"]
+
+
+def test_prep_cuts_area_and_masks_and_checks_them_first(make_town: Any, tmp_path: Path) -> None:
+    town = make_town()
+    images = [town.path(item.assets["image"].href) for item in town.items[:3]]
+    west, south, east, north = town.require_grid().bounds
+    crs = town.require_grid().crs
+    aoi = written(tmp_path / "aoi.gpkg", Polygon([(west, south), (east, south), (east, north)]), crs=crs)
+    lake = written(tmp_path / "lake.geojson", box(east - 20, south, east, south + 20), crs=crs)
+    options = PrepOptions(out=str(tmp_path / "out"), id="A", aoi=str(aoi), mask=[str(tmp_path / "none.gpkg")])
+    with pytest.raises(InputError, match=r"none\.gpkg"):
+        prepare(images, options)
+    assert [p for p in (tmp_path / "out").rglob("*") if p.is_file()] == []
+    scene, _ = prepare(images, replace(options, mask=[str(lake)]))
+    assert scene.products["area"] == "area.geojson"
+    frame = geopandas.read_file(scene.path("area.geojson"))
+    assert frame.crs.to_epsg() == 4326
+    area = shapely.union_all(frame.to_crs(crs).geometry)
+    assert area.area == pytest.approx(64 * 64 / 2 - 400, rel=0.01)
