@@ -4,10 +4,11 @@
         [--average METRES] [--fit] [--out FILE.json]
 
 Scenes come from `sattools prep`; a reference is anything that `sattools compare --dsm` takes, `X_CLS.tif` beside
-`X_DSM.tif` is its class map. Variants are options of `sattools prior`, such as `--variant 'flat: rough_passes=0'`;
-the defaults are always the first. Columns: mean absolute error by the protocol; the same about the median; each at most
-5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU seconds of matching
-(NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
+`X_DSM.tif` is its class map. Variants are options of `sattools prior`, such as `--variant 'flat: rough_passes=0'`, or
+parts that no option switches off (means over neighbours, suns, courtyards, consistency), such as `--variant 'raw:
+means=0'`; the defaults are always the first. Columns: mean absolute error by the protocol; the same about the median;
+each at most 5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU seconds of
+matching (NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
 """
 
 from __future__ import annotations
@@ -16,17 +17,21 @@ import argparse
 import json
 import re
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from sattools.compare import Truth, compare_dsm, read_reference
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
-from sattools.prior.matching.match import Match, match
+from sattools.prior.frame import Frame
+from sattools.prior.matching.match import Match, _prepared, match
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.stage import crop, make_frame, write_maps
 from sattools.scene import Grid, Scene
@@ -35,18 +40,42 @@ from sattools.scene.files import write_text
 from sattools.scene.raster import read_raster
 from sattools.views import load_sources
 
+# parts of the prior that no option switches off: `--variant 'NAME: PART=0'`
+PARTS: dict[str, tuple[str, Any]] = {
+    "means": ("sattools.prior.matching.match.mean_of_neighbours", lambda height, doubt: height),
+    "suns": ("sattools.prior.matching.match._prepared", lambda frame, *rest: _prepared(sunless(frame), *rest)),
+    "courtyards": ("sattools.prior.matching.match.open_courtyards", lambda task, surface: surface),
+    "consistency": ("sattools.prior.matching.match.filled", lambda height, sure, cell: height),
+}
 HEADER = f"{'':34s} {'MAE':>6s} {'cent.':>6s} {'capped':>6s} {'near':>6s} {'|near|':>6s} {'|away|':>6s} {'median':>6s}"
 
 
 def variant(text: str) -> tuple[str, dict[str, Any]]:
     """Name and changed options of 'NAME: OPTION=VALUE ...'."""
     name, _, rest = text.partition(":")
-    kinds = {f.name: type(f.default) for f in fields(PriorOptions)}
+    kinds = {f.name: type(f.default) for f in fields(PriorOptions)} | dict.fromkeys(PARTS, int)
     changed = {}
     for key, value in re.findall(r"(\w+)=(\S+)", rest):
         kind = kinds[key] if kinds[key] in (int, str) else float
         changed[key] = value == "True" if kinds[key] is bool else kind(value)
     return name.strip(), changed
+
+
+def sunless(frame: Frame) -> Frame:
+    """The same views, their suns unknown."""
+    return replace(frame, suns=(None,) * len(frame.suns))
+
+
+@contextmanager
+def switched(changed: dict[str, Any]) -> Iterator[PriorOptions]:
+    """Options of a variant; parts that no option switches off are switched off meanwhile."""
+    options = replace(PriorOptions(), **{name: value for name, value in changed.items() if name not in PARTS})
+    with ExitStack() as stack:
+        for name, value in changed.items():
+            if name in PARTS and not value:
+                target, instead = PARTS[name]
+                stack.enter_context(patch(target, instead))
+        yield options
 
 
 def reference(text: str) -> Truth:
@@ -128,7 +157,8 @@ def main() -> None:
         print(scene.id)
         rows = table.setdefault(scene.id, [])
         for name, changed in variants:
-            found, grid, seconds = matched(scene, replace(PriorOptions(), **changed))
+            with switched(changed) as prior_options:
+                found, grid, seconds = matched(scene, prior_options)
             rows.append(row(f"  {name}", found.height, grid, truth, seconds))
             if options.average:
                 rows.append(row("    averaged", *averaged(found.height, grid, options.average), truth))

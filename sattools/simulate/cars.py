@@ -41,7 +41,7 @@ def with_cars(world: World, count: int, half_size_m: float, rng: np.random.Gener
     places = np.argwhere(free & inside)
     long, wide = (round(v / world.cell_size) for v in SIZE_M[:2])
     parked = 0
-    for _ in range(TRIES * count):
+    for _ in range(TRIES * count if len(places) else 0):
         if parked == count:
             break
         row, column = places[rng.integers(len(places))]

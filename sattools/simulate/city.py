@@ -3,113 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from sattools.simulate.canvas import Canvas, ground
 from sattools.simulate.materials import albedo_map, code
-from sattools.simulate.world import World
+from sattools.simulate.world import GROUND, WATER, World
 
-GROUND, TREES, BUILDING, WATER = 2, 5, 6, 9
 STREET_M = 13.0
 BLOCK_M = 45.0
 TOWER_M = 35.0
 NEIGHBOURS = ("park", "houses", "houses", "houses", "courtyard", "courtyard", "slabs", "slabs")
-
-
-@dataclass
-class _Canvas:
-    """Rasters being drawn on; lengths in metres along columns (x) and rows (y) from the upper left corner."""
-
-    cell: float
-    ground: np.ndarray
-    height: np.ndarray = field(init=False)
-    slope_x: np.ndarray = field(init=False)
-    slope_y: np.ndarray = field(init=False)
-    classes: np.ndarray = field(init=False)
-    material: np.ndarray = field(init=False)
-    tint: np.ndarray = field(init=False)
-    wall: np.ndarray = field(init=False)
-    windows: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        shape = self.ground.shape
-        self.height = self.ground.copy()
-        self.slope_y, self.slope_x = np.gradient(self.ground, self.cell)
-        self.classes = np.full(shape, GROUND, np.uint8)
-        self.material = np.full(shape, code("asphalt"), np.uint8)
-        self.tint = np.ones(shape, np.float32)
-        self.wall = np.full((*shape, 3), 0.2, np.float32)
-        self.windows = np.zeros(shape, np.uint8)
-
-    def box(self, x0: float, y0: float, x1: float, y1: float) -> tuple[slice, slice]:
-        """Cells between two corners."""
-        rows, columns = self.ground.shape
-        r0, r1 = (min(max(round(y / self.cell), 0), rows) for y in (y0, y1))
-        c0, c1 = (min(max(round(x / self.cell), 0), columns) for x in (x0, x1))
-        return slice(r0, r1), slice(c0, c1)
-
-    def paint(self, area: tuple[slice, slice], material: str, tint: float = 1.0) -> None:
-        """Give an area another material."""
-        self.material[area] = code(material)
-        self.tint[area] = tint
-
-    def level(self, area: tuple[slice, slice]) -> float:
-        """Height of the ground a building stands on."""
-        part = self.ground[area]
-        return float(part.max()) if part.size else 0.0
-
-    def flat(self, area: tuple[slice, slice], top: float, roof: str, wall: np.ndarray, tint: float = 1.0) -> None:
-        """A flat roof at the absolute height `top`."""
-        self.height[area] = top
-        self.slope_x[area] = self.slope_y[area] = 0.0
-        self.classes[area] = BUILDING
-        self.wall[area] = wall
-        self.windows[area] = 1
-        self.paint(area, roof, tint)
-
-    def gable(
-        self, area: tuple[slice, slice], eaves: float, rise: float, along_x: bool, roof: str, wall: np.ndarray
-    ) -> None:
-        """A roof of two planes that climb `rise` metres from the eaves to a ridge along columns or rows."""
-        self.flat(area, eaves, roof, wall)
-        rows, columns = self.height[area].shape
-        count = rows if along_x else columns
-        if count < 2:
-            return
-        middle = count / 2
-        across = np.arange(count) + 0.5
-        slope = rise / (middle * self.cell)
-        # the ridge of an odd count is one level cell, as high as the edges of its neighbours
-        climb = (rise * (1 - np.maximum(np.abs(across - middle), 0.5) / middle)).astype(np.float32)
-        side = np.where(across < middle, slope, -slope).astype(np.float32)
-        side[across == middle] = 0
-        if along_x:
-            self.height[area] += climb[:, None]
-            self.slope_y[area] = side[:, None]
-        else:
-            self.height[area] += climb[None]
-            self.slope_x[area] = side[None]
-        self.windows[area] = 0
-
-    def tree(self, x: float, y: float, radius: float, top: float, rng: np.random.Generator) -> None:
-        """An opaque crown: half an ellipsoid with a ragged surface over leaves that reach down to the ground."""
-        area = self.box(x - radius, y - radius, x + radius, y + radius)
-        rows = (np.arange(area[0].start, area[0].stop) + 0.5) * self.cell - y
-        columns = (np.arange(area[1].start, area[1].stop) + 0.5) * self.cell - x
-        distance = np.hypot(rows[:, None], columns[None]) / radius
-        if not distance.size:
-            return
-        ragged = rng.normal(0.0, 0.06, distance.shape)
-        inside = (distance + ragged < 1) & np.isin(self.classes[area], (GROUND, TREES))
-        crown = self.ground[area] + top * (0.45 + 0.55 * np.sqrt(np.clip(1 - distance**2, 0, 1))) * (1 + 0.6 * ragged)
-        inside &= crown > self.height[area]
-        self.height[area][inside] = crown[inside]
-        self.slope_x[area][inside] = self.slope_y[area][inside] = 0.0
-        self.classes[area][inside] = TREES
-        self.material[area][inside] = code("leaves")
-        self.tint[area][inside] = (1 + ragged)[inside]
-        self.wall[area][inside] = (0.05, 0.08, 0.035)
 
 
 def build_city(
@@ -141,7 +45,7 @@ def build_city(
     side = size_m * (abs(math.cos(angle)) + abs(math.sin(angle))) + 2 * margin_m
     count = 2 * math.ceil(side / cell_size / 2)
     side = count * cell_size
-    canvas = _Canvas(cell_size, _ground(count, cell_size, base_m, rng))
+    canvas = Canvas(cell_size, ground(count, cell_size, base_m, rng))
     pitch = BLOCK_M + STREET_M
     middle = math.ceil(side / 2 / pitch)
     starts = side / 2 - BLOCK_M / 2 + pitch * np.arange(-middle, middle + 1)
@@ -169,23 +73,12 @@ def build_city(
     )
 
 
-def _ground(count: int, cell_size: float, base_m: float, rng: np.random.Generator) -> np.ndarray:
-    """Ground that falls 1 % and undulates by some decimetres."""
-    x = np.arange(count, dtype=np.float32) * cell_size
-    waves = sum(
-        0.25 * np.sin(2 * np.pi * (x[None] * a + x[:, None] * b) / 90 + phase)
-        for a, b, phase in rng.uniform(-1, 1, (3, 3)) * (1, 1, np.pi)
-    )
-    ground: np.ndarray = base_m + 0.008 * (x[None] - x.mean()) + 0.004 * x[:, None] + waves
-    return ground
-
-
 def _wall(rng: np.random.Generator) -> np.ndarray:
     tones = np.array([[0.42, 0.38, 0.32], [0.33, 0.24, 0.19], [0.5, 0.49, 0.46], [0.3, 0.31, 0.33]], np.float32)
     return tones[rng.integers(len(tones))] * np.float32(rng.uniform(0.85, 1.15))
 
 
-def _block(canvas: _Canvas, kind: str, x: float, y: float, rng: np.random.Generator) -> None:
+def _block(canvas: Canvas, kind: str, x: float, y: float, rng: np.random.Generator) -> None:
     whole = canvas.box(x, y, x + BLOCK_M, y + BLOCK_M)
     canvas.paint(whole, "pavement")
     canvas.paint(canvas.box(x + 2.5, y + 2.5, x + BLOCK_M - 2.5, y + BLOCK_M - 2.5), "grass")
@@ -201,7 +94,7 @@ def _block(canvas: _Canvas, kind: str, x: float, y: float, rng: np.random.Genera
         _slabs(canvas, x, y, rng)
 
 
-def _houses(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
+def _houses(canvas: Canvas, x: float, y: float, rng: np.random.Generator) -> None:
     for j in range(2):
         for i in range(3):
             w, d = rng.uniform(8, 10.5), rng.uniform(10, 14)
@@ -213,7 +106,7 @@ def _houses(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> No
             canvas.gable(area, eaves, float(rng.uniform(1.8, 3.2)), bool(rng.integers(2)), roof, _wall(rng))
 
 
-def _slabs(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
+def _slabs(canvas: Canvas, x: float, y: float, rng: np.random.Generator) -> None:
     canvas.paint(canvas.box(x + 2.5, y + 2.5, x + BLOCK_M - 2.5, y + BLOCK_M - 2.5), "asphalt", 1.25)
     lower, upper = float(rng.uniform(5, 8)), float(rng.uniform(13, 20))
     roof = ("gravel", "membrane", "tar")[rng.integers(3)]
@@ -227,7 +120,7 @@ def _slabs(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> Non
 
 
 def _court(
-    canvas: _Canvas,
+    canvas: Canvas,
     corner: tuple[float, float],
     side: float,
     height: float,
@@ -248,7 +141,7 @@ def _court(
     canvas.paint(inner, "pavement", 0.9)
 
 
-def _tower(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
+def _tower(canvas: Canvas, x: float, y: float, rng: np.random.Generator) -> None:
     """A tower and three wings about a courtyard of 8 m."""
     _court(canvas, (x + 4, y + 4), BLOCK_M - 8, 16.0, 8.0, rng)
     area = canvas.box(x + 5, y + 5, x + 18, y + 31)
@@ -257,7 +150,7 @@ def _tower(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> Non
     _roof_units(canvas, (x + 6, y + 6), (11, 24), top, 3, rng)
 
 
-def _park(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None:
+def _park(canvas: Canvas, x: float, y: float, rng: np.random.Generator) -> None:
     pond = canvas.box(x + 22, y + 24, x + 38, y + 34)
     if canvas.ground[pond].size:
         canvas.height[pond] = canvas.ground[pond].min() - 0.3
@@ -272,7 +165,7 @@ def _park(canvas: _Canvas, x: float, y: float, rng: np.random.Generator) -> None
 
 
 def _roof_units(
-    canvas: _Canvas,
+    canvas: Canvas,
     corner: tuple[float, float],
     size: tuple[float, float],
     top: float,
@@ -289,7 +182,7 @@ def _roof_units(
         canvas.windows[area] = 0
 
 
-def _streets(canvas: _Canvas, starts: np.ndarray, side: float) -> None:
+def _streets(canvas: Canvas, starts: np.ndarray, side: float) -> None:
     """Dashed middle lines and zebra crossings; they only fall on asphalt."""
 
     def mark(x0: float, y0: float, x1: float, y1: float) -> None:
@@ -310,7 +203,7 @@ def _streets(canvas: _Canvas, starts: np.ndarray, side: float) -> None:
                 mark(edge - 4, line - STREET_M / 2 + k, edge - 1, line - STREET_M / 2 + k + 0.5)
 
 
-def _street_trees(canvas: _Canvas, starts: np.ndarray, rng: np.random.Generator) -> None:
+def _street_trees(canvas: Canvas, starts: np.ndarray, rng: np.random.Generator) -> None:
     for y in starts:
         for x in starts:
             for s in np.arange(6.0, BLOCK_M - 4, 9.0):

@@ -29,6 +29,10 @@ MATERIALS: dict[str, Material] = {
     "metal": Material((0.48, 0.50, 0.52), 0.10),
     "leaves": Material((0.065, 0.105, 0.045), 0.40),
     "water": Material((0.03, 0.045, 0.05), 0.08),
+    "white": Material((0.86, 0.86, 0.85), 0.03),
+    "glazed": Material((0.30, 0.33, 0.36), 0.04),
+    "copper": Material((0.30, 0.42, 0.36), 0.10),
+    "concrete": Material((0.34, 0.33, 0.31), 0.12),
 }
 """Broad-band values in the range that urban spectral libraries give (Kotthaus et al. 2014, ISPRS J. 94)."""
 NAMES = list(MATERIALS)

@@ -14,9 +14,8 @@ from sattools.scene.raster import read_raster
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV
 from sattools.simulate.materials import grain
 from sattools.simulate.terrain import check_heights, check_relief, window
-from sattools.simulate.world import World
+from sattools.simulate.world import GROUND, World
 
-GROUND = 2
 MARGIN_M = 60.0  # surroundings that cast shadows into the scene
 BASE_M = 300.0
 SMOOTHEST_M = 24.0  # relief has no wavelengths below: roughness smaller than the normals can show is theta-bar's

@@ -8,8 +8,10 @@ from typing import Literal
 from sattools.errors import InputError
 from sattools.settings import option
 
-CITY = {"size": 128.0, "views": 12, "gsd": 0.5, "off_nadir": 26.0, "bits": 11}
-NATURAL = {"size": 512.0, "views": 21, "gsd": 2.0, "off_nadir": 45.0, "bits": 12}
+CITY = {"size": 128.0, "views": 12, "gsd": 0.5, "off_nadir": 26.0, "bits": 11, "bias_px": 0.0, "cars": 0}
+# the same with cameras as they are delivered (one view is off by five to twelve times as much) and traffic
+DOWNTOWN = {**CITY, "bias_px": 3.0, "cars": 40}
+NATURAL = {"size": 512.0, "views": 21, "gsd": 2.0, "off_nadir": 45.0, "bits": 12, "bias_px": 0.0, "cars": 0}
 
 
 @dataclass
@@ -18,8 +20,11 @@ class SimulateOptions:
 
     id: str = option("SIM_001", "Name of the scene.")
     out: str = option(".", "Folder in which the scene's own folder is made.")
-    terrain: Literal["city", "natural"] = option(
-        "city", "What is built: city (streets, houses, courtyards, a tower), or natural (relief with geological units)."
+    terrain: Literal["city", "downtown", "natural"] = option(
+        "city",
+        "What is built: city (streets, houses, courtyards, a tower), downtown (towers of 50 to 150 m, narrow streets, "
+        "roofs of all shapes, porous trees, a canal; facades, mirrors, seasons, haze, also with --dsm), or natural "
+        "(relief with geological units).",
     )
     dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.")
     classes: str | None = option(None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.")
@@ -33,7 +38,12 @@ class SimulateOptions:
     off_nadir: float = option(
         None, "Largest off-nadir angle [degrees] (default: 26; natural 45).", minimum=0, maximum=60
     )
-    bias_px: float = option(0.0, "Error of the RPCs in the images' tags, radius per view [px].", minimum=0)
+    bias_px: float = option(
+        None,
+        "Error of the RPCs in the images' tags, radius per view [px] (default: 0; downtown 3, and one view 5 to 12 "
+        "times as much).",
+        minimum=0,
+    )
     noise: float = option(1.0, "Sensor noise relative to a usual one.", minimum=0)
     bits: int = option(
         None,
@@ -42,7 +52,12 @@ class SimulateOptions:
         maximum=12,
     )
     trees: bool = option(True, "Plant trees.")
-    cars: int = option(0, "Cars on the streets, elsewhere in every image; not in the truth.", minimum=0, maximum=2000)
+    cars: int = option(
+        None,
+        "Cars on the streets, elsewhere in every image; not in the truth (default: 0; downtown 40).",
+        minimum=0,
+        maximum=2000,
+    )
     hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
     lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
@@ -57,7 +72,9 @@ class SimulateOptions:
     seed: int = option(0, "Seed of everything that is drawn.", minimum=0)
 
     def __post_init__(self) -> None:
-        usual = NATURAL if self.terrain == "natural" else CITY
+        usual: dict[str, float] = {"city": CITY, "downtown": DOWNTOWN, "natural": NATURAL}[self.terrain]
+        if self.dsm is not None:
+            usual = {**usual, "cars": 0}  # a given surface has no streets
         for name, value in usual.items():
             if getattr(self, name) is None:
                 setattr(self, name, value)

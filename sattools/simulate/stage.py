@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -17,17 +18,19 @@ from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
+from sattools.simulate.detailed import DetailedWorld, leaves_on
 from sattools.simulate.fan import simulate_natural
 from sattools.simulate.files import write_truth
 from sattools.simulate.options import SimulateOptions
-from sattools.simulate.sensor import HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
+from sattools.simulate.sensor import HARD, HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
 from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
 from sattools.simulate.world import World
 
 SKY_STRIDE = 8
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
-CAR_KEY = 1000
+CAR_KEY, OUTLIER_KEY = 1000, 1001
+OUTLIER = (5.0, 12.0)  # one camera of a downtown is off by so many times as much as the others may be
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
 
 
@@ -53,7 +56,7 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     grid, world = world_of(options)
     bright = (world.classes == 6)[..., None] & (world.albedo > BRIGHT_ROOF).any(-1, keepdims=True)
     world.albedo = np.where(bright, np.minimum(world.albedo * _light(options).roofs, 0.95), world.albedo)
-    low, high = float(world.height.min()), float(world.height.max())
+    low, high = float(world.height.min()), float(world.top.max())
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
     write_truth(scene, world, grid)
@@ -64,7 +67,7 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
 
     def take(number: int, view: SimulatedView, seed: np.random.SeedSequence) -> Item:
-        return _take(scene, options, _on_the_day(options, world, number), sky, view, seed)
+        return _take(scene, options, _on_the_day(options, world, number, view), sky, view, seed)
 
     take_all(scene, views, seeds[2], take, progress)
     return scene
@@ -117,11 +120,25 @@ def plan_views(
                 "test" if k in test and len(test) < options.views else "train",
             )
         )  # fmt: skip
-    return views
+    return _with_outlier(options, views)
+
+
+def _with_outlier(options: SimulateOptions, views: list[SimulatedView]) -> list[SimulatedView]:
+    """The views, one training camera of a downtown far off, as one of many delivered ones is."""
+    if options.terrain != "downtown" or not options.bias_px or len(views) < 3:
+        return views
+    # a seed of its own, as for the cars
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(OUTLIER_KEY,)))
+    chosen = int(rng.choice([k for k, view in enumerate(views) if view.role == "train"]))
+    angle, radius = rng.uniform(0, 2 * np.pi), options.bias_px * rng.uniform(*OUTLIER)
+    bias = float(radius * np.cos(angle)), float(radius * np.sin(angle))
+    return [replace(view, bias=bias) if k == chosen else view for k, view in enumerate(views)]
 
 
 def _light(options: SimulateOptions) -> Light:
-    return HDR if options.hdr else USUAL
+    if options.hdr:
+        return HDR
+    return HARD if options.terrain == "downtown" else USUAL
 
 
 def world_of(options: SimulateOptions) -> tuple[Grid, World]:
@@ -138,10 +155,16 @@ def world_of(options: SimulateOptions) -> tuple[Grid, World]:
     grid = Grid(crs, float(round(x - half)), float(round(y + half)), options.gsd, cells, cells)
     west, south, east, north = grid.bounds
     centre = ((west + east) / 2, (south + north) / 2)
-    return grid, build_city(centre, east - west, options.gsd / 2, BASE_M, rng, trees=options.trees)
+    size, cell = east - west, options.gsd / 2
+    if options.terrain == "downtown":
+        from sattools.simulate.downtown import build_downtown
+
+        return grid, build_downtown(centre, size, cell, BASE_M, rng, trees=options.trees)
+    return grid, build_city(centre, size, cell, BASE_M, rng, trees=options.trees)
 
 
 def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
+    from sattools.simulate.detailed import over_surface_model
     from sattools.simulate.terrain import build_terrain, check_heights, check_relief, window
 
     assert options.dsm is not None  # the caller has looked
@@ -156,11 +179,14 @@ def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[G
         if code_grid != whole:
             raise InputError(f"{options.classes}: found {code_grid}, expected the grid of {options.dsm}: {whole}")
         classes = codes[0][np.ix_(rows, columns)]
-    return grid, build_terrain(heights[0][np.ix_(rows, columns)], wide, classes, options.gsd / 2, rng)
+    world = build_terrain(heights[0][np.ix_(rows, columns)], wide, classes, options.gsd / 2, rng)
+    return grid, over_surface_model(world, rng) if options.terrain == "downtown" else world
 
 
-def _on_the_day(options: SimulateOptions, world: World, number: int) -> World:
-    """The world with the cars of one image."""
+def _on_the_day(options: SimulateOptions, world: World, number: int, view: SimulatedView) -> World:
+    """The world with the cars and the season of one image."""
+    if isinstance(world, DetailedWorld):
+        world = world.on_day(leaves_on(view.time, options.lat))
     if not options.cars:
         return world
     # a seed of their own: neither cameras nor noise change when cars do
@@ -177,22 +203,35 @@ def _take(
     seed: np.random.SeedSequence,
 ) -> Item:
     """Render one view and write its files."""
-    from sattools.simulate.trace import render
-
     assert scene.grid is not None  # set before the views are taken
-    camera, light = view.camera, _light(options)
+    light = _light(options)
     sun = grid_direction(*view.sun, scene.grid.crs, view.rpc.lon_offset, view.rpc.lat_offset)
-    low, high = float(world.height.min()) - 2.0, float(world.height.max()) + 2.0
-    radiance, lit, height = render(
-        world.height, world.slope_x, world.slope_y, world.albedo, world.wall_albedo, world.windows, sky, SKY_STRIDE,
-        world.cell_size, world.turn, np.array(world.centre), camera.origin, camera.velocity, camera.look, camera.across,
-        camera.focal, camera.col0, camera.row0, view.shape, 2, sun, sun_colour(view.sun[1]), light.sky * SKY_COLOUR,
-        low, high,
-    )  # fmt: skip
+    radiance, lit, height = _traced(world, view, sky, sun, light.sky * SKY_COLOUR)
     rng = np.random.default_rng(seed)
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
     return write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
+
+
+def _traced(
+    world: World, view: SimulatedView, sky: np.ndarray, sun: np.ndarray, sky_colour: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Radiance, share of sunlit ground and height of a view; see `trace.render`."""
+    from sattools.simulate import detailed_trace, trace
+
+    camera = view.camera
+    low, high = float(world.height.min()) - 2.0, float(world.top.max()) + 2.0
+    surface = world.height, world.slope_x, world.slope_y, world.albedo, world.wall_albedo, world.windows
+    seen = (
+        sky, SKY_STRIDE, world.cell_size, world.turn, np.array(world.centre), camera.origin, camera.velocity,
+        camera.look, camera.across, camera.focal, camera.col0, camera.row0, view.shape, 2, sun, sun_colour(view.sun[1]),
+        sky_colour, low, high,
+    )  # fmt: skip
+    if not isinstance(world, DetailedWorld):
+        return trace.render(*surface, *seen)
+    crowns = world.crown_base, world.crown_top, world.foliage
+    number = int(view.id.rsplit("_", 1)[-1])
+    return detailed_trace.render(*surface, world.building, world.gloss, *crowns, *seen, number)
 
 
 __all__ = ["SimulateOptions", "SimulatedView", "plan_views", "simulate"]

@@ -9,9 +9,8 @@ import numpy as np
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.members import HEIGHT_LIMITS_M
-from sattools.simulate.city import BUILDING, GROUND, TREES, WATER
 from sattools.simulate.materials import albedo_map, code, grain
-from sattools.simulate.world import World
+from sattools.simulate.world import BUILDING, GROUND, TREES, WATER, World
 
 STEP_M = 1.5  # neighbours that differ by more are parted by a wall, others joined by a slope
 ROOFS = ("gravel", "membrane", "tar", "tiles", "slate", "metal")

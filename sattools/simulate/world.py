@@ -9,6 +9,8 @@ import numpy as np
 
 from sattools.scene.grid import Grid
 
+GROUND, TREES, BUILDING, WATER = 2, 5, 6, 9  # codes of class maps
+
 
 @dataclass
 class World:
@@ -46,6 +48,11 @@ class World:
         """(rows, columns)."""
         rows, columns = self.height.shape
         return rows, columns
+
+    @property
+    def top(self) -> np.ndarray:
+        """Heights of what is seen from above ``[H, W]`` [m]."""
+        return self.height
 
     @property
     def turn(self) -> np.ndarray:

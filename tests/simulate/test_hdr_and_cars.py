@@ -79,3 +79,11 @@ def test_terrain_without_streets_has_no_cars() -> None:
     world = build_city((0.0, 0.0), 40.0, 0.5, 0.0, np.random.default_rng(0))
     with pytest.raises(InputError, match="--cars: found no streets"):
         with_cars(replace(world, streets=None), 3, 20.0, np.random.default_rng(0))
+
+
+def test_a_window_beside_the_streets_has_no_cars() -> None:
+    world = build_city((0.0, 0.0), 40.0, 0.5, 0.0, np.random.default_rng(0))
+    streets = np.zeros_like(world.streets)
+    streets[0, 0] = True
+    same = with_cars(replace(world, streets=streets), 3, 10.0, np.random.default_rng(0))
+    np.testing.assert_array_equal(same.height, world.height)
