@@ -9,7 +9,7 @@ import numpy as np
 
 from sattools.errors import InputError, SceneError
 from sattools.export.context import Exported, shadow_suns
-from sattools.export.datum import to_datum
+from sattools.export.datum import to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
 from sattools.export.validity import FILLED, MEANING, MEASURED, UNSEEN, validity_of
@@ -93,7 +93,8 @@ def _write_heights(exported: Exported, vertical: str) -> str:
     heights, datum = to_datum(model.height.numpy(), model.grid, vertical)
     dsm = exported.shown(heights)
     tags = {"VERTICAL_DATUM": datum, "SOFTWARE": "sattools"}
-    write_cog(scene.output(DSM), dsm, model.grid, units="m", tags=tags, descriptions=["height"])
+    above, crs = ["height"], vertical_crs(vertical)
+    write_cog(scene.output(DSM), dsm, model.grid, units="m", tags=tags, descriptions=above, vertical=crs)
     method = {
         "METHOD": "curvature of the photometric loss; gross errors of matching are not in it",
         "SOFTWARE": "sattools",
@@ -101,7 +102,8 @@ def _write_heights(exported: Exported, vertical: str) -> str:
     about = ["standard deviation of the height"]
     std = exported.shown(model.height_std.numpy())
     write_cog(scene.output(STD), std, model.grid, units="m", tags=method, descriptions=about)
-    write_picture(dsm, model.grid, f"{scene.id}: DSM, {model.grid.cell_size:g} m", scene.output(PICTURE))
+    title = f"{scene.id}: DSM, {model.grid.cell_size:g} m"
+    write_picture(dsm, model.grid, title, scene.output(PICTURE), datum)
     return datum
 
 

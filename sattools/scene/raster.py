@@ -14,6 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from sattools.errors import InputError, SattoolsError
+from sattools.scene.datums import compound, horizontal, vertical_of
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
@@ -31,6 +32,7 @@ def write_cog(
     units: str | None = None,
     tags: Mapping[str, str] | None = None,
     descriptions: Sequence[str] | None = None,
+    vertical: str | None = None,
 ) -> None:
     """Write a cloud-optimised GeoTIFF.
 
@@ -42,6 +44,8 @@ def write_cog(
         units: unit of the bands, e.g. ``"m"``.
         tags: dataset tags, e.g. the vertical datum.
         descriptions: one name per band.
+        vertical: CRS of the numbers where they are heights above a geoid, e.g. ``"EPSG:5773"``: the file's CRS is then
+            compound.
 
     Raises:
         SattoolsError: wrong shape, or the file cannot be written.
@@ -65,7 +69,7 @@ def write_cog(
                 count=array.shape[0],
                 height=grid.height,
                 width=grid.width,
-                crs=grid.crs,
+                crs=compound(grid.crs, vertical) if vertical else grid.crs,
                 transform=grid.transform,
                 nodata=nodata if is_float or nodata is None or np.isfinite(nodata) else None,
             ) as data:
@@ -118,6 +122,12 @@ def raster_grid(path: Path) -> Grid:
         return _grid_of(data, path)
 
 
+def raster_vertical(path: Path) -> str | None:
+    """The vertical part of a raster's compound CRS, e.g. ``"EPSG:5773"``; None where it has none."""
+    with opened(path) as data:
+        return None if data.crs is None else vertical_of(data.crs)
+
+
 def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
     transform = data.transform
     if data.crs is None:
@@ -127,7 +137,7 @@ def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
         raise InputError(f"{path}: found a coordinate reference system of no place on Earth ({name}), expected a map's")
     if abs(transform.b) > 1e-9 or abs(transform.d) > 1e-9 or abs(transform.a + transform.e) > 1e-6 * abs(transform.a):
         raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
-    return Grid(data.crs.to_string(), transform.c, transform.f, transform.a, data.width, data.height)
+    return Grid(horizontal(data.crs), transform.c, transform.f, transform.a, data.width, data.height)
 
 
 def image_shape(path: Path) -> tuple[int, int]:
@@ -269,6 +279,7 @@ def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None
 __all__ = [
     "image_shape",
     "raster_grid",
+    "raster_vertical",
     "read_image",
     "read_raster",
     "sensor_profile",
