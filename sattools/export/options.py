@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sattools.errors import InputError
+from sattools.export.products.names import parse_names
 from sattools.settings import option
 
 
@@ -23,8 +24,13 @@ class ExportOptions:
     fill: bool = option(
         False, "Keep the heights and maps of ground that fewer than two images reach; product validity marks them."
     )
+    products: list[str] = option(
+        [],
+        "What else to write, some of laz and ply (point clouds), repeated or with commas between: laz,ply.",
+    )
 
     def __post_init__(self) -> None:
+        parse_names(self.products)
         if self.sun is None:
             return
         azimuth, elevation = self.sun
