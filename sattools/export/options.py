@@ -26,7 +26,10 @@ class ExportOptions:
     )
     products: list[str] = option(
         [],
-        "What else to write, some of laz and ply (point clouds), repeated or with commas between: laz,ply.",
+        "What else to write, repeated or with commas between: laz and ply (point clouds), contours.",
+    )
+    contours: float | None = option(
+        None, "Contour lines at multiples of so many metres of height, as a GeoPackage.", minimum=0.01
     )
 
     def __post_init__(self) -> None:
@@ -39,6 +42,11 @@ class ExportOptions:
                 f"--sun: found azimuth {azimuth:g} and elevation {elevation:g}, expected -360 to 360 degrees and a sun "
                 "above the horizon, up to 90"
             )
+
+    @property
+    def wanted(self) -> list[str]:
+        """Products beside the maps, see `sattools.export.products.names`."""
+        return parse_names(self.products, self.contours)
 
 
 __all__ = ["ExportOptions"]

@@ -13,7 +13,6 @@ from sattools.export.datum import to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
 from sattools.export.products.names import hrefs as product_hrefs
-from sattools.export.products.names import parse_names
 from sattools.export.products.plan import Wanted, check_libraries, write_products
 from sattools.export.validity import FILLED, MEANING, MEASURED, UNSEEN, validity_of
 from sattools.progress import Progress, silent, subprogress
@@ -51,7 +50,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         StaleError: the model was made from something else than the scene holds now.
         InputError: the model file is damaged.
     """
-    wanted = parse_names(options.products)
+    wanted = options.wanted
     check_libraries(wanted)
     model = _read_model(scene, options)
     height = model.height.numpy()
@@ -74,7 +73,9 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
             _image_maps(exported, name, description)
     if _needs_surface(options, model):
         _views(exported, options, subprogress(progress, 0.6, 0.7))
-    write_products(scene, Wanted(wanted, options.vertical, datum), subprogress(progress, 0.7, 1.0))
+    write_products(
+        scene, Wanted(wanted, options.vertical, datum, options.contours or 1.0), subprogress(progress, 0.7, 1.0)
+    )
     progress(1.0, "exported")
     return {"vertical_datum": datum, "validity": fractions, MADE: record(scene, "export")}
 
@@ -146,7 +147,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     hrefs += [f"export/{name}.tif" for name in material_names(model)]
     if options.sun is not None:
         hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]
-    return hrefs + product_hrefs(parse_names(options.products))
+    return hrefs + product_hrefs(options.wanted)
 
 
 def _needs_surface(options: ExportOptions, model: FittedModel) -> bool:

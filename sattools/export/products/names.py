@@ -10,14 +10,19 @@ from sattools.errors import InputError
 FILES: dict[str, dict[str, str]] = {
     "laz": {"points": "export/points.laz"},
     "ply": {"points_ply": "export/points.ply"},
+    "contours": {"contours": "export/contours.gpkg"},
 }
 ALWAYS = ("dsm", "albedo")  # may be named, though they are always written
 LIBRARIES = {"laz": ("laspy", "lazrs")}  # of the extra `products`
 WORDS = (*ALWAYS, *FILES)
 
 
-def parse_names(given: Sequence[str]) -> list[str]:
+def parse_names(given: Sequence[str], contours: float | None = None) -> list[str]:
     """Keys of `FILES` from what was given with --products, commas and repetitions allowed.
+
+    Args:
+        given: texts of the option.
+        contours: interval [m] of --contours, which asks for them too.
 
     Raises:
         InputError: one that does not exist.
@@ -30,6 +35,8 @@ def parse_names(given: Sequence[str]) -> list[str]:
             raise InputError(
                 f"--products: found {name[:40]!r}, expected some of {', '.join(WORDS)}{meant(name, WORDS)}"
             )
+    if contours is not None:
+        names.append("contours")
     return [name for name in FILES if name in names]
 
 

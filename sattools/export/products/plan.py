@@ -24,11 +24,13 @@ class Wanted:
         names: keys of `FILES`.
         vertical: name of the vertical datum, see `sattools.export.datum`.
         datum: what heights are above, in words.
+        interval: between contour lines [m].
     """
 
     names: Sequence[str]
     vertical: str = "ellipsoid"
     datum: str = "WGS84 ellipsoid"
+    interval: float = 1.0
 
 
 def check_libraries(names: Sequence[str]) -> None:
@@ -58,12 +60,14 @@ def write_products(scene: Scene, wanted: Wanted, progress: Progress) -> None:
 
 
 def _write(name: str, files: dict[str, Path], maps: Maps, wanted: Wanted, progress: Progress) -> None:
-    from sattools.export.products import points
+    from sattools.export.products import contours, points
 
     if name == "laz":
         points.write_laz(files["points"], maps, vertical_crs(wanted.vertical), progress)
     elif name == "ply":
         points.write_ply(files["points_ply"], maps, wanted.datum, progress)
+    elif name == "contours":
+        contours.write_contours(files["contours"], maps, wanted.interval, progress)
 
 
 __all__ = ["Wanted", "check_libraries", "write_products"]
