@@ -22,6 +22,8 @@ DRIVERS = ("GTiff", "COG", "NITF", "JP2OpenJPEG")
 EXTRAS = {
     "dask": ("tiles and batches on several machines", "pip install 'sattools[batch]'"),
     "xarray": ("products as DataArray", "pip install 'sattools[notebook]'"),
+    "laspy": ("point clouds of `export --products laz`", "pip install 'sattools[products]'"),
+    "trimesh": ("meshes of `export --products mesh`", "pip install 'sattools[products]'"),
     "lpips": ("LPIPS in `compare --views`", "pip install lpips, and its weights from disk"),
 }
 

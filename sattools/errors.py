@@ -3,6 +3,11 @@
 Every message is one line that names the file, what was found and what was expected.
 """
 
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
 
 def printable(text: str) -> str:
     """The text with its control characters written out, so that no file's content can steer a terminal."""
@@ -33,3 +38,20 @@ class OutputIsInputError(SattoolsError, ValueError):
 
 class StaleError(SceneError):
     """A product was made from something that has changed since."""
+
+
+def extra(module: str, name: str) -> ModuleType:
+    """A library of an extra.
+
+    Args:
+        module: to import.
+        name: of the extra that brings it.
+
+    Raises:
+        SattoolsError: it is not installed; says what to do.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        library = module.partition(".")[0]
+        raise SattoolsError(f"found no {library}, expected the extra: pip install 'sattools[{name}]'") from error

@@ -23,7 +23,7 @@ from sattools.scene.files import check_outputs
 from sattools.scene.jsonio import JsonObject, read_text
 from sattools.scene.location import location
 from sattools.scene.opening import opened
-from sattools.scene.raster import read_raster, write_cog
+from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
 HEIGHTS = ("dsm", "prior_dsm")
 ON_THE_GROUND = ("shadow", "s_net", "tau")  # assets of images that are maps of the ground
@@ -217,7 +217,9 @@ def _write_moved(scene: Scene, move: Move, shift: Shift) -> None:
     if move.up:
         array = (array + move.up).astype(array.dtype)
     there = grid.moved(shift.east, shift.north)
-    write_cog(scene.output(move.href), array, there, nodata=nodata, units=units, tags=tags, descriptions=names)
+    vertical = raster_vertical(move.source)
+    out = scene.output(move.href)
+    write_cog(out, array, there, nodata=nodata, units=units, tags=tags, descriptions=names, vertical=vertical)
 
 
 def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, JsonObject]:

@@ -24,7 +24,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
 from sattools.scene.raster import read_raster, write_cog
 from sattools.scene.regrid import reproject_map
-from sattools.scene.vectors import read_polygons
+from sattools.scene.vectors import geopackage, read_polygons
 
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
 POLYGONS, PICTURE, TABLE = "changes.gpkg", "height_change.png", "change.json"
@@ -237,8 +237,6 @@ def _per_polygon(path: Path, grid: Grid, heights: HeightChange) -> list[JsonObje
 
 def _geopackage(labels: np.ndarray, regions: list[Region], grid: Grid) -> bytes:
     """GeoPackage of the regions, with their figures."""
-    import tempfile
-
     import geopandas
     from rasterio.features import shapes
     from shapely.geometry import MultiPolygon, shape
@@ -250,10 +248,7 @@ def _geopackage(labels: np.ndarray, regions: list[Region], grid: Grid) -> bytes:
     outlines = [MultiPolygon(pieces[region.label]) for region in regions]
     columns = {name: [row[name] for row in rows] for name in (rows[0] if rows else ("label", "kind"))}
     frame = geopandas.GeoDataFrame(columns, geometry=outlines, crs=grid.crs)
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / POLYGONS
-        frame.to_file(target, layer="changes", driver="GPKG", engine="pyogrio")
-        return target.read_bytes()
+    return geopackage(frame, "changes")
 
 
 __all__ = ["Surface", "change", "read_surface"]

@@ -9,6 +9,7 @@ import numpy as np
 
 from sattools.compare.metrics import WATER
 from sattools.errors import InputError
+from sattools.scene.datums import horizontal
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.opening import opened
@@ -146,7 +147,7 @@ def _class_codes(classes: np.ndarray) -> np.ndarray:
 def _dfc2019_crs(dsm: Path, aoi: str) -> str:
     with opened(dsm) as data:
         if data.crs is not None:
-            return str(data.crs.to_string())
+            return horizontal(data.crs)
     try:
         return DFC2019_CRS[aoi[:3]]
     except KeyError as error:

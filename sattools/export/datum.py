@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +55,19 @@ def datum_name(vertical: str) -> str:
     return ELLIPSOID if vertical == "ellipsoid" else GEOIDS[vertical][1]
 
 
+def vertical_crs(vertical: str) -> str | None:
+    """CRS of the heights of a datum, e.g. ``"EPSG:5773"``; None for the ellipsoid, which needs none of its own."""
+    return f"EPSG:{GEOIDS[vertical][0].partition('+')[2]}" if vertical in GEOIDS else None
+
+
+def vertical_datum(path: Path) -> str:
+    """What the heights of an exported surface model are above, by its tag."""
+    from sattools.scene.opening import opened
+
+    with opened(path) as data:
+        return str(data.tags().get("VERTICAL_DATUM", ELLIPSOID))
+
+
 def has_grid(vertical: str) -> bool:
     """Whether PROJ has the grid of a geoid."""
     from pyproj.exceptions import ProjError
@@ -72,4 +86,4 @@ def _transformer(vertical: str) -> Transformer:
     return Transformer.from_crs("EPSG:4979", GEOIDS[vertical][0], always_xy=True, only_best=True, allow_ballpark=False)
 
 
-__all__ = ["ELLIPSOID", "GEOIDS", "datum_name", "has_grid", "to_datum"]
+__all__ = ["ELLIPSOID", "GEOIDS", "datum_name", "has_grid", "to_datum", "vertical_crs", "vertical_datum"]

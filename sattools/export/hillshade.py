@@ -30,7 +30,7 @@ def hillshade(
     return np.clip(np.tensordot(light, normal, axes=1), 0.0, 1.0)
 
 
-def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> None:
+def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path, above: str = "WGS84 ellipsoid") -> None:
     """PNG of `picture`.
 
     Args:
@@ -38,18 +38,20 @@ def write_picture(height: np.ndarray, grid: Grid, title: str, path: Path) -> Non
         grid: ground grid.
         title: of the picture.
         path: file to write.
+        above: what the heights are above.
     """
-    figure = picture(height, grid, title)
+    figure = picture(height, grid, title, above)
     write_figure(path, figure, dpi=110, bbox_inches="tight")
 
 
-def picture(height: np.ndarray, grid: Grid, title: str) -> Any:
+def picture(height: np.ndarray, grid: Grid, title: str, above: str = "WGS84 ellipsoid") -> Any:
     """Matplotlib figure of a DSM [H, W] in metres: colour ramp over hillshade, with axes in metres and a colour bar.
 
     Args:
         height: ``[H, W]`` [m].
         grid: ground grid.
         title: of the picture.
+        above: what the heights are above.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
@@ -68,7 +70,7 @@ def picture(height: np.ndarray, grid: Grid, title: str) -> Any:
     extent = (0.0, grid.width * grid.cell_size, 0.0, grid.height * grid.cell_size)
     axes.imshow(np.clip(image, 0, 1), extent=extent)
     axes.set(title=title, xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
-    figure.colorbar(mappable, ax=axes, label="height above the ellipsoid [m]", shrink=0.8)
+    figure.colorbar(mappable, ax=axes, label=f"height above the {above} [m]", shrink=0.8)
     return figure
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sattools.errors import InputError
+from sattools.export.products.names import parse_names
 from sattools.settings import option
 
 
@@ -23,8 +24,16 @@ class ExportOptions:
     fill: bool = option(
         False, "Keep the heights and maps of ground that fewer than two images reach; product validity marks them."
     )
+    products: list[str] = option(
+        [],
+        "What else to write, repeated or with commas between: laz and ply (point clouds), contours.",
+    )
+    contours: float | None = option(
+        None, "Contour lines at multiples of so many metres of height, as a GeoPackage.", minimum=0.01
+    )
 
     def __post_init__(self) -> None:
+        parse_names(self.products)
         if self.sun is None:
             return
         azimuth, elevation = self.sun
@@ -33,6 +42,11 @@ class ExportOptions:
                 f"--sun: found azimuth {azimuth:g} and elevation {elevation:g}, expected -360 to 360 degrees and a sun "
                 "above the horizon, up to 90"
             )
+
+    @property
+    def wanted(self) -> list[str]:
+        """Products beside the maps, see `sattools.export.products.names`."""
+        return parse_names(self.products, self.contours)
 
 
 __all__ = ["ExportOptions"]

@@ -11,6 +11,8 @@ from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
+from sattools.export.products.names import hrefs as product_hrefs
+from sattools.export.products.plan import Wanted, check_libraries, write_products
 from sattools.export.surface_files import ALBEDO, DSM, IMAGE_MAPS, PICTURE, STD, VALIDITY, SurfaceFiles
 from sattools.export.validity import FILLED, MEASURED, UNSEEN, UNWANTED, Witnesses
 from sattools.fit.model import FittedModel
@@ -45,6 +47,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         StaleError: the model was made from something else than the scene holds now.
         InputError: the model file is damaged.
     """
+    check_libraries(options.wanted)
     stored = _open_model(scene, options)
     at_once = _needs_surface(options, stored.head)
     if at_once and stored.whole is None:
@@ -73,7 +76,9 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
             if validity is not None:
                 counts += np.bincount(validity.ravel(), minlength=4)
     if at_once:
-        _views(exported, options, subprogress(progress, 0.6, 1.0))
+        _views(exported, options, subprogress(progress, 0.6, 0.7))
+    asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0)
+    write_products(scene, asked, subprogress(progress, 0.7, 1.0))
     progress(1.0, "exported")
     kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
     if counts[UNWANTED]:
@@ -108,7 +113,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     hrefs += [f"export/{name}.tif" for name in material_names(model)]
     if options.sun is not None:
         hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]
-    return hrefs
+    return hrefs + product_hrefs(options.wanted)
 
 
 def _needs_surface(options: ExportOptions, model: FittedModel) -> bool:

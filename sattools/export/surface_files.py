@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sattools.export.blocks import Block, Surroundings
 from sattools.export.context import Exported, shadow_suns
-from sattools.export.datum import datum_name, to_datum
+from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.export.novel import view_href
 from sattools.export.validity import MEANING
@@ -54,7 +54,12 @@ class SurfaceFiles:
             scale = f"absolute: {head.radiance}"
         names, wavelengths = Exported(scene, head, np.ones((1, 1), bool)).band_names("albedo", head.albedo.shape[-1])
         about: dict[str, dict[str, Any]] = {
-            DSM: {"units": "m", "tags": {"VERTICAL_DATUM": self.datum, **_SOFTWARE}, "descriptions": ["height"]},
+            DSM: {
+                "units": "m",
+                "tags": {"VERTICAL_DATUM": self.datum, **_SOFTWARE},
+                "descriptions": ["height"],
+                "vertical": vertical_crs(vertical),
+            },
             STD: {
                 "units": "m",
                 "tags": {"METHOD": method, **_SOFTWARE},
@@ -129,7 +134,7 @@ class SurfaceFiles:
         scene = self.scene
         grid = self.grid.resized(self.grid.cell_size * self._step)
         title = f"{scene.id}: DSM, {self.grid.cell_size:g} m"
-        write_picture(self._picture, grid, title, scene.output(PICTURE))
+        write_picture(self._picture, grid, title, scene.output(PICTURE), self.datum)
         scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
         if VALIDITY in self._files:
             scene.products["validity"] = VALIDITY

@@ -77,7 +77,7 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
     low, high = value_range(source)
     properties: dict[str, Any] = {
         "datetime": meta.time.isoformat().replace("+00:00", "Z") if meta.time else None,
-        "proj:code": grid.crs,
+        "proj:code": None,  # an image in sensor geometry lies in no CRS
         "proj:shape": [height, width],
         "gsd": round(ground_sample_distance(rpc, lon, lat, middle), 4),
         "view:off_nadir": round(off_nadir_deg(incidence, meta.platform), 3),

@@ -169,6 +169,7 @@ def _radiometry(scene: Scene) -> Section:
 
 def _surface(scene: Scene) -> Section:
     from sattools.compare.picture import difference_figure
+    from sattools.export.datum import vertical_datum
     from sattools.export.hillshade import picture
 
     section = Section("Surface")
@@ -176,7 +177,8 @@ def _surface(scene: Scene) -> Section:
     if path is not None:
         heights, grid = read_overview(path)
         caption = f"Surface model, colours over a hillshade lit from the north-west; cells of {grid.cell_size:g} m."
-        section.parts.append(Picture(picture(heights[0], grid, scene.id), "Map of the heights", caption))
+        figure = picture(heights[0], grid, scene.id, vertical_datum(path))
+        section.parts.append(Picture(figure, "Map of the heights", caption))
     path = _product(scene, "difference")
     if path is not None:
         difference, grid = read_overview(path)

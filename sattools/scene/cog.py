@@ -17,6 +17,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from sattools.errors import SattoolsError
+from sattools.scene.datums import compound
 from sattools.scene.files import scratch, write_bytes, write_with
 from sattools.scene.grid import Grid
 
@@ -35,6 +36,7 @@ class CogWriter:
         bands: number of bands.
         dtype: of the cells; float64 is stored as float32, bool as uint8.
         nodata: no-data value (NaN for float maps).
+        vertical: CRS of heights, e.g. ``"EPSG:5773"``, to be compounded with the grid's.
         units: unit of the bands, e.g. ``"m"``.
         tags: dataset tags, e.g. the vertical datum.
         descriptions: one name per band.
@@ -51,6 +53,7 @@ class CogWriter:
         bands: int = 1,
         dtype: Any = np.float32,
         nodata: float | None = float("nan"),
+        vertical: str | None = None,
         units: str | None = None,
         tags: Mapping[str, str] | None = None,
         descriptions: Sequence[str] | None = None,
@@ -66,7 +69,7 @@ class CogWriter:
             "count": bands,
             "height": grid.height,
             "width": grid.width,
-            "crs": grid.crs,
+            "crs": compound(grid.crs, vertical) if vertical else grid.crs,
             "transform": grid.transform,
             "nodata": nodata if self._is_float or nodata is None or np.isfinite(nodata) else None,
         }

@@ -200,13 +200,19 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrit
         raise OutputExistsError(f"{exists}: exists already; give --overwrite to replace it")
 
 
+def written(path: Path) -> Path:
+    """Where the content of a file is now: under its temporary name while it is held back, else under its own."""
+    path = Path(path)
+    return {target: temporary for temporary, target in _held_back.get() or ()}.get(path, path)
+
+
 def digest(path: Path) -> str | None:
     """SHA-256 of a file's content, None where there is no readable file.
 
     A file that is held back counts already. Above 256 MiB: of its size and 128 evenly spaced pieces of 1 MiB, so that
     whole satellite scenes need no minutes.
     """
-    path = {target: temporary for temporary, target in _held_back.get() or ()}.get(Path(path), path)
+    path = written(path)
     try:
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -352,4 +358,5 @@ __all__ = [
     "write_figure",
     "write_text",
     "write_with",
+    "written",
 ]

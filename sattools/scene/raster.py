@@ -15,6 +15,7 @@ from rasterio.windows import Window
 
 from sattools.errors import InputError
 from sattools.scene.cog import CogWriter
+from sattools.scene.datums import horizontal, vertical_of
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
@@ -32,6 +33,7 @@ def write_cog(
     units: str | None = None,
     tags: Mapping[str, str] | None = None,
     descriptions: Sequence[str] | None = None,
+    vertical: str | None = None,
 ) -> None:
     """Write a cloud-optimised GeoTIFF.
 
@@ -43,6 +45,8 @@ def write_cog(
         units: unit of the bands, e.g. ``"m"``.
         tags: dataset tags, e.g. the vertical datum.
         descriptions: one name per band.
+        vertical: CRS of the numbers where they are heights above a geoid, e.g. ``"EPSG:5773"``: the file's CRS is then
+            compound.
 
     Raises:
         SattoolsError: wrong shape, or the file cannot be written.
@@ -50,7 +54,7 @@ def write_cog(
     array = np.asarray(array)
     array = array[None] if array.ndim == 2 else array
     about: dict[str, Any] = {"nodata": nodata, "units": units, "tags": tags, "descriptions": descriptions}
-    with CogWriter(path, grid, bands=array.shape[0], dtype=array.dtype, **about) as out:
+    with CogWriter(path, grid, bands=array.shape[0], dtype=array.dtype, vertical=vertical, **about) as out:
         out.write(array)
 
 
@@ -144,6 +148,12 @@ def raster_grid(path: Path) -> Grid:
         return _grid_of(data, path)
 
 
+def raster_vertical(path: Path) -> str | None:
+    """The vertical part of a raster's compound CRS, e.g. ``"EPSG:5773"``; None where it has none."""
+    with opened(path) as data:
+        return None if data.crs is None else vertical_of(data.crs)
+
+
 def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
     transform = data.transform
     if data.crs is None:
@@ -153,7 +163,7 @@ def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
         raise InputError(f"{path}: found a coordinate reference system of no place on Earth ({name}), expected a map's")
     if abs(transform.b) > 1e-9 or abs(transform.d) > 1e-9 or abs(transform.a + transform.e) > 1e-6 * abs(transform.a):
         raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
-    return Grid(data.crs.to_string(), transform.c, transform.f, transform.a, data.width, data.height)
+    return Grid(horizontal(data.crs), transform.c, transform.f, transform.a, data.width, data.height)
 
 
 def image_shape(path: Path) -> tuple[int, int]:
@@ -299,6 +309,7 @@ def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
 __all__ = [
     "image_shape",
     "raster_grid",
+    "raster_vertical",
     "read_image",
     "read_overview",
     "read_raster",

@@ -1,4 +1,4 @@
-"""Features of vector files: the one place where they are read."""
+"""Features of vector files: the one place where they are read and encoded."""
 
 from __future__ import annotations
 
@@ -77,6 +77,21 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
     return shapes
 
 
+def geopackage(frame: Any, layer: str) -> bytes:
+    """The bytes of a GeoPackage of a GeoDataFrame.
+
+    Args:
+        frame: its features.
+        layer: name of the layer.
+    """
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "layer.gpkg"
+        frame.to_file(target, layer=layer, driver="GPKG", engine="pyogrio")
+        return target.read_bytes()
+
+
 def _head(path: Path) -> bytes:
     try:
         with open(path, "rb") as file:
@@ -85,4 +100,4 @@ def _head(path: Path) -> bytes:
         raise InputError(f"{path}: found {reason(error)}, expected a readable {FORMATS}") from None
 
 
-__all__ = ["FORMATS", "is_geojson", "read_features", "read_polygons"]
+__all__ = ["FORMATS", "geopackage", "is_geojson", "read_features", "read_polygons"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sattools.errors import SattoolsError
+from sattools.errors import extra
 from sattools.scene.raster import read_raster
 
 if TYPE_CHECKING:
@@ -25,10 +25,7 @@ def data_array(path: Path, name: str) -> xarray.DataArray:
         SattoolsError: xarray is not installed.
         InputError: the file cannot be read.
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise SattoolsError("found no xarray, expected the extra: pip install 'sattools[notebook]'") from error
+    xarray = extra("xarray", "notebook")
     from rasterio.crs import CRS
 
     array, grid = read_raster(path)

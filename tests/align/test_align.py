@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from sattools.align.estimate import ControlPoint, shift_to_dem, shift_to_points
+from sattools.align.estimate import ControlPoint, Shift, shift_to_dem, shift_to_points
+from sattools.align.stage import Move, _write_moved
 from sattools.camera.ground import project
 from sattools.camera.rpc import RPC
 from sattools.cli import main
 from sattools.errors import InputError
 from sattools.scene import Scene
 from sattools.scene.grid import Grid
-from sattools.scene.raster import read_raster, write_cog
+from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
 CRS = "EPSG:32617"
 GRID = Grid(crs=CRS, left=436000.0, top=3355400.0, cell_size=1.0, width=400, height=400)
@@ -149,6 +150,17 @@ def test_surface_maps_model_and_cameras_move_together(exported: Scene, tmp_path:
     np.testing.assert_allclose(again, moved, atol=1e-4)
     # the files from before are still there, but for those that a later command replaced on demand
     assert exported.path(exported.items[0].assets["rpc"].href).exists()
+
+
+def test_heights_above_a_geoid_stay_so_when_they_are_moved(tmp_path: Path) -> None:
+    grid = Grid("EPSG:32617", 436000.0, 3355000.0, 1.0, 20, 20)
+    write_cog(tmp_path / "dsm.tif", np.zeros(grid.shape, np.float32), grid, units="m", vertical="EPSG:5773")
+    move = Move(tmp_path / "dsm.tif", "moved.tif", 5.0)
+    _write_moved(Scene("A", tmp_path, [], grid), move, Shift(3.0, -2.0, 5.0, 0.1, 0.1, 100))
+    assert raster_vertical(tmp_path / "moved.tif") == "EPSG:5773"
+    heights, moved = read_raster(tmp_path / "moved.tif")
+    assert heights[0, 0, 0] == 5.0
+    assert (moved.crs, moved.left, moved.top) == ("EPSG:32617", 436003.0, 3354998.0)
 
 
 def test_control_points_in_a_file(exported: Scene, tmp_path: Path) -> None:

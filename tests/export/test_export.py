@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 import torch
+from pyproj import CRS
 
 from sattools.camera.ground import grid_direction
 from sattools.errors import InputError, OutputExistsError, SattoolsError
@@ -114,3 +115,16 @@ def test_the_uncertainty_is_a_map_in_metres_on_the_grid_of_the_surface(scene: An
     assert grid == GRID
     assert std.shape == (1, 40, 60)
     assert (std == np.float32(0.3)).all()
+
+
+def test_heights_above_a_geoid_are_in_a_compound_crs_and_the_other_maps_are_not(
+    scene: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sattools.export.surface_files.to_datum", lambda height, *_: (height + 28.0, "EGM96 geoid"))
+    export(scene, ExportOptions(vertical="egm96"))
+    with rasterio.open(scene.path(scene.products["dsm"])) as data:
+        assert [part.to_epsg() for part in CRS.from_wkt(data.crs.to_wkt()).sub_crs_list] == [32617, 5773]
+        assert data.tags()["VERTICAL_DATUM"] == "EGM96 geoid"
+        assert data.read(1)[0, 0] == 8.0
+    with rasterio.open(scene.path(scene.products["dsm_std"])) as data:
+        assert data.crs.to_epsg() == 32617

@@ -1,0 +1,1 @@
+"""What `export` makes of its maps when asked to: points, contours, true orthophotos, meshes."""

@@ -1,0 +1,63 @@
+"""The exported maps, read by blocks: what is made of them needs memory for a block, not for the area."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sattools.scene.files import written
+from sattools.scene.grid import Grid
+from sattools.scene.raster import raster_grid, read_raster
+from sattools.scene.regrid import reproject_map
+
+BLOCK = 512  # cells along a side
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Maps of a scene by name, of which `dsm` gives the grid.
+
+    Attributes:
+        paths: files by the name of the product.
+        grid: of the DSM.
+    """
+
+    paths: Mapping[str, Path]
+    grid: Grid
+
+    @classmethod
+    def of(cls, paths: Mapping[str, Path]) -> Maps:
+        """Of files that are there or that this command has just written."""
+        there = {name: written(path) for name, path in paths.items()}
+        return cls(there, raster_grid(there["dsm"]))
+
+    def blocks(self, size: int = BLOCK) -> Iterator[tuple[slice, slice]]:
+        """Rows and columns of every block, row by row."""
+        for row in range(0, self.grid.height, size):
+            for col in range(0, self.grid.width, size):
+                yield (
+                    slice(row, min(row + size, self.grid.height)),
+                    slice(col, min(col + size, self.grid.width)),
+                )
+
+    def read(self, name: str, rows: slice, cols: slice) -> np.ndarray:
+        """A map ``[B, h, w]`` of the cells of the DSM's grid that these rows and columns within it name."""
+        path, part = self.paths[name], self.grid.part(rows, cols)
+        own = raster_grid(path)
+        if own == self.grid:
+            return read_raster(path, within=part)[0]
+        spare = 2 + int(np.ceil(own.cell_size / part.cell_size))
+        array, around = read_raster(path, within=part.widened(spare))
+        return reproject_map(array, around, part)
+
+    def sample(self, name: str, most: int = 500_000) -> np.ndarray:
+        """About as many cells ``[B, n]`` of a map, evenly from all of it."""
+        step = max(1, round((self.grid.height * self.grid.width / most) ** 0.5))
+        found = [self.read(name, rows, cols)[:, ::step, ::step] for rows, cols in self.blocks()]
+        return np.concatenate([block.reshape(len(block), -1) for block in found], axis=1)
+
+
+__all__ = ["BLOCK", "Maps"]

@@ -1,0 +1,48 @@
+"""Names of the products that `export` makes when asked to: known without importing what makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sattools.errors import InputError
+
+# what may be asked for -> products with their files
+FILES: dict[str, dict[str, str]] = {
+    "laz": {"points": "export/points.laz"},
+    "ply": {"points_ply": "export/points.ply"},
+    "contours": {"contours": "export/contours.gpkg"},
+}
+ALWAYS = ("dsm", "albedo")  # may be named, though they are always written
+LIBRARIES = {"laz": ("laspy", "lazrs")}  # of the extra `products`
+WORDS = (*ALWAYS, *FILES)
+
+
+def parse_names(given: Sequence[str], contours: float | None = None) -> list[str]:
+    """Keys of `FILES` from what was given with --products, commas and repetitions allowed.
+
+    Args:
+        given: texts of the option.
+        contours: interval [m] of --contours, which asks for them too.
+
+    Raises:
+        InputError: one that does not exist.
+    """
+    from sattools.scene.schema import meant
+
+    names = [name.strip().lower() for text in given for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in WORDS:
+            raise InputError(
+                f"--products: found {name[:40]!r}, expected some of {', '.join(WORDS)}{meant(name, WORDS)}"
+            )
+    if contours is not None:
+        names.append("contours")
+    return [name for name in FILES if name in names]
+
+
+def hrefs(names: Sequence[str]) -> list[str]:
+    """All files that will be written."""
+    return [href for name in names for href in FILES[name].values()]
+
+
+__all__ = ["FILES", "LIBRARIES", "WORDS", "hrefs", "parse_names"]
