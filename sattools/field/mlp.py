@@ -55,7 +55,7 @@ class MlpField:
             self.heads |= {"tau", "beta"}
         # the papers' rays are scaled to unit length; a box of this many metres has optical depth 1 at density 1
         self.per_metre = 2.0 / (box.high[2] - box.low[2])
-        random = torch.Generator().manual_seed(seed)
+        random = torch.Generator("cpu").manual_seed(seed)  # the same first weights on every device
         wide = self.network.width
         inputs = 3 + 6 * network.frequencies
         self.trunk = [
@@ -88,8 +88,8 @@ class MlpField:
         if self.network.siren:
             scale = 1 / inputs if first else (6 / inputs) ** 0.5
         with torch.no_grad():
-            layer.weight.copy_((2 * torch.rand(outputs, inputs, generator=random) - 1) * scale)
-            layer.bias.copy_((2 * torch.rand(outputs, generator=random) - 1) * bound)
+            layer.weight.copy_((2 * torch.rand(outputs, inputs, generator=random, device="cpu") - 1) * scale)
+            layer.bias.copy_((2 * torch.rand(outputs, generator=random, device="cpu") - 1) * bound)
         return layer
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:

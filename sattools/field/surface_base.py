@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -32,6 +32,10 @@ class SurfaceBase:
     height: Tensor
     colour: Tensor
     softness: float
+
+    def to(self, device: torch.device) -> SurfaceBase:
+        """The same on a device."""
+        return replace(self, height=self.height.to(device), colour=self.colour.to(device))
 
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Density ``[N]`` per metre and colour ``[N, C]`` at points ``[N, 3]`` [m]."""

@@ -44,7 +44,11 @@ class DepthPrior:
         height, confidence = (
             torch.from_numpy(resize_map(m.numpy(), self.grid, grid)) for m in (self.height, self.confidence)
         )
-        return DepthPrior(height.to(device), confidence.to(device), grid)
+        return DepthPrior(height, confidence, grid).to(device or torch.device("cpu"))
+
+    def to(self, device: torch.device) -> DepthPrior:
+        """The same on a device."""
+        return DepthPrior(self.height.to(device), self.confidence.to(device), self.grid)
 
     def median_height(self) -> float:
         """Median of the known heights [m]."""

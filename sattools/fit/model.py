@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
 from torch import Tensor
 
 from sattools.camera.view_direction import ViewDirection
@@ -105,6 +106,12 @@ class FittedModel:
     def illumination(self) -> IlluminationOptions:
         """How the light was modelled."""
         return IlluminationOptions(self.shadow, self.transient)
+
+    def to(self, device: torch.device) -> FittedModel:
+        """The same with all tensors on a device."""
+        tensors = {f.name: getattr(self, f.name) for f in fields(self)}
+        moved: dict[str, Any] = {n: t.detach().to(device) for n, t in tensors.items() if isinstance(t, Tensor)}
+        return dataclasses.replace(self, **moved, extra={n: t.detach().to(device) for n, t in self.extra.items()})
 
     def image_maps(self) -> dict[str, Tensor]:
         """Maps ``[V, H, W]`` of every image that the model has, by name; shares of light in [0, 1]."""

@@ -28,13 +28,18 @@ class RayBatch:
 def stratified(rays: int, samples: int, random: torch.Generator | None) -> Tensor:
     """One share in [0, 1] in each of ``samples`` equal parts, ``[R, S]``; in the middle without a generator.
 
+    They are on the generator's device, or on torch's default one.
+
     Args:
         rays: number of rays.
         samples: number of samples per ray.
         random: random numbers, or None for the middles.
     """
-    inner = torch.full((rays, samples), 0.5) if random is None else torch.rand(rays, samples, generator=random)
-    return (torch.arange(samples) + inner) / samples
+    if random is None:
+        inner = torch.full((rays, samples), 0.5)
+    else:
+        inner = torch.rand(rays, samples, generator=random, device=random.device)
+    return (torch.arange(samples, device=inner.device) + inner) / samples
 
 
 def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator | None) -> Tensor:
@@ -47,10 +52,11 @@ def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator | No
         random: random numbers, or None for the middles of equally likely parts.
     """
     if random is None:
-        middles = torch.special.ndtri((torch.arange(samples, dtype=torch.float64) + 0.5) / samples)
+        shares = (torch.arange(samples, dtype=torch.float64, device=mean.device) + 0.5) / samples
+        middles = torch.special.ndtri(shares)
         normal = middles.to(mean).expand(len(mean), samples)
     else:
-        normal = torch.randn(len(mean), samples, generator=random).clamp(-3, 3)
+        normal = torch.randn(len(mean), samples, generator=random, device=random.device).clamp(-3, 3)
     return (mean[:, None] + std[:, None] * normal).clamp(0, 1)
 
 

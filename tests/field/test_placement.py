@@ -1,5 +1,6 @@
 """Every field and loss computes where its tensors are: `meta` has shapes and a place, no values, and does not mix."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,8 +13,13 @@ from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase
 from sattools.field.voxel import VoxelField
 from sattools.fit.losses import photometric
-from sattools.fit.rays.trainer import beta_loss, depth_loss, solar_correction
-from sattools.render.volume import RayBatch, composite, median_share, towards_sun
+from sattools.fit.options import FitOptions
+from sattools.fit.presets import PRESETS
+from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.start import make_field
+from sattools.fit.rays.trainer import RaySet, RayTrainer, beta_loss, depth_loss, solar_correction
+from sattools.render.volume import RayBatch, composite, guided, median_share, stratified, towards_sun
+from sattools.scene import Grid
 
 META = torch.device("meta")
 BOX = Box((0.0, -8.0, 0.0), (8.0, 0.0, 20.0))
@@ -73,3 +79,48 @@ def test_mixed_places_are_noticed() -> None:
     """Or this file would test nothing."""
     with pytest.raises(RuntimeError):
         fields()["neural"].density(torch.zeros(5, 3))
+
+
+def trainer_on_meta(options: FitOptions) -> RayTrainer:
+    """A field as its preset makes it, and twelve rays of three images, the last of which has no sun."""
+    count, views = 12, 3
+    one, three = torch.full((count,), 0.5), torch.full((count, 3), 0.5)
+    suns = torch.tensor([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [torch.nan] * 3])
+    sights = torch.tensor([[0.0, 0.0, 1.0]]).expand(views, 3)
+    rays = RaySet(three, three, three, torch.arange(count) % views, one, one, one, three, suns, sights, 20.0).to(META)
+    with META:
+        surface = torch.zeros(8, 8), torch.zeros(8, 8, 3)
+        start = SurfaceBase(BOX, *surface, 0.5) if options.field != "voxel" and options.start == "prior" else None
+        grid = Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8)
+        field = make_field(options, grid, (0.0, 20.0), 5.0, 3, None, base=start)
+        return RayTrainer(field, rays, options, torch.ones(views, 3), torch.zeros(views, 3))
+
+
+@pytest.mark.parametrize("name", [*(name for name in PRESETS if name != "fast"), "neural", "voxel"])
+def test_a_training_step_of_every_preset_stays_on_its_device(name: str) -> None:
+    given = {"field": name, "shadow": "geometric", "transient": "off"} if name in ("neural", "voxel") else PRESETS[name]
+    options = replace(FitOptions(), **given)
+    options = replace(options, samples=4, guided=3, width=16, depth_weight=1.0)
+    trainer = trainer_on_meta(options)
+    with META:
+        loss, extra = trainer.losses(torch.zeros(5, dtype=torch.long), 6, 0.9, None)
+        (loss + extra).backward()
+        trainer.adam.step()
+    assert loss.device == META
+    moved = [n for n, tensor in trainer.tensors.items() if tensor.grad is not None and tensor.grad.device == META]
+    assert len(moved) >= len(trainer.field.named_tensors()) // 2
+
+
+def test_reading_off_a_field_stays_on_its_device() -> None:
+    options = replace(FitOptions(), **PRESETS["eonerf"], width=16)
+    with META:
+        maps = read_maps(trainer_on_meta(options), Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8), (0.0, 20.0))
+    assert {maps.height.device, maps.albedo.device, *(image.device for image in maps.images.values())} == {META}
+
+
+def test_random_samples_are_where_their_generator_is() -> None:
+    random = torch.Generator("cpu").manual_seed(0)
+    with META:  # the default device would be another
+        shares = stratified(3, 4, random)
+        near = guided(torch.full((3,), 0.5, device="cpu"), torch.full((3,), 0.1, device="cpu"), 4, random)
+    assert shares.device == near.device == torch.device("cpu")

@@ -58,7 +58,7 @@ def fit_rays(
         sources: the training images.
         options: of the fit.
         prior: depth supervision, or None.
-        device: asked for; the fields run on the CPU.
+        device: where the field is trained and read off.
         progress: told the share done.
         radiance: what the images' numbers are.
 
@@ -73,7 +73,7 @@ def fit_rays(
     z_ref = reference_height(prior, z_range)
     views = views_on(sources, grid, z_ref, z_range)
     prior_here = None if prior is None else filled_prior(prior, grid)
-    rays = ray_set(views, grid, z_range, prior_here)
+    rays = ray_set(views, grid, z_range, prior_here).to(device)
     absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
     if absolute:  # the images have one scale already
@@ -84,13 +84,16 @@ def fit_rays(
     if warm:
         assert prior_here is not None  # `check`
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
-    field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], prior_here, base=base)
-    steps = STEPS.get(options.field, FieldSteps())
-    trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
-    notes = ["computed on the CPU, where this field runs alone"] if device.type != "cpu" else []
-    job = _RayJob(scene.output(CHECKPOINT), fingerprint(scene, options, sources, prior), trainer, grid, z_range, trace)
-    notes += job.run(options, progress)
-    return Fitted(_model_of(trainer, base, views, grid, z_range), trace, notes)
+        base = base.to(device)
+    with device:  # whatever is made from here on, is made there
+        first = None if prior_here is None else prior_here.to(device)
+        field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], first, base=base)
+        steps = STEPS.get(options.field, FieldSteps())
+        trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
+        mark = fingerprint(scene, options, sources, prior)
+        notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
+        model = _model_of(trainer, base, views, grid, z_range)
+    return Fitted(model.to(torch.device("cpu")), trace, notes)
 
 
 def _model_of(
@@ -226,7 +229,7 @@ class _RayJob:
             due = done % (SAVE_EVERY * every) == 0 or trace.seconds() - saved_at >= SAVE_EVERY_S
             if due and done < options.steps and not over:
                 saved_at = trace.seconds()
-                trainer.unsaid = torch.tensor([total, count], dtype=torch.float64)
+                trainer.unsaid = torch.tensor([total, count], dtype=torch.float64, device="cpu")
                 Interrupted(trainer.state(), self.fingerprint, trace.rows, step=done).save(self.path)
             if over:
                 return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"]
@@ -254,7 +257,7 @@ class _RayJob:
 
         pause = time.perf_counter()
         height = read_maps(self.trainer, self.grid, self.z_range, per_image=False).height
-        error = float(compare_dsm(height.numpy(), read_reference(reference), self.grid).figures["mae"])
+        error = float(compare_dsm(height.cpu().numpy(), read_reference(reference), self.grid).figures["mae"])
         self.trace.started += time.perf_counter() - pause  # watching must not count as fitting
         return {"mae_m": error}
 

@@ -39,6 +39,7 @@ class RaySet:
         normal: ``[P, 3]`` of the prior's surface there.
         suns: ``[V, 3]`` unit vectors, nan where unknown; sights: ``[V, 3]`` unit vectors to the sensor.
         top: height of the starts [m].
+        with_depth: whether any confidence is above 0.
     """
 
     start: Tensor
@@ -52,6 +53,13 @@ class RaySet:
     suns: Tensor
     view_vectors: Tensor
     top: float
+    with_depth: bool = True
+
+    def to(self, device: torch.device) -> RaySet:
+        """The same on a device."""
+        tensors = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        moved: dict[str, Any] = {n: t.to(device) for n, t in tensors.items() if isinstance(t, Tensor)}
+        return replace(self, **moved)
 
 
 @dataclass(frozen=True)
@@ -116,9 +124,11 @@ class RayTrainer:
         self.radiance = radiance
         self.gauge = slice(1) if radiance == "relative" else slice(None)  # images whose gain and offset stay
         views = len(rays.suns)
-        random = torch.Generator().manual_seed(options.seed)
+        self.device = rays.target.device
+        gain, offset = gain.to(self.device), offset.to(self.device)
+        random = torch.Generator("cpu").manual_seed(options.seed)  # the same beginning on every device
         self.colour = {"gain": gain.clone(), "offset": offset.clone(), "ambient": torch.full_like(gain, 0.2)}
-        self.embedding = 0.01 * torch.randn(views, EMBEDDING, generator=random).to(gain)
+        self.embedding = 0.01 * torch.randn(views, EMBEDDING, generator=random, device="cpu").to(gain)
         self.tensors: dict[str, Tensor] = {f"field.{n}": t for n, t in field.named_tensors().items()}
         self.tensors |= {f"colour.{n}": t for n, t in self.colour.items()} | {"embedding": self.embedding}
         groups = []
@@ -129,7 +139,9 @@ class RayTrainer:
             begin = field_steps.begin.get(name.removeprefix("field."), 0.0)
             groups.append({"params": [tensor], "lr": rate, "initial": rate, "begin": begin})
         self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon)
-        self.unsaid = torch.zeros(2, dtype=torch.float64)  # loss and steps since the last row of the trace
+        self.unsaid = torch.zeros(
+            2, dtype=torch.float64, device="cpu"
+        )  # loss and steps since the last row of the trace
         self.plan(options.steps)
 
     def plan(self, steps: int) -> None:
@@ -141,14 +153,14 @@ class RayTrainer:
     def step(self, number: int) -> float:
         """One step; its photometric loss."""
         options, rays = self.options, self.rays
-        random = torch.Generator().manual_seed(options.seed * 1_000_003 + number)
+        random = torch.Generator(self.device).manual_seed(options.seed * 1_000_003 + number)
         epoch = number // self.epoch_steps + 1
         for group in self.adam.param_groups:
             begun = number >= group["begin"] * self.steps
             group["lr"] = group["initial"] * DECAY ** (epoch - 1) if begun else 0.0
-        chosen = torch.randint(len(rays.target), (options.rays,), generator=random)
+        chosen = torch.randint(len(rays.target), (options.rays,), generator=random, device=self.device)
         self.adam.zero_grad(set_to_none=True)
-        loss, extra = self._losses(chosen, epoch, number / self.steps, random)
+        loss, extra = self.losses(chosen, epoch, number / self.steps, random)
         (loss + extra).backward()
         for name in ("gain", "offset"):
             grad = self.colour[name].grad
@@ -160,9 +172,10 @@ class RayTrainer:
             self.colour["gain"].clamp_(0.05, 20.0)
         return float(loss.detach())
 
-    def _losses(
-        self, chosen: Tensor, epoch: int, share: float, random: torch.Generator
+    def losses(
+        self, chosen: Tensor, epoch: int, share: float, random: torch.Generator | None
     ) -> tuple[Tensor, Tensor | float]:
+        """Photometric loss of rays, and everything else that is held against the field; arguments as of `predict`."""
         options, rays = self.options, self.rays
         seen = self.predict(chosen, epoch, share, random)
         error = photometric(options.loss, seen.colour, rays.target[chosen], options.robust)
@@ -171,7 +184,7 @@ class RayTrainer:
         else:
             loss = error.mean()
         extra, confidence = seen.penalty, rays.confidence[chosen]
-        if options.depth_weight > 0 and bool((confidence > 0).any()):
+        if options.depth_weight > 0 and rays.with_depth:
             depths = (seen.depth, rays.depth[chosen])
             extra = extra + options.depth_weight * depth_loss(
                 seen.weights, seen.t, *depths, confidence, rays.depth_std[chosen]
@@ -247,7 +260,7 @@ class RayTrainer:
                 with torch.no_grad():
                     cast = self._towards_sun(surface, sun, random)
                 only = epoch > FIRST_EPOCH + WARM_UP_EPOCHS
-                extra = extra + weight * shadow_regularisation(s[known, 0], cast[known, 0], only_shadowed=only)
+                extra = extra + weight * shadow_regularisation(s[:, 0], cast[:, 0], only, counted=known)
             if options.solar_weight > 0:
                 extra = extra + options.solar_weight * self._solar_correction(surface, sun, random)
         elif epoch >= FIRST_EPOCH:
@@ -300,7 +313,7 @@ class RayTrainer:
     def state(self) -> dict[str, Tensor]:
         """Everything that a continued run needs, as flat tensors: weights, colours and Adam's moments."""
         tensors = {n: t.detach().cpu().clone() for n, t in self.tensors.items()}
-        tensors |= {"planned": torch.tensor(self.steps), "unsaid": self.unsaid.clone()}
+        tensors |= {"planned": torch.tensor(self.steps, device="cpu"), "unsaid": self.unsaid.clone()}
         for name, tensor in self.tensors.items():
             for key, value in self.adam.state.get(tensor, {}).items():
                 tensors[f"adam.{name}.{key}"] = torch.as_tensor(value).detach().cpu().clone()
@@ -363,7 +376,7 @@ def concatenated(parts: Sequence[RaySet]) -> RaySet:
     """Rays of several views as one set; suns and sights are taken from the first, which knows them all."""
     names = ("start", "path", "target", "view", "depth", "confidence", "depth_std", "normal")
     joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
-    return replace(parts[0], **joined)
+    return replace(parts[0], **joined, with_depth=bool((joined["confidence"] > 0).any()))
 
 
 __all__ = ["Prediction", "RaySet", "RayTrainer", "beta_loss", "concatenated", "depth_loss", "solar_correction"]

@@ -33,19 +33,22 @@ def shadow_weight(options: FitOptions) -> float:
     return WEIGHT_RAW if options.loss.startswith("raw") else WEIGHT_PLAIN
 
 
-def shadow_regularisation(net: Tensor, geometric: Tensor, only_shadowed: bool) -> Tensor:
+def shadow_regularisation(net: Tensor, geometric: Tensor, only_shadowed: bool, counted: Tensor | None = None) -> Tensor:
     """mean[M s_net^2 + (1 - M) (1 - s_net)^2] with M = 1 where s_geo < 0.5 (HDR satellite NeRF, eq. 9 and 10).
 
     Args:
         net: learned visibility in [0, 1], any shape.
         geometric: visibility by geometry, same shape; without gradient.
         only_shadowed: mean over the places with s_net <= 0.5 alone (after the warm-up); 0 if there are none.
+        counted: bool, places that the mean is over; None = all.
     """
     shadowed = (geometric.detach() < 0.5).to(net.dtype)
     error = shadowed * net**2 + (1 - shadowed) * (1 - net) ** 2
-    if not only_shadowed:
+    if not only_shadowed and counted is None:
         return error.mean()
-    where = (net.detach() <= MAY_BE_SHADOWED).to(net.dtype)
+    where = torch.ones_like(net) if counted is None else counted.to(net.dtype)
+    if only_shadowed:
+        where = where * (net.detach() <= MAY_BE_SHADOWED)
     return (error * where).sum() / where.sum().clamp_min(1)
 
 
