@@ -17,7 +17,8 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import write_cog
+from sattools.scene.raster import read_raster, write_cog
+from sattools.scene.regrid import reproject_map
 
 if TYPE_CHECKING:
     from sattools.fit.model import FittedModel
@@ -26,7 +27,7 @@ log = logging.getLogger(__name__)
 # what the model may hold per image
 IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
-VALIDITY = "export/validity.tif"
+VALIDITY, PROBABILITY = "export/validity.tif", "export/probability.tif"
 
 
 def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
@@ -59,6 +60,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     progress(0.1, "DSM")
     datum = _write_heights(exported, options.vertical)
     fractions = None if validity is None else _write_validity(scene, validity, model.grid)
+    _write_probability(exported)
     progress(0.3, "albedo")
     _write_albedo(exported)
     scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
@@ -125,13 +127,32 @@ def _write_validity(scene: Scene, validity: np.ndarray, grid: Grid) -> dict[str,
     return {name: round(float((validity == kind).mean()), 4) for name, kind in kinds.items()}
 
 
+def _write_probability(exported: Exported) -> None:
+    """Write the prior's probability of less than 1 m of error, on the model's grid; nothing where the prior has none.
+
+    A fit that starts from matching corrects its heights by less than that nearly everywhere.
+    """
+    scene, model = exported.scene, exported.model
+    if "prior_probability" not in scene.products:
+        return
+    path = scene.path(scene.products["prior_probability"])
+    own, grid = read_raster(path)
+    if own.shape[0] != 1:
+        raise InputError(f"{path}: found {own.shape[0]} bands, expected one as prior_probability has")
+    probability = exported.shown(reproject_map(own[0], grid, model.grid))
+    tags = {"METHOD": "of the prior, see prior_probability", "SOFTWARE": "sattools"}
+    about = ["probability of less than 1 m of error"]
+    write_cog(scene.output(PROBABILITY), probability, model.grid, units="1", tags=tags, descriptions=about)
+    scene.products["probability"] = PROBABILITY
+
+
 def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[str]:
     """All files that will be written."""
     from sattools.export.material import material_names
     from sattools.export.novel import RELIT, view_href
 
     ids = {item.id for item in scene.items}
-    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY]
+    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, PROBABILITY]
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
     hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
     hrefs += [view_href("rendered", name) for name in options.view]

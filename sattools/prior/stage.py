@@ -15,6 +15,8 @@ from sattools.prior.matching.match import Match, margin_for, match
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
+from sattools.prior.probability import METHOD as PROBABILITY_METHOD
+from sattools.prior.probability import height_probability
 from sattools.prior.project import seen_by
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
@@ -36,6 +38,7 @@ from sattools.views.check import check_extent
 
 log = logging.getLogger(__name__)
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
+PROBABILITY = "prior/probability.tif"
 Z_REF_SHARE = 0.3  # share of the height range below the reference height: most of a scene is near the ground
 
 REFERENCE_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
@@ -49,7 +52,7 @@ def prior(
     implicit: bool = False,
     sources: list[Source] | None = None,
 ) -> JsonObject:
-    """Match the scene's training images; writes height, confidence and normals below ``prior/`` of the root.
+    """Match the scene's training images; writes height, confidence, probability, normals below ``prior/`` of the root.
 
     Args:
         scene: gets the products.
@@ -67,7 +70,7 @@ def prior(
         OutputExistsError: a product exists and ``overwrite`` is False.
     """
     items = scene.train_items()
-    outputs = [DSM, CONFIDENCE, NORMALS]
+    outputs = [DSM, CONFIDENCE, PROBABILITY, NORMALS]
     if options.per_image:
         outputs += [_per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
     begin(scene, "prior", outputs, overwrite)
@@ -114,7 +117,9 @@ def prior(
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
-    """Write height [m] and confidence, both ``[H, W]``, and the height's normals as the scene's prior.
+    """Write height [m] and confidence, both ``[H, W]``, and what follows from them, as the scene's prior.
+
+    That is the probability of a height to be less than 1 m off, and its normals.
 
     Args:
         scene: gets the products.
@@ -122,7 +127,7 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
         confidence: ``[H, W]`` in [0, 1].
         grid: of the maps.
     """
-    targets = {name: scene.output(name) for name in (DSM, CONFIDENCE, NORMALS)}
+    targets = {name: scene.output(name) for name in (DSM, CONFIDENCE, PROBABILITY, NORMALS)}
     tags = {"VERTICAL_DATUM": "WGS84 ellipsoid", "SOFTWARE": "sattools"}
     write_cog(targets[DSM], height, grid, units="m", tags=tags, descriptions=["height"])
     write_cog(
@@ -133,10 +138,20 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
         tags={"SOFTWARE": "sattools"},
         descriptions=["confidence"],
     )
+    write_cog(
+        targets[PROBABILITY],
+        height_probability(confidence, grid.cell_size),
+        grid,
+        units="1",
+        tags={"METHOD": PROBABILITY_METHOD, "SOFTWARE": "sattools"},
+        descriptions=["probability of less than 1 m of error"],
+    )
     names = ["normal east", "normal north", "normal up"]
     slant = normals(height, grid.cell_size)
     write_cog(targets[NORMALS], slant, grid, units="1", tags={"SOFTWARE": "sattools"}, descriptions=names)
-    scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
+    scene.products.update(
+        prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_probability=PROBABILITY, prior_normals=NORMALS
+    )
 
 
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
