@@ -3,18 +3,21 @@
     python benchmarks/facades.py SCENE/scene.json DSM [--product dsm]
 
 Scenes are scored after registration as `sattools compare` does it; what a wall and its place are says
-`sattools.compare.facades`.
+`sattools.compare.facades`. After all walls come those of less than 15 m, of 15 to 50 m, and the higher ones.
 """
 
 from __future__ import annotations
 
 import argparse
+from itertools import pairwise
 from pathlib import Path
 
 from sattools.compare import compare_dsm, read_reference
 from sattools.compare.facades import wall_figures, wall_offsets
 from sattools.scene import Scene
 from sattools.scene.raster import raster_grid
+
+GROUPS_M = (0.0, 15.0, 50.0, float("inf"))
 
 
 def main() -> None:
@@ -30,13 +33,15 @@ def main() -> None:
         path = scene.path(scene.products[name])
         result = compare_dsm(path, truth)
         registered = truth.heights + result.difference
-        f = wall_figures(wall_offsets(registered, truth.heights, truth.grid.cell_size, truth.classes))
-        cell = raster_grid(path).cell_size
-        print(
-            f"{options.scene}: {name} (cells of {cell:g} m), {f['pieces']} pieces of wall: "
-            f"median {f['median']:.2f} m, 90 % within {f['p90']:.2f} m, {f['mean']:+.2f} m outward, "
-            f"none found at {100 * f['missing']:.1f} %"
-        )
+        print(f"{options.scene}: {name} (cells of {raster_grid(path).cell_size:g} m)")
+        for heights in [(0.0, GROUPS_M[-1]), *pairwise(GROUPS_M)]:
+            f = wall_figures(wall_offsets(registered, truth.heights, truth.grid.cell_size, truth.classes, heights))
+            if f["median"] is not None:
+                print(
+                    f"  {heights[0]:g} to {heights[1]:g} m, {f['pieces']} pieces of wall: median {f['median']:.2f} m, "
+                    f"90 % within {f['p90']:.2f} m, {f['mean']:+.2f} m outward, "
+                    f"none found at {100 * f['missing']:.1f} %"
+                )
 
 
 if __name__ == "__main__":

@@ -1,14 +1,15 @@
 """What does a choice of the prior do beside height steps? Variants on several scenes, every measure for each.
 
     python benchmarks/steps.py SCENE/scene.json=REFERENCE.tif[@REGION] ... [--variant 'NAME: OPTION=VALUE ...'] ...
-        [--average METRES] [--fit] [--out FILE.json]
+        [--average METRES] [--fit] [--detail] [--out FILE.json]
 
 Scenes come from `sattools prep`; a reference is anything that `sattools compare --dsm` takes, `X_CLS.tif` beside
 `X_DSM.tif` is its class map. Variants are options of `sattools prior`, such as `--variant 'flat: rough_passes=0'`, or
 parts that no option switches off (means over neighbours, suns, courtyards, consistency), such as `--variant 'raw:
 means=0'`; the defaults are always the first. Columns: mean absolute error by the protocol; the same about the median;
 each at most 5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU seconds of
-matching (NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
+matching (--detail adds the errors by class and the walls' mean place outward, and what 90 % keep, by height;
+NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -28,6 +30,7 @@ from unittest.mock import patch
 import numpy as np
 
 from sattools.compare import Truth, compare_dsm, read_reference
+from sattools.compare.facades import wall_figures, wall_offsets
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
@@ -38,8 +41,10 @@ from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
 from sattools.scene.raster import read_raster
+from sattools.scene.regrid import reproject_map
 from sattools.views import load_sources
 
+WALLS_M = (3.0, 15.0, 50.0, np.inf)
 # parts of the prior that no option switches off: `--variant 'NAME: PART=0'`
 PARTS: dict[str, tuple[str, Any]] = {
     "means": ("sattools.prior.matching.match.mean_of_neighbours", lambda height, doubt: height),
@@ -113,8 +118,8 @@ def averaged(height: np.ndarray, grid: Grid, cell: float) -> tuple[np.ndarray, G
     return mean.astype(np.float32), Grid(grid.crs, grid.left, grid.top, grid.cell_size * n, cols, rows)
 
 
-def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, Grid]:
-    """The surface that `sattools fit` makes of this prior, with its defaults."""
+def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, np.ndarray, Grid]:
+    """The surface that `sattools fit` makes of this prior, with its defaults, and its standard deviation [m]."""
     from sattools.export.options import ExportOptions
     from sattools.export.stage import export
     from sattools.fit.options import FitOptions
@@ -126,17 +131,54 @@ def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, Grid]:
         fit(copy, FitOptions())
         export(copy, ExportOptions())
         height, own = read_raster(copy.path(copy.products["dsm"]))
-    return height[0], own
+        std, _ = read_raster(copy.path(copy.products["dsm_std"]))
+    return height[0], std[0], own
 
 
-def row(name: str, height: np.ndarray, grid: Grid, truth: Truth, seconds: float | None = None) -> dict[str, Any]:
+def coverage(figures: dict[str, Any], difference: np.ndarray, std: np.ndarray, grid: Grid, truth: Truth) -> str:
+    """Share of the errors (about their median) within one and two standard deviations."""
+    east, north, _ = figures["shift_m"]
+    moved = Grid(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
+    error = np.abs(difference - np.nanmedian(difference))
+    sigmas = error / reproject_map(std, moved, truth.grid)
+    known = np.isfinite(sigmas)
+    figures["coverage"] = [float((sigmas[known] < n).mean()) for n in (1, 2)]
+    return "      within 1, 2 dsm_std: " + ", ".join(f"{100 * share:.0f} %" for share in figures["coverage"])
+
+
+def detail(figures: dict[str, Any], registered: np.ndarray, truth: Truth) -> str:
+    """Errors by class, places of walls by height."""
+    parts = [f"{name} {of['mae']:.2f}" for name, of in figures["classes"].items() if of.get("mae") is not None]
+    for heights in pairwise(WALLS_M):
+        of = wall_figures(wall_offsets(registered, truth.heights, truth.grid.cell_size, truth.classes, heights))
+        figures[f"walls_{heights[0]:g}"] = of
+        if of["median"] is not None:
+            parts.append(f"walls from {heights[0]:g} m {of['mean']:+.2f} ({of['p90']:.2f}, {of['pieces']})")
+    return "      " + ", ".join(parts)
+
+
+def row(
+    name: str,
+    height: np.ndarray,
+    grid: Grid,
+    truth: Truth,
+    seconds: float | None = None,
+    *,
+    more: bool = False,
+    std: np.ndarray | None = None,
+) -> dict[str, Any]:
     """Score, print, return."""
-    figures = compare_dsm(height, truth, grid).figures
+    compared = compare_dsm(height, truth, grid)
+    figures = compared.figures
     near, away = figures["near_steps"], figures["away_from_steps"]
     values = [figures["mae"], figures["mae_centred"], figures["mae_capped_5m"]]
     text = " ".join(f"{value:6.3f}" for value in values)
     text += f" {near['signed']:+6.2f} {near['absolute']:6.3f} {away['absolute']:6.3f} {figures['median']:6.3f}"
     print(f"{name:34s} {text}" + (f" {seconds:6.1f} s" if seconds is not None else ""), flush=True)
+    if more:
+        print(detail(figures, truth.heights + compared.difference, truth), flush=True)
+    if std is not None:
+        print(coverage(figures, compared.difference, std, grid, truth), flush=True)
     return {"name": name, "seconds": seconds, **figures}
 
 
@@ -146,6 +188,7 @@ def main() -> None:
     parser.add_argument("--variant", action="append", default=[], metavar="'NAME: OPTION=VALUE ...'")
     parser.add_argument("--average", type=float, help="also score the prior averaged to these cells [m]")
     parser.add_argument("--fit", action="store_true", help="also score the fit that starts from it")
+    parser.add_argument("--detail", action="store_true", help="errors by class, places of walls by height")
     parser.add_argument("--out", type=Path, help="all figures as JSON")
     options = parser.parse_args()
     variants = [variant("as it is"), *map(variant, options.variant)]
@@ -159,11 +202,12 @@ def main() -> None:
         for name, changed in variants:
             with switched(changed) as prior_options:
                 found, grid, seconds = matched(scene, prior_options)
-            rows.append(row(f"  {name}", found.height, grid, truth, seconds))
+            rows.append(row(f"  {name}", found.height, grid, truth, seconds, more=options.detail))
             if options.average:
                 rows.append(row("    averaged", *averaged(found.height, grid, options.average), truth))
             if options.fit:
-                rows.append(row("    fitted", *fitted(scene, found, grid), truth))
+                height, std, own = fitted(scene, found, grid)
+                rows.append(row("    fitted", height, own, truth, more=options.detail, std=std))
     if options.out:
         write_text(options.out, json.dumps(table, indent=1) + "\n")
 

@@ -9,9 +9,9 @@ from typing import Any
 ALGORITHMS = {
     "prep": ("Prepare images", ("footprints", "tie_points")),
     "normalise": ("Normalise radiance", ()),
-    "prior": ("Match images (prior)", ("prior_dsm", "prior_confidence")),
+    "prior": ("Match images (prior)", ("prior_dsm", "prior_confidence", "prior_probability")),
     "fit": ("Fit scene", ()),
-    "export": ("Export maps", ("dsm", "dsm_std", "albedo", "w", "b", "c", "theta")),
+    "export": ("Export maps", ("dsm", "dsm_std", "probability", "albedo", "w", "b", "c", "theta")),
     "compare": ("Compare with a reference", ("difference",)),
     "simulate": ("Simulate scene", ()),
 }

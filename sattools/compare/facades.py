@@ -18,7 +18,11 @@ SAMPLES_PER_CELL = 8
 
 
 def wall_offsets(
-    predicted: np.ndarray, reference: np.ndarray, cell: float, classes: np.ndarray | None = None
+    predicted: np.ndarray,
+    reference: np.ndarray,
+    cell: float,
+    classes: np.ndarray | None = None,
+    heights: tuple[float, float] = (0.0, np.inf),
 ) -> np.ndarray:
     """Signed distance of each piece of wall from where a prediction has it.
 
@@ -32,6 +36,7 @@ def wall_offsets(
         reference: ``[H, W]`` heights with vertical walls [m], NaN = unknown.
         cell: edge of a cell [m].
         classes: ``[H, W]`` class codes; walls with trees (5) on a plateau do not count.
+        heights: between which the plateaus differ [m]; all walls of more than 3 m if not given.
 
     Returns:
         ``[N]`` float64 offsets [m], outward positive (the building is too large); NaN where the prediction has no wall.
@@ -64,7 +69,7 @@ def wall_offsets(
     bottom, top = (np.median(profile[:, part], axis=1) for part in (low, high))
     middle = 0.5 * (bottom + top)
     true_place = _rising(s, profile, middle, np.zeros(len(at)))
-    good = top - bottom > STEP_M
+    good = (top - bottom > STEP_M) & (top - bottom >= heights[0]) & (top - bottom < heights[1])
     for aside in (-LATERAL_M, 0.0, LATERAL_M):
         beside = cut(reference, aside)
         good &= np.ptp(beside[:, low], axis=1) <= FLAT_M

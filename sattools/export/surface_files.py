@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Block, Surroundings
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.datum import datum_name, to_datum, vertical_crs
@@ -16,14 +18,17 @@ from sattools.export.hillshade import write_picture
 from sattools.export.novel import view_href
 from sattools.export.validity import MEANING
 from sattools.fit.stored import StoredModel
-from sattools.scene import Asset, Scene
+from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter
+from sattools.scene.raster import raster_grid, read_raster
+from sattools.scene.regrid import reproject_map
 
 # what the model may hold per image
 IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
-VALIDITY = "export/validity.tif"
+VALIDITY, PROBABILITY = "export/validity.tif", "export/probability.tif"
 _PICTURE_CELLS = 3000  # along the longer edge of the picture
+_SPARE_CELLS = 4  # around a block, in which interpolation looks
 _SOFTWARE = {"SOFTWARE": "sattools"}
 
 
@@ -75,6 +80,11 @@ class SurfaceFiles:
         if validity:
             tags = {"MEANING": MEANING, **_SOFTWARE}
             about[VALIDITY] = {"dtype": np.uint8, "nodata": None, "tags": tags, "descriptions": ["validity"]}
+        # a fit that starts from matching corrects its heights by less than a metre nearly everywhere
+        self._prior = _prior_probability(scene)
+        if self._prior is not None:
+            tags = {"METHOD": "of the prior, see prior_probability", **_SOFTWARE}
+            about[PROBABILITY] = {"units": "1", "tags": tags, "descriptions": ["probability of less than 1 m of error"]}
         items = {item.id for item in scene.items}
         self._suns = [(name, sun) for name, sun in shadow_suns(head) if name in items]
         for name, _ in self._suns:
@@ -114,6 +124,8 @@ class SurfaceFiles:
         self._put(ALBEDO, exported.shown(model.albedo.permute(2, 0, 1).numpy()), block)
         if validity is not None:
             self._put(VALIDITY, validity, block)
+        if self._prior is not None:
+            self._put(PROBABILITY, exported.shown(_part_of(*self._prior, block.grid)), block)
         for name, sun in self._suns:
             lit = surface.lit(block, sun, False)
             self._put(view_href("shadow", name), np.where(exported.valid, lit < 0.5, 255).astype(np.uint8), block)
@@ -138,11 +150,36 @@ class SurfaceFiles:
         scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
         if VALIDITY in self._files:
             scene.products["validity"] = VALIDITY
+        if PROBABILITY in self._files:
+            scene.products["probability"] = PROBABILITY
         assets = [("shadow", name, view_href("shadow", name)) for name, _ in self._suns]
         assets += [(kind, name, href) for (kind, name), href in self._image_maps.items()]
         items = {item.id: item for item in scene.items}
         for kind, name, href in assets:
             items[name].assets[kind] = Asset(href)
+
+
+def _prior_probability(scene: Scene) -> tuple[Path, Grid] | None:
+    """File and grid of the prior's probability of less than 1 m of error; None where the prior has none."""
+    if "prior_probability" not in scene.products:
+        return None
+    path = scene.path(scene.products["prior_probability"])
+    return path, raster_grid(path)
+
+
+def _part_of(path: Path, grid: Grid, target: Grid) -> np.ndarray:
+    """A raster with one band ``[H, W]`` on a part of the ground."""
+    spare = _SPARE_CELLS * max(target.cell_size, grid.cell_size)
+    west, south, east, north = target.bounds
+    box = Grid.from_bounds(grid.crs, (west - spare, south - spare, east + spare, north + spare), grid.cell_size)
+    try:
+        part = grid.part(*grid.window(box))
+    except SceneError:
+        return np.full(target.shape, np.nan, np.float32)
+    array, own = read_raster(path, part)
+    if array.shape[0] != 1:
+        raise InputError(f"{path}: found {array.shape[0]} bands, expected one as prior_probability has")
+    return reproject_map(array[0], own, target)
 
 
 def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:
@@ -152,4 +189,4 @@ def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:
     return np.logical_or.reduce([np.isfinite(part).any(axis=(1, 2)) for part in parts])
 
 
-__all__ = ["ALBEDO", "DSM", "IMAGE_MAPS", "PICTURE", "STD", "VALIDITY", "SurfaceFiles"]
+__all__ = ["ALBEDO", "DSM", "IMAGE_MAPS", "PICTURE", "PROBABILITY", "STD", "VALIDITY", "SurfaceFiles"]

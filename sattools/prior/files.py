@@ -10,11 +10,13 @@ import numpy as np
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
+from sattools.prior.probability import MEANING, METHOD, height_probability
 from sattools.scene import Grid, Scene
 from sattools.scene.cog import CogWriter
 from sattools.scene.raster import read_raster, write_sensor_image
 
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
+PROBABILITY = "prior/probability.tif"
 
 
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
@@ -49,13 +51,16 @@ class MapFiles:
         datum = {"VERTICAL_DATUM": "WGS84 ellipsoid", **about}
         height: dict[str, Any] = {"units": "m", "tags": datum, "descriptions": ["height"]}
         trust: dict[str, Any] = {"units": "1", "tags": about, "descriptions": ["confidence"]}
+        method = {"METHOD": METHOD, **about}
+        probable: dict[str, Any] = {"units": "1", "tags": method, "descriptions": [f"probability of {MEANING}"]}
         names = ["normal east", "normal north", "normal up"]
         slant: dict[str, Any] = {"units": "1", "tags": about, "descriptions": names}
-        self.scene = scene
+        self.scene, self.grid = scene, grid
         self._stack = ExitStack()
         self._files = [
             CogWriter(scene.output(DSM), grid, **height),
             CogWriter(scene.output(CONFIDENCE), grid, **trust),
+            CogWriter(scene.output(PROBABILITY), grid, **probable),
             CogWriter(scene.output(NORMALS), grid, bands=3, **slant),
         ]
 
@@ -73,12 +78,14 @@ class MapFiles:
             slant: normals ``[3, h, W]``.
             rows: see above.
         """
-        for file, values in zip(self._files, (height, confidence, slant), strict=True):
+        probable = height_probability(confidence, self.grid.cell_size)
+        for file, values in zip(self._files, (height, confidence, probable, slant), strict=True):
             file.write(values, rows)
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
-        self.scene.products.update(prior_dsm=DSM, prior_confidence=CONFIDENCE, prior_normals=NORMALS)
+        names = {"dsm": DSM, "confidence": CONFIDENCE, "probability": PROBABILITY, "normals": NORMALS}
+        self.scene.products.update({f"prior_{name}": href for name, href in names.items()})
 
 
 def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np.ndarray, Grid]:
@@ -115,4 +122,4 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
     return arrays[0], arrays[1], grids[0]
 
 
-__all__ = ["CONFIDENCE", "DSM", "NORMALS", "MapFiles", "read_prior", "write_sensor_map"]
+__all__ = ["CONFIDENCE", "DSM", "NORMALS", "PROBABILITY", "MapFiles", "read_prior", "write_sensor_map"]

@@ -8,6 +8,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 STEP_M = 2.0  # height step between neighbours from which they may be two sides of a wall
+# across a step up to the first a wall may become a ramp, over the second not: a ramp is wrong on both sides of a wall
+# that stands upright, by the more the higher it is
+TALL_M = (10.0, 30.0)
 PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpolated
 FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
 SCALE_M = 20.0  # distance over which it is averaged
@@ -48,8 +51,8 @@ def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, pass
     """Heights averaged over neighbouring cells, across a step only as far as it may as well be elsewhere.
 
     A wall in the wrong place costs its whole height; where nothing says on which side of it a cell lies, the mean of
-    both sides is the height to expect. Opposite neighbours get the same weight, so that planes stay as they are, also
-    where they end at a wall.
+    both sides is the height to expect, unless one side stands towers above the other. Opposite neighbours get the same
+    weight, so that planes stay as they are, also where they end at a wall.
 
     Args:
         height: ``[H, W]`` [m]; NaN = none.
@@ -73,8 +76,10 @@ def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, pass
             for sign in (1, -1):
                 there = slice(1 + sign * down, 1 + sign * down + rows), slice(1 + sign * right, 1 + sign * right + cols)
                 near = around[there]
-                same = np.abs(near - here) <= STEP_M
-                crossing = np.where(np.isfinite(near), np.minimum(around_across[there], across), np.float32(0))
+                step = np.abs(near - here)
+                same = step <= STEP_M
+                low = np.clip((TALL_M[1] - step) / (TALL_M[1] - TALL_M[0]), 0, 1)
+                crossing = np.where(np.isfinite(near), np.minimum(around_across[there], across) * low, np.float32(0))
                 pair = np.minimum(pair, np.float32(share) * np.where(same, np.float32(1), crossing))
                 both += np.nan_to_num(near)
             total += pair * both

@@ -8,7 +8,7 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.confidence import match_confidence
-from sattools.prior.files import CONFIDENCE, DSM, NORMALS, MapFiles, write_sensor_map
+from sattools.prior.files import CONFIDENCE, DSM, NORMALS, PROBABILITY, MapFiles, write_sensor_map
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
 from sattools.prior.matching.match import Match, margin_for, match
@@ -47,7 +47,7 @@ def prior(
     implicit: bool = False,
     sources: list[Source] | None = None,
 ) -> JsonObject:
-    """Match the scene's training images; writes height, confidence and normals below ``prior/`` of the root.
+    """Match the scene's training images; writes height, confidence, probability, normals below ``prior/`` of the root.
 
     Args:
         scene: gets the products.
@@ -65,7 +65,7 @@ def prior(
         OutputExistsError: a product exists and ``overwrite`` is False.
     """
     items = scene.train_items()
-    outputs = [DSM, CONFIDENCE, NORMALS]
+    outputs = [DSM, CONFIDENCE, PROBABILITY, NORMALS]
     if options.per_image:
         outputs += [_per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
     begin(scene, "prior", outputs, overwrite)
@@ -112,7 +112,9 @@ def prior(
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
-    """Write height [m] and confidence, both ``[H, W]``, and the height's normals as the scene's prior.
+    """Write height [m] and confidence, both ``[H, W]``, and what follows from them, as the scene's prior.
+
+    That is the probability of a height to be less than 1 m off, and its normals.
 
     Args:
         scene: gets the products.

@@ -34,7 +34,9 @@ MAPS = {
     "rho0": "amplitude rho0 [1]",
     "k": "bowl shape k [1]",
     "rhoc": "hot spot rhoc [1]",
+    "probability": "probability of less than 1 m of error [1]",
     "prior_confidence": "confidence of the prior [1]",
+    "prior_probability": "probability that the prior is less than 1 m off [1]",
 }
 _LENGTH = Maybe(Number())
 _ADJUSTMENT = Members(

@@ -34,6 +34,12 @@ def test_a_larger_building_has_its_walls_outside_by_as_much(grow: Any) -> None:
     assert offsets == pytest.approx(np.full(offsets.size, grow), abs=0.01)
 
 
+def test_walls_of_some_heights_alone() -> None:
+    assert wall_offsets(box(), box(), CELL, heights=(9.0, 11.0)).size == wall_offsets(box(), box(), CELL).size
+    assert wall_offsets(box(), box(), CELL, heights=(3.0, 10.0)).size == 0
+    assert wall_offsets(box(), box(), CELL, heights=(10.5, np.inf)).size == 0
+
+
 def test_parts_of_a_cell_are_seen() -> None:
     # the cells outside rise by 2 of 10 m; between their centres and the next ones the half height then lies at 3/8
     # of a cell instead of 1/2

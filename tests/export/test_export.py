@@ -17,7 +17,7 @@ from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import save
 from sattools.scene import Grid, Item, Scene
-from sattools.scene.raster import read_raster
+from sattools.scene.raster import read_raster, write_cog
 
 GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 60, 40)
 
@@ -71,6 +71,20 @@ def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene: Any) -> None:
     assert mask[0, 20, 10:19].tolist() == [0] * 9
     assert mask[0, 20, 31:].max() == 0
     assert "shadow" not in scene.items[1].assets
+
+
+def test_the_priors_probability_comes_along_on_the_cells_of_the_surface(scene: Any) -> None:
+    export(scene, ExportOptions())
+    assert "probability" not in scene.products
+    fine = Grid(GRID.crs, GRID.left, GRID.top, GRID.cell_size / 2, 2 * GRID.width, 2 * GRID.height)
+    prior = np.where(np.arange(fine.width) < GRID.width, 0.25, 0.75) * np.ones((fine.height, 1))
+    write_cog(scene.output("sure.tif"), prior.astype(np.float32), fine)
+    scene.products["prior_probability"] = "sure.tif"
+    export(scene, ExportOptions())
+    probability, grid = read_raster(scene.path(scene.products["probability"]))
+    assert grid == GRID
+    assert probability[0, 20, 5] == pytest.approx(0.25)
+    assert probability[0, 20, -5] == pytest.approx(0.75)
 
 
 def test_products_need_overwrite(scene: Any) -> None:

@@ -44,6 +44,15 @@ def test_a_wall_that_may_be_anywhere_becomes_a_ramp_around_its_place(wall: Any) 
     np.testing.assert_allclose(half[19] + half[20], 10.0, atol=1e-5)
 
 
+@pytest.mark.parametrize(("step", "share"), [(10.0, 5 / 16), (20.0, 0.28), (30.0, 0.0), (80.0, 0.0)])
+def test_the_taller_a_wall_the_less_it_becomes_a_ramp(step: float, share: float) -> None:
+    """Up to 10 m as wide as the means are, over 30 m not at all, in between less."""
+    flat = np.where(COLS < 20, 0.0, step).astype(np.float32)
+    found = mean_of_neighbours(flat, np.ones(flat.shape))[15]
+    assert found[19] / step == pytest.approx(share, abs=0.02)
+    assert found[19] + found[20] == pytest.approx(step, abs=1e-4)
+
+
 def test_doubt_on_one_side_alone_does_not_move_the_wall(wall: Any) -> None:
     doubt = np.where(COLS < 20, 1.0, 0.0)
     np.testing.assert_allclose(mean_of_neighbours(wall, doubt), wall, atol=1e-4)

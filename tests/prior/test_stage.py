@@ -31,7 +31,7 @@ def product(scene: Any, name: Any) -> Any:
 
 def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     scene, entry = matched
-    for name, bands in (("prior_dsm", 1), ("prior_confidence", 1), ("prior_normals", 3)):
+    for name, bands in (("prior_dsm", 1), ("prior_confidence", 1), ("prior_probability", 1), ("prior_normals", 3)):
         array, grid = product(scene, name)
         assert grid == scene.require_grid()
         assert array.shape == (bands, *grid.shape)
@@ -60,6 +60,21 @@ def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched: Any) -
     error = error[known][order]
     half = error.size // 2
     assert error[:half].mean() < 0.4 * error[half:].mean()
+
+
+def test_the_probability_is_about_the_share_of_heights_that_are_right_to_a_metre(matched: Any) -> None:
+    scene, _ = matched
+    truth = read_reference(scene.path(scene.products["truth_dsm"]))
+    height, grid = product(scene, "prior_dsm")
+    probability, _ = product(scene, "prior_probability")
+    error = np.abs(compare_dsm(height[0], truth, grid, method="none").difference)
+    known = np.isfinite(error)
+    assert probability.min() > 0.1
+    assert probability.max() < 1
+    right, said = error[known] < 1, probability[0][known]
+    # a town of six views, unlike any that the weights were found on
+    assert said.mean() == pytest.approx(right.mean(), abs=0.1)
+    assert right[said > 0.9].mean() > right[said < 0.6].mean() + 0.3
 
 
 def test_depth_per_image_is_the_height_that_its_pixel_sees(matched: Any) -> None:

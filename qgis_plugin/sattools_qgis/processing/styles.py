@@ -23,6 +23,8 @@ RAMPS = {
     "prior_dsm": ("Viridis", None, None),
     "dsm_std": ("Magma", 0.0, None),
     "prior_confidence": ("Cividis", 0.0, 1.0),
+    "prior_probability": ("Cividis", 0.0, 1.0),
+    "probability": ("Cividis", 0.0, 1.0),
     "w": ("Viridis", 0.0, 0.8),
     "b": ("Plasma", 0.0, 1.0),
     "c": ("Plasma", 0.0, 1.0),
