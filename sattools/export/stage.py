@@ -73,11 +73,10 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
             _image_maps(exported, name, description)
     if _needs_surface(options, model):
         _views(exported, options, subprogress(progress, 0.6, 0.7))
-    write_products(
-        scene, Wanted(wanted, options.vertical, datum, options.contours or 1.0), subprogress(progress, 0.7, 1.0)
-    )
+    products = Wanted(wanted, options.vertical, datum, options.contours or 1.0)
+    made = write_products(scene, model, products, subprogress(progress, 0.7, 1.0))
     progress(1.0, "exported")
-    return {"vertical_datum": datum, "validity": fractions, MADE: record(scene, "export")}
+    return {"vertical_datum": datum, "validity": fractions, "products": made, MADE: record(scene, "export")}
 
 
 def _read_model(scene: Scene, options: ExportOptions) -> FittedModel:

@@ -57,7 +57,7 @@ def write_with(path: Path, write: Callable[[Path], None], check: Callable[[Path]
         SattoolsError: the folder is not writable, the disk is full, or what was read back is not what was written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
+    temporary = scratch_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -79,6 +79,11 @@ def write_with(path: Path, write: Callable[[Path], None], check: Callable[[Path]
             raise
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def scratch_name(path: Path) -> Path:
+    """A new name beside a file, for what is on the way to it; what a killed process leaves there is cleaned up."""
+    return path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
 
 
 def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
@@ -333,6 +338,7 @@ __all__ = [
     "digest",
     "locked",
     "remove_orphans",
+    "scratch_name",
     "write_bytes",
     "write_figure",
     "write_text",

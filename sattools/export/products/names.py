@@ -11,6 +11,7 @@ FILES: dict[str, dict[str, str]] = {
     "laz": {"points": "export/points.laz"},
     "ply": {"points_ply": "export/points.ply"},
     "contours": {"contours": "export/contours.gpkg"},
+    "ortho": {"ortho": "export/ortho.tif", "ortho_source": "export/ortho_source.tif"},
 }
 ALWAYS = ("dsm", "albedo")  # may be named, though they are always written
 LIBRARIES = {"laz": ("laspy", "lazrs")}  # of the extra `products`
