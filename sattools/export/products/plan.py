@@ -18,7 +18,7 @@ from sattools.scene.jsonio import JsonObject
 if TYPE_CHECKING:
     from sattools.fit.model import FittedModel
 
-READ = ("dsm", "dsm_std", "albedo", "validity", "prior_confidence")
+READ = ("dsm", "dsm_std", "albedo", "validity", "prior_confidence", "ortho")
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ def write_products(scene: Scene, model: FittedModel, wanted: Wanted, progress: P
     if not wanted.names:
         return {}
     notes: JsonObject = {}
-    maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in scene.products})
     for k, name in enumerate(wanted.names):
         part = subprogress(progress, k / len(wanted.names), (k + 1) / len(wanted.names))
         part(0.0, name)
         files = {product: scene.output(href) for product, href in FILES[name].items()}
+        maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in scene.products})
         notes[name] = _MAKERS[name](_Order(scene, model, maps, files, wanted, part))
         scene.products.update(FILES[name])
     return notes
@@ -114,11 +114,28 @@ def _ortho(order: _Order) -> JsonObject:
     return dict(write_ortho(order.scene, order.model, order.maps, files, order.wanted.vertical, order.progress))
 
 
+def _mesh(order: _Order) -> JsonObject:
+    from sattools.export.products.model3d import make_model, write_glb, write_obj, write_tileset
+
+    model = make_model(order.maps, order.wanted.datum)
+    if "mesh" in order.files:
+        write_glb(order.files["mesh"], model)
+    elif "tileset" in order.files:
+        content = Path(FILES["mesh"]["mesh"]).name
+        write_tileset(order.files["tileset"], content, model, order.wanted.vertical)
+    else:
+        write_obj(order.files, model)
+    return {"vertices": len(model.place), "faces": len(model.mesh.faces)}
+
+
 _MAKERS: dict[str, Callable[[_Order], JsonObject]] = {
     "laz": _laz,
     "ply": _ply,
     "contours": _contours,
     "ortho": _ortho,
+    "mesh": _mesh,
+    "obj": _mesh,
+    "tiles": _mesh,
 }
 
 
