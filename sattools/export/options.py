@@ -26,7 +26,8 @@ class ExportOptions:
     )
     products: list[str] = option(
         [],
-        "What else to write, repeated or with commas between: laz and ply (point clouds), contours.",
+        "What else to write, repeated or with commas between: laz and ply (point clouds), contours, ortho (true "
+        "orthophoto), mesh (glTF) and obj (textured with it), tiles (3D Tiles of the mesh).",
     )
     contours: float | None = option(
         None, "Contour lines at multiples of so many metres of height, as a GeoPackage.", minimum=0.01

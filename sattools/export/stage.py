@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from dataclasses import replace
 
 import numpy as np
 
@@ -78,14 +79,15 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     if at_once:
         _views(exported, options, subprogress(progress, 0.6, 0.7))
     asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0)
-    write_products(scene, asked, subprogress(progress, 0.7, 1.0))
+    about = replace(stored.head, grid=stored.grid)
+    products = write_products(scene, about, asked, subprogress(progress, 0.7, 1.0))
     progress(1.0, "exported")
     kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
     if counts[UNWANTED]:
         kinds["outside"] = UNWANTED
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
-    return {"vertical_datum": files.datum, "validity": fractions, MADE: record(scene, "export")}
+    return {"vertical_datum": files.datum, "validity": fractions, "products": products, MADE: record(scene, "export")}
 
 
 def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:

@@ -46,7 +46,8 @@ STAGES: dict[str, Stage] = {
         (
             *("dsm", "dsm_picture", "probability", "validity", "albedo", "reflectance", "normal", "relit"),
             *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc"),
-            *("points", "points_ply", "contours"),
+            *("points", "points_ply", "contours", "ortho", "ortho_source"),
+            *("mesh", "mesh_obj", "mesh_mtl", "mesh_texture", "tileset"),
         ),
         ("shadow", "s_net", "tau", "rendered", "relit"),
     ),

@@ -156,7 +156,7 @@ def _properties(scene: Scene, view: SimulatedView, image: np.ndarray, sun: np.nd
         "datetime": view.time.strftime("%Y-%m-%dT%H:%M:%SZ"),
         "platform": "simulated",
         "gsd": gsd,
-        "proj:code": scene.grid.crs,
+        "proj:code": None,
         "proj:shape": list(view.shape),
         "view:sun_azimuth": round(view.sun[0], 4),
         "view:sun_elevation": round(view.sun[1], 4),

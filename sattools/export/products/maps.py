@@ -10,6 +10,7 @@ import numpy as np
 
 from sattools.scene.files import written
 from sattools.scene.grid import Grid
+from sattools.scene.opening import opened
 from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import reproject_map
 
@@ -52,6 +53,20 @@ class Maps:
         spare = 2 + int(np.ceil(own.cell_size / part.cell_size))
         array, around = read_raster(path, within=part.widened(spare))
         return reproject_map(array, around, part)
+
+    def picture(self, name: str, longest: int) -> np.ndarray:
+        """A map ``[B, h, w]`` of no more cells along a side, each the mean of those it covers.
+
+        Args:
+            name: of the map.
+            longest: cells along the longer side.
+        """
+        from rasterio.enums import Resampling
+
+        with opened(self.paths[name]) as data:
+            share = min(1.0, longest / max(data.height, data.width))
+            shape = (data.count, max(1, round(share * data.height)), max(1, round(share * data.width)))
+            return np.asarray(data.read(out_shape=shape, resampling=Resampling.average))
 
     def sample(self, name: str, most: int = 500_000) -> np.ndarray:
         """About as many cells ``[B, n]`` of a map, evenly from all of it."""

@@ -11,9 +11,14 @@ FILES: dict[str, dict[str, str]] = {
     "laz": {"points": "export/points.laz"},
     "ply": {"points_ply": "export/points.ply"},
     "contours": {"contours": "export/contours.gpkg"},
+    "ortho": {"ortho": "export/ortho.tif", "ortho_source": "export/ortho_source.tif"},
+    "mesh": {"mesh": "export/mesh.glb"},
+    "obj": {"mesh_obj": "export/mesh.obj", "mesh_mtl": "export/mesh.mtl", "mesh_texture": "export/mesh.png"},
+    "tiles": {"tileset": "export/tileset.json"},
 }
 ALWAYS = ("dsm", "albedo")  # may be named, though they are always written
-LIBRARIES = {"laz": ("laspy", "lazrs")}  # of the extra `products`
+LIBRARIES = {"laz": ("laspy", "lazrs"), "mesh": ("trimesh",)}  # of the extra `products`
+NEEDS = {"mesh": ("ortho",), "obj": ("ortho",), "tiles": ("mesh", "ortho")}  # what others are made of
 WORDS = (*ALWAYS, *FILES)
 
 
@@ -37,6 +42,7 @@ def parse_names(given: Sequence[str], contours: float | None = None) -> list[str
             )
     if contours is not None:
         names.append("contours")
+    names += [other for name in names for other in NEEDS.get(name, ())]
     return [name for name in FILES if name in names]
 
 

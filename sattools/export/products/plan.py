@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from sattools.errors import extra
 from sattools.export.datum import vertical_crs
@@ -12,8 +13,12 @@ from sattools.export.products.maps import Maps
 from sattools.export.products.names import FILES, LIBRARIES
 from sattools.progress import Progress, subprogress
 from sattools.scene import Scene
+from sattools.scene.jsonio import JsonObject
 
-READ = ("dsm", "dsm_std", "albedo", "validity", "prior_confidence")
+if TYPE_CHECKING:
+    from sattools.fit.model import FittedModel
+
+READ = ("dsm", "dsm_std", "albedo", "validity", "prior_confidence", "ortho")
 
 
 @dataclass(frozen=True)
@@ -40,34 +45,98 @@ def check_libraries(names: Sequence[str]) -> None:
             extra(library, "products")
 
 
-def write_products(scene: Scene, wanted: Wanted, progress: Progress) -> None:
-    """Make products of the maps that were exported, and name them in the scene.
+def write_products(scene: Scene, model: FittedModel, wanted: Wanted, progress: Progress) -> JsonObject:
+    """Make products of the maps that were exported, and name them in the scene; figures for the history.
 
     Args:
         scene: with the maps; is changed.
+        model: that the maps are of.
         wanted: what to make.
         progress: told the share done.
     """
     if not wanted.names:
-        return
-    maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in scene.products})
+        return {}
+    notes: JsonObject = {}
     for k, name in enumerate(wanted.names):
         part = subprogress(progress, k / len(wanted.names), (k + 1) / len(wanted.names))
         part(0.0, name)
         files = {product: scene.output(href) for product, href in FILES[name].items()}
-        _write(name, files, maps, wanted, part)
+        maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in scene.products})
+        notes[name] = _MAKERS[name](_Order(scene, model, maps, files, wanted, part))
         scene.products.update(FILES[name])
+    return notes
 
 
-def _write(name: str, files: dict[str, Path], maps: Maps, wanted: Wanted, progress: Progress) -> None:
-    from sattools.export.products import contours, points
+class _Order(NamedTuple):
+    """What a maker of a product is told.
 
-    if name == "laz":
-        points.write_laz(files["points"], maps, vertical_crs(wanted.vertical), progress)
-    elif name == "ply":
-        points.write_ply(files["points_ply"], maps, wanted.datum, progress)
-    elif name == "contours":
-        contours.write_contours(files["contours"], maps, wanted.interval, progress)
+    Attributes:
+        scene: of the maps.
+        model: that they are of.
+        maps: that were exported.
+        files: to write, by product.
+        wanted: how.
+        progress: told the share done.
+    """
+
+    scene: Scene
+    model: FittedModel
+    maps: Maps
+    files: Mapping[str, Path]
+    wanted: Wanted
+    progress: Progress
+
+
+def _laz(order: _Order) -> JsonObject:
+    from sattools.export.products.points import write_laz
+
+    vertical = vertical_crs(order.wanted.vertical)
+    return {"points": write_laz(order.files["points"], order.maps, vertical, order.progress)}
+
+
+def _ply(order: _Order) -> JsonObject:
+    from sattools.export.products.points import write_ply
+
+    return {"points": write_ply(order.files["points_ply"], order.maps, order.wanted.datum, order.progress)}
+
+
+def _contours(order: _Order) -> JsonObject:
+    from sattools.export.products.contours import write_contours
+
+    interval = order.wanted.interval
+    return {"lines": write_contours(order.files["contours"], order.maps, interval, order.progress)}
+
+
+def _ortho(order: _Order) -> JsonObject:
+    from sattools.export.products.ortho import write_ortho
+
+    files = order.files["ortho"], order.files["ortho_source"]
+    return dict(write_ortho(order.scene, order.model, order.maps, files, order.wanted.vertical, order.progress))
+
+
+def _mesh(order: _Order) -> JsonObject:
+    from sattools.export.products.model3d import make_model, write_glb, write_obj, write_tileset
+
+    model = make_model(order.maps, order.wanted.datum)
+    if "mesh" in order.files:
+        write_glb(order.files["mesh"], model)
+    elif "tileset" in order.files:
+        content = Path(FILES["mesh"]["mesh"]).name
+        write_tileset(order.files["tileset"], content, model, order.wanted.vertical)
+    else:
+        write_obj(order.files, model)
+    return {"vertices": len(model.place), "faces": len(model.mesh.faces)}
+
+
+_MAKERS: dict[str, Callable[[_Order], JsonObject]] = {
+    "laz": _laz,
+    "ply": _ply,
+    "contours": _contours,
+    "ortho": _ortho,
+    "mesh": _mesh,
+    "obj": _mesh,
+    "tiles": _mesh,
+}
 
 
 __all__ = ["Wanted", "check_libraries", "write_products"]
