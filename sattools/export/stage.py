@@ -12,6 +12,8 @@ from sattools.export.context import Exported, shadow_suns
 from sattools.export.datum import to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.export.options import ExportOptions
+from sattools.export.products.collection import PRODUCTS as CATALOGUE
+from sattools.export.products.collection import write_collection
 from sattools.export.products.names import hrefs as product_hrefs
 from sattools.export.products.plan import Wanted, check_libraries, write_products
 from sattools.export.validity import FILLED, MEANING, MEASURED, UNSEEN, validity_of
@@ -75,6 +77,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         _views(exported, options, subprogress(progress, 0.6, 0.7))
     products = Wanted(wanted, options.vertical, datum, options.contours or 1.0)
     made = write_products(scene, model, products, subprogress(progress, 0.7, 1.0))
+    write_collection(scene, model.grid)
     progress(1.0, "exported")
     return {"vertical_datum": datum, "validity": fractions, "products": made, MADE: record(scene, "export")}
 
@@ -139,7 +142,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     from sattools.export.novel import RELIT, view_href
 
     ids = {item.id for item in scene.items}
-    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY]
+    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, *CATALOGUE.values()]
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
     hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
     hrefs += [view_href("rendered", name) for name in options.view]
