@@ -15,6 +15,8 @@ from sattools.camera.ground import from_geographic, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError, SceneError
+from sattools.export.products.collection import PRODUCTS as CATALOGUE
+from sattools.export.products.names import FILES
 from sattools.export.validity import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
@@ -27,6 +29,9 @@ from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
 HEIGHTS = ("dsm", "prior_dsm")
 ON_THE_GROUND = ("shadow", "s_net", "tau")  # assets of images that are maps of the ground
+MADE_OF_MAPS = sorted(
+    {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
+)
 COLUMNS = ("z", "item", "column", "row")
 
 
@@ -90,6 +95,8 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
         _write_moved(scene, move, shift)
         if item_id is None:
             scene.products[name] = move.href
+    # what was made of the maps before they moved; another `export` makes it anew
+    dropped += [name for name in MADE_OF_MAPS if scene.products.pop(name, None) is not None]
     for item in scene.items:
         item.assets.pop("depth", None)  # heights along its pixels, of the prior
         item.assets.pop("confidence", None)

@@ -12,6 +12,7 @@ from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
+from sattools.export.products.collection import write_collection
 from sattools.export.products.names import hrefs as product_hrefs
 from sattools.export.products.plan import Wanted, check_libraries, write_products
 from sattools.export.surface_files import ALBEDO, DSM, IMAGE_MAPS, PICTURE, PROBABILITY, STD, VALIDITY, SurfaceFiles
@@ -81,6 +82,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0)
     about = replace(stored.head, grid=stored.grid)
     products = write_products(scene, about, asked, subprogress(progress, 0.7, 1.0))
+    write_collection(scene, stored.grid)
     progress(1.0, "exported")
     kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
     if counts[UNWANTED]:
@@ -109,6 +111,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
 
     ids = {item.id for item in scene.items}
     hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, PROBABILITY]
+    write_collection(scene, stored.grid)
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
     hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
     hrefs += [view_href("rendered", name) for name in options.view]
