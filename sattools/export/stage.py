@@ -12,6 +12,7 @@ from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
+from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
 from sattools.export.products.names import hrefs as product_hrefs
 from sattools.export.products.plan import Wanted, check_libraries, write_products
@@ -110,8 +111,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     from sattools.export.novel import RELIT, view_href
 
     ids = {item.id for item in scene.items}
-    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, PROBABILITY]
-    write_collection(scene, stored.grid)
+    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, PROBABILITY, *CATALOGUE.values()]
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
     hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
     hrefs += [view_href("rendered", name) for name in options.view]

@@ -42,6 +42,7 @@ _TITLES = {
     "dsm_std": "Standard deviation of the surface model",
     "dsm_picture": "Picture of the surface model",
     "validity": "What was measured",
+    "probability": "Probability of less than 1 m of error",
     "albedo": "Albedo",
     "points": "Point cloud (LAZ)",
     "points_ply": "Point cloud (PLY)",
