@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sattools.camera.cells import project_cells
 from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
@@ -55,19 +56,19 @@ class Witness:
         strip = max(1, _STRIP_CELLS // grid.width)
         for first in range(0, grid.height, strip):
             part = slice(first, min(first + strip, grid.height))
-            x, y = np.meshgrid(grid.x(), grid.y()[part])
-            lon, lat = to_geographic(grid.crs, x, y)
-            col, row = self.rpc.projection(lon, lat, height[part].astype(np.float64))
+            own = grid.part(part, slice(0, grid.width))
+            col, row = project_cells(self.rpc, own, height[part])
             rows, cols = self.part.shape
             inside = (col >= -0.5) & (row >= -0.5) & (col < cols - 0.5) & (row < rows - 0.5)
             if inside.any():
-                step = self._reduction(grid, lon, lat, height[part])
+                step = self._reduction(own, float(height[part].mean()))
                 shown[part][inside] = self._valid(np.round(row[inside]), np.round(col[inside]), step)
         return shown
 
-    def _reduction(self, grid: Grid, lon: np.ndarray, lat: np.ndarray, height: np.ndarray) -> int:
-        at = lon.shape[0] // 2, lon.shape[1] // 2
-        pixel = ground_sample_distance(self.rpc, float(lon[at]), float(lat[at]), float(height[at]))
+    def _reduction(self, grid: Grid, height: float) -> int:
+        west, south, east, north = grid.bounds
+        lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
+        pixel = ground_sample_distance(self.rpc, float(lon), float(lat), height)
         return max(1, int(grid.cell_size / pixel / _PIXELS_PER_CELL)) if math.isfinite(pixel) and pixel > 0 else 1
 
     def _valid(self, row: np.ndarray, col: np.ndarray, reduce: int) -> NDArray[np.bool_]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-STRIP = 512  # rows at a time: intermediate results take thirty times the memory of the heights
+LEAST_ROWS = 16
+STRIP_CELLS = 500_000  # at a time: intermediate results take thirty times the memory of the heights
 
 
 def normals(height: np.ndarray, cell: float) -> np.ndarray:
@@ -21,9 +22,10 @@ def normals(height: np.ndarray, cell: float) -> np.ndarray:
         ``[3, H, W]`` float32 unit vectors (east, north, up); NaN where no triangle is known.
     """
     maps = np.empty((3, *height.shape), np.float32)
-    for row in range(0, len(height), STRIP):
-        first, last = max(0, row - 1), min(len(height), row + STRIP + 1)
-        maps[:, row : row + STRIP] = _normals(height[first:last], cell)[:, row - first : row - first + STRIP]
+    strip = max(LEAST_ROWS, STRIP_CELLS // max(1, height.shape[1]))
+    for row in range(0, len(height), strip):
+        first, last = max(0, row - 1), min(len(height), row + strip + 1)
+        maps[:, row : row + strip] = _normals(height[first:last], cell)[:, row - first : row - first + strip]
     return maps
 
 

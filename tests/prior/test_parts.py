@@ -180,5 +180,6 @@ def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch: pytest.Mon
     height = np.random.default_rng(0).normal(size=(11, 7)).astype(np.float32)
     height[4, 2:5] = np.nan
     at_once = normals(height, 0.5)
-    monkeypatch.setattr(module, "STRIP", 3)
+    monkeypatch.setattr(module, "STRIP_CELLS", 21)
+    monkeypatch.setattr(module, "LEAST_ROWS", 1)
     assert np.array_equal(normals(height, 0.5), at_once, equal_nan=True)
