@@ -1,0 +1,35 @@
+#!/bin/sh
+# One part of a fit in tiles, for a scheduler that starts many: a cluster's array job (SLURM) or indexed job (Kubernetes).
+#   tiles.sh split  SCENE.json [options of `sattools fit`, --tile among them]
+#   tiles.sh count  SCENE.json                       how many tiles there are to fit
+#   tiles.sh tile   SCENE.json [the same options]    tile number SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX (0, 1, ...)
+#   tiles.sh mosaic SCENE.json [the same options]
+# SCENE.json lies in the scene's folder, which all machines see under the same name. A part that is done is not done again.
+set -eu
+part=$1 scene=$2
+shift 2
+sattools=${SATTOOLS:-sattools}
+threads=${SLURM_CPUS_PER_TASK:-${SATTOOLS_THREADS:-1}}
+tiles=$(dirname "$scene")/fit/tiles
+
+case $part in
+    split | mosaic)
+        exec "$sattools" --threads "$threads" fit "$@" --part "$part" "$scene" > /dev/null
+        ;;
+    count)
+        ls "$tiles"/r*c*/scene.json | wc -l
+        ;;
+    tile)
+        number=${SLURM_ARRAY_TASK_ID:-${JOB_COMPLETION_INDEX:?no number of a tile}}
+        one=$(ls "$tiles"/r*c*/scene.json | sed -n "$((number + 1))p")
+        test -n "$one" || { echo "tiles.sh: found no tile number $number below $tiles" >&2; exit 1; }
+        test -e "$(dirname "$one")/fit/model.safetensors" && exit 0
+        resume=
+        test -e "$(dirname "$one")/fit/checkpoint.safetensors" && resume=--resume
+        exec "$sattools" --threads "$threads" fit "$@" $resume "$one" > /dev/null
+        ;;
+    *)
+        echo "tiles.sh: found $part, expected split, count, tile or mosaic" >&2
+        exit 2
+        ;;
+esac

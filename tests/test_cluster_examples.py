@@ -1,0 +1,90 @@
+"""The recipes for clusters do what a fit in tiles does on one machine."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from patience import HANGING_S
+
+from sattools.fit.checkpoint import load
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+
+FOLDER = Path(__file__).parents[1] / "examples/cluster"
+OPTIONS = ["--tile", "32", "--overlap", "8", "--resolution", "2", "--coarsest", "2", "--prior-weight", "0"]
+
+
+def run(script: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    sattools = str(Path(sys.executable).parent / "sattools")
+    return subprocess.run(
+        ["sh", str(FOLDER / script), *arguments],
+        env={**os.environ, "SATTOOLS": sattools, **environment},
+        capture_output=True,
+        text=True,
+        timeout=HANGING_S,
+    )
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Path:
+    """A stand-in for `sbatch` that runs jobs where it is called, and keeps their command lines."""
+    program = tmp_path / "bin/sbatch"
+    program.parent.mkdir()
+    program.write_text(
+        f"#!{sys.executable}\n"
+        "import os, subprocess, sys\n"
+        f"open({str(tmp_path / 'calls')!r}, 'a').write('\\t'.join(sys.argv[1:]) + '\\n')\n"
+        "array = next((a.split('=')[1] for a in sys.argv if a.startswith('--array=')), None)\n"
+        "command = sys.argv[sys.argv.index('--wrap') + 1]\n"
+        "first, last = map(int, array.split('-')) if array else (0, 0)\n"
+        "for k in range(first, last + 1):\n"
+        "    more = {'SLURM_ARRAY_TASK_ID': str(k)} if array else {}\n"
+        "    subprocess.run(command, shell=True, check=True, env={**os.environ, **more})\n"
+        "print(41)\n"
+    )
+    program.chmod(0o755)
+    (tmp_path / "bin/sattools").symlink_to(Path(sys.executable).parent / "sattools")
+    return program.parent
+
+
+def test_a_slurm_cluster_makes_what_one_machine_makes(make_town: Any, scheduler: Path, tmp_path: Path) -> None:
+    alone, spread = make_town("ALONE"), make_town("SPREAD")
+    fit(alone, FitOptions(tile=32.0, overlap=8.0, resolution=2.0, coarsest=2.0, prior_weight=0.0))
+    path = str(spread.root / "scene.json")
+    done = run("slurm.sh", path, *OPTIONS, PATH=f"{scheduler}:{os.environ['PATH']}")
+    assert done.returncode == 0, done.stderr
+    calls = [line.split("\t") for line in (tmp_path / "calls").read_text().splitlines()]
+    assert [next(a for a in call if a.startswith("--job-name")) for call in calls] == [
+        "--job-name=split", "--job-name=tiles", "--job-name=mosaic",
+    ]  # fmt: skip
+    assert "--array=0-3" in calls[1]
+    assert "--dependency=afterok:41" in calls[2]
+    one, other = (load(scene.root / "fit/model.safetensors")[0] for scene in (alone, spread))
+    assert {name: torch.equal(t, other[name]) for name, t in one.items()} == dict.fromkeys(one, True)
+    assert "dsm" in json.loads((spread.root / "scene.json").read_text())["sattools"]["products"]
+
+
+def test_a_number_without_a_tile_and_an_unknown_part_are_refused(make_town: Any) -> None:
+    path = str(make_town().root / "scene.json")
+    done = run("tiles.sh", "tile", path, JOB_COMPLETION_INDEX="7")
+    assert done.returncode == 1
+    assert "found no tile number 7" in done.stderr
+    assert run("tiles.sh", "tiles", path).returncode == 2
+
+
+def test_the_job_for_kubernetes_counts_its_tiles() -> None:
+    job = yaml.safe_load((FOLDER / "kubernetes.yaml").read_text())
+    assert (job["apiVersion"], job["kind"]) == ("batch/v1", "Job")
+    spec = job["spec"]
+    assert spec["completionMode"] == "Indexed"  # or there would be no JOB_COMPLETION_INDEX
+    (container,) = spec["template"]["spec"]["containers"]
+    assert container["command"][2] == "tile"
+    assert {mount["name"] for mount in container["volumeMounts"]} == {
+        v["name"] for v in spec["template"]["spec"]["volumes"]
+    }
