@@ -13,6 +13,7 @@ import click
 from sattools import __version__
 from sattools.cli import interrupts
 from sattools.cli.commands import COMMANDS
+from sattools.cli.logfile import close_log, open_log
 from sattools.cli.options import configure_logging, run_options
 from sattools.cli.safety import LastResort, check_folder, configure_handler
 
@@ -96,6 +97,11 @@ main.params[:0] = run_options()
 def _apply(root: click.Context) -> None:
     """Set how the program runs from the options given so far."""
     values = root.params
+    if values["log_file"] and root.meta.get("sattools.log") != values["log_file"]:
+        open_log(values["log_file"])
+        if "sattools.log" not in root.meta:
+            root.call_on_close(close_log)
+        root.meta["sattools.log"] = values["log_file"]
     configure_logging(values["verbose"], values["quiet"])
     progress = values["progress"] or "auto"
     root.obj = {"progress": "none" if values["quiet"] and progress == "auto" else progress}

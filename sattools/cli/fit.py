@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
+from sattools.cli.help import GroupedCommand
 from sattools.cli.options import build, common_options, dataclass_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.fit.options import FitOptions
@@ -13,6 +14,26 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+
+
+class FitCommand(GroupedCommand):
+    """The options of `fit` by what they are about."""
+
+    groups: ClassVar = {
+        "Surface": ("preset", "field", "resolution", "coarsest", "epochs", "softness", "smooth", "height_rate",
+                    "prior_weight", "pose"),
+        "Images": ("views", "holdout", "reference"),
+        "Light": ("loss", "robust", "shadow", "shadow_weight", "shadow_start", "transient"),
+        "Reflectance": ("brdf", "pretrain", "normals", "materials", "material_smooth"),
+        "Network": ("start", "network", "width", "rays", "samples", "guided", "steps", "rate", "depth_weight", "beta",
+                    "solar_weight"),
+        "Resources": ("device", "tile", "overlap", "part", "budget", "resume", "seed"),
+    }  # fmt: skip
+    expert = frozenset(
+        ("coarsest", "epochs", "softness", "smooth", "height_rate", "robust", "shadow_weight", "shadow_start",
+         "pretrain", "normals", "materials", "material_smooth", "network", "width", "rays", "samples", "guided",
+         "steps", "rate", "depth_weight", "beta", "solar_weight", "part")
+    )  # fmt: skip
 
 
 def _preset(name: str, start: str, field: str) -> dict[str, Any]:
@@ -24,7 +45,7 @@ def _preset(name: str, start: str, field: str) -> dict[str, Any]:
     return {k: v for k, v in with_preset(name, start, field).items() if context.get_parameter_source(k) in default}
 
 
-@click.command("fit")
+@click.command("fit", cls=FitCommand)
 @scene_argument
 @dataclass_options(FitOptions)
 @common_options

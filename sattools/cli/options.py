@@ -16,6 +16,7 @@ from sattools.settings import OptionSpec, as_dict, specs
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
+WHOLE_DOCUMENT = "sattools.json"  # of click's `meta`: print scene documents on terminals too
 
 
 def scene_argument(command: F) -> F:
@@ -24,11 +25,18 @@ def scene_argument(command: F) -> F:
 
 
 def common_options(command: F) -> F:
-    """`--overwrite`, `--dry-run`, `--config`, `--print-config`."""
+    """`--overwrite`, `--json`, `--dry-run`, `--config`, `--print-config`."""
     for decorate in (
         click.option("--print-config", is_flag=True, help="Print the resolved options as TOML and stop."),
         click.option("--dry-run", is_flag=True, help="Say on stderr what would be done, do nothing."),
         click.option("--overwrite", is_flag=True, help="Replace existing outputs."),
+        click.option(
+            "--json",
+            is_flag=True,
+            expose_value=False,
+            callback=lambda ctx, parameter, value: ctx.meta.update({WHOLE_DOCUMENT: value}),
+            help="Print the whole scene document on a terminal too, where there is a summary otherwise.",
+        ),
         click.option(
             "--config",
             type=click.Path(dir_okay=False),
@@ -61,6 +69,11 @@ def run_options() -> list[click.Option]:
             ["--allow-remote"],
             is_flag=True,
             help="Let scene documents name files on other machines and in archives (/vsicurl/, /vsis3/, /vsizip/).",
+        ),
+        click.Option(
+            ["--log-file"],
+            type=click.Path(dir_okay=False),
+            help="Add everything that happens to this file, with times, whatever the screen shows.",
         ),
     ]
 
@@ -156,12 +169,17 @@ def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | No
 
 
 def configure_logging(verbose: int, quiet: bool) -> None:
-    """How much is said on stderr."""
+    """How much is said on stderr; a log file, where there is one, gets all."""
+    from sattools.cli.logfile import log_is_open
+    from sattools.cli.safety import set_screen_level
+
     level = logging.ERROR if quiet else (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
-    logging.getLogger("sattools").setLevel(level)
+    logging.getLogger("sattools").setLevel(logging.DEBUG if log_is_open() else level)
+    set_screen_level(level)
 
 
 __all__ = [
+    "WHOLE_DOCUMENT",
     "build",
     "common_options",
     "configure_logging",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli.interrupts import checked
-from sattools.cli.options import print_config
+from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, make_progress
@@ -71,9 +71,9 @@ def run_scenes(
         if run.dry_run:
             takes = f": {foreseen(scene)}" if foreseen else ""
             click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}{takes}", err=True)
-            return scene.to_json()
+            return _shown(scene, None)
         scene, entry = apply(run, before(scene) if before else scene, work)
-        return emit(scene, entry) if emit else scene.to_json()
+        return emit(scene, entry) if emit else _shown(scene, entry)
 
     each_scene(run.command, scenes, handle)
 
@@ -132,7 +132,8 @@ def run_source(
             return
         from sattools.scene.runner import run_first
 
-        _print_line(run_first(_step(run, label), make, run.inputs).to_json())
+        scene = run_first(_step(run, label), make, run.inputs)
+        _print_line(_shown(scene, scene.history[-1]))
     except SattoolsError as error:
         report_error(run.command, error)
         sys.exit(1)
@@ -209,6 +210,16 @@ def parse(source: str, text: str | None) -> Scene:
     if text is not None and text.startswith("\0"):  # what `_lines` could not read
         raise SceneError(text[1:])
     return Scene.from_file(source) if text is None else Scene.from_json(text, source)
+
+
+def _shown(scene: Scene, entry: dict[str, Any] | None) -> str:
+    """The document; for people at a terminal, unless they ask for it, a few lines in its place."""
+    context = click.get_current_context(silent=True)
+    if (context and context.meta.get(WHOLE_DOCUMENT)) or not sys.stdout.isatty():
+        return scene.to_json()
+    from sattools.scene.summary import brief
+
+    return brief(scene, entry)
 
 
 def _print_line(line: str) -> None:

@@ -15,6 +15,7 @@ import click
 
 from sattools.cli import interrupts
 from sattools.cli.commands import COMMANDS
+from sattools.cli.logfile import LogFile, PlainFormatter
 from sattools.errors import SattoolsError, printable
 
 LONGEST_ARGUMENT = 100_000
@@ -55,7 +56,8 @@ class LastResort(click.Group):
             if error.errno != errno.EPIPE:  # nobody reads any more: stop quietly
                 complain(f"sattools: error: stdout: cannot be written ({error.strerror})")
             return 1
-        if logging.getLogger("sattools").level == logging.DEBUG or os.environ.get("SATTOOLS_DEBUG"):
+        logging.getLogger("sattools.run").debug("traceback of what follows", exc_info=error)
+        if screen_level() == logging.DEBUG or os.environ.get("SATTOOLS_DEBUG"):
             traceback.print_exception(error, file=sys.stderr)
         complain(f"{name}: error: {explain(error)}")
         return 2 if isinstance(error, click.UsageError) else 1
@@ -93,20 +95,15 @@ def check_folder() -> None:
         raise SattoolsError("found no working folder (it was deleted), expected to be started in one") from None
 
 
-class PlainFormatter(logging.Formatter):
-    """Messages without control characters, in one line each."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """See `logging.Formatter.format`."""
-        text = printable(super().format(record))
-        return text if record.exc_info else text.replace("\n", " ")
-
-
 class Stderr(logging.Handler):
     """Messages on stderr, whatever that is when they come: a program may call the suite again with another one."""
 
+    screen_level = logging.NOTSET
+
     def emit(self, record: logging.LogRecord) -> None:
         """See `logging.Handler.emit`; nobody reading is no reason to stop."""
+        if record.name.partition(".")[0] == "sattools" and record.levelno < self.screen_level:
+            return
         with suppress(OSError, ValueError, AttributeError):
             print(self.format(record).encode(errors="backslashreplace").decode(), file=sys.stderr, flush=True)
 
@@ -120,11 +117,32 @@ def configure_handler() -> None:
         root.addHandler(handler)
 
 
+def set_screen_level(level: int) -> None:
+    """What of our own messages is shown on stderr; those of other libraries follow their own levels."""
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, Stderr):
+            handler.screen_level = level
+
+
+def screen_level() -> int:
+    """See `set_screen_level`."""
+    levels = [handler.screen_level for handler in logging.getLogger().handlers if isinstance(handler, Stderr)]
+    return levels[0] if levels else logging.getLogger("sattools").level
+
+
 def complain(line: str) -> None:
     """One line on stderr, without what could steer a terminal, if anybody is there to read it."""
     text = printable(" ".join(_LONG.sub(r"\1...\2", line).split()))
+    to_log(text)
     with suppress(OSError, ValueError):
         click.echo(text.encode(errors="backslashreplace").decode(), err=True)
+
+
+def to_log(text: str) -> None:
+    """What goes to the screen by another way, for the log file alone."""
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, LogFile):
+            handler.handle(logging.LogRecord("sattools.run", logging.ERROR, "", 0, text, None, None))
 
 
 def quiet_stdout() -> None:

@@ -10,7 +10,8 @@ import click
 from sattools import __version__
 
 # options of the commands' housekeeping: a form has no use for them
-PLUMBING = {"help", "config", "print_config", "dry_run", "verbose", "quiet", "progress", "threads", "allow_remote"}
+PLUMBING = {"help", "config", "print_config", "dry_run", "json", "verbose", "quiet", "progress", "threads"}
+PLUMBING |= {"allow_remote", "log_file"}
 
 
 def usage(group: click.Group) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from sattools.errors import printable
+from sattools.scene.dependencies import STAGES, names_of
 from sattools.scene.document import Scene
+from sattools.scene.jsonio import JsonObject
 
 
 def summary(scene: Scene) -> str:
@@ -37,4 +39,21 @@ def summary(scene: Scene) -> str:
     return printable("\n".join(line.replace("\n", " ") for line in lines))
 
 
-__all__ = ["summary"]
+def brief(scene: Scene, entry: JsonObject | None) -> str:
+    """What a command has left, in a few lines; the document's file is named for the next one.
+
+    Args:
+        scene: after the command.
+        entry: of the history, None where nothing was done.
+    """
+    command = str((entry or {}).get("command", ""))
+    lines = [f"scene {scene.id}: {len(scene.items)} images, {scene.path('scene.json')}"]
+    if entry is not None:
+        lines[0] += f" ({command} {entry.get('seconds', 0.0):.1f} s, {entry.get('peak_memory_mb', 0.0):.0f} MB)"
+    made = names_of(STAGES[command]) if command in STAGES else set()
+    lines += [f"  {name:16s} {scene.path(href)}" for name, href in scene.products.items() if name in made]
+    lines += [f"  {note}" for note in (entry or {}).get("notes", [])]
+    return printable("\n".join(line.replace("\n", " ") for line in lines))
+
+
+__all__ = ["brief", "summary"]

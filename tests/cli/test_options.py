@@ -99,6 +99,4 @@ def test_a_choice_under_its_former_name_works_and_says_its_present_one() -> None
     assert result.exit_code == 0
     assert 'part = "mosaic"' in result.stdout
     assert "--part join is now called --part mosaic" in result.stderr
-    assert (
-        "join" not in CliRunner().invoke(main, ["fit", "--help"]).stdout.split("--part")[1].split("--prior-weight")[0]
-    )
+    assert "join" not in CliRunner().invoke(main, ["fit", "--help-all"]).stdout.split("--part")[1].split("--budget")[0]

@@ -1,0 +1,64 @@
+"""`--log-file`: everything that happens in a run, with times, whatever the screen shows."""
+
+from __future__ import annotations
+
+import logging
+import shlex
+import sys
+from pathlib import Path
+
+from sattools.errors import SattoolsError, printable
+
+log = logging.getLogger("sattools.run")
+
+
+class PlainFormatter(logging.Formatter):
+    """Messages without control characters, in one line each."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """See `logging.Formatter.format`."""
+        text = printable(super().format(record))
+        return text if record.exc_info else text.replace("\n", " ")
+
+
+class LogFile(logging.FileHandler):
+    """A file that runs are added to."""
+
+
+def open_log(path: str) -> None:
+    """Write messages of all levels to the end of a file from here on; the first says what was called.
+
+    Raises:
+        SattoolsError: the file cannot be written.
+    """
+    from sattools import __version__
+
+    root = logging.getLogger()
+    target = str(Path(path).absolute())
+    if any(isinstance(handler, LogFile) and handler.baseFilename == target for handler in root.handlers):
+        return
+    close_log()
+    try:
+        handler = LogFile(target, encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a log file") from None
+    handler.setFormatter(PlainFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    root.addHandler(handler)
+    logging.getLogger("sattools").setLevel(logging.DEBUG)
+    log.info("sattools %s: %s", __version__, shlex.join(sys.argv))
+
+
+def close_log() -> None:
+    """End a log that is open."""
+    root = logging.getLogger()
+    for handler in [handler for handler in root.handlers if isinstance(handler, LogFile)]:
+        root.removeHandler(handler)
+        handler.close()
+
+
+def log_is_open() -> bool:
+    """Whether there is one."""
+    return any(isinstance(handler, LogFile) for handler in logging.getLogger().handlers)
+
+
+__all__ = ["LogFile", "PlainFormatter", "close_log", "log", "log_is_open", "open_log"]
