@@ -30,6 +30,7 @@ KINDS = {
     "far north": ["--lat", "58", "--lon", "20"],
     "coarse": ["--gsd", "1", "--size", "96"],
     "one pass": ["--dates", "1"],
+    "downtown": ["--terrain", "downtown"],
     "natural": ["--terrain", "natural", "--size", "128", "--views", "7"],
     "natural, low sun": ["--terrain", "natural", "--size", "128", "--sun-elevation", "25", "--sun-azimuth", "225"],
 }

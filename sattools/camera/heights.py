@@ -132,7 +132,7 @@ def sweep_histogram(
     smoothed = [_blurred(g, r, crs, bounds, float(planes[0]), cell) for g, r in zip(grays, rpcs, strict=True)]
 
     window = np.ones((5, 5), np.uint8)
-    best = np.full((height, width), -1.0)
+    best, least = np.full((height, width), -1.0), np.ones((height, width))
     winner = np.full((height, width), -1, np.int32)
     for k, plane in enumerate(planes):
         progress(k / len(planes), "height range")
@@ -155,15 +155,25 @@ def sweep_histogram(
         pairs = cv2.blur(total * total, (5, 5)) - cv2.blur(own, (5, 5))
         score = np.where(views >= 2, pairs / np.maximum(views * (views - 1), 1), -1.0)
         better = score > best
-        best[better], winner[better] = score[better], k
-    # A correlation over 25 cells of unrelated views scatters by 1/5, its mean over the pairs by less; the best of all
-    # planes reaches some three deviations by chance.
-    pairs_seen = max(1.0, len(rpcs) * (len(rpcs) - 1) / 2)
-    return _coherent_counts(winner, best, len(planes), max(0.2, 0.2 * 3.5 / float(np.sqrt(pairs_seen))))
+        best[better], winner[better], least[better] = score[better], k, by_chance(views[better])
+    return _coherent_counts(winner, best, len(planes), least)
 
 
-def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int, least: float) -> Array:
-    """Cells per plane whose winner agrees with at least 6 of its 8 neighbours within two planes."""
+def by_chance(views: Array) -> Array:
+    """Mean correlation that unrelated views reach by chance on the best of all planes.
+
+    A correlation over 25 cells scatters by 1/5, its mean over the pairs by less; the best of all planes reaches some
+    three deviations. On planes far off fewer views show a place than all.
+
+    Args:
+        views: number of views that show each place.
+    """
+    pairs = np.maximum(views * (views - 1) / 2, 1.0)
+    return np.maximum(0.2, 0.2 * 3.5 / np.sqrt(pairs))
+
+
+def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int, least: Array) -> Array:
+    """Cells per plane with a score over `least` whose winner at least 6 of 8 neighbours have within two planes."""
     padded = np.pad(winner, 1, constant_values=-100)
     height, width = winner.shape
     agree = np.zeros(winner.shape, int)
@@ -202,4 +212,4 @@ def _affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any], co
     return np.asarray(solution.T, np.float64)
 
 
-__all__ = ["HeightOptions", "estimate_height_range", "extend_range", "sweep_histogram", "tie_point_range"]
+__all__ = ["HeightOptions", "by_chance", "estimate_height_range", "extend_range", "sweep_histogram", "tie_point_range"]

@@ -7,7 +7,7 @@ import pytest
 from synthetic_views import ALT0, LAT0, LON0, hills, parallel_rpc, render, texture
 
 from sattools.camera.ground import from_geographic
-from sattools.camera.heights import estimate_height_range, extend_range, sweep_histogram, tie_point_range
+from sattools.camera.heights import by_chance, estimate_height_range, extend_range, sweep_histogram, tie_point_range
 from sattools.errors import InputError
 
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.15, 0.3), (-0.3, -0.1)]
@@ -46,6 +46,22 @@ def test_the_sweep_peaks_at_the_height_of_a_plain() -> None:
     counts = sweep_histogram(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
     assert planes[counts.argmax()] == pytest.approx(ALT0 + 12.0, abs=2.0)
     assert counts[np.abs(planes - ALT0 - 12) <= 4].sum() > 0.9 * counts.sum()
+
+
+def test_the_fewer_views_show_a_place_the_more_alike_they_have_to_be() -> None:
+    # 0.2 * 3.5 over the root of 1, 3, 10 and 66 pairs; never less than 0.2
+    np.testing.assert_allclose(by_chance(np.array([2, 3, 5, 12])), [0.7, 0.404, 0.221, 0.2], atol=5e-4)
+
+
+def test_places_that_two_unrelated_views_alone_show_have_no_height() -> None:
+    """As on planes so far off that the other views show something else there."""
+    rng = np.random.default_rng(0)
+    images = [rng.normal(0.5, 0.1, (200, 200)).astype(np.float32) for _ in RUNS]
+    for image in images[2:]:
+        image[:] = np.nan
+    planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
+    counts = sweep_histogram(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    assert counts.max() < 20  # of 8000 cells; 83 where as little is asked of two views as of five
 
 
 def test_a_tower_without_tie_points_is_inside_the_range() -> None:
