@@ -39,7 +39,7 @@ def with_cars(world: World, count: int, half_size_m: float, rng: np.random.Gener
         max(0, int(middle_r - reach)) : int(middle_r + reach), max(0, int(middle_c - reach)) : int(middle_c + reach)
     ] = True
     places = np.argwhere(free & inside)
-    long, wide = (round(v / world.cell_size) for v in SIZE_M[:2])
+    long, wide = (max(1, round(v / world.cell_size)) for v in SIZE_M[:2])
     parked = 0
     for _ in range(TRIES * count if len(places) else 0):
         if parked == count:

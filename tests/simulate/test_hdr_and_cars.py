@@ -87,3 +87,9 @@ def test_a_window_beside_the_streets_has_no_cars() -> None:
     streets[0, 0] = True
     same = with_cars(replace(world, streets=streets), 3, 10.0, np.random.default_rng(0))
     np.testing.assert_array_equal(same.height, world.height)
+
+
+def test_cars_smaller_than_a_cell_take_one() -> None:
+    world = build_city((0.0, 0.0), 60.0, 4.0, 0.0, np.random.default_rng(0))
+    same = with_cars(world, 3, 30.0, np.random.default_rng(0))
+    assert 1 <= (same.height != world.height).sum() <= 3
