@@ -68,15 +68,16 @@ def on(*command: str) -> tuple[str, ...]:
     return (*command, SCENE)
 
 
+EVERYTHING = on("export", "--overwrite", "--products", "laz,ply,tiles,obj", "--contours", "2")
 TARGETS = [
     Target("scene.json", (on("info"), on("fit", *FIT), on("prior", "--resolution", "4"), on("normalise"),
                           on("export", "--overwrite"), on("compare", "--overwrite"), on("report"),
                           on("fit", *WITH_PRIOR, "--overwrite"), on("export", "--overwrite", "--view", "TINY_002"),
                           ("batch", "--dry-run", "--out", "{root}/batch", SCENE))),
     Target("images/TINY_002.tif", (tuple(PREP), on("fit", *FIT, "--overwrite"), on("normalise"),
-                                   on("prior", "--resolution", "4", "--overwrite"))),
+                                   on("prior", "--resolution", "4", "--overwrite"), EVERYTHING)),
     Target("metadata/TINY_002.json", (tuple(PREP),)),
-    Target("rpc/TINY_002_RPC.TXT", (on("fit", *FIT, "--overwrite"), on("export", "--overwrite"),
+    Target("rpc/TINY_002_RPC.TXT", (on("fit", *FIT, "--overwrite"), on("export", "--overwrite"), EVERYTHING,
                                     ("prep", "{images}", "--metadata", "{root}/rpc", "--out", "{root}/out"))),
     Target("vendor/TINY_002.xml", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
     Target("vendor/TINY_002.RPB", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
@@ -84,7 +85,9 @@ TARGETS = [
     Target("config.toml", (on("fit", "--config", "{root}/config.toml", "--overwrite"),
                            on("compare", "--config", "{root}/config.toml", "--overwrite"),
                            ("batch", "--dry-run", "--config", "{root}/config.toml", "--out", "{root}/batch", SCENE))),
-    Target("fit/model.safetensors", (on("export", "--overwrite"), on("export", "--overwrite", "--view", "TINY_002"))),
+    Target("prior/confidence.tif", (EVERYTHING,)),
+    Target("fit/model.safetensors", (EVERYTHING, on("export", "--overwrite"),
+                                     on("export", "--overwrite", "--view", "TINY_002"))),
     Target("fit/checkpoint.safetensors", (on("fit", *FIT, "--resume"),)),
     Target("prior/dsm.tif", (on("fit", *WITH_PRIOR, "--overwrite"),)),
     Target("prior/confidence.tif", (on("fit", *WITH_PRIOR, "--overwrite"),)),
