@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import geopandas
+import shapely
 from damage import damage, rpb, xml
 from forked import Result, preload, run, warm
 
@@ -82,6 +83,11 @@ TARGETS = [
     Target("vendor/TINY_002.xml", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
     Target("vendor/TINY_002.RPB", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
     Target("aoi.geojson", ((*PREP, "--aoi", "{root}/aoi.geojson"),)),
+    Target("area.gpkg", ((*PREP, "--aoi", "{root}/area.gpkg"), (*PREP, "--mask", "{root}/pond.gpkg", "--aoi",
+                                                                "{root}/area.gpkg"))),
+    Target("pond.gpkg", ((*PREP, "--mask", "{root}/pond.gpkg"),)),
+    Target("area.geojson", (on("export", "--overwrite"), on("fit", *FIT, "--overwrite", "--tile", "64"))),
+    Target("prior/probability.tif", (on("export", "--overwrite"), on("report"))),
     Target("config.toml", (on("fit", "--config", "{root}/config.toml", "--overwrite"),
                            on("compare", "--config", "{root}/config.toml", "--overwrite"),
                            ("batch", "--dry-run", "--config", "{root}/config.toml", "--out", "{root}/batch", SCENE))),
@@ -154,6 +160,14 @@ class Fuzz:
             )
         )
         geopandas.read_file(self.base / "aoi.geojson").to_file(self.base / "area.gpkg")
+        left, top = grid["left"], grid["top"]
+        pond = geopandas.GeoSeries([shapely.box(left + 4, top - 12, left + 12, top - 4)], crs=grid["crs"])
+        pond.to_file(self.base / "pond.gpkg")
+        without = shapely.box(left, top - 32, left + 32, top).difference(pond.iloc[0])
+        degrees = geopandas.GeoSeries([without], crs=grid["crs"]).to_crs("EPSG:4326")
+        (self.base / "area.geojson").write_text(degrees.to_json(drop_id=True))
+        document["sattools"]["products"]["area"] = "area.geojson"
+        (self.base / "scene.json").write_text(json.dumps(document))
         self.must([*self.filled(PREP, self.base)])
         shutil.copy(self.base / "out/S/adjustment.json", self.base / "adjustment.json")
         shutil.rmtree(self.base / "out")
