@@ -214,7 +214,7 @@ def test_a_surface_replaced_behind_the_scenes_back_is_neither_scored_nor_shown(
     assert "another file for dsm than the history knows" in result.stderr
     assert run("report", document).exit_code == 0
     assert "another file for dsm than the history knows" in caplog.text
-    assert "Left out: validity, dsm" in (town.root / "report.html").read_text()
+    assert "Left out: dsm, dsm_std" in (town.root / "report.html").read_text()
     shutil.copy(town.root / "fit/trace.csv", town.root / "fit/model.safetensors")
     refused(run("export", "--overwrite", document), "model.safetensors")
 
