@@ -74,8 +74,11 @@ class Witness:
     def _valid(self, row: np.ndarray, col: np.ndarray, reduce: int) -> NDArray[np.bool_]:
         """Whether pixels ``[N]`` show something; ``reduce``: pixels along an axis that are read as one."""
         r, c = row.astype(np.intp), col.astype(np.intp)
-        rows = slice(int(r.min()), min(self.part.shape[0], int(r.max()) + reduce))
-        cols = slice(int(c.min()), min(self.part.shape[1], int(c.max()) + reduce))
+        reduce = min(reduce, *self.part.shape)
+        rows, cols = (
+            slice(min(int(at.min()), size - reduce), min(size, int(at.max()) + reduce))
+            for at, size in zip((r, c), self.part.shape, strict=True)
+        )
         pixels = self.part.read((rows, cols), reduce)
         height, width = pixels.shape[1:]
         at = np.minimum((r - rows.start) // reduce, height - 1), np.minimum((c - cols.start) // reduce, width - 1)

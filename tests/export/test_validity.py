@@ -167,3 +167,16 @@ def test_a_model_that_is_no_data_everywhere_is_an_error_not_a_crash(fitted: Any)
     fitted.history.clear()
     with pytest.raises(Exception, match=r"fit/model\.safetensors: found no finite height"):
         export(fitted, ExportOptions())
+
+
+def test_large_cells_at_the_last_pixels_of_an_image_are_looked_up(fitted: Any) -> None:
+    grid = fitted.require_grid()
+    level = float(np.mean(fitted.require_height_range()))
+    west, south, _, _ = grid.bounds
+    seen = []
+    for k in range(40):  # cells of 16 pixels that slide over the southern border of the images, a metre at a time
+        coarse = Grid(grid.crs, west, south + 20.0 - k, 8.0, 8, 1)
+        heights = np.full(coarse.shape, level, np.float32)
+        seen.append(Witnesses(fitted, [fitted.items[0].id])._witnesses[0].shown(coarse, heights).mean())
+    assert seen[0] == 1.0
+    assert seen[-1] == 0.0
