@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError
 from sattools.export.blocks import Block, Surroundings
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.datum import datum_name, to_datum, vertical_crs
@@ -20,15 +20,13 @@ from sattools.export.validity import MEANING
 from sattools.fit.stored import StoredModel
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter
-from sattools.scene.raster import raster_grid, read_raster
-from sattools.scene.regrid import reproject_map
+from sattools.scene.raster import read_on
 
 # what the model may hold per image
 IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
 VALIDITY, PROBABILITY = "export/validity.tif", "export/probability.tif"
 _PICTURE_CELLS = 3000  # along the longer edge of the picture
-_SPARE_CELLS = 4  # around a block, in which interpolation looks
 _SOFTWARE = {"SOFTWARE": "sattools"}
 
 
@@ -125,7 +123,7 @@ class SurfaceFiles:
         if validity is not None:
             self._put(VALIDITY, validity, block)
         if self._prior is not None:
-            self._put(PROBABILITY, exported.shown(_part_of(*self._prior, block.grid)), block)
+            self._put(PROBABILITY, exported.shown(_one_band(self._prior, block.grid)), block)
         for name, sun in self._suns:
             lit = surface.lit(block, sun, False)
             self._put(view_href("shadow", name), np.where(exported.valid, lit < 0.5, 255).astype(np.uint8), block)
@@ -159,27 +157,18 @@ class SurfaceFiles:
             items[name].assets[kind] = Asset(href)
 
 
-def _prior_probability(scene: Scene) -> tuple[Path, Grid] | None:
-    """File and grid of the prior's probability of less than 1 m of error; None where the prior has none."""
-    if "prior_probability" not in scene.products:
-        return None
-    path = scene.path(scene.products["prior_probability"])
-    return path, raster_grid(path)
+def _prior_probability(scene: Scene) -> Path | None:
+    """File of the prior's probability of less than 1 m of error; None where the prior has none."""
+    name = scene.products.get("prior_probability")
+    return None if name is None else scene.path(name)
 
 
-def _part_of(path: Path, grid: Grid, target: Grid) -> np.ndarray:
-    """A raster with one band ``[H, W]`` on a part of the ground."""
-    spare = _SPARE_CELLS * max(target.cell_size, grid.cell_size)
-    west, south, east, north = target.bounds
-    box = Grid.from_bounds(grid.crs, (west - spare, south - spare, east + spare, north + spare), grid.cell_size)
-    try:
-        part = grid.part(*grid.window(box))
-    except SceneError:
-        return np.full(target.shape, np.nan, np.float32)
-    array, own = read_raster(path, part)
-    if array.shape[0] != 1:
-        raise InputError(f"{path}: found {array.shape[0]} bands, expected one as prior_probability has")
-    return reproject_map(array[0], own, target)
+def _one_band(path: Path, target: Grid) -> np.ndarray:
+    """A raster with one band ``[h, w]`` on a part of the ground."""
+    array = read_on(path, target)
+    if len(array) != 1:
+        raise InputError(f"{path}: found {len(array)} bands, expected one as prior_probability has")
+    return np.asarray(array[0])
 
 
 def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:

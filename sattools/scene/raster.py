@@ -13,14 +13,16 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from sattools.errors import InputError
+from sattools.errors import InputError, SceneError
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import horizontal, vertical_of
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
+from sattools.scene.regrid import reproject_map
 
+_SPARE_CELLS = 4  # around a part, in which interpolation looks
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
 
@@ -140,6 +142,28 @@ def _decimated(
         )
     except RasterioError as error:
         raise _damaged(data, path) from error
+
+
+def read_on(path: Path, target: Grid) -> np.ndarray:
+    """A raster ``[B, h, w]`` on another grid in the same CRS, of which only the part that lies there is read.
+
+    Args:
+        path: the file.
+        target: the grid; NaN where the raster is not.
+
+    Raises:
+        InputError: as `read_raster`.
+    """
+    grid = raster_grid(path)
+    west, south, east, north = target.bounds
+    spare = _SPARE_CELLS * max(target.cell_size, grid.cell_size)
+    box = Grid.from_bounds(grid.crs, (west - spare, south - spare, east + spare, north + spare), grid.cell_size)
+    try:
+        part = grid.part(*grid.window(box))
+    except SceneError:
+        return np.full((1, *target.shape), np.nan, np.float32)
+    array, own = read_raster(path, part)
+    return reproject_map(array, own, target)
 
 
 def raster_grid(path: Path) -> Grid:
@@ -311,6 +335,7 @@ __all__ = [
     "raster_grid",
     "raster_vertical",
     "read_image",
+    "read_on",
     "read_overview",
     "read_raster",
     "read_some_pixels",

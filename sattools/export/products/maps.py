@@ -11,8 +11,7 @@ import numpy as np
 from sattools.scene.files import written
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
-from sattools.scene.raster import raster_grid, read_raster
-from sattools.scene.regrid import reproject_map
+from sattools.scene.raster import raster_grid, read_on, read_raster
 
 BLOCK = 512  # cells along a side
 
@@ -47,12 +46,9 @@ class Maps:
     def read(self, name: str, rows: slice, cols: slice) -> np.ndarray:
         """A map ``[B, h, w]`` of the cells of the DSM's grid that these rows and columns within it name."""
         path, part = self.paths[name], self.grid.part(rows, cols)
-        own = raster_grid(path)
-        if own == self.grid:
+        if raster_grid(path) == self.grid:
             return read_raster(path, within=part)[0]
-        spare = 2 + int(np.ceil(own.cell_size / part.cell_size))
-        array, around = read_raster(path, within=part.widened(spare))
-        return reproject_map(array, around, part)
+        return read_on(path, part)
 
     def picture(self, name: str, longest: int) -> np.ndarray:
         """A map ``[B, h, w]`` of no more cells along a side, each the mean of those it covers.

@@ -194,12 +194,7 @@ def _faces(corners, size, used):
             middle = (c + 0.5 * s, r + 0.5 * s, total / 4)
             for k in range(count):
                 found.append((middle, ring[k], ring[(k + 1) % count]))
-    out = np.empty((len(found), 3, 3))
-    for k in range(len(found)):
-        for v in range(3):
-            for d in range(3):
-                out[k, v, d] = found[k][v][d]
-    return out
+    return _packed(found)
 
 
 @njit(cache=True)
@@ -229,6 +224,12 @@ def _walls(corners, owner, used):
                 y, left, right = float(r + 1), float(c), float(end + 1)
                 found.append(((left, y, north[0]), (left, y, south[0]), (right, y, south[1])))
                 found.append(((left, y, north[0]), (right, y, south[1]), (right, y, north[1])))
+    return _packed(found)
+
+
+@njit(cache=True)
+def _packed(found):
+    """Triangles as an array ``[M, 3, 3]``."""
     out = np.empty((len(found), 3, 3))
     for k in range(len(found)):
         for v in range(3):
