@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from sattools.simulate.materials import code
 from sattools.simulate.world import BUILDING, GROUND, TREES
+
+
+def cells_across(size_m: float, angle: float, margin_m: float, cell_size: float) -> int:
+    """Cells along the edge of a turned square that covers a north-up one and a margin around it; an even number.
+
+    Args:
+        size_m: edge of the north-up square [m].
+        angle: by which the other one is turned [rad].
+        margin_m: around it [m].
+        cell_size: edge of a cell [m].
+    """
+    side = size_m * (abs(math.cos(angle)) + abs(math.sin(angle))) + 2 * margin_m
+    return 2 * math.ceil(side / cell_size / 2)
 
 
 @dataclass
@@ -116,4 +130,4 @@ def ground(count: int, cell_size: float, base_m: float, rng: np.random.Generator
     return heights
 
 
-__all__ = ["Canvas", "ground"]
+__all__ = ["Canvas", "cells_across", "ground"]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sattools.simulate.canvas import Canvas, ground
+from sattools.simulate.canvas import Canvas, cells_across, ground
 from sattools.simulate.materials import albedo_map, code
 from sattools.simulate.world import GROUND, WATER, World
 
@@ -42,8 +42,7 @@ def build_city(
         trees: plant some.
     """
     angle = math.radians(rotation_deg)
-    side = size_m * (abs(math.cos(angle)) + abs(math.sin(angle))) + 2 * margin_m
-    count = 2 * math.ceil(side / cell_size / 2)
+    count = cells_across(size_m, angle, margin_m, cell_size)
     side = count * cell_size
     canvas = Canvas(cell_size, ground(count, cell_size, base_m, rng))
     pitch = BLOCK_M + STREET_M

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sattools.simulate.canvas import Canvas, ground
+from sattools.simulate.canvas import Canvas, cells_across, ground
 from sattools.simulate.detailed import BALCONIES, LEAFY, NO_CROWN, PLAIN, WINDOWS, DetailedWorld, mirror_of
 from sattools.simulate.materials import albedo_map, code
 from sattools.simulate.roofs import barrel, clutter, cylinder, dome, parapet
@@ -120,8 +120,7 @@ def build_downtown(
     """
     rotation = float(rng.uniform(5, 40))
     angle = math.radians(rotation)
-    side = size_m * (abs(math.cos(angle)) + abs(math.sin(angle))) + 2 * margin_m
-    count = 2 * math.ceil(side / cell_size / 2)
+    count = cells_across(size_m, angle, margin_m, cell_size)
     side = count * cell_size
     town = Town(cell_size, ground(count, cell_size, base_m, rng))
     columns, rows = (_plots(side, rng) for _ in range(2))
