@@ -108,7 +108,8 @@ def _add_pair(
     darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
     veil = dark_a - dark_b
     steep = np.float32(1.0 / (brightness * brightness))
-    one = np.float32(1.0)
+    # every constant in single precision: one in double makes the whole line double
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     sums[:] = 0
     for i in range(2 * radius):
         for j in range(sums.shape[0]):
@@ -126,9 +127,9 @@ def _add_pair(
             both = max(both, -mixed * both)
             dark = sa[j] < 0 and sb[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
             floor = dark_floor if dark else lit_floor
-            structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
-            apart = ma[j] - mb[j] - (veil if dark else np.float32(0))
-            score = max(structure, np.float32(0)) / (one + apart * apart * steep)
+            structure = (two * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
+            apart = ma[j] - mb[j] - (veil if dark else zero)
+            score = max(structure, zero) / (one + apart * apart * steep)
             square = score * score
             ti[j] += both * (square if power == 1 else square * square * square)
             wi[j] += both
