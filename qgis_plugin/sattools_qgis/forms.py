@@ -104,7 +104,7 @@ def fields(name: Any, command: Any) -> Any:
                 "minimum": option["minimum"],
                 "maximum": option["maximum"],
                 "choices": list(PRODUCTS) if kind == "choices" else option["choices"],
-                "optional": kind != "bool",
+                "optional": kind != "bool" and not (own == "out" and name in SOURCES),
                 "advanced": own not in plain,
             }
         )

@@ -179,24 +179,29 @@ def test_results_stand_in_a_group_in_their_order_and_no_map_is_black(environment
         environment,
         "from processing.gui.Postprocessing import handleAlgorithmResults\n"
         "algorithm = provider.algorithm('export').create()\n"
+        "QgsProject.instance().setCrs(QgsCoordinateReferenceSystem('EPSG:4979'))\n"
         "for _ in range(2):  # the second time replaces the first\n"
         "    context = QgsProcessingContext(); context.setProject(QgsProject.instance())\n"
         f"    files = {{n: '{tmp_path}/' + n + '.tif' for n in ('dsm', 'dsm_std', 'albedo')}}\n"
         "    algorithm.load(files, context, 'TOWN')\n"
         "    print('well', handleAlgorithmResults(algorithm, context, QgsProcessingFeedback()))\n"
+        "    for _ in range(5):  # QGIS drops layers that are in no tree when it has time to\n"
+        "        app.processEvents()\n"
         "group = QgsProject.instance().layerTreeRoot().findGroup('TOWN')\n"
         "print('tree', [(n.name(), n.itemVisibilityChecked()) for n in group.children()])\n"
         "print('layers', len(QgsProject.instance().mapLayers()))\n"
         "layer = QgsProject.instance().mapLayersByName('dsm_std')[0]\n"
         "print('high', layer.renderer().classificationMax())\n"
+        "print('crs', QgsProject.instance().crs().authid())\n"
         "QgsProject.instance().clear()",
     )
     lines = dict(
-        line.split(" ", 1) for line in said.splitlines() if line.split(" ", 1)[0] in ("tree", "high", "layers")
+        line.split(" ", 1) for line in said.splitlines() if line.split(" ", 1)[0] in ("tree", "high", "layers", "crs")
     )
     assert said.count("well True") == 2, said
     assert lines["tree"] == "[('dsm', True), ('dsm hillshade', True), ('albedo', False), ('dsm_std', False)]"
     assert int(lines["layers"]) == 4
+    assert lines["crs"] == "EPSG:32631"
     assert 0.9 < float(lines["high"]) < 1.1
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-2.0-or-later
-"""Where layers stand in the project: one group per scene, lines above maps, what says how good above what it is about.
+"""Where layers stand in the project: one group per scene, what says how good below what it is about.
 
 QGIS 3.22 loads results in the order of their names, later ones by keys that 3.22 does not have; so layers are put in
 their places here, one after the other.
@@ -7,13 +7,12 @@ their places here, one after the other.
 
 from typing import Any
 
-# from top to bottom; those of the first two lines, and the surface, show at once
-LINES = ("tie_points", "contours", "footprints")
 SHOWN = ("contours", "footprints", "difference", "dsm", "prior_dsm")
+# From top to bottom. QGIS gives a new project its topmost layer's CRS: footprints in degrees would squeeze the maps.
 ORDER = (
-    *LINES, "difference", "dsm", "dsm hillshade", "prior_dsm", "prior_dsm hillshade", "ortho", "albedo", "reflectance",
-    "w", "b", "c", "theta", "rho0", "k", "rhoc", "dsm_std", "probability", "validity", "prior_confidence",
-    "prior_probability",
+    "contours", "difference", "dsm", "dsm hillshade", "prior_dsm", "prior_dsm hillshade", "ortho", "albedo",
+    "reflectance", "w", "b", "c", "theta", "rho0", "k", "rhoc", "dsm_std", "probability", "validity",
+    "prior_confidence", "prior_probability", "tie_points", "footprints",
 )  # fmt: skip
 
 
@@ -30,14 +29,22 @@ def place(project: Any, layer: Any, scene: Any) -> Any:
         old = other.layer()
         if old is not None and old.id() != layer.id() and (old.name(), old.source()) == (layer.name(), layer.source()):
             project.removeMapLayer(old.id())
-    before = [other for other in group.children() if rank(other.name()) <= rank(layer.name())]
-    node = root.findLayer(layer.id())
-    if node is not None and node.parent() is not None:
-        before = [other for other in before if other is not node and _id(other) != layer.id()]
-        node.parent().removeChildNode(node)
-    node = group.insertLayer(len(before), layer)
+    old = root.findLayer(layer.id())
+    before = [
+        other for other in group.children() if _id(other) != layer.id() and rank(other.name()) <= rank(layer.name())
+    ]
+    after = group.children()[group.children().index(before[-1]) + 1 :] if before else group.children()
+    node = group.insertLayer(len(group.children()) - len(after), layer)
+    if old is not None:  # only now: QGIS drops a layer from the project that is nowhere in the tree
+        old.parent().removeChildNode(old)
     node.setItemVisibilityChecked(layer.name() in SHOWN or layer.name().endswith("hillshade"))
     node.setExpanded(False)
+    if (
+        project.crs().isGeographic()
+        and len(group.findLayers()) == len(project.mapLayers())
+        and not layer.crs().isGeographic()
+    ):
+        project.setCrs(layer.crs())  # footprints in degrees may have come first, in which maps would look squeezed
     return node
 
 

@@ -55,7 +55,9 @@ def _parameter(field: Any) -> Any:
     if kind in ("file", "folder"):
         behaviour = QgsProcessingParameterFile.Folder if kind == "folder" else QgsProcessingParameterFile.File
         default = None if default in (None, ".") else default
-        return QgsProcessingParameterFile(key, label, behavior=behaviour, defaultValue=default, optional=True)
+        return QgsProcessingParameterFile(
+            key, label, behavior=behaviour, defaultValue=default, optional=field["optional"]
+        )
     layers: Any = {
         "extent": lambda: QgsProcessingParameterExtent(key, label, optional=True),
         "crs": lambda: QgsProcessingParameterCrs(key, label, optional=True),
