@@ -17,6 +17,7 @@ from rasterio.warp import transform_bounds
 from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, image_errors, map_errors
 from sattools.compare.options import CompareOptions
 from sattools.compare.registration import Registration, register, search_margin, shifted
+from sattools.compare.slopes import errors_by_slope
 from sattools.compare.steps import add_step_errors, step_text
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
@@ -92,6 +93,7 @@ def compare_dsm(
     figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
     add_step_errors(figures, difference, reference, truth.classes, truth.grid.cell_size)
+    figures["slopes"] = errors_by_slope(difference, reference, truth.grid.cell_size)
     figures |= {
         "shift_m": [round(value, 4) for value in shift.metres(truth.grid.cell_size)],
         "registration": {"method": shift.method, "correlation": shift.correlation},

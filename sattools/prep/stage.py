@@ -40,6 +40,7 @@ from sattools.prep.layout import (
 )
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
+from sattools.prep.pairs import IN_HISTORY, pair_table
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
@@ -100,7 +101,8 @@ def prepare(
     for item, source in zip(scene.items, sources, strict=True):
         item.properties["sattools:role"] = roles[source.id]
         notes += [f"{source.id}: {r}" for r in source.notes]
-    write_reports(scene, result)
+    pairs = pair_table(result, scene.grid, heights)
+    write_reports(scene, result, pairs)
     if (area := wanted(scene.grid.bounds)) is not None:
         write_area(scene, area)
     progress(1.0, "done")
@@ -111,6 +113,7 @@ def prepare(
             "median_before_px": round(result.median_before_px, 3),
             "median_after_px": round(result.median_after_px, 3),
             "outlier_views": [v.name for v in result.views if v.outlier],
+            "pairs": pairs[:IN_HISTORY],
         },
     }
 
