@@ -23,7 +23,7 @@ def lines(page: str, language: str = "bash", **settings: str) -> str:
     text = (PAGES / f"{page}.md").read_text(encoding="utf-8")
     code = "\n".join(re.findall(rf"(?ms)^```{language}\n(.*?)^```", text))
     for name, value in settings.items():
-        code, count = re.subn(rf"(?m)^{name}=.*$", lambda _, line=f'{name}="{value}"': line, code)  # type: ignore[misc]
+        code, count = re.subn(rf"(?m)^{name}=.*$", lambda _, line=f'{name}="{value}"': line, code)
         assert count == 1, name
     return code
 

@@ -311,8 +311,8 @@ def test_the_history_says_of_every_pair_how_its_images_see_the_place(images: Any
         assert row["angle_deg"] == pytest.approx(np.degrees(np.arccos(first @ second)), abs=0.1)
         assert row["tie_points"] >= 50
         assert row["after_px"] < 0.5
-        if "city_2" in row["images"]:  # five pixels off, and a pair shares them
-            assert 1.0 < row["before_px"] < 6.0
+        if "city_2" in row["images"]:  # five pixels off; what lies along the line of sight, the ground takes
+            assert 0.5 < row["before_px"] < 5.0
     folder = Path(options.out) / "city"
     assert json.loads((folder / "adjustment.json").read_text())["pairs"] == pairs
     assert "city_0" in (folder / "adjustment.txt").read_text().split("angle")[1]

@@ -263,7 +263,7 @@ def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path: Path, open
     ],
 )
 def test_a_score_that_is_no_number_is_named(tmp_path: Path, change: Any, words: Any) -> None:
-    from sattools.report.scene import _ERRORS
+    from sattools.report.errors import _ERRORS
 
     place = {"signed": 0.1, "absolute": 0.2, "share": 0.3}
     figures = {"near_steps": place, "away_from_steps": place, "mae_centred": 0.3, "mae_capped_5m": 0.2}
