@@ -91,6 +91,24 @@ def batch(folder: Path) -> None:
     figure.save(PICTURES / "batch_speed.jpg", quality=QUALITY)
 
 
+def pansharpening(folder: Path) -> None:
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from sattools.scene.raster import read_overview
+
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    for axes, name in zip(figure.subplots(1, 3), ("dsm", "albedo", "ortho"), strict=True):
+        array, _ = read_overview(folder / f"work/COLOURED/export/{name}.tif")
+        low, high = np.nanquantile(array, [0.01, 0.99])
+        shown = np.moveaxis(np.clip((array.astype(float) - low) / (high - low), 0, 1), 0, -1)
+        shown = np.nan_to_num(shown, nan=1.0)
+        axes.imshow(shown if shown.shape[2] == 3 else shown[..., 0], cmap="viridis" if name == "dsm" else "gray")
+        axes.set_axis_off()
+        axes.set_title(name)
+    save(figure, "pansharpening")
+
+
 def notebook(folder: Path) -> None:
     (PICTURES / "notebook.jpg").write_bytes((folder / "notebook/hill.jpg").read_bytes())
 
@@ -113,7 +131,8 @@ def qgis(folder: Path) -> None:
 
 
 PAGES: dict[str, Callable[[Path], None]] = {
-    "pleiades": pleiades, "city": city, "desert": desert, "batch": batch, "notebook": notebook, "qgis": qgis,
+    "pleiades": pleiades, "city": city, "desert": desert, "pansharpening": pansharpening, "batch": batch,
+    "notebook": notebook, "qgis": qgis,
 }  # fmt: skip
 
 

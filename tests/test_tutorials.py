@@ -75,6 +75,13 @@ def test_the_deserts_parameters_are_scored_against_the_truth(tmp_path: Path) -> 
     assert {"w", "theta"} <= set(errors["parameters"])
 
 
+@pytest.mark.slow  # tests/prep/test_colours.py has the same of a smaller town
+def test_colours_come_from_the_multispectral_images(tmp_path: Path) -> None:
+    run("pansharpening", tmp_path, SIZE="64")
+    with rasterio.open(tmp_path / "work/COLOURED/export/ortho.tif") as ortho:
+        assert ortho.descriptions == ("colour red", "colour green", "colour blue")
+
+
 @pytest.mark.slow
 def test_the_batch_compares_two_configurations_of_two_areas(tmp_path: Path) -> None:
     pytest.importorskip("distributed")

@@ -30,6 +30,11 @@ class PrepOptions:
     )
     holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")
     mask: list[str] = option([], "Vector file of polygons (water, clouds) in which no surface is wanted; repeatable.")
+    colours: str | None = option(
+        None,
+        "Folder with multispectral images of the same acquisitions as the images, which are panchromatic then: the "
+        "surface is made of these, the orthophoto's colours come from those.",
+    )
     copy: bool | None = option(
         None,
         "Copy the pixels into the scene's folder, or refer to the original files by window and corrected camera "

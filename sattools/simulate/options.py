@@ -58,6 +58,13 @@ class SimulateOptions:
         minimum=0,
         maximum=2000,
     )
+    pan: int | None = option(
+        None,
+        "Panchromatic images, and beside them in colours/ what a multispectral sensor with so many times larger pixels "
+        "sees at the same moment; not of natural ground.",
+        minimum=2,
+        maximum=8,
+    )
     hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
     lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
@@ -78,6 +85,8 @@ class SimulateOptions:
         for name, value in usual.items():
             if getattr(self, name) is None:
                 setattr(self, name, value)
+        if self.pan and self.terrain == "natural":
+            raise InputError("--pan: found natural ground, expected a city")
         if self.terrain == "natural":
             self.bits = 12
         elif self.bits == 12:
