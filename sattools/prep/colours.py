@@ -21,7 +21,7 @@ from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text
 
-SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".vrt", ".img")
+SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img")
 # words of a name that say which sensor took an image, not which acquisition it is
 SENSORS = {"pan", "p", "p1bs", "p2as", "ms", "mul", "mss", "m", "m1bs", "m2as", "xs", "multi", "rgb", "colour", "color"}
 SAME_TIME_S = 3.0

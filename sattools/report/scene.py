@@ -244,9 +244,10 @@ def _history(scene: Scene) -> Section:
     rows = []
     for entry in scene.history:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
-        taken = number(entry.get("seconds"), 1), number(entry.get("peak_memory_mb"), 0)
+        keys = (("seconds", 1), ("cpu_seconds", 1), ("peak_memory_mb", 0))
+        taken = [number(entry.get(key), digits) for key, digits in keys]
         rows.append([entry["command"], *taken, versions])
-    names = ["command", "time [s]", "peak memory [MB]", "versions"]
+    names = ["command", "time [s]", "CPU time [s]", "peak memory [MB]", "versions"]
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
     section.parts.append(Code(pipeline(scene.history), text))

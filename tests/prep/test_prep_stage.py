@@ -326,3 +326,9 @@ def test_the_report_keeps_some_residuals_of_every_image(images: Any, options: An
         assert rows.shape[1] == 4
         assert 20 <= len(rows) <= 100
         assert np.median(np.hypot(rows[:, 2], rows[:, 3])) == pytest.approx(view["median_after_px"], rel=0.5, abs=0.05)
+
+
+def test_images_in_sensor_geometry_claim_no_crs(images: Any, options: Any) -> None:
+    scene, _ = prepare(images, options)
+    assert all("proj:code" in item.properties for item in scene.items)
+    assert [item.properties["proj:code"] for item in scene.items] == [None, None, None]
