@@ -51,6 +51,8 @@ pre { overflow-x: auto; padding: 0.7rem; border: 1px solid #8886; }
 """
 
 
+LARGEST = 3_000_000  # bytes of a page
+RESOLUTIONS = (100, 75, 55, 40)  # of its pictures [dots per inch], the first with which it is small enough
 _NARROW = 6  # columns of a table that fits beside something
 
 
@@ -101,12 +103,20 @@ class Section:
 
 
 def render(title: str, sections: Sequence[Section]) -> str:
-    """The page as text; all texts are escaped."""
+    """The page as text, of at most `LARGEST` bytes where coarser pictures can make it so; all texts are escaped."""
+    for dpi in RESOLUTIONS:
+        page = _page(title, sections, dpi)
+        if len(page.encode("utf-8")) <= LARGEST:
+            break
+    return page
+
+
+def _page(title: str, sections: Sequence[Section], dpi: int) -> str:
     shown = [section for section in sections if section.parts]
     links = "".join(f'<a href="#s{k}">{escape(section.title)}</a>' for k, section in enumerate(shown))
     body = "\n".join(
         f'<section id="s{k}"><h2>{escape(section.title)}</h2>\n<div class="parts">\n'
-        + "\n".join(map(_part, section.parts))
+        + "\n".join(_part(part, dpi) for part in section.parts)
         + "\n</div></section>"
         for k, section in enumerate(shown)
     )
@@ -129,9 +139,9 @@ def render(title: str, sections: Sequence[Section]) -> str:
 """
 
 
-def _part(part: Picture | Table | Code | str) -> str:
+def _part(part: Picture | Table | Code | str, dpi: int) -> str:
     if isinstance(part, Picture):
-        source = f"data:image/png;base64,{base64.b64encode(_png(part.figure)).decode('ascii')}"
+        source = f"data:image/png;base64,{base64.b64encode(_png(part.figure, dpi)).decode('ascii')}"
         caption = escape(part.caption)
         kind = ' class="whole"' if part.wide else ""
         return f'<figure{kind}><img src="{source}" alt="{escape(part.alt)}"><figcaption>{caption}</figcaption></figure>'
@@ -153,12 +163,12 @@ def _cell(cell: str | Link) -> str:
     return escape(cell)
 
 
-def _png(figure: Any) -> bytes:
+def _png(figure: Any, dpi: int) -> bytes:
     from PIL import Image
 
     stream, small = io.BytesIO(), io.BytesIO()
     # without matplotlib's version in it, the same data give the same page
-    figure.savefig(stream, format="png", dpi=100, bbox_inches="tight", metadata={"Software": None})
+    figure.savefig(stream, format="png", dpi=dpi, bbox_inches="tight", metadata={"Software": None})
     # maps have ramps: a palette of 256 colours is not seen, and a third of the size
     Image.open(stream).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(small, "png", optimize=True)
     return small.getvalue()

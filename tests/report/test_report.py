@@ -21,7 +21,8 @@ from sattools.cli import main
 from sattools.compare.picture import line_styles
 from sattools.errors import InputError
 from sattools.report.commands import command_line, pipeline
-from sattools.report.page import Section, render
+from sattools.report.figures import new_figure
+from sattools.report.page import Picture, Section, render
 from sattools.scene.raster import write_cog
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -325,6 +326,21 @@ def test_a_page_fits_a_phone_and_uses_a_wide_screen(
     found, page_width, nav = re.search(r"<title>(.*?)</title>", document)[1].split(",")
     assert (int(found), nav) == (columns, "true"), said
     assert int(page_width) <= width
+
+
+def test_a_page_that_would_be_too_large_has_coarser_pictures() -> None:
+    def page(count: int) -> str:
+        rng = np.random.default_rng(0)
+        pictures = []
+        for _ in range(count):
+            figure = new_figure(8, 8)
+            figure.subplots().imshow(rng.random((400, 400)), interpolation="nearest")
+            pictures.append(Picture(figure, "noise", "noise"))
+        return render("Noise", [Section("Pictures", list(pictures))])
+
+    one, many = page(1), page(12)
+    assert len(many) < 3_000_000
+    assert len(many) < 0.8 * 12 * len(one)
 
 
 def test_lines_of_many_images_can_be_told_apart() -> None:
