@@ -40,11 +40,12 @@ def run_correlate(
 ) -> Any:
     s = SETTINGS | ROOT_MEAN_SQUARE | changed
     m = s["margin"]
-    volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
+    rows, cols = images.shape[1] - 2 * m, images.shape[2] - 2 * m
+    volume = np.empty((rows, len(heights), cols), np.float32)
     order = (s["radius"], s["noise"], s["shadow_noise"], s["brightness"], m, np.float32(s["unseen"]))
     order += (s["power"], np.float32(s["weak"]), np.float32(s["mixed"]))
     if shadow_height is None:
-        shadow_height = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
+        shadow_height = np.full((len(images), rows, cols), LOW, np.float32)
     if dark is None:
         dark = np.full(len(images), LOW, np.float32)
     correlate(
@@ -62,7 +63,12 @@ def run_correlate(
         *order,
         volume,
     )
-    return volume
+    return by_cell(volume)
+
+
+def by_cell(volume: Any) -> Any:
+    """The twin's order of axes, [H, W, D], for a volume [H, D, W], or back."""
+    return np.ascontiguousarray(np.swapaxes(volume, 1, 2))
 
 
 @pytest.mark.parametrize("radius", [1, 2])
@@ -186,16 +192,17 @@ def test_an_unseen_height_never_beats_what_is_seen() -> None:
 
 def test_aggregation_is_that_of_the_plain_twin() -> None:
     score = np.random.default_rng(3).random((7, 9, 6)).astype(np.float32)
-    total = np.empty_like(score)
-    aggregate(score, np.float32(0.1), np.float32(0.35), total)
-    np.testing.assert_allclose(total, reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
+    total = np.empty_like(by_cell(score))
+    aggregate(by_cell(score), np.float32(0.1), np.float32(0.35), total)
+    np.testing.assert_allclose(by_cell(total), reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
 
 
 def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> None:
     score = np.full((11, 11, 5), 0.2, np.float32)
     score[..., 3] = 0.9
     score[5, 5] = 0.2
-    total, height, index = np.empty_like(score), np.empty((11, 11), np.float32), np.empty((11, 11), np.int64)
+    score = by_cell(score)
+    total, height, index = np.empty_like(score), np.empty((11, 11), np.float32), np.empty((11, 11), np.int32)
     aggregate(score, np.float32(0.3), np.float32(1.5), total)
     lowest(total, np.arange(5.0) + 10, height, index)
     assert index[5, 5] == 3
@@ -204,17 +211,17 @@ def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> No
 
 def test_a_parabola_finds_the_height_between_two_planes() -> None:
     heights = np.array([0.0, 2.0, 4.0, 6.0])
-    total = ((heights - 3.4) ** 2).astype(np.float32)[None, None].copy()
-    height, index = np.empty((1, 1), np.float32), np.empty((1, 1), np.int64)
+    total = ((heights - 3.4) ** 2).astype(np.float32)[None, :, None].copy()
+    height, index = np.empty((1, 1), np.float32), np.empty((1, 1), np.int32)
     lowest(total, heights, height, index)
     assert index[0, 0] == 2
     assert height[0, 0] == pytest.approx(3.4, abs=1e-5)
 
 
 def test_the_rival_is_the_best_height_that_is_no_neighbour() -> None:
-    total = np.array([[[5.0, 3.0, 1.0, 2.0, 4.0]]], np.float32)
+    total = np.array([[[5.0], [3.0], [1.0], [2.0], [4.0]]], np.float32)
     gap = np.empty((1, 1), np.float32)
-    second_best_margin(total, np.array([[2]]), gap)
+    second_best_margin(total, np.array([[2]], np.int32), gap)
     assert gap[0, 0] == 3.0
 
 

@@ -55,6 +55,10 @@ def _follow(image, surface, row0, col0, parallax, dz, out):
 def _window_sum(columns, radius, out):
     """out(j) = sum of columns(j .. j + 2 radius); the shorter array sets the length."""
     cols = out.shape[0]
+    if radius == 1:  # the default, in one pass instead of three
+        for j in range(cols):
+            out[j] = columns[j] + columns[j + 1] + columns[j + 2]
+        return
     for j in range(cols):
         out[j] = columns[j]
     for k in range(1, 2 * radius + 1):
@@ -108,7 +112,8 @@ def _add_pair(
     darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
     veil = dark_a - dark_b
     steep = np.float32(1.0 / (brightness * brightness))
-    one = np.float32(1.0)
+    # every constant in single precision: one in double makes the whole line double
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     sums[:] = 0
     for i in range(2 * radius):
         for j in range(sums.shape[0]):
@@ -126,9 +131,9 @@ def _add_pair(
             both = max(both, -mixed * both)
             dark = sa[j] < 0 and sb[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
             floor = dark_floor if dark else lit_floor
-            structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
-            apart = ma[j] - mb[j] - (veil if dark else np.float32(0))
-            score = max(structure, np.float32(0)) / (one + apart * apart * steep)
+            shared = max(two * (line[j] * norm - ma[j] * mb[j]) + floor, zero)
+            apart = ma[j] - mb[j] - (veil if dark else zero)
+            score = shared / ((va[j] + vb[j] + floor) * (one + apart * apart * steep))
             square = score * score
             ti[j] += both * (square if power == 1 else square * square * square)
             wi[j] += both
@@ -137,17 +142,28 @@ def _add_pair(
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _fill_unseen(column, unseen):
-    """Replace the negative scores of a cell (heights that no pair sees).
+def _mean_over_pairs(total, weight, power, agreement):
+    """Power mean of a row's pairs; -1 where no pair sees the place."""
+    for j in range(agreement.shape[0]):
+        mean = total[j] / weight[j] if weight[j] > 0 else np.float32(-1)
+        if weight[j] > 0:
+            mean = math.sqrt(mean) if power == 1 else mean**SIXTH
+        agreement[j] = mean
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _fill_unseen(row, unseen, best):
+    """Replace the negative scores of a row of cells ``[D, W]`` (heights that no pair sees).
 
     A hidden height must stay possible, but not beat what is seen to agree, however poorly.
     """
-    best = np.float32(0)
-    for k in range(column.shape[0]):
-        best = max(best, column[k])
-    for k in range(column.shape[0]):
-        if column[k] < 0:
-            column[k] = min(unseen, GUARD * best)
+    best[:] = 0
+    for k in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            best[j] = max(best[j], row[k, j])
+    for k in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            row[k, j] = min(unseen, GUARD * best[j]) if row[k, j] < 0 else row[k, j]
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
@@ -207,10 +223,10 @@ def correlate(
         weak: weight of a view from which the surface hides the point; above 0, a place that no image can contradict
             is worth what the images show there, not a constant.
         mixed: factor of the weight of pairs in different light.
-        volume: ``[H, W, D]`` float32, filled with agreements in [0, 1].
+        volume: ``[H, D, W]`` float32, filled with agreements in [0, 1].
     """
     views = images.shape[0]
-    height, width, depth = volume.shape
+    height, depth, width = volume.shape
     tiles = (height + TILE - 1) // TILE
     for t in prange(tiles):
         r0 = t * TILE
@@ -260,15 +276,9 @@ def correlate(
                     radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
                 )  # fmt: skip
             for i in range(rows):
-                for j in range(width):
-                    n = weight[i, j]
-                    mean_power = total[i, j] / n if n > 0 else np.float32(-1)
-                    if n > 0:
-                        mean_power = math.sqrt(mean_power) if power == 1 else mean_power**SIXTH
-                    volume[r0 + i, j, k] = mean_power
+                _mean_over_pairs(total[i], weight[i], power, volume[r0 + i, k])
         for i in range(rows):
-            for j in range(width):
-                _fill_unseen(volume[r0 + i, j], unseen)
+            _fill_unseen(volume[r0 + i], unseen, line)
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)

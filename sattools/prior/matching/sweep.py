@@ -134,7 +134,9 @@ def sweep_blocks(
             whole[rows, cols] = part[inner]
         if minima is not None:
             corner = (margin + rows.start, margin + cols.start)
-            update_minima(total[inner], frame.parallax, heights, frame.z_ref, *corner, minima.cost, minima.height)
+            update_minima(
+                total[inner[0], :, inner[1]], frame.parallax, heights, frame.z_ref, *corner, minima.cost, minima.height
+            )
     return maps[0], maps[1], maps[2]
 
 
@@ -150,21 +152,21 @@ def sweep(
         ceiling: ``[H, W]`` heights above which nothing is looked for [m].
 
     Returns:
-        height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
+        height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, D, W]``.
     """
     from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 
     options = task.options
     volume = agreement(task, visibility, heights)
     if ceiling is not None:
-        volume[heights > ceiling[..., None]] = 0
+        volume[heights[:, None] > ceiling[:, None, :]] = 0
     total = np.empty_like(volume)
     large_jump = options.large_jump * scarcity(len(task.pairs))
     aggregate(volume, np.float32(options.small_jump), np.float32(large_jump), total)
     height = np.empty(task.frame.shape, np.float32)
-    index = np.empty(task.frame.shape, np.int64)
+    index = np.empty(task.frame.shape, np.int32)
     lowest(total, heights, height, index)
-    score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
+    score = np.take_along_axis(volume, index[:, None].astype(np.int64), axis=1)[:, 0]
     gap = np.empty(task.frame.shape, np.float32)
     second_best_margin(total, index, gap)
     return height, np.clip(score, 0, 1), gap / 8, total
@@ -180,13 +182,13 @@ def agreement(task: MatchTask, visibility: Visibility, heights: np.ndarray, base
         base: surface to which the heights are relative, ``[H + 2 window, W + 2 window]`` [m]; empty = none.
 
     Returns:
-        ``[H, W, D]`` float32, at most 1.
+        ``[H, D, W]`` float32, at most 1.
     """
     from sattools.prior.matching.kernels import correlate
 
     frame, options = task.frame, task.options
     shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)
-    volume = np.empty((*frame.shape, len(heights)), np.float32)
+    volume = np.empty((frame.shape[0], len(heights), frame.shape[1]), np.float32)
     correlate(
         frame.images, frame.masks, frame.parallax, heights, base, frame.z_ref, visibility.first_hit_height,
         visibility.shadow_height, visibility.dark, options.tolerance, task.pairs, options.window, options.noise,
