@@ -62,10 +62,26 @@ def parameter(path: Path, label: str, name: str) -> None:
     save(map_figure(array[:3].astype(np.float32), grid, label), name)
 
 
+def photograph(path: Path, name: str) -> None:
+    """An orthophoto of one band, as eyes would see it."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from sattools.scene.raster import read_overview
+
+    array, grid = read_overview(path)
+    figure = Figure(figsize=(5.6, 5.6 * grid.height / grid.width), layout="constrained")
+    axes = figure.subplots()
+    low, high = np.nanquantile(array, [0.01, 0.99])
+    axes.imshow(array[0], cmap="gray", vmin=low, vmax=high)
+    axes.set_axis_off()
+    save(figure, name)
+
+
 def pleiades(folder: Path) -> None:
-    export = folder / "work/HARBOUR/export"
-    surface(export / "dsm.tif", "HARBOUR", "pleiades_dsm")
-    parameter(export / "ortho.tif", "true orthophoto [1]", "pleiades_ortho")
+    export = folder / "work/QUARRY/export"
+    surface(export / "dsm.tif", "QUARRY", "pleiades_dsm")
+    photograph(export / "ortho.tif", "pleiades_ortho")
 
 
 def city(folder: Path) -> None:
@@ -102,7 +118,7 @@ def pansharpening(folder: Path) -> None:
         array, _ = read_overview(folder / f"work/COLOURED/export/{name}.tif")
         low, high = np.nanquantile(array, [0.01, 0.99])
         shown = np.moveaxis(np.clip((array.astype(float) - low) / (high - low), 0, 1), 0, -1)
-        shown = np.nan_to_num(shown, nan=1.0)
+        shown = np.nan_to_num(shown, nan=1.0) if name == "ortho" else np.ma.masked_invalid(shown)
         axes.imshow(shown if shown.shape[2] == 3 else shown[..., 0], cmap="viridis" if name == "dsm" else "gray")
         axes.set_axis_off()
         axes.set_title(name)

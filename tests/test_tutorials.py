@@ -49,11 +49,11 @@ def test_the_stereo_pair_becomes_a_surface_points_and_an_orthophoto(tmp_path: Pa
     images = Path(str(DATA)) / "pleiades/marseille_triplet"
     pair = f"{images}/img_01.tif {images}/img_03.tif"
     run("pleiades", tmp_path, IMAGES=pair, AREA="5.4405 43.2605 5.4417 43.2614")
-    export = tmp_path / "work/HARBOUR/export"
+    export = tmp_path / "work/QUARRY/export"
     assert share_with_data(export / "dsm.tif") > 0.8
     for name in ("points.laz", "ortho.tif", "validity.tif", "contours.gpkg"):
         assert (export / name).is_file()
-    assert (tmp_path / "work/HARBOUR/report.html").is_file()
+    assert (tmp_path / "work/QUARRY/report.html").is_file()
 
 
 @pytest.mark.slow
