@@ -144,6 +144,10 @@ def qgis(folder: Path) -> None:
     if not profile.exists():
         subprocess.run(["qgis_process.bin", "plugins", "enable", "sattools_qgis"], env=environment, check=True)
     subprocess.run(program, env=environment, check=True, timeout=180)
+    from PIL import Image
+
+    for path in PICTURES.glob("qgis_*.png"):
+        Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 PAGES: dict[str, Callable[[Path], None]] = {
