@@ -41,7 +41,8 @@ class PriorOptions:
     brightness: float = option(0.1, "Difference of radiance at which two images agree by half.", minimum=1e-6)
     unseen: float = option(
         0.35,
-        "Agreement assumed where no pair of images sees a point (0 ... 1): neither for nor against.",
+        "Agreement assumed where no pair of images sees a point, 0 to 1: less keeps the surface away from such points, "
+        "more lets it pass through them.",
         minimum=0,
         maximum=1,
     )
