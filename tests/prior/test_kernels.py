@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from sattools.prior import reference
-from sattools.prior.matching.kernels import correlate, descend, first_hit_heights, shadow_heights
+from sattools.prior.matching.kernels import TILE, TILE_COLS, correlate
 from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
-from sattools.prior.matching.sweep import PLANES
+from sattools.prior.matching.sweep import PLANES, active_planes
+from sattools.prior.visibility.kernels import descend, first_hit_heights, shadow_heights
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
@@ -36,6 +37,7 @@ def run_correlate(
     shadow_height: Any = None,
     dark: Any = None,
     base: Any = PLANES,
+    active: Any = None,
     **changed: Any,
 ) -> Any:
     s = SETTINGS | ROOT_MEAN_SQUARE | changed
@@ -61,6 +63,7 @@ def run_correlate(
         tolerance,
         pairs,
         *order,
+        active_planes(heights, None, (rows, cols), 0, 0.0) if active is None else active,
         volume,
     )
     return by_cell(volume)
@@ -316,3 +319,32 @@ def test_shadow_heights_are_those_of_the_plain_twin(sun: Any) -> None:
     slow = reference.shadow_heights(surface, np.array(sun), 0.5)
     lower = slow < surface.min() - 20  # as far below, the kernel stops looking
     np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)
+
+
+def test_planes_away_from_a_known_surface_are_left_out_and_the_others_are_as_before() -> None:
+    rng = np.random.default_rng(5)
+    rows, cols = TILE + 6, TILE_COLS + 5
+    images = rng.normal(0, 0.1, (2, rows + 10, cols + 10)).astype(np.float32)
+    masks, hit = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    case = (images, masks, np.array([(0.0, 0.0), (0.1, 0.3)]), hit, np.array([(0, 1)]), np.arange(6.0))
+    surface = np.full((rows, cols), 1.0, np.float32)
+    surface[:, -2:] = 4.0  # a roof in the last columns, which are in the second tile only
+    active = active_planes(case[-1], surface, (rows, cols), reach=3, margin=1.0)
+    np.testing.assert_array_equal(active[0], [[0, 3], [0, 6]])
+    whole, part = run_correlate(*case), run_correlate(*case, active=active)
+    np.testing.assert_array_equal(part[:, :TILE_COLS, :3], whole[:, :TILE_COLS, :3])
+    np.testing.assert_array_equal(part[:, TILE_COLS:], whole[:, TILE_COLS:])
+    assert (part[:, :TILE_COLS, 3:] == 0).all()
+    assert (whole[:, :TILE_COLS, 3:] > 0).any()
+
+
+def test_what_stands_beside_a_tile_may_reach_into_it() -> None:
+    surface = np.zeros((TILE, 2 * TILE_COLS), np.float32)
+    surface[:, TILE_COLS + 2 :] = 9.0
+    heights = np.arange(-2.0, 12.0)
+    near = active_planes(heights, surface, surface.shape, reach=5, margin=1.0)[0, 0]
+    far = active_planes(heights, surface, surface.shape, reach=1, margin=1.0)[0, 0]
+    assert heights[near[0]] <= -1.0
+    assert heights[near[1] - 1] >= 10.0
+    assert heights[far[1] - 1] <= 2.0
+    assert (active_planes(heights, None, surface.shape, 5, 1.0) == [0, len(heights)]).all()
