@@ -39,6 +39,7 @@ KINDS = {
     "truth": "folder",
     "out": "folder",
     "dfc2019": "folder",
+    "colours": "folder",
     "bounds": "extent",
     "crs": "crs",
 }

@@ -28,6 +28,7 @@ from sattools.scene.opening import opened
 from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
 HEIGHTS = ("dsm", "prior_dsm")
+CAMERAS = {"rpc": "_RPC.TXT", "colours_rpc": "_COLOURS_RPC.TXT"}  # of an item: asset -> end of its file's name
 ON_THE_GROUND = ("shadow", "s_net", "tau")  # assets of images that are maps of the ground
 MADE_OF_MAPS = sorted(
     {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
@@ -103,10 +104,11 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
         for name in ON_THE_GROUND:
             if (item.id, name) in moves:
                 item.assets[name] = replace(item.assets[name], href=moves[item.id, name].href)
-        href = f"{folder}/{item.id}_RPC.TXT"
-        if f"{item.id}_RPC.TXT" in cameras:
-            cameras[f"{item.id}_RPC.TXT"].write(scene.output(href))
-            item.assets["rpc"] = Asset(href, "text/plain", ["metadata"])
+        for asset, end in CAMERAS.items():
+            if f"{item.id}{end}" in cameras:
+                href = f"{folder}/{item.id}{end}"
+                cameras[f"{item.id}{end}"].write(scene.output(href))
+                item.assets[asset] = Asset(href, "text/plain", ["metadata"])
     scene.grid = grid.moved(shift.east, shift.north)
     if scene.height_range_m:
         low, high = scene.height_range_m
@@ -188,11 +190,12 @@ def _moved_cameras(scene: Scene, grid: Grid, shift: Shift) -> dict[str, RPC]:
     x, y = (west + east) / 2, (south + north) / 2
     (lon0, lat0), (lon1, lat1) = to_geographic(grid.crs, x, y), to_geographic(grid.crs, x + shift.east, y + shift.north)
     return {
-        f"{item.id}_RPC.TXT": RPC.from_file(scene.path(item.assets["rpc"].href)).moved(
+        f"{item.id}{end}": RPC.from_file(scene.path(item.assets[asset].href)).moved(
             float(lon1 - lon0), float(lat1 - lat0), shift.up
         )
         for item in scene.items
-        if "rpc" in item.assets
+        for asset, end in CAMERAS.items()
+        if asset in item.assets
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from sattools.camera.ground import project
 from sattools.camera.rpc import RPC
 from sattools.cli import main
 from sattools.errors import InputError
-from sattools.scene import Scene
+from sattools.scene import Asset, Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
@@ -122,6 +123,10 @@ def reference_of(scene: Scene, path: Path) -> Path:
 
 def test_surface_maps_model_and_cameras_move_together(exported: Scene, tmp_path: Path) -> None:
     document = exported.output("scene.json")
+    with_colours = exported.items[0]  # its multispectral image has the same camera here
+    shutil.copy(exported.path(with_colours.assets["rpc"].href), exported.output("rpc/ms_RPC.TXT"))
+    with_colours.assets["colours_rpc"] = Asset("rpc/ms_RPC.TXT", "text/plain", ["metadata"])
+    exported.write()
     before, grid = read_raster(exported.path(exported.products["dsm"]))
     assert run("compare", document).exit_code == 0
     score = json.loads(exported.path("compare/errors.json").read_text())["mae"]
@@ -140,6 +145,8 @@ def test_surface_maps_model_and_cameras_move_together(exported: Scene, tmp_path:
     for name, camera in old.items():
         place = (x + found["east"], y + found["north"], 3.0 + found["up"])
         assert project(new[name], CRS, *place) == pytest.approx(project(camera, CRS, x, y, 3.0), abs=1e-3)
+    moved_colours = RPC.from_file(scene.path(scene.items[0].assets["colours_rpc"].href))
+    assert project(moved_colours, CRS, x, y, 3.0) == pytest.approx(project(new[with_colours.id], CRS, x, y, 3.0))
     # all later commands work on, and find nothing stale: what is exported again is what was moved
     assert "errors" not in scene.products
     assert scene.products["truth_dsm"] == exported.products["truth_dsm"]

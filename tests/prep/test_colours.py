@@ -54,6 +54,7 @@ def source(name: str, seconds: float | None = None) -> Any:
 def test_every_acquisition_is_one_item_with_two_images_and_two_cameras(prepared: Any) -> None:
     _, scene = prepared
     assert len(scene.items) == 4
+    assert scene.history[0]["cpu_seconds"] > 0
     for item in scene.items:
         with rasterio.open(scene.path(item.assets["image"].href)) as pan:
             assert pan.count == 1
@@ -136,6 +137,25 @@ def test_a_folder_without_images_is_refused_before_work(tmp_path: Path, prepared
     assert done.exit_code == 1
     assert "--colours: found no images" in done.stderr
     assert not (tmp_path / "o").exists()
+
+
+def test_images_of_one_band_are_no_colours(tmp_path: Path, prepared: Any) -> None:
+    root, _ = prepared
+    images = [str(p) for p in sorted((root / "images").glob("*.tif"))]
+    done = CliRunner().invoke(
+        main, ["prep", *images, "--colours", str(root / "images"), "--out", str(tmp_path / "o"), "--id", "S"]
+    )
+    assert done.exit_code == 1
+    assert "found 1 band(s), expected several" in done.stderr
+    assert not list((tmp_path).rglob("*.tif"))
+
+
+def test_natural_ground_is_simulated_by_one_sensor_only(tmp_path: Path) -> None:
+    options = ["--terrain", "natural", "--pan", "4", "--out", str(tmp_path)]
+    done = CliRunner().invoke(main, ["simulate", *options])
+    assert done.exit_code != 0
+    assert "--pan: found natural ground, expected a city" in done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_orthophoto_has_the_panchromatic_images_detail_and_the_others_colours(prepared: Any) -> None:
