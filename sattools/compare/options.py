@@ -27,7 +27,15 @@ class CompareOptions:
         None, "Samples (CSV with name, x, y or lon, lat; GeoPackage) of reflectance_1 ..., theta or any product."
     )
     views: bool = option(False, "Also score the rendered images of held-out views.")
-    out: str | None = option(None, "With --predicted: folder for the difference map.")
+    lpips_weights: list[str] = option(
+        [], "With --views: safetensors file of LPIPS's weights (AlexNet's and its own may be two files); repeatable."
+    )
+    fit: list[str] = option(
+        [],
+        "Exported scene to score beside others, NAME=SCENE.json (NAME such as Lam, RPV, Hpk); repeatable. No other "
+        "scene is read, and tables and figures of all go to --out.",
+    )
+    out: str | None = option(None, "With --predicted: folder for the difference map; with --fit: for everything.")
 
 
 __all__ = ["CompareOptions"]
