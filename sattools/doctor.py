@@ -26,7 +26,7 @@ EXTRAS = {
     "trimesh": ("meshes of `export --products mesh`", "pip install 'sattools[products]'"),
     "lpips": (
         "LPIPS in `compare --views`",
-        "nothing where --lpips-weights gives them; else pip install lpips, its weights on disk",
+        "--lpips-weights, or pip install lpips with its weights on disk",
     ),
 }
 

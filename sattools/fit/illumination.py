@@ -177,6 +177,12 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
         if spread > UNKNOWN_SHARE * (parameter.high - parameter.low):
             text += " (not determined by these views: its prior)"
         notes.append(text)
+    if scene.has_sky:
+        share = ", ".join(f"{100 * float(value):.1f}" for value in scene.sky_share)
+        known = (
+            f"from shade, {scene.sky_ratio:.0f} standard deviations from none" if scene.sky_ratio else "as it was set"
+        )
+        notes.append(f"sky light {share} % of the sun's in the bands ({known})")
     return ["; ".join(notes)]
 
 

@@ -13,6 +13,7 @@ from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import light_scale, phase_angles, radiance_kind, views_left_out
+from sattools.fit.materials.blocks import blocks_of
 from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import (
     Samples,
@@ -25,7 +26,7 @@ from sattools.fit.materials.inversion import (
 )
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals
 from sattools.fit.materials.scene import ReflectiveScene
-from sattools.fit.materials.selection import blocks_of, choose_model, extreme_views
+from sattools.fit.materials.selection import choose_model, extreme_views
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.fit.surface.schedule import schedule
