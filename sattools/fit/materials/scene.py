@@ -19,7 +19,7 @@ from sattools.fit.materials.inversion import (
     solve_amplitudes,
 )
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
-from sattools.fit.materials.sky import LEAST_RATIO, deep_shade, share_in_shade, sky_gain
+from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
 from sattools.fit.materials.uncertainty import parameter_std
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
@@ -200,13 +200,16 @@ class ReflectiveScene(SurfaceScene):
         bands = self.amplitude.shape[-1]
         self.sky = torch.ones_like(self.amplitude)  # until `_look_up` knows better
         self.sky_share = self.amplitude.new_tensor([0.0] if isinstance(sky, str) else sky).expand(bands).clone()
-        whole = self._look_up(self.samples(views, visibility, cell_size), cell_size)
-        if isinstance(sky, str):
-            self._read_shade(whole, visibility)
-            if self.sky_ratio < (LEAST_RATIO if sky == "auto" else 1e-6):
-                self.sky, self.sky_share = torch.zeros(0), torch.zeros(0)
+        for _ in range(2):  # amplitudes found without the sky are too bright, and the shade beside them too dark
+            whole = self._look_up(self.samples(views, visibility, cell_size), cell_size)
+            if isinstance(sky, str):
+                self._read_shade(whole, visibility)
+                faint = self.sky_ratio < LEAST_RATIO or float(self.sky_share.max()) < LEAST_SHARE
+                if (sky == "auto" and faint) or self.sky_ratio == 0.0:
+                    self.sky, self.sky_share = torch.zeros(0), torch.zeros(0)
+            self.solve(views, visibility, cell_size, 4, amplitudes=True)
+            if not self.has_sky:
                 return
-        self.solve(views, visibility, cell_size, 6, amplitudes=True)
 
     def _read_shade(self, whole: Samples, visibility: Sequence[Tensor | None]) -> None:
         """The sky's share as deep shade shows it, taking the ground there for its material's mean."""

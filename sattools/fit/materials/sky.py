@@ -18,8 +18,9 @@ from sattools.fit.materials.blocks import blocks_of, typical
 from sattools.fit.materials.parameters import Kind, diffuse, radiance_factor
 
 SPOKES = 8
-SHARE_MAX = 0.6
+BRIGHTEST = 0.25  # share of a sky under a clear sun; what is brighter is no shade, but lit ground whose height is wrong
 LEAST_RATIO = 3.0  # a sky is taken where its share is more than so many standard deviations from none
+LEAST_SHARE = 0.005  # and lights the ground by more than what strays into shade anyway
 LEAST_BLOCKS = 5  # of ground in deep shade; fewer say nothing
 SHADE = 0.05  # visibility of the sun below which a cell shows the sky's light alone
 EDGE_CELLS = 2  # shade is deep so far from its border, where neither optics nor a wrong place bring in sunlight
@@ -36,7 +37,7 @@ def sky_directions() -> tuple[tuple[tuple[float, float, float], float], ...]:
     for ring, (up, weight) in enumerate(nodes):
         flat = math.sqrt(1 - up * up)
         for spoke in range(SPOKES):
-            angle = (spoke + 0.5 * (ring % 2)) * 2 * math.pi / SPOKES
+            angle = (spoke + 0.25 + 0.5 * (ring % 2)) * 2 * math.pi / SPOKES  # off the axes, where walls run
             found.append(((flat * math.sin(angle), flat * math.cos(angle), up), 2 * weight / SPOKES))
     return tuple(found)
 
@@ -96,8 +97,10 @@ def share_in_shade(ratio: Tensor, shade: Tensor, shape: tuple[int, ...]) -> tupl
     weight = shade[:, dark, None]
     light = (weight * ratio[:, dark].nan_to_num(0.0)).sum(0) / weight.sum(0)  # [N, C]
     found = [typical(light[:, band], block) for band in range(light.shape[1])]
-    share = ratio.new_tensor([value for value, _ in found]).clamp(0.0, SHARE_MAX)
+    share = ratio.new_tensor([value for value, _ in found]).clamp_min(0.0)
+    if float(share.max()) > BRIGHTEST:
+        return torch.zeros_like(share), 0.0
     return share, max(value / max(error, 1e-9) for value, error in found)
 
 
-__all__ = ["LEAST_RATIO", "deep_shade", "share_in_shade", "sky_directions", "sky_gain"]
+__all__ = ["LEAST_RATIO", "LEAST_SHARE", "deep_shade", "share_in_shade", "sky_directions", "sky_gain"]
