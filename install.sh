@@ -8,4 +8,4 @@ extras=${1:-products,batch,notebook}
 python3 -m pip install --no-cache-dir torch==2.13.0 --index-url "${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}"
 python3 -m pip install --no-cache-dir --only-binary :all: setuptools
 python3 -m pip install --no-cache-dir ".[$extras]"
-sattools doctor
+sattools doctor --try

@@ -78,6 +78,7 @@ TARGETS = [
     Target("images/TINY_002.tif", (tuple(PREP), on("fit", *FIT, "--overwrite"), on("normalise"),
                                    on("prior", "--resolution", "4", "--overwrite"), EVERYTHING)),
     Target("metadata/TINY_002.json", (tuple(PREP),)),
+    Target("colours/TINY_002_MS.tif", ((*PREP, "--colours", "{root}/colours"),)),
     Target("rpc/TINY_002_RPC.TXT", (on("fit", *FIT, "--overwrite"), on("export", "--overwrite"), EVERYTHING,
                                     ("prep", "{images}", "--metadata", "{root}/rpc", "--out", "{root}/out"))),
     Target("vendor/TINY_002.xml", (("prep", "{images}", "--metadata", "{root}/vendor", "--out", "{root}/out"),)),
@@ -141,6 +142,9 @@ class Fuzz:
         simulate = ["simulate", "--size", "32", "--views", "3", "--dates", "2", "--gsd", "1", "--id", "TINY"]
         self.must([*simulate, "--out", str(self.out)])
         shutil.move(self.out / "TINY", self.base)
+        (self.base / "colours").mkdir()
+        for image in (self.base / "images").glob("*.tif"):
+            shutil.copy(image, self.base / "colours" / f"{image.stem}_MS.tif")
         document = json.loads((self.base / "scene.json").read_text())
         document["sattools"]["root"] = "."
         (self.base / "scene.json").write_text(json.dumps(document))

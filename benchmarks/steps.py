@@ -34,9 +34,8 @@ from sattools.compare.facades import wall_figures, wall_offsets
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
-from sattools.prior.matching.match import Match, _prepared, match
-from sattools.prior.matching.pairs import choose_pairs
-from sattools.prior.stage import crop, make_frame, write_maps
+from sattools.prior.matching.match import Match, _prepared
+from sattools.prior.stage import match_sources, write_maps
 from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
@@ -101,13 +100,11 @@ def matched(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
     """What `sattools prior` finds, its grid, CPU seconds of the matching."""
     whole, z_range = scene.require_grid(), scene.require_height_range()
     grid = whole.resized(options.resolution or whole.cell_size)
-    frame, views = make_frame(load_sources(scene, scene.train_items()), grid, z_range, options.window)
-    limits = (options.min_angle, options.max_angle)
-    pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
+    sources = load_sources(scene, scene.train_items())
     start = time.process_time()
-    found = match(frame, pairs, z_range, options)
-    seconds = time.process_time() - start
-    return Match(**{name: crop(array, grid.shape) for name, array in vars(found).items()}), grid, seconds
+    found = match_sources(sources, grid, z_range, options)
+    assert found is not None, f"{scene.id}: all images from one direction"
+    return found[0], grid, time.process_time() - start
 
 
 def averaged(height: np.ndarray, grid: Grid, cell: float) -> tuple[np.ndarray, Grid]:

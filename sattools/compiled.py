@@ -101,7 +101,11 @@ event.register("numba:compile", _FirstRun())
 
 
 def njit(*arguments: Any, **options: Any) -> Callable[..., Any]:
-    """`numba.njit`; kept only for this run where there is no folder for the cache."""
+    """`numba.njit`; kept only for this run where there is no folder for the cache.
+
+    Divisions are numpy's: the test for zero that numba puts before each by default keeps loops from being vectorised.
+    """
+    options.setdefault("error_model", "numpy")
     if options.get("cache") and not _KEPT:
         options["cache"] = False
     compiled: Callable[..., Any] = numba.njit(*arguments, **options)

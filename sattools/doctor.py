@@ -1,13 +1,17 @@
-"""Is everything there that the suite can use? Versions, the torch build, the GPU, geoid grids, QGIS, caches."""
+"""Is everything there that the suite can use, and does it work? Versions, torch, geoid grids, QGIS, a small scene."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+import json
 import os
 import re
 import shutil
+import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -65,6 +69,41 @@ def examine() -> list[Finding]:
             text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
             findings.append(Finding(check.__name__.lstrip("_"), "missing", text, "reinstall sattools"))
     return findings
+
+
+def try_out(say: Callable[[str], None]) -> Finding:
+    """Take a simulated scene of 64 m through every step, in a folder that is removed again.
+
+    Kernels that a first run would compile are compiled by this, so installation is the time for it.
+
+    Args:
+        say: told what is done.
+    """
+    with tempfile.TemporaryDirectory(prefix="sattools-try-") as place:
+        folder = Path(place)
+        made = folder / "SIM" / "images"
+        steps = [
+            ["simulate", "--size", "64", "--views", "6", "--id", "SIM", "--out", place],
+            ["prep", "--metadata", str(folder / "SIM/metadata"), "--id", "TRY", "--out", place],
+            ["fit"],
+            ["export"],
+            ["compare", "--dsm", str(folder / "SIM/truth/SIM_DSM.tif")],
+        ]
+        document = b""
+        begun = time.perf_counter()
+        for step in steps:
+            say(f"trying {step[0]}")
+            files = sorted(map(str, made.glob("*.tif"))) if step[0] == "prep" else []
+            call = [sys.executable, "-m", "sattools", "--quiet", *step[:1], *files, *step[1:]]
+            done = subprocess.run(call, input=document, capture_output=True, check=False)
+            if done.returncode:
+                last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
+                return Finding("a small scene", "missing", last[:200], "reinstall sattools")
+            document = done.stdout
+        error = json.loads((folder / "TRY/compare/errors.json").read_text())["mae"]
+        took = time.perf_counter() - begun
+    text = f"simulate, prep, fit, export and compare in {took:.0f} s, DSM {error:.2f} m off, kernels compiled"
+    return Finding("a small scene", "ok", text)
 
 
 def fetch_geoids(say: Callable[[str], None]) -> None:

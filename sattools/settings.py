@@ -11,7 +11,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any
+from typing import Any, Literal
 
 LARGEST = 1e12  # of a number in an option: no length, weight or time of the suite is larger, and its square is finite
 LARGEST_COUNT = 10**9
@@ -24,6 +24,7 @@ def option(
     minimum: float | None = None,
     maximum: float | None = None,
     renamed: Mapping[str, str] | None = None,
+    path: Literal["file", "folder"] | None = None,
 ) -> Any:
     """A dataclass field with its help text, unit included, and inclusive limits.
 
@@ -33,8 +34,9 @@ def option(
         minimum: smallest number allowed.
         maximum: largest number allowed.
         renamed: former names of choices -> present ones; the command line still takes them, with a warning.
+        path: what the text names, for shells that complete it.
     """
-    metadata = {"help": help, "minimum": minimum, "maximum": maximum, "renamed": dict(renamed or {})}
+    metadata = {"help": help, "minimum": minimum, "maximum": maximum, "renamed": dict(renamed or {}), "path": path}
     if isinstance(default, list | dict):
         return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
@@ -56,6 +58,7 @@ class OptionSpec:
         count: how many values it takes at once.
         renamed: former names of choices.
         words: what a number may be instead, such as ``auto``.
+        path: ``file`` or ``folder`` where the text names one.
 
     Numbers are finite, and no larger than `LARGEST` where nothing else is said.
     """
@@ -72,6 +75,7 @@ class OptionSpec:
     count: int = 1
     renamed: Mapping[str, str] = dataclasses.field(default_factory=dict)
     words: tuple[str, ...] = ()
+    path: str | None = None
 
 
 def specs(cls: type) -> list[OptionSpec]:
@@ -98,6 +102,7 @@ def specs(cls: type) -> list[OptionSpec]:
                 _count(hint),
                 item.metadata["renamed"],
                 _words(hint, kind),
+                item.metadata["path"],
             )
         )
     return options

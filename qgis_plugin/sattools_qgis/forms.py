@@ -5,20 +5,48 @@ import json
 import os
 from typing import Any
 
-# commands in the order of work: name -> (title, products that are loaded afterwards)
+MATERIAL = ("w", "b", "c", "theta", "rho0", "k", "rhoc")
+# commands in the order of work: name -> (title, group, products that are loaded afterwards)
 ALGORITHMS = {
-    "prep": ("Prepare images", ("footprints", "tie_points")),
-    "normalise": ("Normalise radiance", ()),
-    "prior": ("Match images (prior)", ("prior_dsm", "prior_confidence", "prior_probability")),
-    "fit": ("Fit scene", ()),
-    "export": ("Export maps", ("dsm", "dsm_std", "probability", "albedo", "w", "b", "c", "theta")),
-    "compare": ("Compare with a reference", ("difference",)),
-    "simulate": ("Simulate scene", ()),
+    "prep": ("Prepare images", "Steps", ("footprints", "tie_points")),
+    "normalise": ("Normalise radiance", "Steps", ()),
+    "prior": ("Match images (prior)", "Steps", ("prior_dsm", "prior_confidence", "prior_probability")),
+    "fit": ("Fit scene", "Steps", ()),
+    "export": (
+        "Export maps",
+        "Steps",
+        ("dsm", "dsm_std", "probability", "validity", "albedo", "ortho", "contours", *MATERIAL),
+    ),
+    "align": ("Align with a reference", "References", ()),
+    "compare": ("Compare with a reference", "References", ("difference",)),
+    "simulate": ("Simulate scene", "Simulation", ()),
+}
+# options that show at once, in this order; all others fold away as advanced
+PLAIN = {
+    "prep": ("metadata", "aoi", "bounds", "crs", "cell-size", "mask", "id", "out"),
+    "normalise": ("quantity", "scale", "offset", "bits"),
+    "prior": ("resolution", "memory"),
+    "fit": ("preset", "resolution", "brdf", "shadow", "tile", "budget", "reference"),
+    "export": ("vertical", "products", "contours", "fill"),
+    "align": ("to", "method"),
+    "compare": ("dsm", "classes", "register", "region"),
+    "simulate": ("terrain", "size", "views", "dates", "id", "out"),
 }
 # a source makes a scene below --out, all others work on the scene document that they are given
 SOURCES = ("prep", "simulate")
-FILES = {"metadata": "folder", "truth": "folder", "out": "folder", "dfc2019": "folder"}
-FILES |= dict.fromkeys(("dsm", "classes", "predicted", "reference", "samples"), "file")
+KINDS = {
+    "metadata": "folder",
+    "truth": "folder",
+    "out": "folder",
+    "dfc2019": "folder",
+    "bounds": "extent",
+    "crs": "crs",
+}
+KINDS |= dict.fromkeys(("dsm", "classes", "predicted", "reference"), "raster")
+KINDS |= dict.fromkeys(("aoi", "polygons"), "polygons") | {"mask": "several polygons", "points": "file", "to": "file"}
+PRODUCTS = ("laz", "ply", "contours", "ortho", "mesh", "obj", "tiles")  # of `export --products`
+ABBREVIATIONS = {"Dsm": "DSM", "Aoi": "Area of interest", "Crs": "CRS", "Id": "Name of the scene", "Brdf": "BRDF"}
+ABBREVIATIONS |= {"Bounds": "Extent", "Out": "Folder for the scene", "Dfc2019": "DFC 2019 folder", "To": "Reference"}
 
 
 def key(flag: Any) -> Any:
@@ -26,25 +54,42 @@ def key(flag: Any) -> Any:
     return flag.lstrip("-").replace("-", "_").upper()
 
 
-def fields(command: Any) -> Any:
-    """The fields of a command's form, one dictionary per option.
+def title(flag: Any, group: Any = None) -> Any:
+    """What a form shows beside a field: `--prior-weight` -> `Prior weight`, with the group of the command's help."""
+    words = flag.lstrip("-").replace("-", " ").capitalize()
+    words = ABBREVIATIONS.get(words, words)
+    return f"{group}: {words}" if group else words
 
-    Keys: `key`, `flag`, `off`, `type` (bool, int, float, choice, text, file, folder, list), `label`, `default`,
-    `minimum`, `maximum`, `choices`, `optional`.
+
+def kind_of(option: Any, name: Any) -> Any:
+    """How a value is asked for: bool, int, float, choice, choices, list, text or one of `KINDS`."""
+    if name == "products":
+        return "choices"
+    if option["choices"]:
+        return "choice"
+    if name in KINDS and option["kind"] in ("str", "float") and (option["values"] == 1 or name == "bounds"):
+        return KINDS[name]
+    if option["multiple"] or option["values"] != 1:
+        return "list"
+    return "text" if option["kind"] == "str" else option["kind"]
+
+
+def fields(name: Any, command: Any) -> Any:
+    """The fields of a command's form, one dictionary per option: what everybody needs first.
+
+    Keys: `key`, `flag`, `off`, `type` (see `kind_of`), `label`, `help`, `default`, `minimum`, `maximum`, `choices`,
+    `optional`, `advanced`, `multiple`.
     """
-    found = []
+    found, plain = [], PLAIN.get(name, ())
     for option in command["options"]:
-        kind, name = option["kind"], option["name"].lstrip("-")
-        if option["choices"]:
-            kind = "choice"
-        elif option["multiple"] or option["values"] != 1:
-            kind = "list"
-        elif kind == "str":
-            kind = FILES.get(name, "text")
+        own = option["name"].lstrip("-")
+        kind = kind_of(option, own)
+        if name == "compare" and own == "aoi":
+            kind = "text"  # a name, not a file
         default = option["default"]
         if kind == "list":
             default = " ".join(str(v) for v in default or ())
-        if name == "overwrite":
+        if own == "overwrite":
             default = True  # in a form, running again means to replace
         found.append(
             {
@@ -53,15 +98,20 @@ def fields(command: Any) -> Any:
                 "off": option["off"],
                 "multiple": option["multiple"],
                 "type": kind,
-                "label": option["help"].rstrip("."),
-                "default": default,
+                "label": title(option["name"], option.get("group") if own not in plain else None),
+                "help": option["help"],
+                "default": default if default not in ([], ()) else None,
                 "minimum": option["minimum"],
                 "maximum": option["maximum"],
-                "choices": option["choices"],
-                "optional": kind != "bool",
+                "choices": list(PRODUCTS) if kind == "choices" else option["choices"],
+                "optional": kind != "bool" and not (own == "out" and name in SOURCES),
+                "advanced": own not in plain,
             }
         )
-    return found
+    order = {flag: number for number, flag in enumerate(plain)}
+    groups = list(dict.fromkeys(option.get("group") for option in command["options"]))
+    place = {option["name"]: groups.index(option.get("group")) for option in command["options"]}
+    return sorted(found, key=lambda f: (order.get(f["flag"].lstrip("-"), len(order)), place[f["flag"]]))
 
 
 def arguments(fields: Any, values: Any) -> Any:
@@ -74,18 +124,19 @@ def arguments(fields: Any, values: Any) -> Any:
                 flag = field["flag"] if value else field["off"]
                 found += [flag] if flag else []
             continue
-        if value is None or value == "" or value == field["default"]:
+        if value is None or value in ("", []) or value == field["default"]:
             continue
-        if field["type"] == "list":
-            parts = str(value).split()
-            if field["multiple"]:
-                for part in parts:
-                    found += [field["flag"], part]
-            else:
-                found += [field["flag"], *parts]
+        parts = value if isinstance(value, list) else str(value).split() if _several(field) else [value]
+        if field["multiple"]:
+            for part in parts:
+                found += [field["flag"], str(part)]
         else:
-            found += [field["flag"], str(value)]
+            found += [field["flag"], *map(str, parts)]
     return found
+
+
+def _several(field: Any) -> Any:
+    return field["type"] in ("list", "extent")
 
 
 def scene_of(output: Any) -> Any:
@@ -93,6 +144,14 @@ def scene_of(output: Any) -> Any:
     lines = [line for line in output.splitlines() if line.strip()]
     scene = json.loads(lines[-1])
     return scene, os.path.join(scene["sattools"]["root"], "scene.json")
+
+
+def read_scene(path: Any) -> Any:
+    """A scene document; its own folder is the root, wherever it has been moved to."""
+    with open(path, encoding="utf-8") as file:
+        scene = json.load(file)
+    scene["sattools"]["root"] = os.path.dirname(os.path.abspath(path))
+    return scene
 
 
 def products(scene: Any, names: Any) -> Any:

@@ -17,6 +17,7 @@ class AlignOptions:
         "Reference: a raster of heights (in the DSM's vertical datum), or a CSV of ground control points with the "
         "columns x, y (in the scene's CRS) or lon, lat; z; item, column, row (place in an image, 0 = centre of the "
         "first pixel).",
+        path="file",
     )
     method: Literal["nuth-kaab", "z"] = option(
         "nuth-kaab", "For rasters: in all three directions by slopes (Nuth and Kaab), or in height only."

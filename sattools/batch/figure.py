@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sattools.compare.picture import line_styles
 from sattools.scene.files import write_figure
 from sattools.scene.jsonio import JsonObject
 
@@ -48,22 +49,13 @@ def speed_error_figure(rows: Sequence[JsonObject]) -> Any | None:
     figure = Figure(figsize=(7, 4.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    for number, (name, seconds, error) in enumerate(points):
+    styles = line_styles(len(points))
+    for style, (name, seconds, error) in zip(styles, points, strict=True):
         own = [row for row in rows if row["configuration"] == name and row.get("mae_m") is not None]
-        colour = f"C{number % 10}"
+        colour = style["color"]
         axes.plot([r["seconds"] for r in own], [r["mae_m"] for r in own], ".", color=colour, alpha=0.5)
         axes.plot(seconds, error, "o", color=colour, label=name, markersize=8)
-    front = pareto_front(points)
-    axes.plot(
-        [p[1] for p in front],
-        [p[2] for p in front],
-        "o--",
-        color="black",
-        markerfacecolor="none",
-        markersize=14,
-        linewidth=1,
-        label="Pareto front of the means",
-    )
+    draw_front(axes, points, "Pareto front of the means")
     axes.set(xlabel="seconds from images to surface model", ylabel="mean absolute error [m]")
     scored = [row for row in rows if row.get("mae_m") is not None]
     scenes, all_scenes = ({row["scene"] for row in some} for some in (scored, rows))
@@ -76,6 +68,19 @@ def speed_error_figure(rows: Sequence[JsonObject]) -> Any | None:
     return figure
 
 
+def draw_front(axes: Any, points: Sequence[Point], label: str = "Pareto front") -> None:
+    """Ring the points that nothing else is both faster and better than, and join them.
+
+    Args:
+        axes: of matplotlib.
+        points: (name, seconds, error).
+        label: in the legend.
+    """
+    front = pareto_front(points)
+    seconds, errors = [p[1] for p in front], [p[2] for p in front]
+    axes.plot(seconds, errors, "o--", color="black", markerfacecolor="none", markersize=14, linewidth=1, label=label)
+
+
 def draw(rows: Sequence[JsonObject], path: Path) -> bool:
     """Write `speed_error_figure` as PNG; False where there is nothing to show."""
     figure = speed_error_figure(rows)
@@ -85,4 +90,4 @@ def draw(rows: Sequence[JsonObject], path: Path) -> bool:
     return True
 
 
-__all__ = ["draw", "means", "pareto_front", "speed_error_figure"]
+__all__ = ["draw", "draw_front", "means", "pareto_front", "speed_error_figure"]

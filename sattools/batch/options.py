@@ -12,8 +12,12 @@ from sattools.settings import option
 class BatchOptions:
     """What `batch` does; the field's help texts are the command's help."""
 
-    out: str = option("batch", "Folder of the results: runs/CONFIGURATION/SCENE, table.csv, table.md, speed_error.png.")
-    dfc2019: str | None = option(None, "Root of the Data Fusion Contest 2019, track 3; its areas are named by --aoi.")
+    out: str = option(
+        "batch", "Folder of the results: runs/CONFIGURATION/SCENE, table.csv, table.md, speed_error.png.", path="folder"
+    )
+    dfc2019: str | None = option(
+        None, "Root of the Data Fusion Contest 2019, track 3; its areas are named by --aoi.", path="folder"
+    )
     aoi: list[str] = option([], "Area of --dfc2019 such as JAX_004; repeatable.")
     imagery: Literal["auto", "crops", "rgb", "msi"] = option(
         "auto", "Images of --dfc2019: Sat-NeRF's crops, the contest's RGB or MSI tiles; auto = the first that is there."

@@ -58,7 +58,8 @@ class Adjustment:
     """Result of `adjust`.
 
     `points` are (lon, lat, h) `[n, 3]` of the accepted ground points, `tracks` their observations, `residuals` `[m, 2]`
-    observed minus projected pixel of each observation with the corrected cameras.
+    observed minus projected pixel of each observation with the corrected cameras, `before_px` `[m]` their lengths with
+    the cameras as they were.
     """
 
     rpcs: list[RPC]
@@ -67,6 +68,7 @@ class Adjustment:
     tracks: Tracks
     points: Array
     residuals: Array
+    before_px: Array
     median_before_px: float
     median_after_px: float
     rms_after_px: float
@@ -185,6 +187,7 @@ def adjust(
         block.tracks,
         block.geographic(final_points),
         final,
+        before,
         _median(before),
         _median(after),
         _rms(after),

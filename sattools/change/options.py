@@ -12,7 +12,7 @@ from sattools.settings import option
 class ChangeOptions:
     """How two surfaces are compared."""
 
-    out: str = option("change", "Folder for the maps, polygons and the table.")
+    out: str = option("change", "Folder for the maps, polygons and the table.", path="folder")
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
         "ncc",
         "How the later surface is brought onto the earlier one: whole cells by correlation, below a cell by slopes, in "
@@ -33,7 +33,7 @@ class ChangeOptions:
         minimum=0.0,
         maximum=1.0,
     )
-    polygons: str | None = option(None, "Vector file: change and volume within each of its polygons, too.")
+    polygons: str | None = option(None, "Vector file: change and volume within each of its polygons, too.", path="file")
 
 
 __all__ = ["ChangeOptions"]

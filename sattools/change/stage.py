@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,16 @@ from sattools.errors import InputError
 from sattools.export.validity import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Grid, Scene
+from sattools.scene.datums import difference as datums_differ
 from sattools.scene.dependencies import check_current
 from sattools.scene.files import all_or_nothing, check_outputs, write_bytes, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
-from sattools.scene.raster import read_raster, write_cog
+from sattools.scene.raster import heights_above, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
 from sattools.scene.vectors import geopackage, read_polygons
 
+log = logging.getLogger(__name__)
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
 POLYGONS, PICTURE, TABLE = "changes.gpkg", "height_change.png", "change.json"
 
@@ -51,6 +54,11 @@ class Surface:
     confidence: np.ndarray | None
     grid: Grid
     files: tuple[Path, ...]
+
+    @property
+    def surface(self) -> Path:
+        """The raster of heights: beside the scene's document, or all there is."""
+        return self.files[min(1, len(self.files) - 1)]
 
 
 def read_surface(source: str) -> Surface:
@@ -110,6 +118,9 @@ def change(
     names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
     inputs = [*old.files, *new.files, *([Path(options.polygons)] if options.polygons else [])]
     check_outputs([folder / name for name in names], inputs, overwrite)
+    note = datums_differ({old.name: heights_above(old.surface), new.name: heights_above(new.surface)})
+    if note:
+        log.warning("%s, unless --register takes it out", note)
     progress(0.2, "registering")
     moved, shift = _onto(new, old, options)
     difference = moved["height"] - old.height

@@ -12,13 +12,22 @@ import click
 @click.option(
     "--fetch-geoids", is_flag=True, help="First download the EGM96 and EGM2008 grids that `export --vertical` needs."
 )
-def command(as_json: bool, fetch_geoids: bool) -> None:
+@click.option(
+    "--try",
+    "trial",
+    is_flag=True,
+    help="Also take a small simulated scene through every step. This compiles what a first run would wait for, so "
+    "installation is the time for it.",
+)
+def command(as_json: bool, fetch_geoids: bool, trial: bool) -> None:
     """Say what is installed, what is missing and what to do about it; status 1 where the suite cannot work."""
     from sattools import doctor
 
     if fetch_geoids:
         doctor.fetch_geoids(lambda text: click.echo(text, err=True))
     findings = doctor.examine()
+    if trial:
+        findings.append(doctor.try_out(lambda text: click.echo(text, err=True)))
     if as_json:
         click.echo(json.dumps([finding.to_dict() for finding in findings], indent=1))
     else:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from sattools.errors import InputError
 from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec
@@ -75,6 +76,19 @@ class Renamed(click.Choice):
         return super().convert(value, param, ctx)
 
 
+class PathText(click.ParamType):
+    """Text that names a file or folder, or an address: taken as it is, and completed by shells."""
+
+    name = "text"
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """See `click.ParamType.shell_complete`: the shell itself lists files or folders."""
+        return [CompletionItem(incomplete, type="dir" if self.kind == "folder" else "file")]
+
+
 def kind_of(spec: OptionSpec) -> Any:
     """Click's type of an option; None where click finds it by itself."""
     if spec.choices:
@@ -86,6 +100,8 @@ def kind_of(spec: OptionSpec) -> Any:
     if spec.kind is int:
         low, high = (None if limit is None else int(limit) for limit in (spec.minimum, spec.maximum))
         return Whole(min=low, max=high)
+    if spec.path:
+        return PathText(spec.path)
     return None if spec.kind is bool else spec.kind
 
 
@@ -109,4 +125,4 @@ def check_value(option: click.Option, value: Any) -> None:
         raise InputError(str(error).removeprefix("value: ")) from None
 
 
-__all__ = ["Finite", "FiniteOr", "Renamed", "Whole", "check_value", "kind_of"]
+__all__ = ["Finite", "FiniteOr", "PathText", "Renamed", "Whole", "check_value", "kind_of"]

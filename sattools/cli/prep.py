@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sattools.cli.kinds import Finite
+from sattools.cli.kinds import Finite, PathText
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
 from sattools.errors import InputError
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @dataclass_options(PrepOptions)
 @click.option(
     "--aoi",
+    type=PathText("file"),
     help="Vector file (GeoJSON, GeoPackage, shapefile, FlatGeobuf) of the area of interest; "
     "with --dfc2019 the name of an area such as JAX_068.",
 )

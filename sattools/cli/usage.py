@@ -18,7 +18,8 @@ def usage(group: click.Group) -> str:
     """JSON with `version` and `commands`: name -> {help, arguments, options}.
 
     Every option has `name` (its flag), `off` (the flag that switches it off, or null), `kind` (bool, int, float or
-    str), `choices`, `minimum`, `maximum`, `default`, `multiple`, `values` (how many values follow the flag) and `help`.
+    str), `choices`, `minimum`, `maximum`, `default`, `multiple`, `values` (how many values follow the flag), `help` and
+    `group` (its title in the command's help, or null).
     """
     context = click.Context(group, info_name="sattools")
     commands: dict[str, Any] = {}
@@ -27,15 +28,17 @@ def usage(group: click.Group) -> str:
         assert command is not None  # list_commands names only what is there
         arguments = [p for p in command.params if isinstance(p, click.Argument)]
         options = [p for p in command.params if isinstance(p, click.Option) and p.name not in PLUMBING]
+        named = getattr(command, "groups", {})
+        groups = {option: title for title, names in named.items() for option in names}
         commands[name] = {
             "help": command.help or "",
             "arguments": [{"name": p.name, "multiple": p.nargs == -1} for p in arguments],
-            "options": [_option(p) for p in options],
+            "options": [_option(p, groups.get(str(p.name))) for p in options],
         }
     return json.dumps({"version": __version__, "commands": commands})
 
 
-def _option(option: click.Option) -> dict[str, Any]:
+def _option(option: click.Option, group: str | None) -> dict[str, Any]:
     kind = option.type
     low, high = getattr(kind, "min", None), getattr(kind, "max", None)
     names = {click.types.IntParamType: "int", click.types.FloatParamType: "float", click.types.BoolParamType: "bool"}
@@ -51,6 +54,7 @@ def _option(option: click.Option) -> dict[str, Any]:
         "multiple": option.multiple,
         "values": option.nargs,
         "help": option.help or "",
+        "group": group,
     }
 
 

@@ -12,11 +12,11 @@ from sattools.settings import option
 class CompareOptions:
     """Options of `sattools compare`."""
 
-    truth: str | None = option(None, "Folder of reference files in the layout that --protocol names.")
+    truth: str | None = option(None, "Folder of reference files in the layout that --protocol names.", path="folder")
     protocol: Literal["dfc2019"] = option("dfc2019", "Layout of --truth.")
-    dsm: str | None = option(None, "Reference DSM (any georeferenced raster), instead of --truth.")
-    classes: str | None = option(None, "Class map beside --dsm: 2 ground, 5 trees, 6 building, 9 water.")
-    predicted: str | None = option(None, "DSM to score, instead of the scene's; then no scene is read.")
+    dsm: str | None = option(None, "Reference DSM (any georeferenced raster), instead of --truth.", path="file")
+    classes: str | None = option(None, "Class map beside --dsm: 2 ground, 5 trees, 6 building, 9 water.", path="file")
+    predicted: str | None = option(None, "DSM to score, instead of the scene's; then no scene is read.", path="file")
     aoi: str | None = option(None, "Name of the tile in --truth [default: the scene's id].")
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
         "ncc", "ncc: whole cells, then mean height; nuth-kaab: parts of cells; z: mean height only; none."
@@ -24,18 +24,24 @@ class CompareOptions:
     region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
     map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
     points: str | None = option(
-        None, "Samples (CSV with name, x, y or lon, lat; GeoPackage) of reflectance_1 ..., theta or any product."
+        None,
+        "Samples (CSV with name, x, y or lon, lat; GeoPackage) of reflectance_1 ..., theta or any product.",
+        path="file",
     )
     views: bool = option(False, "Also score the rendered images of held-out views.")
     lpips_weights: list[str] = option(
-        [], "With --views: safetensors file of LPIPS's weights (AlexNet's and its own may be two files); repeatable."
+        [],
+        "With --views: safetensors file of LPIPS's weights (AlexNet's and its own may be two files); repeatable.",
+        path="file",
     )
     fit: list[str] = option(
         [],
         "Exported scene to score beside others, NAME=SCENE.json (NAME such as Lam, RPV, Hpk); repeatable. No other "
         "scene is read, and tables and figures of all go to --out.",
     )
-    out: str | None = option(None, "With --predicted: folder for the difference map; with --fit: for everything.")
+    out: str | None = option(
+        None, "With --predicted: folder for the difference map; with --fit: for everything.", path="folder"
+    )
 
 
 __all__ = ["CompareOptions"]

@@ -59,6 +59,22 @@ def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: f
     return figure
 
 
+def line_styles(count: int) -> list[dict[str, Any]]:
+    """Keywords of `plot` for so many lines that can be told apart: colours first, dashes beside them beyond ten.
+
+    Ten colours of matplotlib's own cycle; more are spread over a wide ramp, and neighbours differ in their dashes.
+    """
+    from matplotlib import colormaps
+
+    if count <= 10:
+        return [{"color": f"C{number}"} for number in range(count)]
+    ramp, dashes = colormaps["turbo"], ("-", "--", ":", "-.")
+    return [
+        {"color": ramp(0.04 + 0.92 * number / (count - 1)), "linestyle": dashes[number % len(dashes)]}
+        for number in range(count)
+    ]
+
+
 def _plain(text: str) -> str:
     """Text that matplotlib shows as it is: what stands between two dollars would be taken for a formula."""
     return text.replace("$", r"\$")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,18 +20,21 @@ from sattools.compare.metrics import clip_to_reference, fill_holes, height_error
 from sattools.compare.options import CompareOptions
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.registration import Registration, register, search_margin, shifted
+from sattools.compare.slopes import errors_by_slope
 from sattools.compare.steps import add_step_errors, step_text
 from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
+from sattools.scene.datums import difference as datums_differ
 from sattools.scene.dependencies import begin, check_current
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import raster_grid, read_raster, write_cog
+from sattools.scene.raster import heights_above, raster_grid, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
 
+log = logging.getLogger(__name__)
 _AT_ONCE = 4_000_000  # cells of a DSM that is read as a whole
 _SPARE_CELLS = 8
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
@@ -102,6 +106,7 @@ def compare_dsm(
     figures = height_errors(registered, reference, truth.classes, filled, known)
     difference = clip_to_reference(registered, reference) - reference
     add_step_errors(figures, difference, reference, truth.classes, truth.grid.cell_size)
+    figures["slopes"] = errors_by_slope(difference, reference, truth.grid.cell_size)
     figures |= {
         "shift_m": [round(value, 4) for value in shift.metres(truth.grid.cell_size)],
         "registration": {"method": shift.method, "correlation": shift.correlation},
@@ -203,10 +208,11 @@ def score(options: CompareOptions, scene: Scene, progress: Progress = silent) ->
         progress: told the share done and what is being done.
     """
     truth = read_truth(options, scene)
+    about = _datums(scene.path(scene.products["dsm"]), options)
     progress(0.1, "registering")
     heights, grid = read_around(scene.path(scene.products["dsm"]), truth.grid, options.register)
     result = compare_dsm(known_heights(heights[0]), truth, grid, options.register, _measured(scene, grid))
-    figures: dict[str, Any] = {"scene": scene.id, **result.figures}
+    figures: dict[str, Any] = {"scene": scene.id, **result.figures, **about}
     pairs = {}
     if options.map:
         progress(0.6, "parameter maps")
@@ -239,6 +245,7 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
     truth = read_truth(options)
+    about = _datums(Path(options.predicted), options)
     result = compare_dsm(Path(options.predicted), truth, method=options.register)
     if options.out:
         from sattools.scene.document import Scene as Folder
@@ -249,7 +256,18 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject
         check_outputs(outputs, [Path(path) for path in given if path], overwrite)
         with all_or_nothing():
             write_difference(result, *outputs)
-    return {"predicted": options.predicted, **result.figures}
+    return {"predicted": options.predicted, **result.figures, **about}
+
+
+def _datums(predicted: Path, options: CompareOptions) -> JsonObject:
+    """A warning, and the same for the table, where both surfaces are known to be above different things."""
+    if options.dsm is None:
+        return {}
+    text = datums_differ({"the DSM": heights_above(predicted), "the reference": heights_above(Path(options.dsm))})
+    if text is None:
+        return {}
+    log.warning("%s (the mean is registered away unless --register none)", text)
+    return {"notes": [text]}
 
 
 def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from sattools.camera.ground import to_geographic
 from sattools.errors import SattoolsError
+from sattools.scene.datums import ELLIPSOID
 from sattools.scene.grid import Grid
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ GEOIDS = {
     "egm96": ("EPSG:4326+5773", "EGM96 geoid", "us_nga_egm96_15.tif"),
     "egm2008": ("EPSG:4326+3855", "EGM2008 geoid", "us_nga_egm08_25.tif"),
 }
-ELLIPSOID = "WGS84 ellipsoid"
 
 
 def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray, str]:

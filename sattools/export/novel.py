@@ -25,6 +25,7 @@ from sattools.scene.raster import write_cog, write_image_like
 from sattools.views import View, load_sources, views_on
 
 RELIT = "export/relit.tif"
+_STRIDE = 16  # pixels
 Vector = tuple[float, float, float]
 
 
@@ -147,14 +148,25 @@ def _matched(picture: np.ndarray, target: np.ndarray, counted: np.ndarray) -> np
 
 
 def _pixels_on(rpc: RPC, shape: tuple[int, ...], grid: Grid, z_ref: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the lines of sight of an image's pixels cross the reference height: (column, row) of the grid, float32."""
+    """Where the lines of sight of an image's pixels cross the reference height: (column, row) of the grid, float32.
+
+    The camera is asked at every `_STRIDE`-th pixel only, and is as good as straight between them.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
     rows, cols = shape[-2:]
-    col, row = np.meshgrid(np.arange(cols, dtype=np.float64), np.arange(rows, dtype=np.float64))
+    knots = [np.append(np.arange(0, size - 1, _STRIDE), size - 1).astype(np.float64) for size in (rows, cols)]
+    if min(len(axis) for axis in knots) < 2:
+        knots = [np.array([0.0, max(1.0, size - 1)]) for size in (rows, cols)]
+    row, col = np.meshgrid(*knots, indexing="ij")
     lon, lat = rpc.localization(col.ravel(), row.ravel(), np.full(col.size, z_ref))
     east, north = from_geographic(grid.crs, lon, lat)
     at_col = (np.asarray(east) - grid.left) / grid.cell_size - 0.5
     at_row = (grid.top - np.asarray(north)) / grid.cell_size - 0.5
-    return at_col.reshape(col.shape).astype(np.float32), at_row.reshape(col.shape).astype(np.float32)
+    between = RegularGridInterpolator(tuple(knots), np.stack([at_col, at_row], axis=1).reshape(*col.shape, 2))
+    every = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
+    found = between(every.reshape(-1, 2)).reshape(rows, cols, 2).astype(np.float32)
+    return np.ascontiguousarray(found[..., 0]), np.ascontiguousarray(found[..., 1])
 
 
 def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angles: tuple[float, float] | None) -> None:

@@ -119,7 +119,9 @@ class SurfaceFiles:
         dsm = exported.shown(heights)
         self._put(DSM, dsm, block)
         self._put(STD, exported.shown(model.height_std.numpy()), block)
-        self._put(ALBEDO, exported.shown(model.albedo.permute(2, 0, 1).numpy()), block)
+        # where an image's own offset was found wrong, the darkest ground comes out below none at all
+        albedo = np.maximum(model.albedo.permute(2, 0, 1).numpy(), 0)
+        self._put(ALBEDO, exported.shown(albedo), block)
         if validity is not None:
             self._put(VALIDITY, validity, block)
         if self._prior is not None:

@@ -22,6 +22,13 @@ MEANING = (
     "1 = measured: two images see it; 2 = filled from neighbours: hidden from all but one; 0 = unseen; "
     "3 = outside the area that was asked for"
 )
+# code -> colour on maps, name
+CLASSES = {
+    UNSEEN: ("#737373", "unseen"),
+    MEASURED: ("#1a9850", "measured"),
+    FILLED: ("#fdae61", "filled from neighbours"),
+    UNWANTED: ("#f7f7f7", "outside the area"),
+}
 NEEDED = 2  # images that a height takes
 _STRIP_CELLS = 1_000_000
 _WHOLE_PIXELS = 16_000_000  # of an image whose frame is found pixel by pixel

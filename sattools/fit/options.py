@@ -78,7 +78,11 @@ class FitOptions(RayOptions):
         [16], "Passes over all views per stage, coarse to fine (the last is repeated).", minimum=1, maximum=100_000
     )
     softness: list[float] = option(
-        [1.5, 0.5], "Softness of the surface at the start and the end of a stage, in cells.", minimum=0.01, maximum=1000
+        [1.5, 0.5],
+        "How blurred the surface is in height at the start and the end of a stage, in cells: enough to find its way, "
+        "then sharp (s in docs/glossary.md).",
+        minimum=0.01,
+        maximum=1000,
     )
     smooth: float | None = option(
         None, "Weight of the height smoothness (default: 0.4, or 0.05 from a flat start).", minimum=0
@@ -101,7 +105,9 @@ class FitOptions(RayOptions):
     pose: bool = option(True, "Refine one shift per view during the fit.")
     budget: float | None = option(None, "Seconds after which the fit stops and keeps what it has.", minimum=0)
     holdout: list[str] = option([], "Item id to leave out of training (repeatable).")
-    reference: str | None = option(None, "DSM to score the surface against after every epoch (never used by the fit).")
+    reference: str | None = option(
+        None, "DSM to score the surface against after every epoch (never used by the fit).", path="file"
+    )
     seed: int = option(0, "Seed of everything random.", minimum=0)
     device: Literal["auto", "cpu", "cuda"] = option("auto", "Where to compute.")
     resume: bool = option(False, "Continue an interrupted fit from its last checkpoint.")

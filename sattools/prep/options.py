@@ -12,8 +12,10 @@ from sattools.settings import option
 class PrepOptions:
     """Options of `sattools prep`."""
 
-    metadata: str | None = option(None, "Folder with metadata files named like the images (JSON, XML, RPB, RPC.TXT).")
-    out: str = option(".", "Folder in which the scene's own folder is made.")
+    metadata: str | None = option(
+        None, "Folder with metadata files named like the images (JSON, XML, RPB, RPC.TXT).", path="folder"
+    )
+    out: str = option(".", "Folder in which the scene's own folder is made.", path="folder")
     id: str | None = option(None, "Name of the scene [default: what the image names have in common].")
     crs: str | None = option(None, "Ground CRS, projected in metres [default: UTM zone of the place].")
     cell_size: float | None = option(
@@ -29,7 +31,15 @@ class PrepOptions:
         None, "Highest height of the surface, m above the ellipsoid [default: found].", minimum=-12_000, maximum=12_000
     )
     holdout: list[str] = option([], "Id of an image to keep for testing; repeatable.")
-    mask: list[str] = option([], "Vector file of polygons (water, clouds) in which no surface is wanted; repeatable.")
+    mask: list[str] = option(
+        [], "Vector file of polygons (water, clouds) in which no surface is wanted; repeatable.", path="file"
+    )
+    colours: str | None = option(
+        None,
+        "Folder with multispectral images of the same acquisitions as the images, which are panchromatic then: the "
+        "surface is made of these, the orthophoto's colours come from those.",
+        path="folder",
+    )
     copy: bool | None = option(
         None,
         "Copy the pixels into the scene's folder, or refer to the original files by window and corrected camera "

@@ -13,9 +13,11 @@ from sattools.errors import InputError
 from sattools.prep.images import SourceImage, write_image
 from sattools.prep.items import describe, tie_point_features
 from sattools.prep.layout import crop_window
+from sattools.prep.pairs import residual_vectors
 from sattools.progress import Progress
 from sattools.scene import GEOTIFF_TYPE, Asset, Scene
 from sattools.scene.files import write_text
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath
 from sattools.scene.pixels import WINDOW
 
@@ -77,10 +79,24 @@ def _bytes(source: SourceImage) -> int:
     return source.window[2] * source.window[3] * source.bands * np.dtype(source.dtype).itemsize
 
 
-def write_reports(scene: Scene, result: Adjustment) -> None:
-    """Write what was done to the cameras, for programs and for people, and the tie points; adds the products."""
-    write_text(scene.output(REPORTS["adjustment"]), json.dumps(_no_nan(result.to_dict()), indent=1) + "\n")
-    write_text(scene.output(REPORTS["adjustment_report"]), result.to_text())
+def write_reports(scene: Scene, result: Adjustment, pairs: Sequence[JsonObject]) -> None:
+    """Write what was done to the cameras, for programs and for people, and the tie points; adds the products.
+
+    Args:
+        scene: gets the products.
+        result: of the adjustment.
+        pairs: table of the pairs of images, see `sattools.prep.pairs`.
+    """
+    document = {**result.to_dict(), "pairs": list(pairs)}
+    for view, rows in zip(document["views"], residual_vectors(result), strict=True):
+        view["residuals"] = rows
+    write_text(scene.output(REPORTS["adjustment"]), json.dumps(_no_nan(document), indent=1) + "\n")
+    lines = [f"{'pair':49s} {'angle':>6s} {'points':>7s} {'med before':>10s} {'after':>6s}"]
+    for row in pairs:
+        first, second = row["images"]
+        figures = f"{row['angle_deg']:6.1f} {row['tie_points']:7d} {row['before_px']:10.2f} {row['after_px']:6.2f}"
+        lines.append(f"{first:24s} {second:24s} {figures}")
+    write_text(scene.output(REPORTS["adjustment_report"]), result.to_text() + "\n" + "\n".join(lines) + "\n")
     write_text(scene.output(REPORTS["tie_points"]), tie_point_features(result))
     scene.products |= REPORTS
 

@@ -18,6 +18,7 @@ from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
+from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
 from sattools.prep.gate import (
     check_cells,
     check_corrections,
@@ -40,6 +41,7 @@ from sattools.prep.layout import (
 )
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
+from sattools.prep.pairs import IN_HISTORY, pair_table
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
@@ -81,6 +83,7 @@ def prepare(
     notes: list[str] = []
     sources, crs, asked = survey(images, ids, options, notes)
     wanted = _wanted(options, crs)
+    colours = load_colours(options.colours, _folder(options.metadata), sources) if options.colours else []
 
     whole = read_grays(sources, subprogress(progress, 0.02, 0.1))
     check_pixels(sources, whole.grays)
@@ -96,11 +99,15 @@ def prepare(
     scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked)
     scene.height_range_m = heights
     last = subprogress(progress, 0.85, 1.0)
+    cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
     write_images(scene, sources, result, last, crop=asked is not None, copy=options.copy)
+    if colours:
+        _warn(add_colours(scene, sources, colours, cameras), notes)
     for item, source in zip(scene.items, sources, strict=True):
         item.properties["sattools:role"] = roles[source.id]
         notes += [f"{source.id}: {r}" for r in source.notes]
-    write_reports(scene, result)
+    pairs = pair_table(result, scene.grid, heights)
+    write_reports(scene, result, pairs)
     if (area := wanted(scene.grid.bounds)) is not None:
         write_area(scene, area)
     progress(1.0, "done")
@@ -111,6 +118,7 @@ def prepare(
             "median_before_px": round(result.median_before_px, 3),
             "median_after_px": round(result.median_after_px, 3),
             "outlier_views": [v.name for v in result.views if v.outlier],
+            "pairs": pairs[:IN_HISTORY],
         },
     }
 
@@ -165,9 +173,7 @@ def survey(
         options: of the stage.
         notes: gets what a user should know.
     """
-    metadata_dir = Path(options.metadata) if options.metadata else None
-    if metadata_dir is not None and not metadata_dir.is_dir():
-        raise InputError(f"{metadata_dir}: found no such folder, expected one with metadata files")
+    metadata_dir = _folder(options.metadata)
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
     check_sources(sources)
     _warn(check_places_and_suns(sources), notes)
@@ -180,6 +186,12 @@ def survey(
     if asked is not None:
         sources = _cropped_to_area(sources, crs, asked, notes)
     return sources, crs, asked
+
+
+def _folder(metadata: str | None) -> Path | None:
+    if metadata and not Path(metadata).is_dir():
+        raise InputError(f"{metadata}: found no such folder, expected one with metadata files")
+    return Path(metadata) if metadata else None
 
 
 def _check_options(options: PrepOptions, ids: Sequence[str]) -> None:
@@ -268,6 +280,7 @@ def check_places(sources: Sequence[SourceImage], crs: str) -> None:
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
     paths = [Path(name) for name in (options.aoi, *options.mask) if name]
+    paths += colour_files(options.colours) if options.colours else []
     for image in images:
         folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
         local = [folder for folder in folders if not isinstance(folder, RemotePath) and folder.is_dir()]
@@ -278,6 +291,7 @@ def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
 def _outputs(ids: Sequence[str], options: PrepOptions) -> list[str]:
     """All files that may be written; images that do not show the area are left out."""
     copies = [] if options.copy is False else [f"images/{i}.tif" for i in ids]
+    copies += hrefs(ids) if options.colours else []
     return [*REPORTS.values(), AREA, "scene.json", *copies, *(f"rpc/{i}_RPC.TXT" for i in ids)]
 
 

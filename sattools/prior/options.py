@@ -14,8 +14,16 @@ class PriorOptions:
     resolution: float | None = option(
         None, "Cell of the surface [m] (default: the scene grid's).", minimum=0.01, maximum=1e4
     )
+    detail: float = option(
+        0.7,
+        "Cell of the matching, as a share of the surface's: windows of few finer cells lie on one side of a step.",
+        minimum=0.2,
+        maximum=1.0,
+    )
     step: float | None = option(
-        None, "Distance of the height planes [m] (default: two cells, more for nearly parallel views).", minimum=0.01
+        None,
+        "Distance of the height planes [m] (default: two cells of the matching, more for nearly parallel views).",
+        minimum=0.01,
     )
     pairs: int = option(60, "Largest number of image pairs that are correlated, besides a few narrow ones.", minimum=1)
     min_angle: float = option(
@@ -33,7 +41,8 @@ class PriorOptions:
     brightness: float = option(0.1, "Difference of radiance at which two images agree by half.", minimum=1e-6)
     unseen: float = option(
         0.35,
-        "Agreement assumed where no pair of images sees a point (0 ... 1): neither for nor against.",
+        "Agreement assumed where no pair of images sees a point, 0 to 1: less keeps the surface away from such points, "
+        "more lets it pass through them.",
         minimum=0,
         maximum=1,
     )

@@ -37,7 +37,7 @@ def seen_by(
     """
     import cv2
 
-    from sattools.prior.matching.kernels import descend
+    from sattools.prior.visibility.kernels import descend
 
     low, high = z_range
     rows, cols = shape

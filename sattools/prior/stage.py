@@ -21,6 +21,7 @@ from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.regrid import nearest_cells, resize_map
 from sattools.views import (
     RadiometricBalance,
     Source,
@@ -77,14 +78,10 @@ def prior(
     progress(0.0, "reading images")
     sources = load_sources(scene, items) if sources is None else sources
     check_extent(grid)
-    frame, views = make_frame(sources, grid, z_range, options.window)
-    limits = (options.min_angle, options.max_angle)
-    pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
-    if not len(pairs):
+    found = match_sources(sources, grid, z_range, options, subprogress(progress, 0.2, 0.9))
+    if found is None:
         raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")
-    matched = match(frame, pairs, z_range, options, subprogress(progress, 0.2, 0.9))
-    agreement = left_out_agreement(frame, matched.height)
-    matched = Match(**{name: crop(array, grid.shape) for name, array in vars(matched).items()})
+    matched, views, pairs, agreement = found
     confidence = match_confidence(matched)
     # a height without two consistent views is a guess: it stays, without confidence, for the fit to judge
     height = matched.height
@@ -109,6 +106,42 @@ def prior(
         },
         MADE: record(scene, "prior", items, implicit=implicit),
     }
+
+
+def match_sources(
+    sources: list[Source],
+    grid: Grid,
+    z_range: tuple[float, float],
+    options: PriorOptions,
+    progress: Progress = silent,
+) -> tuple[Match, list[View], np.ndarray, list[float | None]] | None:
+    """Match images on cells finer than a grid's, and take the means over its cells.
+
+    Args:
+        sources: the images.
+        grid: of the result.
+        z_range: lowest and highest height [m].
+        options: of the matching.
+        progress: share done.
+
+    Returns:
+        What was found on the grid, the views, the pairs ``[P, 2]`` of their indices that were correlated, and how every
+        view agrees with the others; None where no two of them look from different directions.
+    """
+    fine = grid.resized(grid.cell_size * options.detail)
+    frame, views = make_frame(sources, fine, z_range, options.window)
+    limits = (options.min_angle, options.max_angle)
+    pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
+    if not len(pairs):
+        return None
+    matched = match(frame, pairs, z_range, options, progress)
+    agreement = left_out_agreement(frame, matched.height)
+    maps = {name: crop(array, fine.shape) for name, array in vars(matched).items()}
+    resized = {
+        name: nearest_cells(array, fine, grid) if array.dtype == np.uint8 else resize_map(array, fine, grid)
+        for name, array in maps.items()
+    }
+    return Match(**resized), views, pairs, agreement
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:

@@ -33,7 +33,9 @@ class NormaliseOptions:
         None, "Numbers that are calibrated already: quantity per DN, a number or a fraction such as 1/10000."
     )
     offset: float = option(0.0, "Added after --scale [unit of the quantity].", minimum=-1e6)
-    metadata: str | None = option(None, "Folder with vendor metadata (.IMD, .XML, DIM_*.XML) for the calibration.")
+    metadata: str | None = option(
+        None, "Folder with vendor metadata (.IMD, .XML, DIM_*.XML) for the calibration.", path="folder"
+    )
     gamma: float | None = option(
         None, "Undo this exponent on 8-bit tone-mapped images, linear = (DN / 255)^gamma (default: leave them).",
         minimum=0.1, maximum=10,

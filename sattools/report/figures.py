@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from sattools.compare.picture import line_styles
+from sattools.export.validity import CLASSES as VALIDITY
 from sattools.scene.grid import Grid
 
 Outline = Sequence[Sequence[float]]
@@ -26,8 +28,8 @@ def footprints(outlines: Mapping[str, Outline], area: Outline | None) -> Any:
     """Outlines [(lon, lat), ...] in degrees of images, and of the scene's grid."""
     figure = new_figure()
     axes = figure.subplots()
-    for number, (name, outline) in enumerate(outlines.items()):
-        axes.plot(*np.asarray(outline, float)[:, :2].T, color=f"C{number % 10}", linewidth=1, label=name)
+    for style, (name, outline) in zip(line_styles(len(outlines)), outlines.items(), strict=True):
+        axes.plot(*np.asarray(outline, float)[:, :2].T, linewidth=1.2, label=name, **style)
     if area is not None:
         axes.fill(*np.asarray(area, float).T, color="0.5", alpha=0.3, label="ground grid")
     middle = np.mean([lat for outline in outlines.values() for _, lat in outline])
@@ -79,6 +81,105 @@ def residuals(names: Sequence[str], before: Sequence[float], after: Sequence[flo
     return figure
 
 
+def residual_vectors(views: Mapping[str, np.ndarray]) -> Any:
+    """Where the tie points of the images lie, and by how much each misses its pixel: arrows, all of one scale.
+
+    Args:
+        views: of each image ``[N, 4]``: column, row, and the residual's two components [px].
+    """
+    columns = min(6 if len(views) > 3 else 3, len(views))
+    rows = -(-len(views) // columns)
+    figure = new_figure(2.4 * columns, 2.4 * rows)
+    every = figure.subplots(rows, columns, squeeze=False).ravel()
+    lengths = np.concatenate([np.hypot(own[:, 2], own[:, 3]) for own in views.values()])
+    unit = max(float(np.quantile(lengths, 0.9)), 1e-3)
+    for axes, (name, own) in zip(every, views.items(), strict=False):
+        width, height = np.ptp(own[:, 0]) or 1.0, np.ptp(own[:, 1]) or 1.0
+        scale = 0.12 * max(width, height) / unit  # pixels of the image by which a residual of one pixel is drawn
+        axes.quiver(*own.T, angles="xy", scale_units="xy", scale=1 / scale, width=0.006, color="tab:red")
+        axes.set_title(name, fontsize=7)
+        axes.set_aspect("equal")
+        axes.invert_yaxis()
+        axes.tick_params(labelsize=6)
+    for axes in every[len(views) :]:
+        axes.set_axis_off()
+    figure.supxlabel(f"column [px]; the longest tenth of the arrows: more than {unit:.2g} px", fontsize=8)
+    figure.supylabel("row [px]", fontsize=8)
+    return figure
+
+
+def errors_by(groups: Mapping[str, Sequence[tuple[str, float, float, int]]]) -> Any:
+    """Bars of the mean absolute error and its median, one panel per kind of group.
+
+    Args:
+        groups: title -> (name, mean [m], median [m], cells) of each bar.
+    """
+    figure = new_figure(3.2 * len(groups) + 0.8, 3.6)
+    every = figure.subplots(1, len(groups), squeeze=False, sharey=True)[0]
+    for axes, (title, bars) in zip(every, groups.items(), strict=True):
+        places = np.arange(len(bars))
+        axes.bar(places - 0.2, [bar[1] for bar in bars], 0.4, label="mean")
+        axes.bar(places + 0.2, [bar[2] for bar in bars], 0.4, label="median")
+        axes.set_xticks(places, [f"{bar[0]}\n{_count(bar[3])}" for bar in bars], fontsize=7)
+        axes.set_xlabel(title)
+        axes.grid(axis="y", alpha=0.3)
+    every[0].set_ylabel("absolute error [m]")
+    every[0].legend(fontsize=8)
+    return figure
+
+
+def _count(cells: int) -> str:
+    return f"{cells / 1e6:.1f} M" if cells >= 1e6 else f"{cells / 1e3:.0f} k" if cells >= 1e4 else str(cells)
+
+
+def validity_figure(codes: np.ndarray, grid: Grid) -> Any:
+    """Map of what was measured, filled, not seen, or not wanted; the legend says how much of the area each is.
+
+    Args:
+        codes: ``[H, W]`` of product `validity`.
+        grid: ground grid.
+    """
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    figure = new_figure(5.6, 5.6 * grid.height / grid.width if grid.width else 5.6)
+    axes = figure.subplots()
+    colours = [colour for colour, _ in VALIDITY.values()]
+    extent = (0.0, grid.width * grid.cell_size, 0.0, grid.height * grid.cell_size)
+    axes.imshow(
+        codes, cmap=ListedColormap(colours), vmin=0, vmax=len(colours) - 1, extent=extent, interpolation="nearest"
+    )
+    shares = [100 * float((codes == code).mean()) for code in VALIDITY]
+    patches = [
+        Patch(facecolor=colour, edgecolor="0.5", label=f"{name}, {share:.1f} %")
+        for (colour, name), share in zip(VALIDITY.values(), shares, strict=True)
+        if share
+    ]
+    axes.legend(handles=patches, fontsize=8, loc="upper right", framealpha=0.9)
+    axes.set(xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
+    return figure
+
+
+def error_over_time(points: Sequence[tuple[str, float, float]]) -> Any:
+    """Error over seconds of one scene, and the front that nothing else is both faster and better than.
+
+    Args:
+        points: (name, seconds since the images, mean absolute error [m]); equal names are joined by a line.
+    """
+    from sattools.batch.figure import draw_front
+
+    figure = new_figure()
+    axes = figure.subplots()
+    for name in dict.fromkeys(point[0] for point in points):
+        own = [point for point in points if point[0] == name]
+        axes.plot([p[1] for p in own], [p[2] for p in own], ".-" if len(own) > 1 else "o", label=name)
+    draw_front(axes, points)
+    axes.set(xlabel="seconds since the images", ylabel="mean absolute error [m]", ylim=(0, None), xlim=(0, None))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    return figure
+
+
 def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
     """One line per image of its pixels' values `[N]`; `label` names them with their unit."""
     figure = new_figure()
@@ -86,9 +187,9 @@ def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
     pooled = np.concatenate(list(values.values()))
     low, high = np.quantile(pooled, [0.001, 0.995])
     edges = np.linspace(low, max(high, low + 1e-6), 100)
-    for number, (name, own) in enumerate(values.items()):
+    for style, (name, own) in zip(line_styles(len(values)), values.items(), strict=True):
         share = np.histogram(own, edges)[0] / max(1, own.size)
-        axes.stairs(100 * share, edges, color=f"C{number % 10}", label=name)
+        axes.stairs(100 * share, edges, label=name, **style)
     axes.set(xlabel=label, ylabel="share of the pixels [%]", ylim=(0, None))
     if len(values) <= 20:
         axes.legend(fontsize=7)
@@ -146,4 +247,16 @@ def training(rows: Sequence[Mapping[str, float]]) -> Any:
     return figure
 
 
-__all__ = ["directions", "footprints", "histograms", "map_figure", "new_figure", "residuals", "training"]
+__all__ = [
+    "directions",
+    "error_over_time",
+    "errors_by",
+    "footprints",
+    "histograms",
+    "map_figure",
+    "new_figure",
+    "residual_vectors",
+    "residuals",
+    "training",
+    "validity_figure",
+]

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sattools.report import figures
 from sattools.report.commands import pipeline
+from sattools.report.errors import errors_section
+from sattools.report.links import products_section
 from sattools.report.page import Code, Picture, Section, Table, render
+from sattools.report.parts import number, product, trace_rows
 from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
-from sattools.scene.jsonio import JsonObject, read_json, read_text
+from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import read_overview, read_some_pixels
 from sattools.scene.schema import Items, Maybe, Number, Text
 from sattools.scene.schema import Table as Members
@@ -39,40 +39,36 @@ MAPS = {
     "prior_probability": "probability that the prior is less than 1 m off [1]",
 }
 _LENGTH = Maybe(Number())
+_PAIR = ("angle_deg", "tie_points", "before_px", "after_px")
 _ADJUSTMENT = Members(
     {
         "views": Items(
-            Members({"id": Text(), "median_before_px": _LENGTH, "median_after_px": _LENGTH}, ("id",)),
+            Members(
+                {
+                    "id": Text(),
+                    "median_before_px": _LENGTH,
+                    "median_after_px": _LENGTH,
+                    "residuals": Items(Items(Number(), 4, 4)),
+                },
+                ("id",),
+            ),
         ),
+        "pairs": Items(Members({"images": Items(Text(), 2, 2), **dict.fromkeys(_PAIR, Number())}, ("images", *_PAIR))),
         **{name: Number() for name in ("observations", "ground_points", "median_before_px", "median_after_px")},
         "model": Text(),
     },
     ("observations", "ground_points", "median_before_px", "median_after_px", "model"),
 )
-_PLACE = Maybe(Members(dict.fromkeys(("signed", "absolute", "share"), _LENGTH)))
-_FIGURES: dict[str, Any] = dict.fromkeys(("mae", "median", "rmse", "nmad", "completeness", "within_1m", "n"), _LENGTH)
-_FIGURES |= {"mae_centred": _LENGTH, "mae_capped_5m": _LENGTH, "near_steps": _PLACE, "away_from_steps": _PLACE}
-_ERRORS = Members(
-    {
-        **_FIGURES,
-        "completeness": Number(),
-        "within_1m": Number(),
-        "cells": Maybe(Number(0)),
-        "classes": Maybe(Members(other=Members(_FIGURES))),
-        "shift_m": Items(Number(), 3, 3),
-        "protocol": Text(),
-        "reference": Text(),
-        "mask": Text(empty=True),
-    },
-    ("shift_m", "protocol", "reference", "mask", "completeness", "within_1m"),
-)
+_VECTORS, _PAIRS = 18, 15  # images and pairs of images that are shown
 _PIXELS = 200_000  # of an image are enough for its histogram
 
 
 def scene_page(scene: Scene) -> str:
     """HTML of everything that the scene has data for."""
     notes = _drop_stale(scene)
-    makers: list[Callable[[Scene], Section]] = [_images, _adjustment, _radiometry, _surface, _errors, _maps, _training]
+    makers: list[Callable[[Scene], Section]] = [
+        *(_images, _adjustment, _radiometry, _surface, errors_section, _maps, _training, products_section)
+    ]
     return render(f"Scene {scene.id}", [*notes, *(make(scene) for make in makers), _history(scene)])
 
 
@@ -120,8 +116,8 @@ def _item_table(scene: Scene) -> Table:
             [
                 item.id,
                 str(p.get("datetime") or "")[:16].replace("T", " "),
-                *(_number(value, 1) for value in (*sun, p.get("view:azimuth"), p.get("view:off_nadir"))),
-                _number(p.get("gsd"), 2),
+                *(number(value, 1) for value in (*sun, p.get("view:azimuth"), p.get("view:off_nadir"))),
+                number(p.get("gsd"), 2),
                 "test" if item.held_out else "train",
             ]
         )
@@ -147,7 +143,30 @@ def _adjustment(scene: Scene) -> Section:
             f"{adjustment['median_after_px']:.2f} after ({adjustment['model']})."
         )
         section.parts.append(Picture(figure, "Residuals of every image before and after", caption))
+    if adjustment.get("pairs"):
+        section.parts.append(_pair_table(adjustment["pairs"]))
+    vectors = {v["id"]: np.array(v["residuals"], float) for v in adjustment.get("views", []) if v.get("residuals")}
+    if vectors:
+        shown = dict(list(vectors.items())[:_VECTORS])
+        more = f" The first {_VECTORS} of {len(vectors)} images." if len(vectors) > _VECTORS else ""
+        caption = f"Residuals that are left after the adjustment; a pattern would be an error of the camera.{more}"
+        section.parts.append(
+            Picture(figures.residual_vectors(shown), "Arrows of the residuals in every image", caption, len(shown) > 3)
+        )
     return section
+
+
+def _pair_table(pairs: list[JsonObject]) -> Table:
+    rows = [
+        [*row["images"], number(row["angle_deg"], 1), str(row["tie_points"]), number(row["before_px"], 2),
+         number(row["after_px"], 2)]
+        for row in pairs[:_PAIRS]
+    ]  # fmt: skip
+    caption = "Angle between the lines of sight; tie points that both images show, and the median of their residuals."
+    if len(pairs) > _PAIRS:
+        caption += f" The {_PAIRS} pairs with the most tie points, of {len(pairs)}."
+    names = ["image", "image", "angle [°]", "tie points", "before [px]", "after [px]"]
+    return Table(names, rows, caption)
 
 
 def _radiometry(scene: Scene) -> Section:
@@ -175,13 +194,18 @@ def _surface(scene: Scene) -> Section:
     from sattools.export.hillshade import picture
 
     section = Section("Surface")
-    path = _product(scene, "dsm")
+    path = product(scene, "dsm")
     if path is not None:
         heights, grid = read_overview(path)
         caption = f"Surface model, colours over a hillshade lit from the north-west; cells of {grid.cell_size:g} m."
         figure = picture(heights[0], grid, scene.id, vertical_datum(path))
         section.parts.append(Picture(figure, "Map of the heights", caption))
-    path = _product(scene, "difference")
+    path = product(scene, "validity")
+    if path is not None:
+        codes, grid = read_overview(path)
+        caption = "What the heights stand on: measured by two images or more, filled from neighbours, or unseen."
+        section.parts.append(Picture(figures.validity_figure(codes[0], grid), "Map of validity", caption))
+    path = product(scene, "difference")
     if path is not None:
         difference, grid = read_overview(path)
         caption = "Registered surface minus reference: blue too low, red too high, grey not scored [m]."
@@ -190,45 +214,10 @@ def _surface(scene: Scene) -> Section:
     return section
 
 
-def _errors(scene: Scene) -> Section:
-    section = Section("Errors")
-    path = _product(scene, "errors")
-    if path is None:
-        return section
-    figures = read_json(path, "a table of `sattools compare`")
-    _ERRORS.check(figures, str(path))
-    rows = [_error_row("all", figures, figures.get("cells"))]
-    rows += [_error_row(name, own, own["n"]) for name, own in (figures.get("classes") or {}).items() if own.get("n")]
-    east, north, up = figures["shift_m"]
-    caption = (
-        f"Protocol {figures['protocol']}, reference {figures['reference']}; scored: {figures['mask']}. "
-        f"Registered by {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up. "
-        f"Completeness {100 * figures['completeness']:.2f} %, within 1 m {100 * figures['within_1m']:.1f} %."
-    )
-    section.parts.append(Table(["cells", "MAE [m]", "median [m]", "RMSE [m]", "NMAD [m]", "n"], rows, caption))
-    if "near_steps" in figures:
-        section.parts.append(_step_table(figures))
-    return section
-
-
-def _step_table(figures: JsonObject) -> Table:
-    """Errors beside height steps and away from them."""
-    rows = []
-    for name, own in {"all": figures, **(figures.get("classes") or {})}.items():
-        near, away = own.get("near_steps") or {}, own.get("away_from_steps") or {}
-        shown = [own.get("mae_centred"), own.get("mae_capped_5m"), near.get("share"), near.get("signed")]
-        shown += [near.get("absolute"), away.get("signed"), away.get("absolute")]
-        if own.get("mae_centred") is not None:
-            rows.append([name, *(_number(value, 3) for value in shown)])
-    names = ["cells", "MAE [m]", "each at most 5 m [m]", "share beside steps", "signed there [m]", "absolute there [m]"]
-    caption = "Errors about the median; beside steps: within 2 m of a step of more than 3 m in the reference."
-    return Table([*names, "signed elsewhere [m]", "absolute elsewhere [m]"], rows, caption)
-
-
 def _maps(scene: Scene) -> Section:
     section = Section("Maps")
     for name, label in MAPS.items():
-        path = _product(scene, name)
+        path = product(scene, name)
         if path is None:
             continue
         array, grid = read_overview(path)
@@ -241,14 +230,7 @@ def _maps(scene: Scene) -> Section:
 
 def _training(scene: Scene) -> Section:
     section = Section("Fit")
-    path = _product(scene, "trace")
-    if path is None:
-        return section
-    rows = [
-        {k: float(v) for k, v in row.items() if isinstance(v, str) and _is_number(v)}
-        for row in csv.DictReader(io.StringIO(read_text(path)))
-    ]
-    rows = [row for row in rows if {"seconds", "loss"} <= row.keys()]
+    rows = trace_rows(scene)
     if rows:
         caption = "Loss after every epoch; it jumps where a finer stage begins."
         section.parts.append(Picture(figures.training(rows), "Training curve", caption))
@@ -262,19 +244,16 @@ def _history(scene: Scene) -> Section:
     rows = []
     for entry in scene.history:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
-        taken = _number(entry.get("seconds"), 1), _number(entry.get("peak_memory_mb"), 0)
+        keys = (("seconds", 1), ("cpu_seconds", 1), ("peak_memory_mb", 0))
+        taken = [number(entry.get(key), digits) for key, digits in keys]
         rows.append([entry["command"], *taken, versions])
-    names = ["command", "time [s]", "peak memory [MB]", "versions"]
+    names = ["command", "time [s]", "CPU time [s]", "peak memory [MB]", "versions"]
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
     section.parts.append(Code(pipeline(scene.history), text))
     notes = [f"{entry['command']}: {note}" for entry in scene.history for note in entry.get("notes", [])]
     section.parts.extend(notes)
     return section
-
-
-def _error_row(name: str, figures: JsonObject, cells: int | None) -> list[str]:
-    return [name, *(_number(figures.get(key), 3) for key in ("mae", "median", "rmse", "nmad")), str(cells or "")]
 
 
 def _area(scene: Scene) -> list[list[float]] | None:
@@ -292,23 +271,6 @@ def _beside_images(scene: Scene, name: str) -> Path | None:
     images = [scene.path(item.assets["image"].href) for item in scene.items if "image" in item.assets]
     folders = [scene.root, *(image.parent.parent for image in images[:1])]
     return next((folder / name for folder in folders if (folder / name).is_file()), None)
-
-
-def _product(scene: Scene, name: str) -> Path | None:
-    path = scene.path(scene.products[name]) if name in scene.products else None
-    return path if path is not None and path.is_file() else None
-
-
-def _number(value: Any, digits: int) -> str:
-    return "" if value is None else f"{float(value):.{digits}f}"
-
-
-def _is_number(text: str | None) -> bool:
-    try:
-        float(text or "")
-    except ValueError:
-        return False
-    return True
 
 
 __all__ = ["MAPS", "scene_page"]

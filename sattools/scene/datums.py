@@ -5,9 +5,13 @@ A grid knows its place on the map only; what its heights are above belongs to th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import rasterio.crs
 from pyproj import CRS
 from pyproj.exceptions import CRSError
+
+ELLIPSOID = "WGS84 ellipsoid"  # tag of rasters whose heights are above it
 
 
 def horizontal(crs: rasterio.crs.CRS) -> str:
@@ -26,6 +30,34 @@ def vertical_of(crs: rasterio.crs.CRS) -> str | None:
     part = parsed.sub_crs_list[1]
     code = part.to_authority()
     return ":".join(code) if code else str(part.to_wkt())
+
+
+def is_solid(crs: rasterio.crs.CRS) -> bool:
+    """Whether a CRS has three axes: its heights are above its own ellipsoid."""
+    parsed = _parsed(crs)
+    return parsed is not None and not parsed.is_compound and len(parsed.axis_info) > 2
+
+
+def difference(names: Mapping[str, str | None]) -> str | None:
+    """A sentence where surfaces are known to have heights above different things, else None.
+
+    Args:
+        names: what each is called -> what its heights are above (`sattools.scene.raster.heights_above`).
+    """
+    known = {name: above for name, above in names.items() if above is not None}
+    if len(set(known.values())) < 2:
+        return None
+    found = ", ".join(f"{name} above {_words(above)}" for name, above in known.items())
+    return f"heights are above different things ({found}): the difference between them is part of the result"
+
+
+def _words(above: str) -> str:
+    if above == "ellipsoid":
+        return "the ellipsoid"
+    try:
+        return f"{CRS.from_user_input(above).name} ({above})"
+    except CRSError:
+        return above
 
 
 def compound(crs: str, vertical: str) -> rasterio.crs.CRS:
@@ -54,4 +86,4 @@ def _parsed(crs: rasterio.crs.CRS) -> CRS | None:
         return None
 
 
-__all__ = ["compound", "compound_crs", "horizontal", "vertical_of"]
+__all__ = ["ELLIPSOID", "compound", "compound_crs", "difference", "horizontal", "is_solid", "vertical_of"]

@@ -9,6 +9,7 @@ import numpy as np
 
 from sattools.errors import InputError
 from sattools.scene.document import Item, Scene
+from sattools.scene.opening import opened
 from sattools.scene.raster import image_shape, read_image
 
 WINDOW = "sattools:window"  # of an asset: column, row, width, height within its file
@@ -33,6 +34,12 @@ class ImagePart:
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.rows.stop - self.rows.start, self.cols.stop - self.cols.start
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        with opened(self.path) as data:
+            return int(data.count)
 
     def read(self, window: tuple[slice, slice] | None = None, reduce: int = 1) -> np.ndarray:
         """``[B, H, W]`` float32, NaN where there is no data; see `sattools.scene.raster.read_image`.

@@ -15,7 +15,7 @@ from rasterio.windows import Window
 
 from sattools.errors import InputError, SceneError
 from sattools.scene.cog import CogWriter
-from sattools.scene.datums import horizontal, vertical_of
+from sattools.scene.datums import ELLIPSOID, horizontal, is_solid, vertical_of
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
@@ -176,6 +176,20 @@ def raster_vertical(path: Path) -> str | None:
     """The vertical part of a raster's compound CRS, e.g. ``"EPSG:5773"``; None where it has none."""
     with opened(path) as data:
         return None if data.crs is None else vertical_of(data.crs)
+
+
+def heights_above(path: Path) -> str | None:
+    """What a raster's heights are above: the code of its vertical CRS, ``ellipsoid``, or None where nothing says so.
+
+    A compound CRS says it, a three-dimensional one, or the tag ``VERTICAL_DATUM`` of our own files.
+    """
+    with opened(path) as data:
+        own = None if data.crs is None else vertical_of(data.crs)
+        tag = data.tags().get("VERTICAL_DATUM")
+        solid = data.crs is not None and is_solid(data.crs)
+    if own is not None:
+        return own
+    return "ellipsoid" if solid or tag == ELLIPSOID else tag
 
 
 def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:

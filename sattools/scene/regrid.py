@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sattools.errors import SceneError
@@ -76,15 +78,51 @@ def resize_map(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
     import cv2
 
     factor = target.cell_size / source.cell_size
-    size = (round(target.height * factor), round(target.width * factor))
+    # what cells of another size cover of the source, rounding aside: means count parts of cells, bilinear values do not
+    size = [math.ceil(n * factor - 1e-6) if factor > 1 else round(n * factor) for n in target.shape]
     edge = [(0, max(0, wanted - found)) for wanted, found in zip(size, array.shape, strict=True)]
     whole = np.pad(array, edge, mode="edge")[: size[0], : size[1]].astype(np.float32)
     known = np.isfinite(whole)
-    method = cv2.INTER_AREA if factor > 1 else cv2.INTER_LINEAR
     layers = (np.where(known, whole, np.float32(0)), known.astype(np.float32))
-    value, weight = (cv2.resize(layer, target.shape[::-1], interpolation=method) for layer in layers)
+    if factor > 1:
+        value, weight = (_means(layer, factor, target.shape) for layer in layers)
+    else:
+        value, weight = (cv2.resize(layer, target.shape[::-1], interpolation=cv2.INTER_LINEAR) for layer in layers)
     mean: np.ndarray = value / np.maximum(weight, np.float32(1e-6))
     return np.where(weight > 0.5, mean, np.float32(np.nan))
+
+
+def _means(values: np.ndarray, factor: float, shape: tuple[int, ...]) -> np.ndarray:
+    """Means over cells ``factor`` times as wide, also where that is no whole number."""
+    for axis, count in enumerate(shape):
+        whole = np.moveaxis(values, axis, 0).astype(np.float64)
+        total = np.concatenate([np.zeros((1, *whole.shape[1:])), np.cumsum(whole, axis=0)])
+        edges = np.minimum(np.arange(count + 1) * factor, len(whole))
+        before = np.minimum(np.floor(edges + 1e-9).astype(int), len(whole) - 1)
+        share = np.clip(edges - before, 0, 1)[:, None]
+        upto = total[before] + share * (total[before + 1] - total[before])
+        values = np.moveaxis(np.diff(upto, axis=0) / factor, 0, axis)
+    return values.astype(np.float32)
+
+
+def nearest_cells(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
+    """Values of the cells that lie at the centres of the cells of a grid with the same upper left corner.
+
+    Args:
+        array: ``[H, W]``.
+        source: its grid.
+        target: grid to resample to; its cells beyond the source continue the border.
+
+    Returns:
+        ``[h, w]`` of the same type.
+    """
+    factor = target.cell_size / source.cell_size
+    # just below the middle, so that halves of cells are not decided by rounding
+    rows, cols = (
+        np.minimum(((np.arange(n) + 0.5) * factor - 1e-6).astype(int), most - 1)
+        for n, most in zip(target.shape, array.shape, strict=True)
+    )
+    return array[np.ix_(rows, cols)]
 
 
 def sample_map(array: np.ndarray, source: Grid, target: Grid, outside: float | None = None) -> np.ndarray:

@@ -19,15 +19,17 @@ class SimulateOptions:
     """Options of `sattools simulate`."""
 
     id: str = option("SIM_001", "Name of the scene.")
-    out: str = option(".", "Folder in which the scene's own folder is made.")
+    out: str = option(".", "Folder in which the scene's own folder is made.", path="folder")
     terrain: Literal["city", "downtown", "natural"] = option(
         "city",
         "What is built: city (streets, houses, courtyards, a tower), downtown (towers of 50 to 150 m, narrow streets, "
         "roofs of all shapes, porous trees, a canal; facades, mirrors, seasons, haze, also with --dsm), or natural "
         "(relief with geological units).",
     )
-    dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.")
-    classes: str | None = option(None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.")
+    dsm: str | None = option(None, "Surface to take instead: the middle of this DSM, --size wide.", path="file")
+    classes: str | None = option(
+        None, "Class map of --dsm on the same grid: 2 ground, 5 trees, 6 building, 9 water.", path="file"
+    )
     size: float = option(None, "Edge of the square scene [m] (default: 128; natural 512).", minimum=32, maximum=1024)
     views: int = option(None, "Number of images (default: 12; natural 21, in one pass).", minimum=1, maximum=200)
     dates: int = option(6, "Number of dates over which they are spread.", minimum=1, maximum=200)
@@ -58,6 +60,13 @@ class SimulateOptions:
         minimum=0,
         maximum=2000,
     )
+    pan: int | None = option(
+        None,
+        "Panchromatic images, and beside them in colours/ what a multispectral sensor with so many times larger pixels "
+        "sees at the same moment; not of natural ground.",
+        minimum=2,
+        maximum=8,
+    )
     hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
     lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
@@ -85,6 +94,8 @@ class SimulateOptions:
         for name, value in usual.items():
             if getattr(self, name) is None:
                 setattr(self, name, value)
+        if self.pan and self.terrain == "natural":
+            raise InputError("--pan: found natural ground, expected a city")
         if self.terrain == "natural":
             self.bits = 12
         elif self.bits == 12:

@@ -21,6 +21,7 @@ from sattools.simulate.cars import with_cars
 from sattools.simulate.detailed import DetailedWorld, leaves_on
 from sattools.simulate.fan import simulate_natural
 from sattools.simulate.files import write_truth
+from sattools.simulate.multispectral import write_colours
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import HARD, HDR, SKY_COLOUR, USUAL, Light, Radiometry, digital_numbers, sun_colour
 from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
@@ -210,6 +211,8 @@ def _take(
     rng = np.random.default_rng(seed)
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)
+    if options.pan:
+        image = write_colours(scene, view, image, options.pan, rng)
     return write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
 
 

@@ -168,7 +168,7 @@ def _properties(scene: Scene, view: SimulatedView, image: np.ndarray, sun: np.nd
         "sattools:sun_direction": sun.round(8).tolist(),
         "sattools:bits": 8 if image.dtype == np.uint8 else view.bits,
         "sattools:dtype": str(image.dtype),
-        "sattools:bands": 3,
+        "sattools:bands": len(image),
         "sattools:value_range": [float(image.min()), float(image.max())],
         "sattools:role": view.role,
         "sattools:simulated": {

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -84,3 +85,47 @@ def test_no_network_is_one_line_with_the_address(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(datum, "has_grid", lambda name: False)
     with pytest.raises(SattoolsError, match=r"EGM96 geoid: cannot be fetched \(Name or service not known\)"):
         doctor.fetch_geoids(print)
+
+
+class Steps:
+    """Stands in for the commands of `try_out`: notes them, and one of them fails."""
+
+    def __init__(self, failing: str) -> None:
+        self.calls: list[list[str]] = []
+        self.given: list[bytes] = []
+        self.failing = failing
+
+    def __call__(self, call: list[str], *, input: bytes, **_: Any) -> Any:
+        step = call[4]
+        self.calls.append(call[4:])
+        self.given.append(input)
+        if step == "simulate":
+            images = Path(call[-1]) / "SIM/images"
+            images.mkdir(parents=True)
+            (images / "a.tif").touch()
+        if step == "compare":
+            folder = Path(self.calls[0][-1]) / "TRY/compare"
+            folder.mkdir(parents=True)
+            (folder / "errors.json").write_text('{"mae": 0.5}')
+        status = int(step == self.failing)
+        return SimpleNamespace(returncode=status, stdout=step.encode(), stderr=b"warning: x\nsattools: error: why\n")
+
+
+def test_a_small_scene_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = Steps("none")
+    monkeypatch.setattr(doctor.subprocess, "run", steps)
+    found = doctor.try_out(lambda text: None)
+    assert [call[0] for call in steps.calls] == ["simulate", "prep", "fit", "export", "compare"]
+    assert steps.calls[1][1].endswith("a.tif")
+    assert steps.given[2:] == [b"prep", b"fit", b"export"], "each step gets what the one before printed"
+    assert found.state == "ok"
+    assert "DSM 0.50 m off" in found.text
+    assert not Path(steps.calls[0][-1]).exists()
+
+
+def test_a_step_that_fails_is_named_by_its_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = Steps("fit")
+    monkeypatch.setattr(doctor.subprocess, "run", steps)
+    found = doctor.try_out(lambda text: None)
+    assert (found.state, found.text) == ("missing", "sattools: error: why")
+    assert [call[0] for call in steps.calls] == ["simulate", "prep", "fit"]

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import torch
 
+from sattools.errors import SceneError
 from sattools.fit.illumination import material_notes
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, diffuse
 from sattools.fit.materials.scene import ReflectiveScene, restored
 from sattools.fit.materials.sky import deep_shade, share_in_shade, sky_directions, sky_gain
 from sattools.fit.materials.start import reflective
+from sattools.fit.options import FitOptions
 from sattools.fit.surface.scene import start_scene
+from sattools.fit.whole import check_sky
 from sattools.scene.raster import read_raster
 from sattools.simulate import SimulateOptions, simulate
 from sattools.views import load_sources, views_on
@@ -156,3 +159,17 @@ def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: flo
         again = restored(found.tensors(), "hapke", 2.0, 0.0, absolute=True)
         lights = [s.light(s.suns[0], s.view_vectors[0], None, s.ambient[0]) for s in (found, again)]
         assert torch.equal(*lights)  # a model's file holds the sky
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (FitOptions(brdf="hapke", sky_share=[0.03, 0.04]), "found 2 values, expected 1 or 3"),
+        (FitOptions(sky="auto"), "found --brdf lambert"),
+        (FitOptions(sky_share=[0.03], brdf="hapke", field="mlp"), "--field mlp"),
+    ],
+)
+def test_a_sky_that_cannot_be_is_refused(options: FitOptions, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        check_sky(options, 3)
+    check_sky(FitOptions(brdf="hapke", sky_share=[0.03]), 8)

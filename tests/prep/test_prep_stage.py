@@ -299,3 +299,36 @@ def test_an_output_folder_that_is_a_file_is_refused_before_any_work(images: Any,
     (tmp_path / "out").write_text("")
     with pytest.raises(SattoolsError, match="expected a writable folder"):
         prepare(images, options)
+
+
+def test_the_history_says_of_every_pair_how_its_images_see_the_place(images: Any, options: Any) -> None:
+    _, extra = prepare(images, options)
+    pairs = extra["adjustment"]["pairs"]
+    sights = {f"city_{k}": np.array([*run, 1.0]) / np.hypot(1.0, np.hypot(*run)) for k, run in enumerate(RUNS)}
+    assert {tuple(row["images"]) for row in pairs} == {("city_0", "city_1"), ("city_0", "city_2"), ("city_1", "city_2")}
+    for row in pairs:
+        first, second = (sights[name] for name in row["images"])
+        assert row["angle_deg"] == pytest.approx(np.degrees(np.arccos(first @ second)), abs=0.1)
+        assert row["tie_points"] >= 50
+        assert row["after_px"] < 0.5
+        if "city_2" in row["images"]:  # five pixels off; what lies along the line of sight, the ground takes
+            assert 0.5 < row["before_px"] < 5.0
+    folder = Path(options.out) / "city"
+    assert json.loads((folder / "adjustment.json").read_text())["pairs"] == pairs
+    assert "city_0" in (folder / "adjustment.txt").read_text().split("angle")[1]
+
+
+def test_the_report_keeps_some_residuals_of_every_image(images: Any, options: Any) -> None:
+    prepare(images, options)
+    views = json.loads((Path(options.out) / "city/adjustment.json").read_text())["views"]
+    for view in views:
+        rows = np.array(view["residuals"])
+        assert rows.shape[1] == 4
+        assert 20 <= len(rows) <= 100
+        assert np.median(np.hypot(rows[:, 2], rows[:, 3])) == pytest.approx(view["median_after_px"], rel=0.5, abs=0.05)
+
+
+def test_images_in_sensor_geometry_claim_no_crs(images: Any, options: Any) -> None:
+    scene, _ = prepare(images, options)
+    assert all("proj:code" in item.properties for item in scene.items)
+    assert [item.properties["proj:code"] for item in scene.items] == [None, None, None]

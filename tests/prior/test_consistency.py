@@ -22,7 +22,7 @@ def frame() -> Any:
 def followed(cost: Any) -> Any:
     """The rays of `frame` after a cost ``[5][2]`` of the five cells at both heights."""
     minima = RayMinima.unknown(frame())
-    volume = np.array(cost, np.float32)[None]
+    volume = np.array(cost, np.float32).T[None]
     update_minima(volume, frame().parallax, HEIGHTS, 0.0, MARGIN, MARGIN, minima.cost, minima.height)
     return minima
 
@@ -48,10 +48,10 @@ def test_every_ray_keeps_its_cheapest_place() -> None:
 
 def test_blocks_leave_the_rays_as_the_whole_does() -> None:
     whole, parts = followed(ROOF), RayMinima.unknown(frame())
-    volume = np.array(ROOF, np.float32)[None]
+    volume = np.array(ROOF, np.float32).T[None]
     for first, last in ((3, 5), (0, 3)):
         at = (MARGIN, MARGIN + first)
-        update_minima(volume[:, first:last], frame().parallax, HEIGHTS, 0.0, *at, parts.cost, parts.height)
+        update_minima(volume[..., first:last], frame().parallax, HEIGHTS, 0.0, *at, parts.cost, parts.height)
     np.testing.assert_array_equal(parts.cost, whole.cost)
     np.testing.assert_array_equal(parts.height, whole.height)
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from sattools.prior import reference
-from sattools.prior.matching.kernels import correlate, descend, first_hit_heights, shadow_heights
+from sattools.prior.matching.kernels import TILE, TILE_COLS, correlate
 from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
-from sattools.prior.matching.sweep import PLANES
+from sattools.prior.matching.sweep import PLANES, active_planes
+from sattools.prior.visibility.kernels import descend, first_hit_heights, shadow_heights
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
@@ -36,15 +37,17 @@ def run_correlate(
     shadow_height: Any = None,
     dark: Any = None,
     base: Any = PLANES,
+    active: Any = None,
     **changed: Any,
 ) -> Any:
     s = SETTINGS | ROOT_MEAN_SQUARE | changed
     m = s["margin"]
-    volume = np.empty((images.shape[1] - 2 * m, images.shape[2] - 2 * m, len(heights)), np.float32)
+    rows, cols = images.shape[1] - 2 * m, images.shape[2] - 2 * m
+    volume = np.empty((rows, len(heights), cols), np.float32)
     order = (s["radius"], s["noise"], s["shadow_noise"], s["brightness"], m, np.float32(s["unseen"]))
     order += (s["power"], np.float32(s["weak"]), np.float32(s["mixed"]))
     if shadow_height is None:
-        shadow_height = np.full((len(images), *volume.shape[:2]), LOW, np.float32)
+        shadow_height = np.full((len(images), rows, cols), LOW, np.float32)
     if dark is None:
         dark = np.full(len(images), LOW, np.float32)
     correlate(
@@ -60,9 +63,15 @@ def run_correlate(
         tolerance,
         pairs,
         *order,
+        active_planes(heights, None, (rows, cols), 0, 0.0) if active is None else active,
         volume,
     )
-    return volume
+    return by_cell(volume)
+
+
+def by_cell(volume: Any) -> Any:
+    """The twin's order of axes, [H, W, D], for a volume [H, D, W], or back."""
+    return np.ascontiguousarray(np.swapaxes(volume, 1, 2))
 
 
 @pytest.mark.parametrize("radius", [1, 2])
@@ -186,16 +195,17 @@ def test_an_unseen_height_never_beats_what_is_seen() -> None:
 
 def test_aggregation_is_that_of_the_plain_twin() -> None:
     score = np.random.default_rng(3).random((7, 9, 6)).astype(np.float32)
-    total = np.empty_like(score)
-    aggregate(score, np.float32(0.1), np.float32(0.35), total)
-    np.testing.assert_allclose(total, reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
+    total = np.empty_like(by_cell(score))
+    aggregate(by_cell(score), np.float32(0.1), np.float32(0.35), total)
+    np.testing.assert_allclose(by_cell(total), reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
 
 
 def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> None:
     score = np.full((11, 11, 5), 0.2, np.float32)
     score[..., 3] = 0.9
     score[5, 5] = 0.2
-    total, height, index = np.empty_like(score), np.empty((11, 11), np.float32), np.empty((11, 11), np.int64)
+    score = by_cell(score)
+    total, height, index = np.empty_like(score), np.empty((11, 11), np.float32), np.empty((11, 11), np.int32)
     aggregate(score, np.float32(0.3), np.float32(1.5), total)
     lowest(total, np.arange(5.0) + 10, height, index)
     assert index[5, 5] == 3
@@ -204,17 +214,17 @@ def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> No
 
 def test_a_parabola_finds_the_height_between_two_planes() -> None:
     heights = np.array([0.0, 2.0, 4.0, 6.0])
-    total = ((heights - 3.4) ** 2).astype(np.float32)[None, None].copy()
-    height, index = np.empty((1, 1), np.float32), np.empty((1, 1), np.int64)
+    total = ((heights - 3.4) ** 2).astype(np.float32)[None, :, None].copy()
+    height, index = np.empty((1, 1), np.float32), np.empty((1, 1), np.int32)
     lowest(total, heights, height, index)
     assert index[0, 0] == 2
     assert height[0, 0] == pytest.approx(3.4, abs=1e-5)
 
 
 def test_the_rival_is_the_best_height_that_is_no_neighbour() -> None:
-    total = np.array([[[5.0, 3.0, 1.0, 2.0, 4.0]]], np.float32)
+    total = np.array([[[5.0], [3.0], [1.0], [2.0], [4.0]]], np.float32)
     gap = np.empty((1, 1), np.float32)
-    second_best_margin(total, np.array([[2]]), gap)
+    second_best_margin(total, np.array([[2]], np.int32), gap)
     assert gap[0, 0] == 3.0
 
 
@@ -309,3 +319,32 @@ def test_shadow_heights_are_those_of_the_plain_twin(sun: Any) -> None:
     slow = reference.shadow_heights(surface, np.array(sun), 0.5)
     lower = slow < surface.min() - 20  # as far below, the kernel stops looking
     np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)
+
+
+def test_planes_away_from_a_known_surface_are_left_out_and_the_others_are_as_before() -> None:
+    rng = np.random.default_rng(5)
+    rows, cols = TILE + 6, TILE_COLS + 5
+    images = rng.normal(0, 0.1, (2, rows + 10, cols + 10)).astype(np.float32)
+    masks, hit = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
+    case = (images, masks, np.array([(0.0, 0.0), (0.1, 0.3)]), hit, np.array([(0, 1)]), np.arange(6.0))
+    surface = np.full((rows, cols), 1.0, np.float32)
+    surface[:, -2:] = 4.0  # a roof in the last columns, which are in the second tile only
+    active = active_planes(case[-1], surface, (rows, cols), reach=3, margin=1.0)
+    np.testing.assert_array_equal(active[0], [[0, 3], [0, 6]])
+    whole, part = run_correlate(*case), run_correlate(*case, active=active)
+    np.testing.assert_array_equal(part[:, :TILE_COLS, :3], whole[:, :TILE_COLS, :3])
+    np.testing.assert_array_equal(part[:, TILE_COLS:], whole[:, TILE_COLS:])
+    assert (part[:, :TILE_COLS, 3:] == 0).all()
+    assert (whole[:, :TILE_COLS, 3:] > 0).any()
+
+
+def test_what_stands_beside_a_tile_may_reach_into_it() -> None:
+    surface = np.zeros((TILE, 2 * TILE_COLS), np.float32)
+    surface[:, TILE_COLS + 2 :] = 9.0
+    heights = np.arange(-2.0, 12.0)
+    near = active_planes(heights, surface, surface.shape, reach=5, margin=1.0)[0, 0]
+    far = active_planes(heights, surface, surface.shape, reach=1, margin=1.0)[0, 0]
+    assert heights[near[0]] <= -1.0
+    assert heights[near[1] - 1] >= 10.0
+    assert heights[far[1] - 1] <= 2.0
+    assert (active_planes(heights, None, surface.shape, 5, 1.0) == [0, len(heights)]).all()

@@ -50,14 +50,16 @@ def test_neighbours_on_another_surface_have_no_vote() -> None:
     volume = np.zeros((21, 21, 5), np.float32)
     volume[:, :10, 1] = volume[:, 10:, 3] = 1.0  # the low half wants down, the high half up
     refined = np.empty_like(surface)
-    best_nearby(volume, surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined)
+    best_nearby(
+        np.ascontiguousarray(np.swapaxes(volume, 1, 2)), surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined
+    )
     np.testing.assert_allclose(refined - surface, np.where(surface > 5, 0.5, -0.5), atol=1e-6)
 
 
 def test_where_no_height_is_better_the_surface_stays() -> None:
     surface = np.full((9, 9), 3.0, np.float32)
     refined = np.empty_like(surface)
-    best_nearby(np.zeros((9, 9, 5), np.float32), surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined)
+    best_nearby(np.zeros((9, 5, 9), np.float32), surface, np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), refined)
     assert (refined == 3.0).all()
 
 

@@ -91,6 +91,145 @@ def test_prepare_fit_export_compare_give_what_the_command_line_gives(
     assert scores["MAE"] == figures["mae"]
 
 
+def in_python(environment: Any, program: str, **more: str) -> str:
+    """What a program printed in QGIS's own Python, `provider` being loaded and `window` None."""
+    start = (
+        "import sys\n"
+        "from qgis.core import *\n"
+        f"sys.path[:0] = ['/usr/share/qgis/python/plugins', {str(ROOT / 'qgis_plugin')!r}]\n"
+        "app = QgsApplication([], True); app.initQgis()\n"
+        "import processing.core.ProcessingConfig\n"
+        "from sattools_qgis.processing.provider import SattoolsProvider\n"
+        "provider = SattoolsProvider(); provider.load(); QgsApplication.processingRegistry().addProvider(provider)\n"
+    )
+    done = subprocess.run(
+        ["/usr/bin/python3", "-c", start + program + "\nprovider = None; app.exitQgis()\n"],
+        env=environment | more, capture_output=True, text=True, timeout=HANGING_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_places_are_chosen_with_the_widgets_of_qgis(environment: Any) -> None:
+    said = in_python(
+        environment,
+        "for name in ('prep', 'runall', 'fit'):\n"
+        "    algorithm = provider.algorithm(name)\n"
+        "    for p in algorithm.parameterDefinitions():\n"
+        "        print(name, p.name(), p.type(), bool(p.flags() & p.FlagAdvanced), algorithm.group(), sep='|')",
+    )
+    found = {tuple(line.split("|")[:2]): line.split("|")[2:] for line in said.splitlines() if line.count("|") == 4}
+    for name, advanced in (("prep", False), ("runall", False)):
+        group = "Steps" if name == "prep" else "All in one"
+        assert found[name, "AOI"] == ["vector", str(advanced), group]
+        assert found[name, "BOUNDS"] == ["extent", str(advanced), group]
+        assert found[name, "CRS"] == ["crs", str(advanced), group]
+    assert found["runall", "CELL_SIZE"][:2] == ["number", "False"]
+    assert found["runall", "VERTICAL"][:2] == ["enum", "False"]
+    assert found["runall", "MASK"][:2] == ["multilayer", "True"]
+    assert found["runall", "DSM"][0] == "raster"
+    assert found["fit", "STEPS"][1] == "True"
+
+
+def test_an_extent_in_any_crs_and_a_layer_in_memory_become_what_prep_takes(environment: Any) -> None:
+    said = in_python(
+        environment,
+        "from sattools_qgis.processing.parameters import read\n"
+        "from sattools_qgis.forms import arguments\n"
+        "algorithm = provider.algorithm('prep').create()\n"
+        "layer = QgsVectorLayer('Polygon?crs=EPSG:32631', 'area', 'memory')\n"
+        "feature = QgsFeature(); feature.setGeometry(QgsGeometry.fromWkt('POLYGON((0 0, 9 0, 9 9, 0 0))'))\n"
+        "layer.dataProvider().addFeature(feature); QgsProject.instance().addMapLayer(layer)\n"
+        "context = QgsProcessingContext(); context.setProject(QgsProject.instance())\n"
+        "given = {'BOUNDS': '500000,500100,4000000,4000100 [EPSG:32631]', 'AOI': layer.id(), 'MASK': [layer.id()]}\n"
+        "feedback = QgsProcessingFeedback()\n"
+        "def line(given):\n"
+        "    form = algorithm.form\n"
+        "    return ' '.join(arguments(form, {f['key']: read(algorithm, f, given, context, feedback) for f in form}))\n"
+        "print('degrees:', line(given)); given['CRS'] = 'EPSG:32631'; print('metres:', line(given))\n",
+    )
+    degrees, metres = (next(x for x in said.splitlines() if x.startswith(n)).split() for n in ("degrees:", "metres:"))
+    west, south, east, north = map(float, degrees[degrees.index("--bounds") + 1 :][:4])
+    assert west == pytest.approx(3.0, abs=1e-6)  # the zone's middle
+    assert 36.0 < south < north < 36.3
+    assert east - west == pytest.approx(100 / 111320 / 0.807, rel=0.01)
+    place = metres.index("--bounds")
+    assert metres[place + 1 : place + 5] == ["500000", "4000000", "500100", "4000100"]
+    assert metres[metres.index("--crs") + 1] == "EPSG:32631"
+    for flag in ("--aoi", "--mask"):
+        copy = metres[metres.index(flag) + 1]
+        assert copy.endswith(".gpkg")
+
+
+def test_results_stand_in_a_group_in_their_order_and_no_map_is_black(environment: Any, tmp_path: Path) -> None:
+    import numpy as np
+    import rasterio
+    from affine import Affine
+
+    rng = np.random.default_rng(1)
+    maps = {"albedo": rng.random((40, 40)), "dsm": rng.random((40, 40)), "dsm_std": rng.random((40, 40))}
+    maps["dsm_std"][0, 0] = 330.0
+    for name, values in maps.items():
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", width=40, height=40, count=1, dtype="float32",
+            crs="EPSG:32631", transform=Affine(1, 0, 5e5, 0, -1, 4e6),
+        ) as file:  # fmt: skip
+            file.write(values.astype("float32"), 1)
+    said = in_python(
+        environment,
+        "from processing.gui.Postprocessing import handleAlgorithmResults\n"
+        "algorithm = provider.algorithm('export').create()\n"
+        "QgsProject.instance().setCrs(QgsCoordinateReferenceSystem('EPSG:4979'))\n"
+        "for _ in range(2):  # the second time replaces the first\n"
+        "    context = QgsProcessingContext(); context.setProject(QgsProject.instance())\n"
+        f"    files = {{n: '{tmp_path}/' + n + '.tif' for n in ('dsm', 'dsm_std', 'albedo')}}\n"
+        "    algorithm.load(files, context, 'TOWN')\n"
+        "    print('well', handleAlgorithmResults(algorithm, context, QgsProcessingFeedback()))\n"
+        "    for _ in range(5):  # QGIS drops layers that are in no tree when it has time to\n"
+        "        app.processEvents()\n"
+        "group = QgsProject.instance().layerTreeRoot().findGroup('TOWN')\n"
+        "print('tree', [(n.name(), n.itemVisibilityChecked()) for n in group.children()])\n"
+        "print('layers', len(QgsProject.instance().mapLayers()))\n"
+        "layer = QgsProject.instance().mapLayersByName('dsm_std')[0]\n"
+        "print('high', layer.renderer().classificationMax())\n"
+        "print('crs', QgsProject.instance().crs().authid())\n"
+        "QgsProject.instance().clear()",
+    )
+    lines = dict(
+        line.split(" ", 1) for line in said.splitlines() if line.split(" ", 1)[0] in ("tree", "high", "layers", "crs")
+    )
+    assert said.count("well True") == 2, said
+    assert lines["tree"] == "[('dsm', True), ('dsm hillshade', True), ('albedo', False), ('dsm_std', False)]"
+    assert int(lines["layers"]) == 4
+    assert lines["crs"] == "EPSG:32631"
+    assert 0.9 < float(lines["high"]) < 1.1
+
+
+def test_without_the_executable_the_toolbox_says_so_and_asks_for_it(environment: Any) -> None:
+    said = in_python(
+        environment,
+        "print('shown', [(a.name(), a.displayName()) for a in provider.algorithms()])\n"
+        "print('warning', provider.warningMessage())\n"
+        "algorithm = provider.algorithm('setup').create()\n"
+        "class Feedback(QgsProcessingFeedback):\n"
+        "    def reportError(self, text, fatalError=False):\n"
+        "        print('error', text)\n"
+        "print('ran', algorithm.run({'EXECUTABLE': '/nowhere'}, QgsProcessingContext(), Feedback())[1])\n",
+        PATH="/usr/bin:/bin",
+    )
+    assert "shown [('setup', 'Set up: the sattools executable is missing')]" in said
+    assert "warning found no sattools executable; install it" in said
+    assert "ran False" in said
+
+
+def test_the_report_is_written_from_the_toolbox(environment: Any, city: Any, tmp_path: Path) -> None:
+    shutil.copytree(city, tmp_path / "moved")
+    code, results, said = process(environment, "report", SCENE=str(tmp_path / "moved" / "scene.json"))
+    assert code == 0, said
+    assert Path(results["REPORT"]) == tmp_path / "moved" / "report.html"
+    assert Path(results["REPORT"]).is_file()
+
+
 def test_bad_input_fails_with_the_commands_message(environment: Any, tmp_path: Path) -> None:
     wrong = tmp_path / "scene.json"
     wrong.write_text("{}")

@@ -38,29 +38,64 @@ def test_every_command_that_the_plugin_knows_exists() -> None:
 
 @pytest.mark.parametrize("name", list(forms.ALGORITHMS))
 def test_a_form_left_at_its_defaults_adds_nothing_but_overwrite(name: Any) -> None:
-    fields = forms.fields(USAGE["commands"][name])
+    fields = forms.fields(name, USAGE["commands"][name])
     assert forms.arguments(fields, {f["key"]: f["default"] for f in fields}) == ["--overwrite"]
 
 
 @pytest.mark.parametrize("name", list(forms.ALGORITHMS))
 def test_every_option_reaches_the_command_line(name: Any) -> None:
-    fields = forms.fields(USAGE["commands"][name])
+    fields = forms.fields(name, USAGE["commands"][name])
     assert {f["flag"] for f in fields} == {o["name"] for o in USAGE["commands"][name]["options"]}
     assert len({f["key"] for f in fields}) == len(fields)
 
 
 def test_values_become_arguments() -> None:
-    fields = forms.fields(USAGE["commands"]["fit"])
+    fields = forms.fields("fit", USAGE["commands"]["fit"])
     values = {"SEED": 7, "POSE": False, "EPOCHS": "4 2", "LOSS": "raw-log", "OVERWRITE": False, "BUDGET": None}
-    assert forms.arguments(fields, values) == [
-        "--loss", "raw-log", "--epochs", "4", "--epochs", "2", "--no-pose", "--seed", "7",
-    ]  # fmt: skip
+    given = " " + " ".join(forms.arguments(fields, values))
+    assert sorted(given.split(" --")[1:]) == ["epochs 2", "epochs 4", "loss raw-log", "no-pose", "seed 7"]
 
 
 def test_an_option_of_several_values_is_given_once() -> None:
-    fields = forms.fields(USAGE["commands"]["prep"])
+    fields = forms.fields("prep", USAGE["commands"]["prep"])
     bounds = [f for f in fields if f["key"] == "BOUNDS"]
     assert forms.arguments(bounds, {"BOUNDS": "1 2 3 4"}) == ["--bounds", "1", "2", "3", "4"]
+
+
+def test_several_layers_are_given_one_by_one_whatever_their_names_hold() -> None:
+    fields = forms.fields("prep", USAGE["commands"]["prep"])
+    assert forms.arguments(fields, {"MASK": ["a lake.gpkg", "b.shp"], "AOI": "my area.shp"}) == [
+        "--aoi", "my area.shp", "--mask", "a lake.gpkg", "--mask", "b.shp",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(forms.ALGORITHMS))
+def test_a_form_shows_few_fields_and_each_of_them_exists(name: Any) -> None:
+    fields = forms.fields(name, USAGE["commands"][name])
+    plain = [f["flag"].lstrip("-") for f in fields if not f["advanced"]]
+    assert plain == list(forms.PLAIN[name])
+    assert len(plain) <= 8
+    assert all(f["help"] and len(f["label"]) < 45 for f in fields)
+
+
+def test_the_products_in_the_form_are_those_of_export() -> None:
+    from sattools.export.products.names import FILES
+
+    assert set(forms.PRODUCTS) == set(FILES)
+
+
+def test_a_scene_that_has_been_moved_is_read_from_where_it_lies(tmp_path: Path) -> None:
+    (tmp_path / "dsm.tif").write_text("")
+    document = {"sattools": {"root": "/somewhere/else", "products": {"dsm": "dsm.tif"}}}
+    (tmp_path / "scene.json").write_text(json.dumps(document))
+    scene = forms.read_scene(str(tmp_path / "scene.json"))
+    assert forms.products(scene, ["dsm"]) == {"dsm": str(tmp_path / "dsm.tif")}
+
+
+def test_the_plugins_metadata_has_no_placeholders() -> None:
+    text = (Path(forms.__file__).parent / "metadata.txt").read_text()
+    assert "example.org" not in text
+    assert {"name", "version", "description", "qgisMinimumVersion"} <= {line.split("=")[0] for line in text.split("\n")}
 
 
 def test_the_environment_of_qgis_stays_with_qgis() -> None:

@@ -1,9 +1,11 @@
 """The page: complete, self-contained, honest about what is missing, and sound in a real browser."""
 
 import json
+import re
 import shlex
 import shutil
 import subprocess
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.colors import to_rgb
 from patience import HANGING_S
 
 from sattools.batch.table import write_tables
 from sattools.cli import main
+from sattools.compare.picture import line_styles
 from sattools.errors import InputError
 from sattools.report.commands import command_line, pipeline
-from sattools.report.page import Section, render
+from sattools.report.figures import new_figure
+from sattools.report.page import Picture, Section, render
 from sattools.scene.raster import write_cog
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -53,7 +58,7 @@ class Page(HTMLParser):
 
     def __init__(self, text: Any) -> None:
         super().__init__()
-        self.images, self.headings, self.captions, self.loaded, self.open = [], [], [], [], []
+        self.images, self.headings, self.captions, self.loaded, self.open, self.links = [], [], [], [], [], []
         self.text = ""
         self.feed(text)
 
@@ -61,6 +66,9 @@ class Page(HTMLParser):
         values = dict(attributes)
         if tag == "img":
             self.images.append(values)
+        if tag == "a" and not values["href"].startswith("#"):
+            self.links.append(values["href"])  # followed by a reader, not loaded
+            return
         self.loaded += [values[name] for name in ("src", "href") if name in values]
         self.open.append(tag)
         if tag == "figcaption":
@@ -92,13 +100,21 @@ def finished(make_town: Any) -> Any:
         scene.products[name] = f"export/{name}.tif"
     errors = {"mae": 1.25, "median": 0.5, "rmse": 2.0, "nmad": 0.4, "cells": 900, "completeness": 1.0, "within_1m": 0.8}
     errors |= {"protocol": "dsm", "reference": "<b>LIDAR</b>", "mask": "all", "shift_m": [0.5, 0.0, -1.0]}
+    errors |= {"slopes": [{"from_deg": 0.0, "to_deg": 5.0, "mae": 1.0, "median": 0.5, "n": 50}]}
     errors |= {"classes": {"trees": {"mae": 3.25, "median": 2.0, "rmse": 4.0, "nmad": 1.0, "n": 80}}}
+    codes = rng.integers(0, 3, (1, *grid.shape)).astype(np.uint8)
+    write_cog(scene.output("export/validity.tif"), codes, grid)
+    scene.products["validity"] = "export/validity.tif"
     scene.output("compare/errors.json").write_text(json.dumps(errors))
     scene.output("fit/trace.csv").write_text("seconds,loss,mae_m\n1.0,0.5,2.0\n2.0,0.25,1.5\n")
     scene.products |= {"errors": "compare/errors.json", "trace": "fit/trace.csv"}
     view = {"id": "TOWN_001", "median_before_px": 0.9, "median_after_px": 0.1}
+    view["residuals"] = rng.random((20, 4)).tolist()
+    pair = {"images": ["TOWN_001", "TOWN_002"], "angle_deg": 21.5, "tie_points": 5, "before_px": 0.9, "after_px": 0.1}
     adjustment = {"observations": 10, "ground_points": 5, "median_before_px": 0.9, "median_after_px": 0.1}
-    (scene.root / "adjustment.json").write_text(json.dumps(adjustment | {"model": "shift", "views": [view]}))
+    (scene.root / "adjustment.json").write_text(
+        json.dumps(adjustment | {"model": "shift", "views": [view], "pairs": [pair]})
+    )
     entry = {"command": "fit", "options": {"seed": 7}, "seconds": 2.0, "peak_memory_mb": 300.0, "versions": {}}
     scene.history.append(entry)
     (scene.root / "scene.json").write_text(scene.to_json())
@@ -120,12 +136,22 @@ def test_a_scenes_page_shows_all_that_is_known(finished: Any) -> None:
     page = Page((finished.root / "report.html").read_text())
     check_self_contained(page)
     assert page.headings == [
-        *("Images", "Camera adjustment", "Radiometry", "Surface", "Errors", "Maps", "Fit", "How it was made")
+        *("Images", "Camera adjustment", "Radiometry", "Surface", "Errors", "Maps", "Fit", "Files", "How it was made")
     ]
-    # footprints, directions, residuals, histograms, heights, differences, three maps, training
-    assert len(page.images) == 10
+    # footprints, directions, residuals (twice), histograms, heights, validity, differences, errors by class and slope,
+    # error against time, three maps, training
+    assert len(page.images) == 14
+    assert {"export/dsm.tif", "compare/errors.json"} <= set(page.links)
+    assert all((finished.root / link).is_file() for link in page.links)
     assert "<b>LIDAR</b>" in page.text  # as text, not as a tag
-    for words in ("1.250", "3.250", "roughness theta [degrees]", "median 0.90 pixels before, 0.10 after", "--seed 7"):
+    for words in (
+        "1.250",
+        "3.250",
+        "roughness theta [degrees]",
+        "median 0.90 pixels before, 0.10 after",
+        "--seed 7",
+        "21.5",
+    ):
         assert words in page.text
 
 
@@ -136,7 +162,7 @@ def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     scene.history.clear()
     result = run("--out", scene.root / "page.html", text=scene.to_json())
     assert result.exit_code == 0, result.output
-    assert Page((scene.root / "page.html").read_text()).headings == ["Images"]
+    assert Page((scene.root / "page.html").read_text()).headings == ["Images", "Files"]  # the truth of the town
 
 
 def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
@@ -238,7 +264,7 @@ def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path: Path, open
     ],
 )
 def test_a_score_that_is_no_number_is_named(tmp_path: Path, change: Any, words: Any) -> None:
-    from sattools.report.scene import _ERRORS
+    from sattools.report.errors import _ERRORS
 
     place = {"signed": 0.1, "absolute": 0.2, "share": 0.3}
     figures = {"near_steps": place, "away_from_steps": place, "mae_centred": 0.3, "mae_capped_5m": 0.2}
@@ -267,3 +293,60 @@ def test_footprints_some_of_whose_corners_have_a_height(make_town: Any) -> None:
     (scene.root / "scene.json").write_text(scene.to_json())
     result = run(scene.root)
     assert result.exit_code == 0, result.output
+
+
+def test_a_page_of_many_maps_is_small(finished: Any) -> None:
+    grid = finished.require_grid()
+    rng = np.random.default_rng(1)
+    for name in ("albedo", "w", "b", "c", "theta", "dsm_std", "probability", "rho0", "k", "rhoc"):
+        write_cog(finished.output(f"export/{name}.tif"), rng.random((3, *grid.shape), np.float32), grid)
+        finished.products[name] = f"export/{name}.tif"
+    (finished.root / "scene.json").write_text(finished.to_json())
+    assert run(finished.root).exit_code == 0
+    assert (finished.root / "report.html").stat().st_size < 3_000_000  # noise packs worse than any map
+
+
+@pytest.mark.parametrize(("width", "columns"), [(390, 1), (1600, 2)])
+def test_a_page_fits_a_phone_and_uses_a_wide_screen(
+    finished: Any, opened: Any, tmp_path: Path, width: int, columns: int
+) -> None:
+    assert run(finished.root).exit_code == 0
+    text = (finished.root / "report.html").read_text()
+    page = tmp_path / "frame.html"
+    asked = "getComputedStyle(d.querySelector('.parts')).gridTemplateColumns.split(' ').length"
+    wide = "d.documentElement.scrollWidth"
+    wraps = "d.querySelector('nav').scrollWidth <= d.querySelector('nav').clientWidth"
+    script = (
+        "<script>function look() { const d = document.querySelector('iframe').contentDocument;"
+        f"document.title = [{asked}, {wide}, {wraps}].join(); }}</script>"
+    )
+    frame = f'<iframe width="{width}" height="800" style="border:0" onload="look()" srcdoc="{escape(text)}"></iframe>'
+    page.write_text(f"<!DOCTYPE html><html><body>{script}{frame}</body></html>")
+    document, said = opened(page)
+    found, page_width, nav = re.search(r"<title>(.*?)</title>", document)[1].split(",")
+    assert (int(found), nav) == (columns, "true"), said
+    assert int(page_width) <= width
+
+
+def test_a_page_that_would_be_too_large_has_coarser_pictures() -> None:
+    def page(count: int) -> str:
+        rng = np.random.default_rng(0)
+        pictures = []
+        for _ in range(count):
+            figure = new_figure(8, 8)
+            figure.subplots().imshow(rng.random((400, 400)), interpolation="nearest")
+            pictures.append(Picture(figure, "noise", "noise"))
+        return render("Noise", [Section("Pictures", list(pictures))])
+
+    one, many = page(1), page(12)
+    assert len(many) < 3_000_000
+    assert len(many) < 0.8 * 12 * len(one)
+
+
+def test_lines_of_many_images_can_be_told_apart() -> None:
+    for count in (3, 12, 17, 40):
+        styles = line_styles(count)
+        shown = [(to_rgb(style["color"]), style.get("linestyle", "-")) for style in styles]
+        assert len(set(shown)) == count
+        alike = [np.abs(np.subtract(a[0], b[0])).max() for k, a in enumerate(shown) for b in shown[:k] if a[1] == b[1]]
+        assert not alike or min(alike) > 0.08

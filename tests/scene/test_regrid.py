@@ -7,7 +7,7 @@ import pytest
 
 from sattools.errors import SattoolsError
 from sattools.scene import Grid
-from sattools.scene.regrid import reproject_map, resize_map, sample_map, split_cells
+from sattools.scene.regrid import nearest_cells, reproject_map, resize_map, sample_map, split_cells
 
 
 def test_a_map_on_a_coarser_grid_is_the_mean_of_its_known_cells() -> None:
@@ -80,3 +80,34 @@ def test_a_crs_of_no_place_on_earth_is_told_in_one_line() -> None:
 
 def test_splitting_cells_keeps_their_values() -> None:
     np.testing.assert_array_equal(split_cells(np.array([[1, 2]])), [[1, 1, 2, 2], [1, 1, 2, 2]])
+
+
+def test_means_over_cells_that_are_no_whole_number_wide_count_parts_of_cells() -> None:
+    fine = Grid("EPSG:32617", 0.0, 0.0, 0.7, 10, 1)
+    coarse = Grid("EPSG:32617", 0.0, 0.0, 1.0, 7, 1)
+    column = np.arange(10.0) * 0.7  # west border of each cell
+    found = resize_map(column[None], fine, coarse)
+    # the first metre is a whole cell of 0 and 3/7 of one of 0.7: 0.3 m * 0.7
+    np.testing.assert_allclose(found[0, 0], 0.21, atol=1e-6)
+    # a slope stays one: whole cells' means lie half a fine cell below the borders' slope, without drifting eastwards
+    middle = np.arange(7) + 0.5
+    assert np.abs(found[0] - (middle - 0.35)).max() < 0.08
+
+
+def test_a_slope_does_not_drift_when_cells_become_larger() -> None:
+    fine = Grid("EPSG:32617", 0.0, 0.0, 0.35, 732, 4)
+    coarse = Grid("EPSG:32617", 0.0, 0.0, 0.5, 512, 2)
+    slope = np.tile(fine.x(), (4, 1))
+    error = resize_map(slope, fine, coarse)[0] - coarse.x()
+    assert np.abs(error).max() < 0.06  # a part of a fine cell has the value of its middle: up to 0.35 m * 0.15
+
+
+def test_counts_are_taken_from_the_cell_in_the_middle() -> None:
+    fine = Grid("EPSG:32617", 0.0, 0.0, 0.7, 10, 2)
+    coarse = Grid("EPSG:32617", 0.0, 0.0, 1.0, 7, 1)
+    counts = np.tile(np.arange(10, dtype=np.uint8), (2, 1))
+    found = nearest_cells(counts, fine, coarse)
+    assert found.dtype == np.uint8
+    # centres at 0.5, 1.5 ... 6.5 m
+    np.testing.assert_array_equal(found, [[0, 2, 3, 4, 6, 7, 9]])  # 3.5 m is a border: the cell before it
+    np.testing.assert_array_equal(nearest_cells(counts, fine, fine), counts)

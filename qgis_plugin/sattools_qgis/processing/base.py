@@ -16,6 +16,8 @@ from qgis.PyQt.QtGui import QIcon
 from ..runner import Cancelled, CommandFailed, run
 from .styles import styler
 
+VECTORS = ("footprints", "tie_points", "contours")  # products that are no rasters
+
 
 class Base(QgsProcessingAlgorithm):
     """Runs the executable; subclasses say with what."""
@@ -26,6 +28,9 @@ class Base(QgsProcessingAlgorithm):
 
     def icon(self) -> Any:
         return QIcon(os.path.join(os.path.dirname(os.path.dirname(__file__)), "icon.svg"))
+
+    def groupId(self) -> Any:
+        return self.group().lower().replace(" ", "")
 
     def call(self, arguments: Any, feedback: Any, first: Any = 0.0, last: Any = 100.0) -> Any:
         """Run `sattools --progress json ...`; progress goes from first to last percent.
@@ -51,18 +56,15 @@ class Base(QgsProcessingAlgorithm):
         except OSError as error:
             raise QgsProcessingException(f"{self.executable}: cannot be run ({error})") from None
 
-    def load(self, paths: Any, context: Any) -> None:
-        """Add layers to the project when the algorithm has finished; paths: product name -> file."""
+    def load(self, paths: Any, context: Any, scene: Any) -> None:
+        """Add layers to the project when the algorithm has finished; paths: product name -> file; scene: its name."""
         if context.project() is None:
             return
         for name, path in paths.items():
-            vector = path.endswith((".json", ".geojson", ".gpkg"))
-            layer = QgsVectorLayer(path, name, "ogr") if vector else QgsRasterLayer(path, name)
+            layer = QgsVectorLayer(path, name, "ogr") if name in VECTORS else QgsRasterLayer(path, name)
             if not layer.isValid():
                 continue
             context.temporaryLayerStore().addMapLayer(layer)
             details = QgsProcessingContext.LayerDetails(name, context.project(), name)
-            post = styler(name)
-            if post is not None:
-                details.setPostProcessor(post)
+            details.setPostProcessor(styler(name, scene))
             context.addLayerToLoadOnCompletion(layer.id(), details)

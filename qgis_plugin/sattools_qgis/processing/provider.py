@@ -5,15 +5,16 @@ import os
 from typing import Any
 
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
+from qgis import utils
 from qgis.core import Qgis, QgsMessageLog, QgsProcessingProvider
 from qgis.PyQt.QtGui import QIcon
 
 from ..forms import ALGORITHMS
 from ..runner import INSTALL, CommandFailed, find_executable, usage_of
 from .algorithm import CommandAlgorithm
+from .extras import SETTING, ReportAlgorithm, SetUpAlgorithm
 from .run_all import RunAllAlgorithm
 
-SETTING = "SATTOOLS_EXECUTABLE"
 NEWEST_MAJOR = 0  # of the executable, that this plugin knows
 
 
@@ -62,19 +63,25 @@ class SattoolsProvider(QgsProcessingProvider):
         path = self.executable()
         if path is None:
             self._complain(INSTALL)
+            self.addAlgorithm(SetUpAlgorithm(INSTALL))
             return
         try:
             self.usage = usage_of(path)
         except CommandFailed as error:
             self._complain(str(error))
+            self.addAlgorithm(SetUpAlgorithm(str(error)))
             return
         if int(self.usage["version"].split(".")[0]) > NEWEST_MAJOR:
             self._complain(f"sattools {self.usage['version']} is newer than this plugin: update the plugin")
         for name in ALGORITHMS:
             if name in self.usage["commands"]:
                 self.addAlgorithm(CommandAlgorithm(name, self.usage["commands"][name], path))
-        self.addAlgorithm(RunAllAlgorithm(path))
+        self.addAlgorithm(RunAllAlgorithm(self.usage, path))
+        self.addAlgorithm(ReportAlgorithm(path))
 
     def _complain(self, text: Any) -> None:
+        """Say it in the log, in the toolbox and, where QGIS has a window, above its map."""
         self.problem = text
+        if utils.iface is not None:
+            utils.iface.messageBar().pushMessage("sattools", text, level=Qgis.Warning, duration=0)
         QgsMessageLog.logMessage(text, "sattools", Qgis.Warning)

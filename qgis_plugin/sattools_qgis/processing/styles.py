@@ -5,19 +5,28 @@ from typing import Any
 
 from qgis.core import (
     QgsColorRampShader,
+    QgsContrastEnhancement,
+    QgsFillSymbol,
     QgsGradientColorRamp,
     QgsGradientStop,
     QgsHillshadeRenderer,
+    QgsLineSymbol,
+    QgsMarkerSymbol,
+    QgsMultiBandColorRenderer,
+    QgsPalettedRasterRenderer,
     QgsProcessingLayerPostProcessorInterface,
     QgsProject,
-    QgsRasterBandStats,
     QgsRasterLayer,
+    QgsRasterShader,
     QgsSingleBandPseudoColorRenderer,
+    QgsSingleSymbolRenderer,
     QgsStyle,
 )
 from qgis.PyQt.QtGui import QColor, QPainter
 
-# product -> (ramp, lowest, highest); None = from the data
+from .layers import place
+
+# product -> (ramp, lowest, highest); None = from the data, without the outermost hundredths
 RAMPS = {
     "dsm": ("Viridis", None, None),
     "prior_dsm": ("Viridis", None, None),
@@ -29,78 +38,122 @@ RAMPS = {
     "b": ("Plasma", 0.0, 1.0),
     "c": ("Plasma", 0.0, 1.0),
     "theta": ("Inferno", 0.0, 60.0),
+    "rho0": ("Viridis", 0.0, None),
+    "k": ("Plasma", None, None),
+    "rhoc": ("Plasma", None, None),
+}
+SURFACES = ("dsm", "prior_dsm")
+COLOURS = ("albedo", "ortho", "reflectance")
+VALIDITY = ((0, "#d9d9d9", "unseen"), (1, "#1a9850", "measured"), (2, "#fdae61", "filled"), (3, "#f7f7f7", "outside"))
+LINES = {
+    "footprints": lambda: QgsFillSymbol.createSimple(
+        {"style": "no", "outline_color": "#ff7f0e", "outline_width": "0.4"}
+    ),
+    "tie_points": lambda: QgsMarkerSymbol.createSimple({"color": "#e7298a", "size": "1.2", "outline_style": "no"}),
+    "contours": lambda: QgsLineSymbol.createSimple({"color": "#5c4033", "width": "0.15"}),
 }
 DIFFERENCE_M = 5.0  # end of the blue-red ramp
+CUT = (0.02, 0.98)  # shares of the cells between which a ramp spans
+SAMPLE = 250_000  # cells are enough for that
 
 
 class Styler(QgsProcessingLayerPostProcessorInterface):
-    """Colours a raster layer."""
+    """Colours a layer, and puts it in its place."""
 
-    def __init__(self, name: Any) -> None:
+    def __init__(self, name: Any, scene: Any) -> None:
         super().__init__()
-        self.name = name
+        self.name, self.scene = name, scene
 
     def postProcessLayer(self, layer: Any, context: Any, feedback: Any) -> None:
-        if self.name == "difference":
-            ramp = QgsGradientColorRamp(
-                QColor("#2166ac"), QColor("#b2182b"), False, [QgsGradientStop(0.5, QColor("#f7f7f7"))]
-            )
-            colour(layer, ramp, -DIFFERENCE_M, DIFFERENCE_M)
-            return
-        ramp_name, low, high = RAMPS[self.name]
-        stats = layer.dataProvider().bandStatistics(
-            1, QgsRasterBandStats.Min | QgsRasterBandStats.Max, layer.extent(), 250000
+        project = context.project() or QgsProject.instance()
+        dress(layer, self.name)
+        place(project, layer, self.scene)
+        if self.name in SURFACES:
+            place(project, shaded(layer, project), self.scene)
+
+
+def dress(layer: Any, name: Any) -> None:
+    """Give a layer its product's look; unknown products keep QGIS's own."""
+    if name in LINES:
+        layer.setRenderer(QgsSingleSymbolRenderer(LINES[name]()))
+    elif name == "difference":
+        middle = [QgsGradientStop(0.5, QColor("#f7f7f7"))]
+        colour(
+            layer,
+            QgsGradientColorRamp(QColor("#2166ac"), QColor("#b2182b"), False, middle),
+            -DIFFERENCE_M,
+            DIFFERENCE_M,
         )
-        ramp = QgsStyle.defaultStyle().colorRamp(ramp_name) or QgsGradientColorRamp(
-            QColor("#440154"), QColor("#fde725")
-        )
-        colour(layer, ramp, stats.minimumValue if low is None else low, stats.maximumValue if high is None else high)
-        if self.name in ("dsm", "prior_dsm"):
-            shade(layer)
+    elif name == "validity":
+        classes = [QgsPalettedRasterRenderer.Class(value, QColor(shade), text) for value, shade, text in VALIDITY]
+        layer.setRenderer(QgsPalettedRasterRenderer(layer.dataProvider(), 1, classes))
+    elif name in COLOURS:
+        natural(layer)
+    elif name in RAMPS:
+        ramp_name, low, high = RAMPS[name]
+        least, most = robust(layer, 1)
+        ramp = QgsStyle.defaultStyle().colorRamp(ramp_name)
+        ramp = ramp or QgsGradientColorRamp(QColor("#440154"), QColor("#fde725"))
+        colour(layer, ramp, least if low is None else low, most if high is None else high)
+
+
+def robust(layer: Any, band: Any) -> Any:
+    """(low, high) between which all but the outermost cells lie: one cell of 300 m makes no map black."""
+    provider = layer.dataProvider()
+    low, high = provider.cumulativeCut(band, *CUT, layer.extent(), SAMPLE)
+    return (low, high) if high > low else (low, low + 1e-6)
 
 
 def colour(layer: Any, ramp: Any, low: Any, high: Any) -> None:
     """Pseudo-colours between two values."""
-    shader = QgsColorRampShader(low, high, ramp, QgsColorRampShader.Interpolated)
-    shader.classifyColorRamp(9, 1, layer.extent(), layer.dataProvider())
+    function = QgsColorRampShader(low, max(high, low + 1e-6), ramp, QgsColorRampShader.Interpolated)
+    function.classifyColorRamp(9, 1, layer.extent(), layer.dataProvider())
+    shader = QgsRasterShader()
+    shader.setRasterShaderFunction(function)
     renderer = QgsSingleBandPseudoColorRenderer(layer.dataProvider(), 1, None)
-    renderer.setShader(raster_shader(shader))
+    renderer.setShader(shader)
     renderer.setClassificationMin(low)
     renderer.setClassificationMax(high)
     layer.setRenderer(renderer)
     layer.triggerRepaint()
 
 
-def raster_shader(function: Any) -> Any:
-    """A QgsRasterShader around a colour ramp."""
-    from qgis.core import QgsRasterShader
+def natural(layer: Any) -> None:
+    """Three bands in one stretch, so that colours stay colours; a single band in grey as QGIS has it."""
+    if layer.bandCount() < 3:
+        return
+    provider = layer.dataProvider()
+    limits = [robust(layer, band) for band in (1, 2, 3)]
+    low, high = min(pair[0] for pair in limits), max(pair[1] for pair in limits)
+    renderer = QgsMultiBandColorRenderer(provider, 1, 2, 3)
+    setters = (renderer.setRedContrastEnhancement, renderer.setGreenContrastEnhancement,
+               renderer.setBlueContrastEnhancement)  # fmt: skip
+    for band, setter in zip((1, 2, 3), setters):
+        enhancement = QgsContrastEnhancement(provider.dataType(band))
+        enhancement.setContrastEnhancementAlgorithm(QgsContrastEnhancement.StretchToMinimumMaximum)
+        enhancement.setMinimumValue(low)
+        enhancement.setMaximumValue(high)
+        setter(enhancement)
+    layer.setRenderer(renderer)
 
-    shader = QgsRasterShader()
-    shader.setRasterShaderFunction(function)
-    return shader
 
-
-def shade(layer: Any) -> None:
-    """A hillshade of the same file below the layer, which is multiplied onto it."""
+def shaded(layer: Any, project: Any) -> Any:
+    """A hillshade of the same file, for below the layer, which is multiplied onto it."""
     below = QgsRasterLayer(layer.source(), f"{layer.name()} hillshade")
     renderer = QgsHillshadeRenderer(below.dataProvider(), 1, 315, 40)
     renderer.setMultiDirectional(True)
     renderer.setZFactor(0.4)  # walls of a city would be black otherwise
     below.setRenderer(renderer)
-    layer.setBlendMode(QPainter.CompositionMode_Multiply)
-    project = QgsProject.instance()
+    layer.setBlendMode(QPainter.CompositionMode.CompositionMode_Multiply)
     project.addMapLayer(below, False)
-    node = project.layerTreeRoot().findLayer(layer.id())
-    parent, place = (node.parent(), node.parent().children().index(node)) if node else (project.layerTreeRoot(), -1)
-    parent.insertLayer(place + 1, below)
+    return below
 
 
-# QGIS calls a post-processor after the algorithm is gone and does not own it
-_STYLERS = {}
+# QGIS calls a post-processor after the algorithm is gone, keeps no reference to it, and may delete it afterwards
+_STYLERS = []
 
 
-def styler(name: Any) -> Any:
-    """The post-processor of a product, or None for layers that QGIS shows well as they are."""
-    if name not in RAMPS and name != "difference":
-        return None
-    return _STYLERS.setdefault(name, Styler(name))
+def styler(name: Any, scene: Any) -> Any:
+    """A post-processor for one layer: a product of a scene."""
+    _STYLERS.append(Styler(name, scene))
+    return _STYLERS[-1]

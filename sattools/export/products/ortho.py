@@ -57,6 +57,11 @@ class Balance:
 
         What would be brighter than anything in the scene lies in the sun, whatever the surface says of its shadows.
         """
+        # a panchromatic image has the colours of the multispectral one of the same moment
+        lifted = self._grey(shown)
+        return lifted if shown.ratio is None else lifted.mean(axis=0) * shown.ratio
+
+    def _grey(self, shown: Shown) -> np.ndarray:
         at = (slice(None), None, None)
         bright = (shown.value - self.offset[at]) / self.gain[at]
         lifted = bright / (shown.lit + (1 - shown.lit) * self.shade[at])
@@ -81,6 +86,12 @@ def write_ortho(
     with opened(maps.paths["albedo"]) as data:
         bands = [str(text or "").replace("albedo", "colour") for text in data.descriptions]
         kept = {k: v for k, v in data.tags().items() if k in ("SCALE", "WAVELENGTHS_UM")}
+    if job.colours:
+        bands = (
+            [f"colour {name}" for name in ("red", "green", "blue")[: job.colours]]
+            if job.colours == 3
+            else [f"colour {k + 1}" for k in range(job.colours)]
+        )
     names = {f"IMAGE_{k + 1}": camera.item.id for k, camera in enumerate(job.cameras)}
     grid = maps.grid
     grid = Grid(grid.crs, grid.left, grid.top, job.size, grid.width * job.fine, grid.height * job.fine)
@@ -116,7 +127,7 @@ def mosaic(patch: Patch, cameras: Sequence[Camera], balances: Sequence[Balance])
         cameras: of the images.
         balances: of the images.
     """
-    bands = len(balances[0].gain)
+    bands = (cameras[0].colours.part.bands if cameras[0].colours else 0) or len(balances[0].gain)
     total = np.zeros((bands, *patch.height.shape), np.float64)
     weights = np.zeros(patch.height.shape)
     best, source = np.zeros(patch.height.shape), np.zeros(patch.height.shape, np.uint16)
@@ -175,8 +186,17 @@ class _Job:
         low, high = _range(maps)
         cell = maps.grid.cell_size
         cameras = cameras_of(scene, model, (low, high))
+        coloured = [camera for camera in cameras if camera.colours is not None]
+        if coloured:  # colours of some images and grey of others would make patches
+            cameras = coloured
         fine = round(cell / pixel_size(cameras, maps.grid, low))
         return cls(maps, cameras, vertical, reach_of(cameras, high - low, cell), min(max(1, fine), _FINEST))
+
+    @property
+    def colours(self) -> int:
+        """Bands of the multispectral images; 0 without any."""
+        own = self.cameras[0].colours
+        return own.part.bands if own else 0
 
     @property
     def size(self) -> float:

@@ -29,6 +29,18 @@ _SPARE = 3  # pixels around what is read of an image
 _FARTHEST = 1024  # cells: of what may hide a cell or shade it
 
 
+class Colours(NamedTuple):
+    """The multispectral image of an acquisition.
+
+    Attributes:
+        part: its pixels.
+        rpc: its camera.
+    """
+
+    part: ImagePart
+    rpc: RPC
+
+
 @dataclass(frozen=True)
 class Camera:
     """An image of the fit.
@@ -41,6 +53,7 @@ class Camera:
         pose: (east, north) shift of its rays that the fit found [m].
         sun: unit vector (east, north, up) to the sun, or None.
         slope: line of sight.
+        colours: pixels and camera of the multispectral image of the same acquisition, or None.
     """
 
     item: Item
@@ -50,6 +63,7 @@ class Camera:
     pose: tuple[float, float]
     sun: Sun | None
     slope: ViewDirection
+    colours: Colours | None = None
 
 
 class Patch(NamedTuple):
@@ -79,11 +93,13 @@ class Shown(NamedTuple):
         value: ``[C, h, w]`` radiance; anything where it shows nothing.
         visible: ``[h, w]`` in [0, 1], 0 where it shows nothing.
         lit: ``[h, w]`` in [0, 1], 1 = in the sun.
+        ratio: ``[K, h, w]`` multispectral bands over their mean, None without a multispectral image.
     """
 
     value: np.ndarray
     visible: np.ndarray
     lit: np.ndarray
+    ratio: np.ndarray | None = None
 
 
 def cameras_of(scene: Scene, model: FittedModel, heights: tuple[float, float]) -> list[Camera]:
@@ -109,7 +125,12 @@ def cameras_of(scene: Scene, model: FittedModel, heights: tuple[float, float]) -
         low, high = heights
         slope, _ = line_of_sight(rpc, model.grid, low, (low, max(high, low + 1.0)))
         bits = item_bits(item.properties) if asset == "image" else None
-        cameras.append(Camera(item, image_part(scene, item, asset), bits, rpc, (pose[0], pose[1]), sun, slope))
+        colours = None
+        if {"colours", "colours_rpc"} <= item.assets.keys():
+            own = RPC.from_file(scene.path(item.assets["colours_rpc"].href))
+            colours = Colours(image_part(scene, item, "colours"), own)
+        part = image_part(scene, item, asset)
+        cameras.append(Camera(item, part, bits, rpc, (pose[0], pose[1]), sun, slope, colours))
     if not cameras:
         raise SceneError(f"scene {scene.id}: found no image with a camera, expected those of the fit for an orthophoto")
     return cameras
@@ -194,7 +215,40 @@ def shown_at(camera: Camera, patch: Patch) -> Shown | None:
     lit = np.ones(grid.shape, np.float32)
     if camera.sun is not None:
         lit = _finer(sun_visibility(surface, patch.cell, camera.sun).numpy(), patch)
-    return Shown(np.stack(bands), np.where(there & np.isfinite(patch.height), visible, np.float32(0)), lit)
+    ratio = None
+    if camera.colours is not None:
+        ratio, coloured = _ratio(camera.colours, grid, (x, y, level))
+        there &= coloured
+    return Shown(np.stack(bands), np.where(there & np.isfinite(patch.height), visible, np.float32(0)), lit, ratio)
+
+
+def _ratio(
+    colours: Colours, grid: Grid, points: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Multispectral bands over their mean ``[K, h, w]`` at points (x, y, height) ``[h, w]``, and where there are."""
+    import cv2
+
+    x, y, level = points
+    part = colours.part
+    col, row = (
+        np.asarray(v).reshape(x.shape) for v in project(colours.rpc, grid.crs, x.ravel(), y.ravel(), level.ravel())
+    )
+    rows, cols = (
+        slice(max(0, math.floor(at.min()) - _SPARE), min(size, math.ceil(at.max()) + _SPARE + 1))
+        for at, size in ((row, part.shape[0]), (col, part.shape[1]))
+    )
+    if rows.start >= rows.stop or cols.start >= cols.stop:
+        return np.ones((part.bands, *x.shape), np.float32), np.zeros(x.shape, bool)
+    image = part.read((rows, cols))
+    at = (col - cols.start).astype(np.float32), (row - rows.start).astype(np.float32)
+    valid = valid_pixels(image).astype(np.float32)
+    there = cv2.remap(valid, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0.99
+    bands = [cv2.remap(np.nan_to_num(band), *at, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE) for band in image]
+    # as they are: without the darkest ground's numbers, which are the air's, simulated colours came out worse
+    values = np.maximum(np.stack(bands), 0)
+    mean = values.mean(axis=0)
+    ratio = np.where(mean > 0, values / np.maximum(mean, 1e-6), 1.0)  # what is as dark as the air has no colour
+    return ratio.astype(np.float32), there
 
 
 def _finer(ramp: np.ndarray, patch: Patch) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Compiled kernels of the multi-view matching: plane-sweep correlation and occlusion.
+"""Compiled kernel of the multi-view matching: plane-sweep correlation.
 
 All views lie on one frame: the ground grid plus a margin on every side, resampled at one reference height. A point of
 cell (row, col) at height z is seen by view v at frame position (margin + row + slope_v * dz, margin + col + ...), dz =
@@ -16,8 +16,7 @@ from sattools.compiled import FASTMATH, njit, prange
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 SIXTH = np.float32(1 / 6)
-NO_SHADE = np.float32(-1e9)
-TILE = 24  # rows that one thread carries through all heights: its images then stay in the second-level cache
+TILE, TILE_COLS = 24, 96  # cells that one thread carries through all heights: they stay in the second-level cache
 
 
 @njit(cache=True, fastmath=FASTMATH)
@@ -55,6 +54,10 @@ def _follow(image, surface, row0, col0, parallax, dz, out):
 def _window_sum(columns, radius, out):
     """out(j) = sum of columns(j .. j + 2 radius); the shorter array sets the length."""
     cols = out.shape[0]
+    if radius == 1:  # the default, in one pass instead of three
+        for j in range(cols):
+            out[j] = columns[j] + columns[j + 1] + columns[j + 2]
+        return
     for j in range(cols):
         out[j] = columns[j]
     for k in range(1, 2 * radius + 1):
@@ -108,7 +111,8 @@ def _add_pair(
     darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
     veil = dark_a - dark_b
     steep = np.float32(1.0 / (brightness * brightness))
-    one = np.float32(1.0)
+    # every constant in single precision: one in double makes the whole line double
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     sums[:] = 0
     for i in range(2 * radius):
         for j in range(sums.shape[0]):
@@ -126,9 +130,9 @@ def _add_pair(
             both = max(both, -mixed * both)
             dark = sa[j] < 0 and sb[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
             floor = dark_floor if dark else lit_floor
-            structure = (2 * (line[j] * norm - ma[j] * mb[j]) + floor) / (va[j] + vb[j] + floor)
-            apart = ma[j] - mb[j] - (veil if dark else np.float32(0))
-            score = max(structure, np.float32(0)) / (one + apart * apart * steep)
+            shared = max(two * (line[j] * norm - ma[j] * mb[j]) + floor, zero)
+            apart = ma[j] - mb[j] - (veil if dark else zero)
+            score = shared / ((va[j] + vb[j] + floor) * (one + apart * apart * steep))
             square = score * score
             ti[j] += both * (square if power == 1 else square * square * square)
             wi[j] += both
@@ -137,17 +141,98 @@ def _add_pair(
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _fill_unseen(column, unseen):
-    """Replace the negative scores of a cell (heights that no pair sees).
+def _mean_over_pairs(total, weight, power, agreement):
+    """Power mean of a row's pairs; -1 where no pair sees the place."""
+    for j in range(agreement.shape[0]):
+        mean = total[j] / weight[j] if weight[j] > 0 else np.float32(-1)
+        if weight[j] > 0:
+            mean = math.sqrt(mean) if power == 1 else mean**SIXTH
+        agreement[j] = mean
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _fill_unseen(row, unseen, best):
+    """Replace the negative scores of a row of cells ``[D, W]`` (heights that no pair sees).
 
     A hidden height must stay possible, but not beat what is seen to agree, however poorly.
     """
-    best = np.float32(0)
-    for k in range(column.shape[0]):
-        best = max(best, column[k])
-    for k in range(column.shape[0]):
-        if column[k] < 0:
-            column[k] = min(unseen, GUARD * best)
+    best[:] = 0
+    for k in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            best[j] = max(best[j], row[k, j])
+    for k in range(row.shape[0]):
+        for j in range(row.shape[1]):
+            row[k, j] = min(unseen, GUARD * best[j]) if row[k, j] < 0 else row[k, j]
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _look(
+    image, mask, parallax, z, base, z_ref, hit_height, shadow_height, tolerance, radius, margin, weak, r0, c0,
+    moved, seen,
+):  # fmt: skip
+    """What a view shows of a tile at a height (or a height above a surface), and how well it sees it."""
+    rows, cols = seen.shape
+    dz = z - z_ref
+    if len(base):
+        part = base[r0 : r0 + rows + 2 * radius, c0 : c0 + cols + 2 * radius]
+        _follow(image, part, margin + r0 - radius, margin + c0 - radius, parallax, dz, moved)
+        for i in range(rows):
+            for j in range(cols):
+                there = part[i + radius, j + radius] + z
+                nr = margin + r0 + i + round(parallax[0] * (there - z_ref))
+                nc = margin + c0 + j + round(parallax[1] * (there - z_ref))
+                lit = np.float32(1) if there >= shadow_height[r0 + i, c0 + j] else np.float32(-1)
+                near = hit_height[nr, nc] <= there + tolerance
+                seen[i, j] = lit * np.float32(mask[nr, nc]) * (np.float32(1) if near else weak)
+        return
+    dr, dc = parallax[0] * dz, parallax[1] * dz
+    _translate(image, margin + r0 - radius, margin + c0 - radius, dr, dc, moved)
+    lowest_hit = np.float32(z + tolerance)
+    nr, nc = margin + r0 + round(dr), margin + c0 + round(dc)
+    for i in range(rows):
+        valid, hit = mask[nr + i, nc : nc + cols], hit_height[nr + i, nc : nc + cols]
+        shadow, target = shadow_height[r0 + i, c0 : c0 + cols], seen[i]
+        for j in range(cols):
+            lit = np.float32(1) if z >= shadow[j] else np.float32(-1)
+            target[j] = lit * np.float32(valid[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _correlate_tile(
+    images, masks, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
+    pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, r0, c0, volume,
+):  # fmt: skip
+    """The part of `correlate` whose first cell is (r0, c0): ``volume`` is ``[rows, D, columns]``."""
+    views = images.shape[0]
+    rows, depth, cols = volume.shape
+    moved = np.empty((views, rows + 2 * radius, cols + 2 * radius), np.float32)
+    seen = np.empty((views, rows, cols), np.float32)
+    mean = np.empty((views, rows, cols), np.float32)
+    variance = np.empty((views, rows, cols), np.float32)
+    sums = np.empty(cols + 2 * radius, np.float32)
+    squares = np.empty(cols + 2 * radius, np.float32)
+    line = np.empty(cols, np.float32)
+    total = np.empty((rows, cols), np.float32)
+    weight = np.empty((rows, cols), np.float32)
+    for k in range(depth):
+        for v in range(views):
+            _look(
+                images[v], masks[v], parallax[v], heights[k], base, z_ref, hit_heights[v], shadow_heights[v], tolerance,
+                radius, margin, weak, r0, c0, moved[v], seen[v],
+            )  # fmt: skip
+            _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
+        total[:] = 0
+        weight[:] = 0
+        for p in range(pairs.shape[0]):
+            a, b = pairs[p, 0], pairs[p, 1]
+            _add_pair(
+                moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
+                radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
+            )  # fmt: skip
+        for i in range(rows):
+            _mean_over_pairs(total[i], weight[i], power, volume[i, k])
+    for i in range(rows):
+        _fill_unseen(volume[i], unseen, line)
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
@@ -172,6 +257,7 @@ def correlate(
     power,
     weak,
     mixed,
+    active,
     volume,
 ):
     """Agreement of the views at every (cell, height).
@@ -207,162 +293,23 @@ def correlate(
         weak: weight of a view from which the surface hides the point; above 0, a place that no image can contradict
             is worth what the images show there, not a constant.
         mixed: factor of the weight of pairs in different light.
-        volume: ``[H, W, D]`` float32, filled with agreements in [0, 1].
+        active: ``[h, w, 2]`` int64 first plane and the one after the last that are looked at in every tile of `TILE` x
+            `TILE_COLS` cells; on the others nothing agrees.
+        volume: ``[H, D, W]`` float32, filled with agreements in [0, 1].
     """
-    views = images.shape[0]
-    height, width, depth = volume.shape
-    tiles = (height + TILE - 1) // TILE
-    for t in prange(tiles):
-        r0 = t * TILE
-        rows = min(TILE, height - r0)
-        moved = np.empty((views, rows + 2 * radius, width + 2 * radius), np.float32)
-        seen = np.empty((views, rows, width), np.float32)
-        mean = np.empty((views, rows, width), np.float32)
-        variance = np.empty((views, rows, width), np.float32)
-        sums = np.empty(width + 2 * radius, np.float32)
-        squares = np.empty(width + 2 * radius, np.float32)
-        line = np.empty(width, np.float32)
-        total = np.empty((rows, width), np.float32)
-        weight = np.empty((rows, width), np.float32)
-        for k in range(depth):
-            dz = heights[k] - z_ref
-            lowest_hit = np.float32(heights[k] + tolerance)
-            for v in range(views):
-                if len(base):
-                    part = base[r0 : r0 + rows + 2 * radius]
-                    _follow(images[v], part, margin + r0 - radius, margin - radius, parallax[v], dz, moved[v])
-                    for i in range(rows):
-                        for j in range(width):
-                            z = base[r0 + i + radius, j + radius] + heights[k]
-                            nr = margin + r0 + i + round(parallax[v, 0] * (z - z_ref))
-                            nc = margin + j + round(parallax[v, 1] * (z - z_ref))
-                            lit = np.float32(1) if z >= shadow_heights[v, r0 + i, j] else np.float32(-1)
-                            near = hit_heights[v, nr, nc] <= z + tolerance
-                            seen[v, i, j] = lit * np.float32(masks[v, nr, nc]) * (np.float32(1) if near else weak)
-                    _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
-                    continue
-                dr, dc = parallax[v, 0] * dz, parallax[v, 1] * dz
-                _translate(images[v], margin + r0 - radius, margin - radius, dr, dc, moved[v])
-                nr, nc = margin + r0 + round(dr), margin + round(dc)
-                for i in range(rows):
-                    mask, hit = masks[v, nr + i, nc : nc + width], hit_heights[v, nr + i, nc : nc + width]
-                    shadow, target = shadow_heights[v, r0 + i], seen[v, i]
-                    for j in range(width):
-                        lit = np.float32(1) if heights[k] >= shadow[j] else np.float32(-1)
-                        target[j] = lit * np.float32(mask[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
-                _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
-            total[:] = 0
-            weight[:] = 0
-            for p in range(pairs.shape[0]):
-                a, b = pairs[p, 0], pairs[p, 1]
-                _add_pair(
-                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
-                    radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
-                )  # fmt: skip
-            for i in range(rows):
-                for j in range(width):
-                    n = weight[i, j]
-                    mean_power = total[i, j] / n if n > 0 else np.float32(-1)
-                    if n > 0:
-                        mean_power = math.sqrt(mean_power) if power == 1 else mean_power**SIXTH
-                    volume[r0 + i, j, k] = mean_power
-        for i in range(rows):
-            for j in range(width):
-                _fill_unseen(volume[r0 + i, j], unseen)
+    height, width = volume.shape[0], volume.shape[2]
+    down, across = active.shape[:2]
+    for t in prange(down * across):
+        r0, c0 = TILE * (t // across), TILE_COLS * (t % across)
+        rows, cols = slice(r0, min(r0 + TILE, height)), slice(c0, min(c0 + TILE_COLS, width))
+        first, last = active[t // across, t % across]
+        volume[rows, :first, cols] = 0
+        volume[rows, last:, cols] = 0
+        _correlate_tile(
+            images, masks, parallax, heights[first:last], base, z_ref, hit_heights, shadow_heights, dark, tolerance,
+            pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, r0, c0,
+            volume[rows, first:last, cols],
+        )  # fmt: skip
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def first_hit_heights(surface, parallax, z_ref, z_top, z_bottom, first_hit_height):
-    """Height at which the ray through every frame position of every view first meets the surface.
-
-    Args:
-        surface: ``[Hf, Wf]`` float32 heights on the frame [m].
-        parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
-        z_ref: reference height of the frame [m].
-        z_top: where rays start and end [m].
-        z_bottom: where rays start and end [m].
-        first_hit_height: ``[V, Hf, Wf]`` float32, filled.
-    """
-    views = parallax.shape[0]
-    rows, cols = surface.shape
-    for v in range(views):
-        # no step may jump over a cell
-        step = 1.0 / max(abs(parallax[v, 0]), abs(parallax[v, 1]), 0.5)
-        for row in prange(rows):
-            for col in range(cols):
-                z = z_top
-                hit = z_bottom
-                while z > z_bottom:
-                    dz = z - z_ref
-                    r = round(row - parallax[v, 0] * dz)
-                    c = round(col - parallax[v, 1] * dz)
-                    if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
-                        hit = min(surface[r, c], z + step)
-                        break
-                    z -= step
-                first_hit_height[v, row, col] = hit
-
-
-@njit(parallel=True, cache=True)
-def descend(surface, bottom, top, low, high, depth, where):
-    """Follow lines of sight from above to the first cell of the surface that reaches them.
-
-    Args:
-        surface: ``[H, W]`` float32 heights [m]; -inf = unknown.
-        bottom: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
-        top: ``[h, w, 2]`` float32 (row, column) cells where a line of sight is at height ``low``, ``high`` [m].
-        low: lower height [m].
-        high: upper height [m].
-        depth: ``[h, w]`` float32, filled with the height met; NaN = none.
-        where: ``[h, w, 2]`` int64, filled with the cell met; (0, 0) if none.
-    """
-    rows, cols = surface.shape
-    for i in prange(depth.shape[0]):
-        for j in range(depth.shape[1]):
-            r0, c0 = bottom[i, j, 0], bottom[i, j, 1]
-            dr, dc = top[i, j, 0] - r0, top[i, j, 1] - c0
-            # half a cell or half a metre a step, whichever is finer
-            steps = math.ceil(2 * max(abs(dr), abs(dc), high - low)) + 1
-            depth[i, j] = np.nan
-            where[i, j, 0] = where[i, j, 1] = 0
-            before = high
-            for n in range(steps, -1, -1):
-                share = n / steps
-                z = low + share * (high - low)
-                r, c = round(r0 + share * dr), round(c0 + share * dc)
-                if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
-                    # on a roof the height is the cell's, on a wall where the line of sight enters it
-                    depth[i, j] = min(surface[r, c], before)
-                    where[i, j, 0], where[i, j, 1] = r, c
-                    break
-                before = z
-
-
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def shadow_heights(surface, sun, cell, top, shadow):
-    """Height below which a point over each cell lies in the shadow of the other cells.
-
-    Args:
-        surface: ``[H, W]`` float32 heights [m]; beyond its border nothing casts a shadow.
-        sun: ``[3]`` float64 (east, north, up) to the sun.
-        cell: edge of a cell [m].
-        top: highest surface [m].
-        shadow: ``[H, W]`` float32, filled; far below the ground where the sun is free down to it.
-    """
-    rows, cols = surface.shape
-    flat = max(math.hypot(sun[0], sun[1]), 1e-9)
-    row_step, col_step, rise = -sun[1] / flat, sun[0] / flat, sun[2] / flat * cell
-    for row in prange(rows):
-        for col in range(cols):
-            best = NO_SHADE
-            t = 1.0
-            while top - t * rise > best:
-                r, c = round(row + t * row_step), round(col + t * col_step)
-                if r < 0 or c < 0 or r >= rows or c >= cols:
-                    break
-                best = max(best, np.float32(surface[r, c] - t * rise))
-                t += 1.0
-            shadow[row, col] = best
-
-
-__all__ = ["correlate", "descend", "first_hit_heights", "shadow_heights"]
+__all__ = ["TILE", "TILE_COLS", "correlate"]

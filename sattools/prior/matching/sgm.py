@@ -1,4 +1,8 @@
-"""Semi-global aggregation of a cost volume and the height of least cost, compiled."""
+"""Semi-global aggregation of a cost volume and the height of least cost, compiled.
+
+Volumes are ``[H, D, W]``, all columns of a row and plane side by side: what is done to one column is done to the others
+as well, so every loop over them is vectorised, however many planes there are.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +10,103 @@ import numpy as np
 
 from sattools.compiled import FASTMATH, njit, prange
 
-ROW_STEPS = (0, 0, 1, -1, 1, -1, 1, -1)
-COL_STEPS = (1, -1, 0, 0, 1, -1, -1, 1)
+HUGE = np.float32(1e9)  # cost of a plane beyond the first and last, never the cheapest
+ONE = np.float32(1)
+ROWS_AT_ONCE = 8  # that one thread aggregates along, in the same scratch memory
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _starts(rows, cols, dr, dc):
-    """Cells ``[N, 2]`` on the edges where the paths of a direction enter; every cell lies on exactly one path."""
-    starts = np.empty((rows + cols, 2), np.int64)
-    n = 0
-    if dr != 0:
-        for col in range(cols):
-            starts[n, 0] = 0 if dr == 1 else rows - 1
-            starts[n, 1] = col
-            n += 1
-    if dc != 0:
-        for row in range(rows):
-            # the corner has been entered through its row already
-            if dr != 0 and row == (0 if dr == 1 else rows - 1):
-                continue
-            starts[n, 0] = row
-            starts[n, 1] = 0 if dc == 1 else cols - 1
-            n += 1
-    return starts[:n]
+def _along(cost, large, small, result, before, now, backwards):
+    """One path along a row: ``cost`` and ``result`` are ``[W, D]``; forwards it is written, backwards added."""
+    cols, depth = cost.shape
+    before[:] = 0
+    before[0] = before[depth + 1] = now[0] = now[depth + 1] = HUGE
+    least = np.float32(0)
+    for i in range(cols):
+        col = cols - 1 - i if backwards else i
+        here, out = cost[col], result[col]
+        jump = least + large
+        smallest = HUGE
+        for k in range(depth):
+            value = min(min(before[k], before[k + 2]) + small, min(before[k + 1], jump)) + (here[k] - least)
+            now[k + 1] = value
+            out[k] = value + (out[k] if backwards else np.float32(0))
+            smallest = min(smallest, value)
+        before, now = now, before
+        least = smallest
+
+
+@njit(parallel=True, cache=True, fastmath=FASTMATH)
+def _along_rows(score, small, large, total):
+    """Fill ``total`` with the costs of the two paths along the rows."""
+    rows, depth, cols = score.shape
+    for group in prange((rows + ROWS_AT_ONCE - 1) // ROWS_AT_ONCE):
+        # a path goes from column to column, so here the planes lie side by side
+        cost, result = np.empty((cols, depth), np.float32), np.empty((cols, depth), np.float32)
+        before, now = np.empty(depth + 2, np.float32), np.empty(depth + 2, np.float32)
+        for row in range(group * ROWS_AT_ONCE, min((group + 1) * ROWS_AT_ONCE, rows)):
+            for k in range(depth):
+                for col in range(cols):
+                    cost[col, k] = ONE - score[row, k, col]
+            _along(cost, large, small, result, before, now, False)
+            _along(cost, large, small, result, before, now, True)
+            for k in range(depth):
+                for col in range(cols):
+                    total[row, k, col] = result[col, k]
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _plane(below, same, above, least, score, small, large, now, now_least):
+    """One plane of the path costs of a row, from those of the row before."""
+    for j in range(score.shape[0]):
+        value = min(min(below[j], above[j]) + small, min(same[j], least[j] + large)) + (ONE - score[j] - least[j])
+        now[j] = value
+        now_least[j] = min(now_least[j], value)
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _add(out, a, b, c):
+    for j in range(out.shape[0]):
+        out[j] += a[j] + b[j] + c[j]
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _across_rows(score, small, large, total, first, count, step, turn, state, least):
+    """Add the costs of the three paths that lead from row to row, in one direction, for some rows.
+
+    Args:
+        score: ``[H, D, W]``.
+        small: penalty for a change by one plane.
+        large: penalty for any larger change.
+        total: ``[H, D, W]``, changed.
+        first: row to begin with.
+        count: number of rows.
+        step: 1 = down, -1 = up.
+        turn: which of the two states is that of the row before.
+        state: ``[2, 3, D + 2, W + 2]`` path costs of the last rows, with a border of planes that are never the cheapest
+            and of columns at which paths enter.
+        least: ``[2, 3, W + 2]`` their least.
+
+    Returns:
+        Which state is that of the last row.
+    """
+    depth, cols = score.shape[1], score.shape[2]
+    for n in range(count):
+        row = first + n * step
+        before, now, least_before, least_now = state[turn], state[1 - turn], least[turn], least[1 - turn]
+        least_now[:, 1 : cols + 1] = HUGE
+        for k in range(depth):
+            for way in range(3):  # from the left, straight, from the right
+                from_here = slice(way, way + cols)
+                _plane(
+                    before[way, k, from_here], before[way, k + 1, from_here], before[way, k + 2, from_here],
+                    least_before[way, from_here], score[row, k], small, large, now[way, k + 1, 1 : cols + 1],
+                    least_now[way, 1 : cols + 1],
+                )  # fmt: skip
+            inner = slice(1, cols + 1)
+            _add(total[row, k], now[0, k + 1, inner], now[1, k + 1, inner], now[2, k + 1, inner])
+        turn = 1 - turn
+    return turn
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
@@ -36,43 +114,25 @@ def aggregate(score, small, large, total):
     """Sum of the semi-global path costs of eight directions (Hirschmueller 2008, eq. 13), cost = 1 - score.
 
     Args:
-        score: ``[H, W, D]`` float32, at most 1.
+        score: ``[H, D, W]`` float32, at most 1.
         small: penalty for a change by one plane.
         large: penalty for any larger change.
-        total: ``[H, W, D]`` float32, filled.
+        total: ``[H, D, W]`` float32, filled.
     """
-    rows, cols, depth = score.shape
-    huge = np.float32(1e9)
-    one = np.float32(1)
-    for direction in range(8):
-        dr, dc = ROW_STEPS[direction], COL_STEPS[direction]
-        starts = _starts(rows, cols, dr, dc)
-        for s in prange(starts.shape[0]):
-            row, col = starts[s, 0], starts[s, 1]
-            # one plane more on either side, never the cheapest, spares the loop its tests
-            before = np.zeros(depth + 2, np.float32)
-            now = np.empty(depth + 2, np.float32)
-            before[0] = before[depth + 1] = now[0] = now[depth + 1] = huge
-            least = np.float32(0)
-            while 0 <= row < rows and 0 <= col < cols:
-                here, out = score[row, col], total[row, col]
-                jump = least + large
-                smallest = huge
-                for k in range(depth):
-                    value = min(min(before[k], before[k + 2]) + small, min(before[k + 1], jump))
-                    value += one - here[k] - least
-                    now[k + 1] = value
-                    smallest = min(smallest, value)
-                if direction == 0:
-                    for k in range(depth):
-                        out[k] = now[k + 1]
-                else:
-                    for k in range(depth):
-                        out[k] += now[k + 1]
-                before, now = now, before
-                least = smallest
-                row += dr
-                col += dc
+    rows, depth, cols = score.shape
+    _along_rows(score, small, large, total)
+    state = np.zeros((2, 2, 3, depth + 2, cols + 2), np.float32)
+    state[:, :, :, 0] = state[:, :, :, depth + 1] = HUGE
+    least = np.zeros((2, 2, 3, cols + 2), np.float32)
+    turn = np.zeros(2, np.int64)
+    half = rows // 2
+    # one thread goes down, another up; they change halves at the same time, so that no row is added to by both at once
+    for phase in range(2):
+        for way in prange(2):
+            upper = way == phase
+            first = (0 if upper else half) if way == 0 else (half - 1 if upper else rows - 1)
+            count, step = half if upper else rows - half, 1 if way == 0 else -1
+            turn[way] = _across_rows(score, small, large, total, first, count, step, turn[way], state[way], least[way])
 
 
 @njit(parallel=True, cache=True, fastmath=FASTMATH)
@@ -80,20 +140,26 @@ def lowest(total, heights, height, index):
     """Height of least cost, refined by a parabola through its neighbours.
 
     Args:
-        total: ``[H, W, D]`` float32 costs.
+        total: ``[H, D, W]`` float32 costs.
         heights: ``[D]`` float64, evenly spaced [m].
         height: ``[H, W]`` float32, filled [m].
-        index: ``[H, W]`` int64, filled with the plane of least cost.
+        index: ``[H, W]`` int32, filled with the plane of least cost.
     """
-    rows, cols, depth = total.shape
+    rows, depth, cols = total.shape
     step = heights[1] - heights[0]
     for row in prange(rows):
+        least, best = total[row, 0].copy(), index[row]
+        best[:] = 0
+        for k in range(1, depth):
+            here = total[row, k]
+            for col in range(cols):
+                best[col] = np.int32(k) if here[col] < least[col] else best[col]
+                least[col] = min(here[col], least[col])
         for col in range(cols):
-            k = np.argmin(total[row, col])
-            index[row, col] = k
+            k = best[col]
             z = heights[k]
             if 0 < k < depth - 1:
-                a, b, c = total[row, col, k - 1], total[row, col, k], total[row, col, k + 1]
+                a, b, c = total[row, k - 1, col], total[row, k, col], total[row, k + 1, col]
                 bend = a - 2 * b + c
                 if bend > 0:
                     z += step * 0.5 * (a - c) / bend
@@ -105,19 +171,21 @@ def second_best_margin(total, index, gap):
     """How much dearer the cheapest height is that is not a neighbour of the best one.
 
     Args:
-        total: ``[H, W, D]`` float32 costs.
-        index: ``[H, W]`` plane of least cost.
+        total: ``[H, D, W]`` float32 costs.
+        index: ``[H, W]`` int32 plane of least cost.
         gap: ``[H, W]`` float32, filled; 0 where there are too few planes.
     """
-    rows, cols, depth = total.shape
+    rows, depth, cols = total.shape
     for row in prange(rows):
+        best, rival = index[row], gap[row]
+        rival[:] = HUGE
+        for k in range(depth):
+            here = total[row, k]
+            for col in range(cols):
+                apart = abs(best[col] - np.int32(k)) > 1
+                rival[col] = min(rival[col], here[col] if apart else HUGE)
         for col in range(cols):
-            best = index[row, col]
-            least = np.float32(1e9)
-            for k in range(depth):
-                if k < best - 1 or k > best + 1:
-                    least = min(least, total[row, col, k])
-            gap[row, col] = least - total[row, col, best] if least < np.float32(1e9) else np.float32(0)
+            rival[col] = rival[col] - total[row, best[col], col] if rival[col] < HUGE else np.float32(0)
 
 
 __all__ = ["aggregate", "lowest", "second_best_margin"]

@@ -41,6 +41,31 @@ def refine_subplane(task: MatchTask, visibility: Visibility, surface: np.ndarray
     return refined
 
 
+@njit(inline="always")
+def _overlap(cols, right):
+    """First and last (exclusive) column whose neighbour so far to the right is on the grid."""
+    return max(0, -right), min(cols, cols - right)
+
+
+@njit(cache=True)
+def _add_neighbours(here, there, down, right, sums):
+    """Add neighbours on the same surface to the nine sums of a row's least-squares planes ``[9, W]``."""
+    y, x = np.float64(down), np.float64(right)
+    n, sx, sy, sz, sxx, sxy, syy, sxz, syz = sums
+    for col in range(here.shape[0]):
+        z = there[col] - here[col]
+        same = 1.0 if abs(z) <= SAME_M else 0.0
+        n[col] += same
+        sx[col] += same * x
+        sy[col] += same * y
+        sz[col] += same * z
+        sxx[col] += same * (x * x)
+        sxy[col] += same * (x * y)
+        syy[col] += same * (y * y)
+        sxz[col] += same * (x * z)
+        syz[col] += same * (y * z)
+
+
 @njit(parallel=True, cache=True)
 def local_planes(surface, smooth):
     """Height of the least-squares plane through the neighbours on the same surface, so that stairs become slopes.
@@ -51,30 +76,31 @@ def local_planes(surface, smooth):
     """
     rows, cols = surface.shape
     for row in prange(rows):
+        sums = np.zeros((9, cols))
+        for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
+            for right in range(-REACH, REACH + 1):
+                first, last = _overlap(cols, right)
+                if first < last:
+                    here, there = surface[row, first:last], surface[i, first + right : last + right]
+                    _add_neighbours(here, there, i - row, right, sums[:, first:last])
         for col in range(cols):
-            here = surface[row, col]
-            n = sx = sy = sz = sxx = sxy = syy = sxz = syz = 0.0
-            for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
-                for j in range(max(0, col - REACH), min(cols, col + REACH + 1)):
-                    z = surface[i, j] - here
-                    if abs(z) <= SAME_M:
-                        y, x = i - row, j - col
-                        n += 1
-                        sx += x
-                        sy += y
-                        sz += z
-                        sxx += x * x
-                        sxy += x * y
-                        syy += y * y
-                        sxz += x * z
-                        syz += y * z
+            n, sx, sy, sz, sxx, sxy, syy, sxz, syz = sums[:, col]
             # Cramer's rule for the constant term; on a line of cells no plane is determined
             minor_c = sxx * syy - sxy * sxy
             minor_x = sx * syy - sxy * sy
             minor_y = sx * sxy - sxx * sy
             det = n * minor_c - sx * minor_x + sy * minor_y
             flat = det > 1e-6 * n * n * n
-            smooth[row, col] = here + ((sz * minor_c - sxz * minor_x + syz * minor_y) / det if flat else 0.0)
+            offset = (sz * minor_c - sxz * minor_x + syz * minor_y) / det if flat else 0.0
+            smooth[row, col] = surface[row, col] + offset
+
+
+@njit(cache=True)
+def _add_votes(here, there, agreement, votes):
+    """Add the agreement ``[D, W]`` of neighbours on the same surface to the votes ``[D, W]`` of a row."""
+    for k in range(votes.shape[0]):
+        for col in range(votes.shape[1]):
+            votes[k, col] += agreement[k, col] if abs(there[col] - here[col]) <= SAME_M else np.float32(0)
 
 
 @njit(parallel=True, cache=True)
@@ -82,32 +108,31 @@ def best_nearby(volume, surface, offsets, refined):
     """Height of the best agreement summed over the neighbours on the same surface, refined by a parabola.
 
     Args:
-        volume: ``[H, W, D]`` float32 agreements.
+        volume: ``[H, D, W]`` float32 agreements.
         surface: ``[H, W]`` float32 heights [m].
         offsets: ``[D]`` float64 from the surface, evenly spaced, the middle one 0 [m].
         refined: ``[H, W]`` float32 heights, filled [m].
     """
-    rows, cols, depth = volume.shape
+    rows, depth, cols = volume.shape
     step = offsets[1] - offsets[0]
     for row in prange(rows):
-        votes = np.empty(depth)
+        votes = np.zeros((depth, cols))
+        for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
+            for right in range(-REACH, REACH + 1):
+                first, last = _overlap(cols, right)
+                if first < last:
+                    there = slice(first + right, last + right)
+                    _add_votes(surface[row, first:last], surface[i, there], volume[i, :, there], votes[:, first:last])
         for col in range(cols):
-            here = surface[row, col]
-            votes[:] = 0
-            for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
-                for j in range(max(0, col - REACH), min(cols, col + REACH + 1)):
-                    if abs(surface[i, j] - here) <= SAME_M:
-                        for k in range(depth):
-                            votes[k] += volume[i, j, k]
             best = depth // 2  # stays where nothing speaks for another height
             for k in range(depth):
-                if votes[k] > votes[best]:
+                if votes[k, col] > votes[best, col]:
                     best = k
-            z = here + offsets[best]
+            z = surface[row, col] + offsets[best]
             if 0 < best < depth - 1:
-                bend = 2 * votes[best] - votes[best - 1] - votes[best + 1]
+                bend = 2 * votes[best, col] - votes[best - 1, col] - votes[best + 1, col]
                 if bend > 0:
-                    z += step * 0.5 * (votes[best + 1] - votes[best - 1]) / bend
+                    z += step * 0.5 * (votes[best + 1, col] - votes[best - 1, col]) / bend
             refined[row, col] = z
 
 

@@ -17,6 +17,8 @@ MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
+REACH_M = 10.0  # distance within which heights of an earlier pass may turn out to be a cell's own
+NEAR_M = 4.0  # distance above and below them up to which heights are looked at again
 STRAY = 30  # cells that may be wrong about it at either end
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
 BLOCK = 384  # cells of such a block
@@ -128,18 +130,59 @@ def sweep_blocks(
             visibility.first_hit_height[window], visibility.shadow_height[:, top:bottom, left:right], visibility.dark
         )
         heights = planes(near, step)
-        *new, total = sweep(piece, inside, heights, None if ceiling is None else ceiling[top:bottom, left:right])
+        near_block = (slice(top, bottom), slice(left, right))
+        below = None if ceiling is None else ceiling[near_block]
+        *new, total = sweep(piece, inside, heights, below, None if guide is None else guide[near_block])
         inner = (slice(rows.start - top, rows.stop - top), slice(cols.start - left, cols.stop - left))
         for whole, part in zip(maps, new, strict=True):
             whole[rows, cols] = part[inner]
         if minima is not None:
             corner = (margin + rows.start, margin + cols.start)
-            update_minima(total[inner], frame.parallax, heights, frame.z_ref, *corner, minima.cost, minima.height)
+            update_minima(
+                total[inner[0], :, inner[1]], frame.parallax, heights, frame.z_ref, *corner, minima.cost, minima.height
+            )
     return maps[0], maps[1], maps[2]
 
 
+def active_planes(
+    heights: np.ndarray, guide: np.ndarray | None, shape: tuple[int, int], reach: int, margin: float
+) -> np.ndarray:
+    """Planes that are looked at in every tile of the kernel: those near a surface that is known roughly.
+
+    Args:
+        heights: ``[D]`` of the planes, evenly spaced [m].
+        guide: ``[H, W]`` surface [m]; None = all planes everywhere.
+        shape: (rows, columns) of the grid.
+        reach: cells around a tile whose surface counts.
+        margin: distance from the surface up to which planes are looked at [m].
+
+    Returns:
+        ``[h, w, 2]`` int64, the first and the one after the last.
+    """
+    from sattools.prior.matching.kernels import TILE, TILE_COLS
+
+    tiles = math.ceil(shape[0] / TILE), math.ceil(shape[1] / TILE_COLS)
+    active = np.zeros((*tiles, 2), np.int64)
+    active[..., 1] = len(heights)
+    if guide is None:
+        return active
+    step = heights[1] - heights[0]
+    for i, j in np.ndindex(tiles):
+        rows = slice(max(0, i * TILE - reach), (i + 1) * TILE + reach)
+        cols = slice(max(0, j * TILE_COLS - reach), (j + 1) * TILE_COLS + reach)
+        around = guide[rows, cols]
+        low, high = float(around.min()) - margin, float(around.max()) + margin
+        first = min(max(math.floor((low - heights[0]) / step), 0), len(heights) - 3)
+        active[i, j] = first, min(max(math.ceil((high - heights[0]) / step) + 1, first + 3), len(heights))
+    return active
+
+
 def sweep(
-    task: MatchTask, visibility: Visibility, heights: np.ndarray, ceiling: np.ndarray | None = None
+    task: MatchTask,
+    visibility: Visibility,
+    heights: np.ndarray,
+    ceiling: np.ndarray | None = None,
+    guide: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Correlate at all heights, aggregate, choose.
 
@@ -148,29 +191,38 @@ def sweep(
         visibility: what is occluded and shaded.
         heights: ``[D]`` float64 to try [m].
         ceiling: ``[H, W]`` heights above which nothing is looked for [m].
+        guide: ``[H, W]`` heights near which they are looked for [m]; None = everywhere.
 
     Returns:
-        height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, W, D]``.
+        height [m], score in [0, 1], uniqueness: ``[H, W]`` float32 (see `Match`); aggregated cost ``[H, D, W]``.
     """
     from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 
     options = task.options
-    volume = agreement(task, visibility, heights)
+    reach, margin = math.ceil(REACH_M / task.frame.cell), max(KEEP_PLANES * task.step, NEAR_M)
+    active = active_planes(heights, guide, task.frame.shape, reach, margin)
+    volume = agreement(task, visibility, heights, active=active)
     if ceiling is not None:
-        volume[heights > ceiling[..., None]] = 0
+        volume[heights[:, None] > ceiling[:, None, :]] = 0
     total = np.empty_like(volume)
     large_jump = options.large_jump * scarcity(len(task.pairs))
     aggregate(volume, np.float32(options.small_jump), np.float32(large_jump), total)
     height = np.empty(task.frame.shape, np.float32)
-    index = np.empty(task.frame.shape, np.int64)
+    index = np.empty(task.frame.shape, np.int32)
     lowest(total, heights, height, index)
-    score = np.take_along_axis(volume, index[..., None], axis=2)[..., 0]
+    score = np.take_along_axis(volume, index[:, None].astype(np.int64), axis=1)[:, 0]
     gap = np.empty(task.frame.shape, np.float32)
     second_best_margin(total, index, gap)
     return height, np.clip(score, 0, 1), gap / 8, total
 
 
-def agreement(task: MatchTask, visibility: Visibility, heights: np.ndarray, base: np.ndarray = PLANES) -> np.ndarray:
+def agreement(
+    task: MatchTask,
+    visibility: Visibility,
+    heights: np.ndarray,
+    base: np.ndarray = PLANES,
+    active: np.ndarray | None = None,
+) -> np.ndarray:
     """Agreement of the views at every cell and height (see `kernels.correlate`).
 
     Args:
@@ -178,20 +230,23 @@ def agreement(task: MatchTask, visibility: Visibility, heights: np.ndarray, base
         visibility: what is occluded and shaded.
         heights: ``[D]`` float64 [m].
         base: surface to which the heights are relative, ``[H + 2 window, W + 2 window]`` [m]; empty = none.
+        active: planes to look at, see `active_planes`; None = all.
 
     Returns:
-        ``[H, W, D]`` float32, at most 1.
+        ``[H, D, W]`` float32, at most 1.
     """
     from sattools.prior.matching.kernels import correlate
 
     frame, options = task.frame, task.options
     shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)
-    volume = np.empty((*frame.shape, len(heights)), np.float32)
+    if active is None:
+        active = active_planes(heights, None, frame.shape, 0, 0.0)
+    volume = np.empty((frame.shape[0], len(heights), frame.shape[1]), np.float32)
     correlate(
         frame.images, frame.masks, frame.parallax, heights, base, frame.z_ref, visibility.first_hit_height,
         visibility.shadow_height, visibility.dark, options.tolerance, task.pairs, options.window, options.noise,
         shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
-        *pair_weights(len(task.pairs), options), volume,
+        *pair_weights(len(task.pairs), options), active, volume,
     )  # fmt: skip
     return volume
 

@@ -79,7 +79,7 @@ def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height):
     """Update the best places of all rays with the cells of a block.
 
     Args:
-        total: ``[h, w, D]`` float32 aggregated cost.
+        total: ``[h, D, w]`` float32 aggregated cost.
         parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         z_ref: reference height of the frame [m].
@@ -88,19 +88,20 @@ def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height):
         cost: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
         height: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
     """
-    rows, cols, depth = total.shape
+    rows, depth, cols = total.shape
     for v in prange(parallax.shape[0]):
         down, right = np.empty(depth, np.int64), np.empty(depth, np.int64)
         for k in range(depth):
             down[k] = row0 + round(parallax[v, 0] * (heights[k] - z_ref))
             right[k] = col0 + round(parallax[v, 1] * (heights[k] - z_ref))
         for row in range(rows):
-            for col in range(cols):
-                for k in range(depth):
-                    r, c = row + down[k], col + right[k]
-                    if total[row, col, k] < cost[v, r, c]:
-                        cost[v, r, c] = total[row, col, k]
-                        height[v, r, c] = heights[k]
+            for k in range(depth):
+                z = np.float32(heights[k])
+                there = slice(right[k], right[k] + cols)
+                here, least, best = total[row, k], cost[v, row + down[k], there], height[v, row + down[k], there]
+                for col in range(cols):
+                    best[col] = z if here[col] < least[col] else best[col]
+                    least[col] = here[col] if here[col] < least[col] else least[col]
 
 
 @njit(parallel=True, cache=True)

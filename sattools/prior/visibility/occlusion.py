@@ -74,7 +74,7 @@ def compute_visibility(
         tolerance: depth below the visible surface that still counts as seen [m].
         dark: ``[V]`` float32 radiance of shadows.
     """
-    from sattools.prior.matching.kernels import first_hit_heights, shadow_heights
+    from sattools.prior.visibility.kernels import first_hit_heights, shadow_heights
 
     new = all_visible(frame)
     wide = np.pad(eroded, frame.margin, mode="edge")

@@ -1,0 +1,48 @@
+"""Errors by the slope of the reference. Pure functions of arrays, no I/O."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+STEPS_DEG = (0.0, 5.0, 15.0, 30.0, 60.0, 90.0)
+
+
+def slope_deg(heights: np.ndarray, cell_size: float) -> np.ndarray:
+    """Slope ``[H, W]`` of a surface [degrees], by central differences; NaN where a neighbour is not known.
+
+    Args:
+        heights: ``[H, W]`` [m]; NaN = none.
+        cell_size: edge of a cell [m].
+    """
+    if min(heights.shape) < 2:
+        return np.full(heights.shape, np.nan)
+    south, east = np.gradient(heights.astype(np.float64), cell_size)
+    return np.asarray(np.degrees(np.arctan(np.hypot(south, east))))
+
+
+def errors_by_slope(difference: np.ndarray, reference: np.ndarray, cell_size: float) -> list[dict[str, Any]]:
+    """Figures of the errors in every range of slopes; ranges without a scored cell are left out.
+
+    Args:
+        difference: ``[H, W]`` prediction minus reference [m]; NaN = not scored.
+        reference: ``[H, W]`` heights [m]; NaN = none.
+        cell_size: edge of a cell [m].
+
+    Returns:
+        ``from_deg``, ``to_deg``, ``mae``, ``median`` (of the absolute errors) [m], ``n`` cells.
+    """
+    slope = slope_deg(reference, cell_size)
+    absolute = np.abs(difference)
+    found = []
+    for low, high in pairwise(STEPS_DEG):
+        own = absolute[np.isfinite(absolute) & (slope >= low) & (slope < high)]
+        if own.size:
+            figures = {"mae": float(own.mean()), "median": float(np.median(own)), "n": int(own.size)}
+            found.append({"from_deg": low, "to_deg": high, **figures})
+    return found
+
+
+__all__ = ["STEPS_DEG", "errors_by_slope", "slope_deg"]

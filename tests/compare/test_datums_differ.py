@@ -1,0 +1,57 @@
+"""Surfaces whose heights are above different things are compared with a warning."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.scene.datums import difference
+from sattools.scene.grid import Grid
+from sattools.scene.raster import heights_above, write_cog
+
+GRID = Grid("EPSG:32617", 436000.0, 3357000.0, 1.0, 40, 40)
+
+
+@pytest.fixture
+def surfaces(tmp_path: Path) -> Any:
+    rng = np.random.default_rng(0)
+    ground = rng.random((1, 40, 40)).astype(np.float32)
+    write_cog(tmp_path / "ellipsoid.tif", ground, GRID, tags={"VERTICAL_DATUM": "WGS84 ellipsoid"})
+    write_cog(tmp_path / "egm96.tif", ground - 30, GRID, vertical="EPSG:5773")
+    write_cog(tmp_path / "silent.tif", ground, GRID)
+    return tmp_path
+
+
+def test_files_say_what_their_heights_are_above(surfaces: Any) -> None:
+    assert heights_above(surfaces / "ellipsoid.tif") == "ellipsoid"
+    assert heights_above(surfaces / "egm96.tif") == "EPSG:5773"
+    assert heights_above(surfaces / "silent.tif") is None
+
+
+def test_only_what_is_known_can_differ() -> None:
+    assert difference({"a": "ellipsoid", "b": None}) is None
+    assert difference({"a": "EPSG:5773", "b": "EPSG:5773"}) is None
+    assert "a above the ellipsoid, b above EGM96 height (EPSG:5773)" in str(
+        difference({"a": "ellipsoid", "b": "EPSG:5773"})
+    )
+
+
+@pytest.mark.parametrize(("reference", "warned"), [("egm96", True), ("silent", False), ("ellipsoid", False)])
+def test_compare_warns_and_keeps_the_note(surfaces: Any, reference: str, warned: bool) -> None:
+    files = ("--predicted", str(surfaces / "ellipsoid.tif"), "--dsm", str(surfaces / f"{reference}.tif"))
+    done = CliRunner().invoke(main, ["compare", *files, "--register", "none"])
+    assert done.exit_code == 0, done.output
+    assert ("heights are above different things" in done.stderr) == warned
+    figures = json.loads(done.stdout.splitlines()[-1])
+    assert ("notes" in figures) == warned
+    assert (figures["mae"] > 5.0) == warned  # predictions far beyond the reference count as ten metres off
+
+
+def test_change_warns(surfaces: Any, tmp_path: Path) -> None:
+    files = [str(surfaces / name) for name in ("ellipsoid.tif", "egm96.tif")]
+    done = CliRunner().invoke(main, ["change", *files, "--out", str(tmp_path / "c")])
+    assert "heights are above different things" in done.stderr

@@ -1,0 +1,88 @@
+"""3D Tiles in a real browser, by a viewer that shares no code with what wrote them."""
+
+import functools
+import html
+import json
+import re
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from patience import HANGING_S
+
+from sattools.camera.ground import to_geographic
+from sattools.export.products.maps import Maps
+from sattools.export.products.model3d import make_model, write_glb, write_tileset
+from sattools.scene import Grid
+from sattools.scene.raster import write_cog
+
+VIEWER = Path(__file__).parents[2] / "examples/viewer.html"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+GRID = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 60, 60)
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--window-size=400,400", "--virtual-time-budget=20000", "--dump-dom"),
+)
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing."""
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    """A folder and the address at which this machine alone can see it."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(tmp_path)))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield tmp_path, f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+def look(address: str, profile: Path) -> Any:
+    command = [str(BROWSER), *FLAGS, f"--user-data-dir={profile}", f"{address}/viewer.html?tileset.json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANGING_S)
+    title = re.search(r"<title>(.*?)</title>", done.stdout)
+    assert title, done.stderr
+    return json.loads(html.unescape(title[1]))
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome on this machine")
+def test_a_tileset_is_drawn_in_its_place_and_its_colours(served: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder, address = served
+    height = np.full((1, *GRID.shape), 5.0, np.float32)
+    height[0, 10:25, 35:50] = 20.0  # a house in the north-east
+    albedo = np.zeros((3, *GRID.shape), np.float32)
+    albedo[1] = 0.5
+    albedo[:, :30, 30:] = np.array([1.0, 0.0, 0.0])[:, None, None]  # red in the north-east
+    albedo[:, 30:, :30] = np.array([0.0, 0.0, 1.0])[:, None, None]  # blue in the south-west
+    write_cog(folder / "dsm.tif", height, GRID)
+    write_cog(folder / "albedo.tif", albedo, GRID)
+    maps = Maps.of({name: folder / f"{name}.tif" for name in ("dsm", "albedo")})
+    model = make_model(maps, "WGS84 ellipsoid")
+    write_glb(folder / "mesh.glb", model)
+    write_tileset(folder / "tileset.json", "mesh.glb", model, "ellipsoid")
+    shutil.copy(VIEWER, folder / "viewer.html")
+
+    seen = look(address, tmp_path_factory.mktemp("profile"))
+    assert "failed" not in seen, seen
+    assert seen["error"] == 0
+    assert seen["faces"] == len(model.mesh.faces)
+    lon, lat = to_geographic(GRID.crs, np.array([436030.0]), np.array([3357970.0]))
+    assert (seen["lon"], seen["lat"]) == pytest.approx((float(lon[0]), float(lat[0])), abs=2e-7)  # 2 cm
+    assert (seen["lowest"], seen["highest"]) == pytest.approx((5.0, 20.0), abs=0.01)
+    red, blue = seen["north_east"], seen["south_west"]
+    assert red[0] > 200
+    assert max(red[1:]) < 60
+    assert blue[2] > 200
+    assert max(blue[:2]) < 60
