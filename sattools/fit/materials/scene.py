@@ -20,7 +20,7 @@ from sattools.fit.materials.inversion import (
 )
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
 from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
-from sattools.fit.materials.uncertainty import parameter_std
+from sattools.fit.materials.uncertainty import known_share, parameter_std, shape_correlation
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
 
@@ -55,6 +55,7 @@ class ReflectiveScene(SurfaceScene):
         cell_size: [m].
         frozen: ``[H, W, 3]`` normals that do not follow the height, or None.
         smooth: weight of the amplitudes' smoothness.
+        identifiable: ``[H, W, 3]`` share of the shapes' prior variance that the images took away; or empty.
         sky: ``[H, W, C]`` gain of the sky's light, see `sattools.fit.materials.sky`; empty = no sky.
         sky_share: ``[C]`` of the sky; what shade shows at the start, or as given.
     """
@@ -69,8 +70,10 @@ class ReflectiveScene(SurfaceScene):
     cell_size: float = 1.0
     frozen: Tensor | None = None
     smooth: float = 0.0
+    identifiable: Tensor = field(default_factory=lambda: torch.zeros(0))
     sky: Tensor = field(default_factory=lambda: torch.zeros(0))
     sky_share: Tensor = field(default_factory=lambda: torch.zeros(0))
+    correlation: float = field(default=0.0, init=False)  # of the errors of the first two shape parameters
     sky_ratio: float = field(default=0.0, init=False)  # share over its standard deviation, in the surest band
 
     @property
@@ -135,6 +138,8 @@ class ReflectiveScene(SurfaceScene):
         own = {name: getattr(self, name) for name in names}
         if self.frozen is not None:
             own["frozen"] = self.frozen
+        if self.identifiable.numel():
+            own["identifiable"] = self.identifiable
         if self.has_sky:
             own |= {"sky": self.sky, "sky_share": self.sky_share}
         return {**super().tensors(), **own}
@@ -299,6 +304,8 @@ class ReflectiveScene(SurfaceScene):
             for s, endmembers in ((earlier, before), (whole, self.endmembers))
         )
         self.amplitude.copy_((flat + new - old).reshape(self.amplitude.shape))
+        self.identifiable = self.abundances @ known_share(self.kind, solution).to(self.abundances)
+        self.correlation = shape_correlation(solution)
         std = parameter_std(self.kind, whole, self.amplitude.reshape(whole.normal.shape[0], -1), solution)
         self.albedo = standard_reflectance(self)
         rows, cols = self.height.shape
