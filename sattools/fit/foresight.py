@@ -16,8 +16,8 @@ LARGEST_AT_ONCE_M = 1024.0  # beyond it tiles cost nothing and keep progress
 MEMORY_SHARE = 0.5  # of what is free: other programs want some, and estimates are estimates
 # Measured by `benchmarks/foresight.py` on simulated cities and a real one, one thread
 BASE_BYTES = 450e6
-BYTES_PER_CELL = 300.0
-BYTES_PER_CELL_AND_IMAGE = 140.0
+BYTES_PER_CELL = 1000.0
+BYTES_PER_CELL_AND_IMAGE = 250.0
 START_S = 4.0
 MATCH_S = 1.5e-8  # CPU seconds per cell, height plane and pair of images
 FIT_S = 2.0e-6  # CPU seconds per cell and image

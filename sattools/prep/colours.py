@@ -20,8 +20,8 @@ from sattools.prep.layout import crop_window
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text
+from sattools.scene.location import images_in
 
-SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img")
 # words of a name that say which sensor took an image, not which acquisition it is
 SENSORS = {"pan", "p", "p1bs", "p2as", "ms", "mul", "mss", "m", "m1bs", "m2as", "xs", "multi", "rgb", "colour", "color"}
 SAME_TIME_S = 3.0
@@ -32,7 +32,7 @@ GRID = 7  # points along an axis at which two cameras are compared
 def colour_files(folder: str) -> list[Path]:
     """The images in a folder, sorted. Raises InputError where there is none."""
     path = Path(folder)
-    found = sorted(p for p in path.glob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else []
+    found = images_in(path) if path.is_dir() else []
     if not found:
         raise InputError(f"--colours: found no images in {path}, expected a folder of multispectral images")
     return found

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PosixPath
 
 from sattools.errors import InputError
 
+IMAGE_SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img")
 _SCHEMES = {
     "http": "/vsicurl/http://",
     "https": "/vsicurl/https://",
@@ -111,4 +112,40 @@ def check_allowed(text: str) -> None:
         )
 
 
-__all__ = ["RemotePath", "check_allowed", "is_remote", "location", "needs_network", "remote_allowed"]
+def images_in(folder: Path) -> list[Path]:
+    """The images that lie in a folder itself, by name."""
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+
+
+def image_locations(names: Iterable[str]) -> list[Path]:
+    """Images by path or address; a folder stands for the images in it.
+
+    Args:
+        names: as the user gives them.
+
+    Raises:
+        InputError: an address that is none, or a folder without images.
+    """
+    found: list[Path] = []
+    for name in names:
+        place = location(name)
+        if isinstance(place, RemotePath) or not place.is_dir():
+            found.append(place)
+            continue
+        inside = images_in(place)
+        if not inside:
+            raise InputError(f"{place}: found a folder without images, expected some ({' '.join(IMAGE_SUFFIXES)})")
+        found += inside
+    return found
+
+
+__all__ = [
+    "RemotePath",
+    "check_allowed",
+    "image_locations",
+    "images_in",
+    "is_remote",
+    "location",
+    "needs_network",
+    "remote_allowed",
+]

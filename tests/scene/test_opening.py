@@ -18,7 +18,14 @@ from sattools.cli import main
 from sattools.errors import InputError, SceneError
 from sattools.prep.area import bounds_from_geojson
 from sattools.scene import Scene
-from sattools.scene.location import RemotePath, is_remote, location, needs_network, remote_allowed
+from sattools.scene.location import (
+    RemotePath,
+    image_locations,
+    is_remote,
+    location,
+    needs_network,
+    remote_allowed,
+)
 from sattools.scene.opening import opened
 from sattools.scene.raster import read_image
 
@@ -236,3 +243,14 @@ def test_an_empty_image_that_compresses_well_is_one(tmp_path: Path) -> None:
     with rasterio.open(path, "w", **profile) as data:
         data.write(np.zeros((1, 2000, 2000), np.uint8))
     assert read_image(path).shape == (1, 2000, 2000)
+
+
+def test_a_folder_stands_for_the_images_in_it(tmp_path: Path) -> None:
+    for name in ("b.TIF", "a.tif", "a_RPC.TXT", "c.ntf"):
+        (tmp_path / name).touch()
+    (tmp_path / "more").mkdir()
+    found = image_locations(["https://host/x.tif", str(tmp_path)])
+    assert isinstance(found[0], RemotePath)
+    assert [path.name for path in found[1:]] == ["a.tif", "b.TIF", "c.ntf"]
+    with pytest.raises(InputError, match=r"more: found a folder without images, expected some \(\.tif"):
+        image_locations([str(tmp_path / "more")])
