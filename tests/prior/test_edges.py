@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from sattools.prior.frame import Frame
-from sattools.prior.visibility.edges import compare_sides, leaning, snap_edges
+from sattools.prior.visibility.edges import Surroundings, compare_sides, leaning, snap_edges
 
 NOISE = 0.04
 
@@ -120,16 +120,18 @@ def test_slopes_and_low_steps_are_left_alone() -> None:
         np.testing.assert_allclose(snap_edges(frame, unseen(frame), height, 2.0, NOISE)[0], height, atol=0.31)
 
 
-def plain_sides(frame: Any, height: Any, outward: Any, uphill: Any, row: int, col: int) -> list[Any]:
+def plain_sides(
+    frame: Any, height: Any, outward: Any, uphill: Any, row: int, col: int, around: Surroundings
+) -> list[Any]:
     """`compare_sides` for one cell of heights 0 and 10 m that all views see, in plain NumPy."""
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
-    i, j = np.indices((19, 19)) - 9
+    i, j = np.indices((2 * around.look + 1,) * 2) - around.look
     r, c = row + i, col + j
     asked = ((i + j) % 2 == 0) & (r >= 0) & (c >= 0) & (r < height.shape[0]) & (c < height.shape[1])
     i, j, r, c = (a[asked] for a in (i, j, r, c))
     kept = sure[r, c]
     i, j, high = i[kept], j[kept], height[r, c][kept] > 5
-    weight = np.exp(-(i**2 + j**2) / (2 * np.where(high, 4.0, 3.0) ** 2))
+    weight = np.exp(-(i**2 + j**2) / (2 * np.where(high, around.high_fall, around.low_fall) ** 2))
     found = []
     for z in (10.0, 0.0):
         likeness = []
@@ -150,7 +152,8 @@ def plain_sides(frame: Any, height: Any, outward: Any, uphill: Any, row: int, co
     return found
 
 
-def test_the_kernel_does_as_plain_numpy(roof: Any) -> None:
+@pytest.mark.parametrize("around", [Surroundings(), Surroundings().times(1 / 0.7)])
+def test_the_kernel_does_as_plain_numpy(roof: Any, around: Surroundings) -> None:
     image, height = roof
     rng = np.random.default_rng(3)
     margin = 10
@@ -164,14 +167,20 @@ def test_the_kernel_does_as_plain_numpy(roof: Any) -> None:
     below, above, roof_like, foot_like = (np.empty_like(height) for _ in range(4))
     compare_sides(
         height, sure, uphill, frame.images, frame.masks, slopes, outward, 0.0, margin, unseen(frame), 2.0, NOISE,
-        below, above, roof_like, foot_like,
+        around, below, above, roof_like, foot_like,
     )  # fmt: skip
     for row, col in ((9, 20), (10, 17), (8, 24), (11, 13)):
-        expected = plain_sides(frame, height, outward, np.array([1.0, 0.0]), row, col)
+        expected = plain_sides(frame, height, outward, np.array([1.0, 0.0]), row, col, around)
         np.testing.assert_allclose([roof_like[row, col], foot_like[row, col]], expected, atol=1e-4)
         assert (below[row, col], above[row, col]) == (0.0, 10.0)
     assert np.isnan(below[20, 20])
     assert np.isnan(foot_like[20, 20])
+
+
+def test_distances_around_a_wall_stay_the_same_on_finer_cells() -> None:
+    assert Surroundings().times(1.0) == Surroundings()
+    twice = Surroundings().times(2.0)
+    assert twice == Surroundings(6, 10, 6.0, 18, 8.0, 6.0, 6.0, 1.2)  # weights are areas
 
 
 @pytest.mark.parametrize(("rim", "height"), [(0.45, 0.0), (0.55, 10.0)])

@@ -102,7 +102,7 @@ def match(
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
     if options.edges:
-        height, doubt = snap_edges(frame, hits, height, tolerance, options.edges)
+        height, doubt = snap_edges(frame, hits, height, tolerance, options.edges, 1 / options.detail)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     return Match(mean_of_neighbours(height, doubt), score, uniqueness, views, agreeing)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, median_filter, minimum_filter
@@ -11,17 +12,9 @@ from sattools.compiled import njit, prange
 from sattools.prior.frame import Frame
 from sattools.prior.neighbours import doubtful_walls
 
-NEAR = 3  # cells from a height step within which a cell may change sides: the matching window and its blur
-REACH = 5  # cells around it that tell how high either side is
-FALL = 3.0  # cells over which their weight falls
-LOOK = 9  # cells around it that tell what either side looks like, of which every second is asked
-HIGH_FALL = 4.0
-LOW_FALL = 3.0  # what lies beyond an edge changes sooner than what lies on a roof
 STEP_M = 2.0  # smallest height step that is a wall
 FLAT_M = 1.5  # height range of 3 x 3 cells that are surely off the step
 SAME_M = 1.0  # heights this near belong to the same side
-FEWEST_CELLS = 1.5  # weight of the cells that make a level
-FEWEST_LOOKS = 0.3  # weight of the cells that make an appearance
 FEWEST_VIEWS = 2
 CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, glare or shadow moves no wall
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
@@ -36,8 +29,46 @@ OUTSIDE = 0.2  # cosine between the way down a wall and that towards a view whic
 STEEP = 0.05  # tangent of the angle from the vertical below which a view sees the foot of every wall
 
 
+class Surroundings(NamedTuple):
+    """How far around a cell what either side of a wall is like is looked for, in cells.
+
+    Attributes:
+        near: from a height step within which a cell may change sides: the matching window and its blur.
+        reach: around it that tell how high either side is.
+        fall: over which their weight falls.
+        look: around it that tell what either side looks like, of which every second is asked.
+        high_fall: over which the weight of those on the high side falls.
+        low_fall: of those on the low side: what lies beyond an edge changes sooner than what lies on a roof.
+        fewest_cells: weight of the cells that make a level.
+        fewest_looks: weight of the cells that make an appearance.
+    """
+
+    near: int = 3
+    reach: int = 5
+    fall: float = 3.0
+    look: int = 9
+    high_fall: float = 4.0
+    low_fall: float = 3.0
+    fewest_cells: float = 1.5
+    fewest_looks: float = 0.3
+
+    def times(self, factor: float) -> Surroundings:
+        """The same distances for cells that are smaller by a factor."""
+        cells = (max(1, round(factor * n)) for n in (self.near, self.reach, self.look))
+        near, reach, look = cells
+        falls = (factor * n for n in (self.fall, self.high_fall, self.low_fall))
+        fall, high_fall, low_fall = falls
+        weights = (factor * factor * n for n in (self.fewest_cells, self.fewest_looks))
+        return Surroundings(near, reach, fall, look, high_fall, low_fall, *weights)
+
+
 def snap_edges(
-    frame: Frame, first_hit_height: np.ndarray, height: np.ndarray, tolerance: float, noise: float
+    frame: Frame,
+    first_hit_height: np.ndarray,
+    height: np.ndarray,
+    tolerance: float,
+    noise: float,
+    finer: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move height steps to where the images change, and say how sure the images are of it.
 
@@ -59,13 +90,16 @@ def snap_edges(
         height: ``[H, W]`` float32 [m].
         tolerance: depth below the visible surface that still counts as seen [m].
         noise: standard deviation of brightness on one material.
+        finer: number of the frame's cells along a cell of the result.
 
     Returns:
         ``[H, W]`` float32 heights [m], and ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`.
     """
     off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
     off_step = minimum_filter(off_step, 3, mode="nearest")
-    uphill = np.stack([gaussian_filter(height, SLOPE_SCALE, order=order, mode="nearest") for order in ((1, 0), (0, 1))])
+    uphill = np.stack(
+        [gaussian_filter(height, SLOPE_SCALE * finer, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
+    )
     uphill /= np.maximum(np.hypot(*uphill), 1e-6)
     tangent = np.hypot(*frame.parallax.T) * frame.cell
     # on its way up to the view a ray moves against the parallax; views from straight above are outside of every wall
@@ -74,7 +108,7 @@ def snap_edges(
     below, above, roof, foot = (np.empty_like(height) for _ in range(4))
     compare_sides(
         height, off_step, uphill, frame.images, frame.masks, frame.parallax, outward, frame.z_ref, frame.margin,
-        first_hit_height, tolerance, noise, below, above, roof, foot,
+        first_hit_height, tolerance, noise, Surroundings().times(finer), below, above, roof, foot,
     )  # fmt: skip
     beside_wall = np.isfinite(below)
     doubt = doubtful_walls(roof, beside_wall, frame.cell)
@@ -113,35 +147,35 @@ def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.nda
 
 
 @njit(cache=True)
-def _level(height, off_step, row, col, low, high):
+def _level(height, off_step, row, col, low, high, around):
     """Weighted mean of the sure heights in [low, high) around a cell, NaN if there are too few."""
     rows, cols = height.shape
     total = 0.0
     weight = 0.0
-    for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
-        for j in range(max(0, col - REACH), min(cols, col + REACH + 1)):
+    for i in range(max(0, row - around.reach), min(rows, row + around.reach + 1)):
+        for j in range(max(0, col - around.reach), min(cols, col + around.reach + 1)):
             z = height[i, j]
             if off_step[i, j] and low <= z < high:
-                w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * FALL * FALL))
+                w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * around.fall * around.fall))
                 total += w * z
                 weight += w
-    return total / weight if weight > FEWEST_CELLS else np.nan
+    return total / weight if weight > around.fewest_cells else np.nan
 
 
 @njit(cache=True)
-def _gather(height, off_step, row, col, below, above, where, side, weight):
+def _gather(height, off_step, row, col, below, above, where, side, weight, around):
     """Note the sure cells of either side around a cell: offsets, side (1 = high), weight; returns their number."""
     rows, cols = height.shape
-    count = 0
-    for i in range(-LOOK, LOOK + 1):
-        for j in range(-LOOK + (i + LOOK) % 2, LOOK + 1, 2):
+    count, look = 0, around.look
+    for i in range(-look, look + 1):
+        for j in range(-look + (i + look) % 2, look + 1, 2):
             r, c = row + i, col + j
             if not (0 <= r < rows and 0 <= c < cols) or not off_step[r, c]:
                 continue
             high = abs(height[r, c] - above) <= SAME_M
             if not high and abs(height[r, c] - below) > SAME_M:
                 continue
-            fall = HIGH_FALL if high else LOW_FALL
+            fall = around.high_fall if high else around.low_fall
             where[count, 0], where[count, 1] = i, j
             side[count] = 1 if high else 0
             weight[count] = math.exp(-(i * i + j * j) / (2 * fall * fall))
@@ -150,7 +184,7 @@ def _gather(height, off_step, row, col, below, above, where, side, weight):
 
 
 @njit(cache=True)
-def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
+def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise, fewest):
     """How surely a pixel belongs to the high side in one view, -1 ... 1; NaN where the view cannot tell.
 
     r, c: frame position of the cell at the height in question; limit: highest first hit at which it is seen.
@@ -172,7 +206,7 @@ def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
             low += w * x
             low_squares += w * x * x
             low_weight += w
-    if low_weight < FEWEST_LOOKS or high_weight < FEWEST_LOOKS:
+    if low_weight < fewest or high_weight < fewest:
         return np.nan
     low /= low_weight
     high /= high_weight
@@ -191,7 +225,7 @@ def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise):
 @njit(parallel=True, cache=True)
 def compare_sides(
     height, off_step, uphill, images, masks, parallax, outward, z_ref, margin, first_hit_height, tolerance, noise,
-    below, above, roof, foot,
+    around, below, above, roof, foot,
 ):  # fmt: skip
     """What either side of a wall looks like, for every cell near one.
 
@@ -208,6 +242,7 @@ def compare_sides(
         first_hit_height: ``[V, Hf, Wf]`` float32 [m].
         tolerance: depth below the visible surface that still counts as seen [m].
         noise: standard deviation of brightness on one material.
+        around: how far around a cell to look.
         below: ``[H, W]`` float32, filled with the height of the low side [m]; NaN = not near a wall.
         above: the same of the high side.
         roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
@@ -215,7 +250,7 @@ def compare_sides(
     """
     rows, cols = height.shape
     views = images.shape[0]
-    most = (2 * LOOK + 1) * (LOOK + 1)
+    most = (2 * around.look + 1) * (around.look + 1)
     for row in prange(rows):
         where = np.empty((most, 2), np.int64)
         side = np.empty(most, np.int64)
@@ -224,24 +259,35 @@ def compare_sides(
             below[row, col] = above[row, col] = foot[row, col] = np.nan
             roof[row, col] = 0.0
             low = high = height[row, col]
-            for i in range(max(0, row - NEAR), min(rows, row + NEAR + 1)):
-                for j in range(max(0, col - NEAR), min(cols, col + NEAR + 1)):
+            for i in range(max(0, row - around.near), min(rows, row + around.near + 1)):
+                for j in range(max(0, col - around.near), min(cols, col + around.near + 1)):
                     low, high = min(low, height[i, j]), max(high, height[i, j])
             if high - low < STEP_M:
                 continue
             middle = 0.5 * (low + high)
-            bottom = _level(height, off_step, row, col, -np.inf, middle)
-            top = _level(height, off_step, row, col, middle, np.inf)
+            bottom = _level(height, off_step, row, col, -np.inf, middle, around)
+            top = _level(height, off_step, row, col, middle, np.inf, around)
             if not top - bottom >= STEP_M:
                 continue
             below[row, col], above[row, col] = bottom, top
-            cells = _gather(height, off_step, row, col, bottom, top, where, side, weight)
+            cells = _gather(height, off_step, row, col, bottom, top, where, side, weight, around)
             at_roof = at_foot = 0.0
             roof_views = foot_views = 0
             for v in range(views):
                 r, c = row + margin + parallax[v, 0] * (top - z_ref), col + margin + parallax[v, 1] * (top - z_ref)
                 like = _likeness(
-                    images[v], masks[v], first_hit_height[v], top + tolerance, r, c, where, side, weight, cells, noise
+                    images[v],
+                    masks[v],
+                    first_hit_height[v],
+                    top + tolerance,
+                    r,
+                    c,
+                    where,
+                    side,
+                    weight,
+                    cells,
+                    noise,
+                    around.fewest_looks,
                 )
                 if like == like:
                     at_roof += like
@@ -264,6 +310,7 @@ def compare_sides(
                     weight,
                     cells,
                     noise,
+                    around.fewest_looks,
                 )
                 if like == like:
                     at_foot += like
