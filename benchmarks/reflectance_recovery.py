@@ -46,8 +46,8 @@ def coverage(scene, name: str) -> tuple[float, float]:
 
 
 def measure(scene, options, held_out: str) -> dict[str, object]:
+    from sattools.compare.images import compare_views
     from sattools.compare.metrics import map_errors
-    from sattools.compare.stage import compare_views
     from sattools.export.options import ExportOptions
     from sattools.export.stage import export
     from sattools.fit.stage import fit

@@ -4,7 +4,8 @@
 #     examples/hapke.sh [FOLDER]        (default: ./hapke)
 #
 # Lam: one colour per cell; RPV; Hpk: Hapke after a Lambertian start; Hpk0: Hapke from the start. All from the 7 most nadir
-# views of 21; view 3, 36 degrees off, is predicted and scored. The table of several scenes: docs/reflectance.md.
+# views of 21; view 3, 36 degrees off, is predicted and scored. Tables, BRF plots and a page of all four: evaluation/. The
+# table of several scenes: docs/reflectance.md.
 set -euo pipefail
 here=$(cd "$(dirname "$0")/.." && pwd)
 PATH=$here/.venv/bin:$PATH
@@ -17,17 +18,26 @@ sattools simulate --terrain natural --id NATURAL --size 384 --out "$out" --overw
 truth=$out/NATURAL/truth/NATURAL
 
 echo "2/2  Fitting four reflectance models ..." >&2
+fits=()
 for method in Lam RPV Hpk Hpk0; do
-    maps=()
     case $method in
     Lam) options=(--brdf lambert) ;;
     RPV) options=(--brdf rpv) ;;
     Hpk) options=(--brdf hapke) ;;
     Hpk0) options=(--brdf hapke --pretrain 0) ;;
     esac
-    [[ $method == Hpk* ]] && maps=(--map "w=${truth}_W.tif" --map "theta=${truth}_THETA.tif")
     echo "--- $method" >&2
-    sattools fit "${options[@]}" --resolution 2 --overwrite <"$out/prior.json" |
-        sattools export --view NATURAL_003 --overwrite |
-        sattools compare --register none --views "${maps[@]}" --overwrite >"$out/$method.json"
+    rm -rf "${out:?}/$method"
+    cp -r "$out/NATURAL" "$out/$method"
+    sattools fit "${options[@]}" --resolution 2 "$out/$method/scene.json" |
+        sattools export --view NATURAL_003 >"$out/$method.json"
+    fits+=(--fit "$method=$out/$method/scene.json")
 done
+maps=()
+for name in w b c theta; do maps+=(--map "$name=${truth}_${name^^}.tif"); done
+# four places on the diagonal, whose samples are the truth's own maps
+jq -r '.sattools.grid | . as $g | "name,x,y", (range(1; 5) | "place \(.),\($g.left + 77 * .),\($g.top - 77 * .)")' \
+    "$out/prior.json" >"$out/points.csv"
+sattools compare "${fits[@]}" --register none --dsm "${truth}_DSM.tif" --views "${maps[@]}" --points "$out/points.csv" \
+    --out "$out/evaluation" --overwrite >"$out/evaluation.json"
+sattools report "$out/evaluation" --overwrite

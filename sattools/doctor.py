@@ -28,7 +28,10 @@ EXTRAS = {
     "xarray": ("products as DataArray", "pip install 'sattools[notebook]'"),
     "laspy": ("point clouds of `export --products laz`", "pip install 'sattools[products]'"),
     "trimesh": ("meshes of `export --products mesh`", "pip install 'sattools[products]'"),
-    "lpips": ("LPIPS in `compare --views`", "pip install lpips, and its weights from disk"),
+    "lpips": (
+        "LPIPS in `compare --views`",
+        "--lpips-weights, or pip install lpips with its weights on disk",
+    ),
 }
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
-from sattools.cli.pipe import Run, apply, report_error, run_scenes
+from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
 from sattools.compare.options import CompareOptions
 from sattools.errors import SattoolsError
 from sattools.export.options import ExportOptions
@@ -27,11 +27,19 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """Score the scene's DSM against a reference: JSON on stdout, a table on stderr, a difference map in the scene.
 
     Either `--truth DIR` (contest layout), or `--dsm REF` with `--classes CLS`; a simulated scene brings its own truth.
-    With `--predicted DSM` a file is scored and no scene is read.
+    With `--predicted DSM` a file is scored and no scene is read. With `--fit Lam=a/scene.json --fit Hpk=b/scene.json
+    --out DIR` fits of one place are scored side by side: tables and figures, also for `sattools report DIR`.
     """
     options = build(CompareOptions, values)
+    if options.predicted is not None and options.fit:
+        raise click.UsageError("found both --predicted and --fit, expected one of them")
+    if options.fit and options.out is None:
+        raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
     if options.predicted is not None:
         _compare_file(options, overwrite, dry_run, print_config)
+        return
+    if options.fit:
+        _compare_fits(options, overwrite, dry_run, print_config)
         return
 
     def work(scene: Scene, progress: Progress) -> JsonObject:
@@ -78,3 +86,23 @@ def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show:
         sys.exit(1)
     click.echo(table(figures), err=True)
     click.echo(to_json(figures))
+
+
+def _compare_fits(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:
+    if show:
+        print_config("compare", options)
+        return
+    if dry_run:
+        click.echo(f"sattools compare: would score {', '.join(options.fit)}", err=True)
+        return
+    from sattools.compare.evaluation import MAP_COLUMNS, VIEW_COLUMNS, evaluate, map_rows, markdown, view_rows
+    from sattools.compare.stage import to_json
+
+    try:
+        result = evaluate(options, overwrite, progress_of("compare", "fits"))
+    except SattoolsError as error:
+        report_error("compare", error)
+        sys.exit(1)
+    click.echo(markdown(VIEW_COLUMNS, view_rows(result)), err=True)
+    click.echo(markdown(MAP_COLUMNS, map_rows(result)), err=True, nl=False)
+    click.echo(to_json(result))

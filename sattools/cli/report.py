@@ -13,13 +13,13 @@ from sattools.errors import SattoolsError, SceneError
 
 
 @click.command("report")
-@click.argument("source", default="-", metavar="[SCENE|BATCH_FOLDER]")
+@click.argument("source", default="-", metavar="[SCENE|FOLDER]")
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="The page [default: report.html beside the data]."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing page.")
 def command(source: str, out: Path | None, overwrite: bool) -> None:
-    """Write one self-contained HTML page about a scene, or about a folder that `sattools batch` has written.
+    """Write one self-contained HTML page about a scene, or about a folder that `batch` or `compare --fit` has written.
 
     Needs no network to be read; what a scene has no data for is left out. Prints the path of the page.
     """
@@ -30,6 +30,13 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
 
             inputs = [path for path in batch.parent.iterdir() if path.name != "report.html"]
             write(out or batch.with_name("report.html"), batch_page(batch.parent), overwrite, inputs)
+            return
+        evaluation = Path(source) / "evaluation.json"
+        if source != "-" and evaluation.is_file():
+            from sattools.report.evaluation import evaluation_page
+
+            inputs = [path for path in evaluation.parent.iterdir() if path.name != "report.html"]
+            write(out or evaluation.with_name("report.html"), evaluation_page(evaluation), overwrite, inputs)
             return
         from sattools.report.scene import scene_page
         from sattools.scene.dependencies import files_of

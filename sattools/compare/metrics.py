@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from sattools.compare.perceptual import lpips
 from sattools.errors import InputError
 from sattools.scene.jsonio import JsonObject
 
@@ -207,8 +208,28 @@ def image_average(psnr_db: float, ssim_value: float, lpips_value: float | None) 
     return (10 ** (-psnr_db / 10) + math.sqrt(max(1 - ssim_value, 0.0)) + lpips_value) / 3
 
 
+def image_geometric_average(psnr_db: float, ssim_value: float, lpips_value: float | None) -> float | None:
+    """Geometric mean of the terms of `image_average`, as Barron et al. (2021, arXiv:2103.13415) define it.
+
+    Papers that call their AVG a geometric mean may print, and use, the arithmetic one of `image_average`.
+
+    Args:
+        psnr_db: see `psnr` [dB].
+        ssim_value: see `ssim`.
+        lpips_value: see `lpips`.
+    """
+    if lpips_value is None:
+        return None
+    product = 10 ** (-psnr_db / 10) * math.sqrt(max(1 - ssim_value, 0.0)) * max(lpips_value, 0.0)
+    return product ** (1 / 3)
+
+
 def image_errors(
-    image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = None, peak: float = 1.0
+    image: np.ndarray,
+    reference: np.ndarray,
+    valid: np.ndarray | None = None,
+    peak: float = 1.0,
+    weights: Sequence[str] = (),
 ) -> dict[str, float | None]:
     """`psnr`, `ssim`, `lpips`, `avg` of two images [B, H, W] in [0, peak]; `lpips` is None where it is unavailable.
 
@@ -219,6 +240,7 @@ def image_errors(
         reference: ``[B, H, W]`` in [0, peak].
         valid: ``[H, W]`` bool, pixels that count; None = all.
         peak: largest value.
+        weights: files with those of LPIPS, see `sattools.compare.perceptual.lpips`.
     """
     if image.shape != reference.shape:
         raise InputError(f"image: found shape {image.shape}, expected {reference.shape}")
@@ -228,32 +250,12 @@ def image_errors(
     if not ok.any():
         raise InputError("image: found no valid pixel, expected at least one")
     image, reference = np.where(ok, image, 0.0), np.where(ok, reference, 0.0)
-    p, s, perceptual = psnr(image, reference, ok, peak), ssim(image, reference, ok, peak), lpips(image, reference, peak)
-    return {"psnr": p, "ssim": s, "lpips": perceptual, "avg": image_average(p, s, perceptual)}
-
-
-def lpips(image: np.ndarray, reference: np.ndarray, peak: float = 1.0) -> float | None:
-    """Perceptual distance (Zhang et al. 2018, AlexNet) of images [3, H, W]; None where package or weights are absent.
-
-    Weights are only taken from the disk (torch's hub cache), never downloaded.
-
-    Args:
-        image: ``[B, H, W]`` in [0, peak].
-        reference: ``[3, H, W]`` in [0, peak].
-        peak: largest value.
-    """
-    import importlib.util
-
-    if image.shape[0] != 3 or importlib.util.find_spec("lpips") is None:
-        return None
-    from pathlib import Path
-
-    import lpips as package
-    import torch
-
-    if not any((Path(torch.hub.get_dir()) / "checkpoints").glob("alexnet-*.pth")):
-        return None
-    model = package.LPIPS(net="alex", verbose=False)
-    pair = [torch.from_numpy(array / peak * 2 - 1).float()[None] for array in (image, reference)]
-    with torch.no_grad():
-        return float(model(*pair))
+    p, s = psnr(image, reference, ok, peak), ssim(image, reference, ok, peak)
+    perceptual = lpips(image, reference, peak, weights)
+    return {
+        "psnr": p,
+        "ssim": s,
+        "lpips": perceptual,
+        "avg": image_average(p, s, perceptual),
+        "avg_geometric": image_geometric_average(p, s, perceptual),
+    }

@@ -29,7 +29,19 @@ class CompareOptions:
         path="file",
     )
     views: bool = option(False, "Also score the rendered images of held-out views.")
-    out: str | None = option(None, "With --predicted: folder for the difference map.", path="folder")
+    lpips_weights: list[str] = option(
+        [],
+        "With --views: safetensors file of LPIPS's weights (AlexNet's and its own may be two files); repeatable.",
+        path="file",
+    )
+    fit: list[str] = option(
+        [],
+        "Exported scene to score beside others, NAME=SCENE.json (NAME such as Lam, RPV, Hpk); repeatable. No other "
+        "scene is read, and tables and figures of all go to --out.",
+    )
+    out: str | None = option(
+        None, "With --predicted: folder for the difference map; with --fit: for everything.", path="folder"
+    )
 
 
 __all__ = ["CompareOptions"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,19 +31,23 @@ class Point:
     values: Mapping[str, float]
 
 
-def read_points(path: Path) -> list[Point]:
+def read_points(path: Path, *, values_needed: bool = True) -> list[Point]:
     """Samples from a CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf.
 
     A CSV has the columns ``name`` and ``x``, ``y`` (in the CRS of the maps) or ``lon``, ``lat`` (WGS84); all other
     columns with numbers are values. Of a vector file the point geometries and the attributes are taken.
 
+    Args:
+        path: the file.
+        values_needed: refuse a file of places alone.
+
     Raises:
-        InputError: unreadable, without places, or without values.
+        InputError: unreadable, without places, or without values that are needed.
     """
     points = _read_csv(path) if path.suffix.lower() == ".csv" else _read_vector(path)
     if not points:
         raise InputError(f"{path}: found no sample point, expected at least one")
-    if not any(point.values for point in points):
+    if values_needed and not any(point.values for point in points):
         raise InputError(f"{path}: found no value beside the places, expected columns such as reflectance_1 or theta")
     return points
 
@@ -112,19 +116,51 @@ def compare_points(
     for point in points:
         row: dict[str, Any] = {"name": point.name, "values": {}}
         for key, sample in point.values.items():
-            name, band = _band_of(key, maps)
+            name, band = band_of(key, maps)
             if name is None:
                 continue
-            array, grid = maps[name]
-            east, north = _on(grid, point)
-            col = int(np.floor((east - shift[0] - grid.left) / grid.cell_size))
-            line = int(np.floor((grid.top - (north - shift[1])) / grid.cell_size))
-            inside = 0 <= col < grid.width and 0 <= line < grid.height
-            map_value = float(array[band, line, col]) if inside and np.isfinite(array[band, line, col]) else None
+            there = sampled(*maps[name], point, shift)
+            map_value = float(there[band]) if there is not None and np.isfinite(there[band]) else None
             difference = None if map_value is None else map_value - sample
             row["values"][key] = {"map": map_value, "sample": sample, "difference": difference}
         table.append(row)
     return table
+
+
+def sampled(array: np.ndarray, grid: Grid, point: Point, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray | None:
+    """Values ``[B]`` of the cell that a point lies in; None outside.
+
+    Args:
+        array: ``[B, H, W]``.
+        grid: of it.
+        point: the place.
+        shift: (east, north) by which the map was moved to fit its reference [m].
+    """
+    east, north = _on(grid, point)
+    col = int(np.floor((east - shift[0] - grid.left) / grid.cell_size))
+    line = int(np.floor((grid.top - (north - shift[1])) / grid.cell_size))
+    inside = 0 <= col < grid.width and 0 <= line < grid.height
+    return np.asarray(array[:, line, col]) if inside else None
+
+
+def with_values_of(points: list[Point], references: Mapping[str, tuple[np.ndarray, Grid]]) -> list[Point]:
+    """The points, with what reference maps say there wherever they have no such value of their own.
+
+    Args:
+        points: samples.
+        references: ``[B, H, W]`` and grid by name.
+    """
+    filled = []
+    for point in points:
+        own = dict(point.values)
+        for name, (array, grid) in references.items():
+            there = sampled(array, grid, point)
+            keys = [name] if array.shape[0] == 1 else [f"{name}_{band + 1}" for band in range(array.shape[0])]
+            for key, value in zip(keys, [] if there is None else there, strict=False):
+                if np.isfinite(value):
+                    own.setdefault(key, float(value))
+        filled.append(replace(point, values=own))
+    return filled
 
 
 def _on(grid: Grid, point: Point) -> tuple[float, float]:
@@ -137,7 +173,8 @@ def _on(grid: Grid, point: Point) -> tuple[float, float]:
     return float(east), float(north)
 
 
-def _band_of(key: str, maps: Mapping[str, tuple[np.ndarray, Grid]]) -> tuple[str | None, int]:
+def band_of(key: str, maps: Mapping[str, tuple[np.ndarray, Grid]]) -> tuple[str | None, int]:
+    """Name of the map and number of its band, from 0, that a value's name means; None where there is no such map."""
     if key in maps and maps[key][0].shape[0] == 1:
         return key, 0
     stem, _, number = key.rpartition("_")
@@ -146,4 +183,4 @@ def _band_of(key: str, maps: Mapping[str, tuple[np.ndarray, Grid]]) -> tuple[str
     return None, 0
 
 
-__all__ = ["Point", "compare_points", "read_points"]
+__all__ = ["Point", "band_of", "compare_points", "read_points", "sampled", "with_values_of"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,8 +15,10 @@ from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioError
 from rasterio.warp import transform_bounds
 
-from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, image_errors, map_errors
+from sattools.compare.images import compare_views
+from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, map_errors
 from sattools.compare.options import CompareOptions
+from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.registration import Registration, register, search_margin, shifted
 from sattools.compare.slopes import errors_by_slope
 from sattools.compare.steps import add_step_errors, step_text
@@ -25,12 +27,11 @@ from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.datums import difference as datums_differ
 from sattools.scene.dependencies import begin, check_current
-from sattools.scene.document import Item, Scene
+from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.pixels import image_part
-from sattools.scene.raster import heights_above, raster_grid, read_image, read_raster, write_cog
+from sattools.scene.raster import heights_above, raster_grid, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
 
 log = logging.getLogger(__name__)
@@ -53,6 +54,15 @@ class Comparison:
     difference: np.ndarray
     grid: Grid
     registration: Registration
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What `score` finds: the table, the surface, and per parameter the map found and its reference ``[B, H, W]``."""
+
+    figures: dict[str, Any]
+    surface: Comparison
+    maps: dict[str, tuple[np.ndarray, np.ndarray]]
 
 
 def compare_dsm(
@@ -163,35 +173,58 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
         progress: told the share done and what is being done.
         overwrite: replace outputs that are there.
     """
-    if "dsm" not in scene.products:
-        raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
-    check_current(scene, "export")
-    maps = [_name_and_file(text) for text in options.map]
-    given = [options.dsm, options.classes, options.points, *(path for _, path in maps)]
+    maps = name_and_file(options.map, "--map")
+    check_scene(scene)
+    given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps.values()]
     outputs = begin(
-        scene, "compare", [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name, _ in maps)], overwrite,
+        scene, "compare", [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in maps)], overwrite,
         [Path(path) for path in given if path],
     )  # fmt: skip
-    truth = read_truth(options, scene)
-    about = _datums(scene.path(scene.products["dsm"]), options)
-    progress(0.1, "registering")
-    heights, grid = read_around(scene.path(scene.products["dsm"]), truth.grid, options.register)
-    result = compare_dsm(known_heights(heights[0]), truth, grid, options.register, _measured(scene, grid))
-    figures: dict[str, Any] = {"scene": scene.id, **result.figures, **about}
-    if options.map:
-        progress(0.6, "parameter maps")
-        figures["parameters"] = {name: _compare_map(scene, name, reference, result) for name, reference in maps}
-    if options.points:
-        figures["points"] = _compare_points(scene, Path(options.points), result)
-    if options.views:
-        progress(0.7, "views")
-        figures |= compare_views(scene)
+    scored = score(options, scene, progress)
+    figures, result = scored.figures, scored.surface
+    for name, (found, reference) in scored.maps.items():
+        scatter_picture(found, reference, name, scene.output(_scatter_href(name)))
     progress(0.8, "difference map")
     write_difference(result, outputs[DIFFERENCE], outputs[PICTURE])
     write_text(outputs[ERRORS], to_json(figures, indent=1) + "\n")
     scene.products |= {"difference": DIFFERENCE, "errors": ERRORS}
     progress(1.0, "done")
     return figures
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises SceneError, StaleError: a scene without a DSM, or whose DSM is not of its last fit."""
+    if "dsm" not in scene.products:
+        raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
+    check_current(scene, "export")
+
+
+def score(options: CompareOptions, scene: Scene, progress: Progress = silent) -> Scored:
+    """Register and score an exported scene, its maps and views where asked for; writes nothing.
+
+    Args:
+        options: of the stage.
+        scene: see `check_scene`.
+        progress: told the share done and what is being done.
+    """
+    truth = read_truth(options, scene)
+    about = _datums(scene.path(scene.products["dsm"]), options)
+    progress(0.1, "registering")
+    heights, grid = read_around(scene.path(scene.products["dsm"]), truth.grid, options.register)
+    result = compare_dsm(known_heights(heights[0]), truth, grid, options.register, _measured(scene, grid))
+    figures: dict[str, Any] = {"scene": scene.id, **result.figures, **about}
+    pairs = {}
+    if options.map:
+        progress(0.6, "parameter maps")
+        figures["parameters"] = {}
+        for name, reference in name_and_file(options.map, "--map").items():
+            figures["parameters"][name], pairs[name] = _compare_map(scene, name, reference, result)
+    if options.points:
+        figures["points"] = _compare_points(scene, Path(options.points), result)
+    if options.views:
+        progress(0.7, "views")
+        figures |= compare_views(scene, options.lpips_weights)
+    return Scored(figures, result, pairs)
 
 
 def _measured(scene: Scene, grid: Grid) -> np.ndarray | None:
@@ -237,37 +270,6 @@ def _datums(predicted: Path, options: CompareOptions) -> JsonObject:
     return {"notes": [text]}
 
 
-def compare_views(scene: Scene) -> JsonObject:
-    """Image figures of every item with a `rendered` asset against its radiance, and their means.
-
-    The radiance is the asset `radiance`, else the linear numbers of `image`. Raises SceneError where there is none.
-    """
-    views: dict[str, dict[str, float | None]] = {}
-    for item in scene.items:
-        if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
-            rendered = read_image(scene.path(item.assets["rendered"].href))
-            radiance = _radiance(scene, item)
-            role = "test" if item.held_out else "train"
-            views[item.id] = {"role": role, **image_errors(rendered, radiance)}  # type: ignore[dict-item]
-    if not views:
-        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --view ID`")
-    held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
-    means: dict[str, Any] = {}
-    for key in ("psnr", "ssim", "lpips", "avg"):
-        values = [figures[key] for figures in held_out]
-        known = [value for value in values if value is not None]
-        means[key] = float(np.mean(known)) if len(known) == len(values) else None
-    return {**means, "views": views}
-
-
-def _radiance(scene: Scene, item: Item) -> np.ndarray:
-    from sattools.radiometry.linear import item_bits, linear_radiance
-
-    if "radiance" in item.assets:
-        return read_image(scene.path(item.assets["radiance"].href))
-    return linear_radiance(image_part(scene, item).read(), item_bits(item.properties))
-
-
 def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:
     from sattools.compare.points import compare_points, read_points
 
@@ -283,7 +285,9 @@ def _scatter_href(name: str) -> str:
     return f"compare/scatter_{name}.png"
 
 
-def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> JsonObject:
+def _compare_map(
+    scene: Scene, name: str, reference: Path, result: Comparison
+) -> tuple[JsonObject, tuple[np.ndarray, np.ndarray]]:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
@@ -293,18 +297,28 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -
     # a map lies where its surface lies: it moves with the DSM
     east, north, _ = result.registration.metres(result.grid.cell_size)
     carried = reproject_map(predicted, predicted_grid, grid.moved(-east, -north))
-    errors = map_errors(carried, array.astype(np.float32))
-    from sattools.compare.picture import scatter_picture
-
-    scatter_picture(carried, array, name, scene.output(_scatter_href(name)))
-    return errors
+    return map_errors(carried, array.astype(np.float32)), (carried, array)
 
 
-def _name_and_file(text: str) -> tuple[str, Path]:
-    name, separator, file = text.partition("=")
-    if not (separator and name and file):
-        raise InputError(f"--map: found {text!r}, expected NAME=FILE")
-    return name, Path(file)
+def name_and_file(texts: Sequence[str], option: str) -> dict[str, Path]:
+    """Files by name, of texts NAME=FILE.
+
+    Args:
+        texts: of the option.
+        option: its name, for messages.
+
+    Raises:
+        InputError: another text, or a name twice.
+    """
+    files: dict[str, Path] = {}
+    for text in texts:
+        name, separator, file = text.partition("=")
+        if not (separator and name and file):
+            raise InputError(f"{option}: found {text!r}, expected NAME=FILE")
+        if name in files:
+            raise InputError(f"{option}: found {name!r} twice, expected every name once")
+        files[name] = Path(file)
+    return files
 
 
 def write_difference(result: Comparison, tif: Path, png: Path) -> None:
@@ -315,8 +329,6 @@ def write_difference(result: Comparison, tif: Path, png: Path) -> None:
         tif: file to write.
         png: file to write.
     """
-    from sattools.compare.picture import difference_picture
-
     title = f"{result.figures['reference']}: MAE {result.figures['mae']:.2f} m"
     write_cog(tif, result.difference, result.grid, units="m", tags={"CONTENT": "registered prediction minus reference"})
     difference_picture(result.difference, result.grid, title, png)

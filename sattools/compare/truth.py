@@ -109,12 +109,14 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
 def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
     """Any georeferenced DSM as reference, with an optional class map in any grid.
 
-    A tile of the contest, `<AOI>_DSM.tif` with `<AOI>_DSM.txt` beside it, has no georeference of its own and is read by
-    `read_dfc2019`, its class map included. Raises InputError.
+    A tile of the contest, `<AOI>_DSM.tif` with `<AOI>_DSM.txt` and a class map beside it or without a georeference of
+    its own, is read by `read_dfc2019`, its class map included. Raises InputError.
     """
     dsm = Path(dsm)
     if classes is None and dsm.name.endswith("_DSM.tif") and dsm.with_suffix(".txt").exists():
-        return read_dfc2019(dsm.parent, dsm.name.removesuffix("_DSM.tif"))
+        aoi = dsm.name.removesuffix("_DSM.tif")
+        if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
+            return read_dfc2019(dsm.parent, aoi)
     array, grid = read_raster(dsm)
     from pyproj import CRS
 
@@ -127,6 +129,15 @@ def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
         class_codes = code_array[0].astype(np.float32)
         codes = _class_codes(class_codes if same else reproject_map(class_codes, code_grid, grid, nearest=True))
     return Truth(dsm.stem, "dsm", grid, known_heights(array[0]), codes)
+
+
+def _has_classes(folder: Path, aoi: str) -> bool:
+    return any((folder / f"{aoi}_{name}.tif").exists() for name in ("CLS", "CLS_v2"))
+
+
+def _georeferenced(path: Path) -> bool:
+    with opened(path) as data:
+        return data.crs is not None
 
 
 def _heights(path: Path) -> np.ndarray:

@@ -33,6 +33,8 @@ def material_maps(surface: ReflectiveScene, tensors: Mapping[str, Tensor]) -> di
         if f"{name}_std" in tensors:
             std = tensors[f"{name}_std"]
             maps[f"{name}_std"] = std.permute(2, 0, 1) if std.ndim == 3 else std[None]
+    if surface.identifiable.numel():
+        maps["identifiable"] = surface.identifiable.permute(2, 0, 1)
     maps["normal"] = surface.normals().permute(2, 0, 1)
     tilt = torch.atan(torch.full_like(surface.height, SLOPE_STD))
     maps["normal_std"] = torch.rad2deg(tilt)[None]
@@ -64,6 +66,7 @@ def material_names(model: FittedModel) -> list[str]:
     if model.field != "surface":
         return [*names, "normal", "reflectance"]
     stds = [f"{name}_std" for name in names if f"{name}_std" in model.extra]
+    stds += ["identifiable"] if "identifiable" in model.extra else []
     return [*names, *stds, "normal", "normal_std", "reflectance"]
 
 
@@ -84,6 +87,9 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
             own["METHOD"] = "curvature of the fit; materials told apart wrongly are not in it"
         if stem == "normal" and array.shape[0] == 3:
             bands = ["normal east", "normal north", "normal up"]
+        elif name == "identifiable":
+            bands = [parameter.name for parameter in SHAPE[model.brdf]]
+            own["CONTENT"] = "share of the prior's variance that the images took away: 0 = its prior, 1 = known"
         else:
             bands, wavelengths = ([name], {}) if array.shape[0] == 1 else exported.band_names(name, array.shape[0])
             own |= wavelengths

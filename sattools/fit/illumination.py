@@ -31,6 +31,7 @@ CALIBRATED_SHARE = 0.1
 CALIBRATED_SMOOTH = 0.2
 NORMAL_SMOOTHING_M = 6.0
 EXPOSURE = 1 / 3  # median radiance of images that fill their range
+LEAST_KNOWN = 0.5  # share of the prior's variance that the images must take away before a parameter counts as found
 UNKNOWN_SHARE = 0.2  # standard deviation, as share of the range, from which a parameter counts as unknown
 
 
@@ -171,12 +172,22 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
     """What was found of the materials' shapes, in the parameters' units, and what the data do not determine."""
     _, shape = scene.values()
     notes = [f"{scene.endmembers.shape[0]} endmembers"]
-    for parameter, value in zip(SHAPE[scene.kind], shape, strict=True):
+    for k, (parameter, value) in enumerate(zip(SHAPE[scene.kind], shape, strict=True)):
         spread = float(std[parameter.name].median())
         text = f"{parameter.name} {float(value.min()):.2f} to {float(value.max()):.2f}, std {spread:.2f}"
-        if spread > UNKNOWN_SHARE * (parameter.high - parameter.low):
+        found = float(scene.identifiable[..., k].median()) if scene.identifiable.numel() else 1.0
+        if spread > UNKNOWN_SHARE * (parameter.high - parameter.low) or found < LEAST_KNOWN:
             text += " (not determined by these views: its prior)"
         notes.append(text)
+    if scene.identifiable.numel():
+        one, other = (parameter.name for parameter in SHAPE[scene.kind][:2])
+        notes.append(f"errors of {one} and {other} correlate by {scene.correlation:+.2f}")
+    if scene.has_sky:
+        share = ", ".join(f"{100 * float(value):.1f}" for value in scene.sky_share)
+        known = (
+            f"from shade, {scene.sky_ratio:.0f} standard deviations from none" if scene.sky_ratio else "as it was set"
+        )
+        notes.append(f"sky light {share} % of the sun's in the bands ({known})")
     return ["; ".join(notes)]
 
 

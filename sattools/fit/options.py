@@ -42,6 +42,18 @@ class FitOptions(RayOptions):
         "Reflectance: lambert = one colour per cell; rpv, hapke = models of normal, sun and view; "
         "auto = the plainest that predicts held-out views as well as the others.",
     )
+    sky: Literal["none", "fitted", "auto"] = option(
+        "none",
+        "With rpv and hapke: light of an even sky on lit and shaded ground, past what hides it; none = only in shade, "
+        "auto = fitted, and kept where it is surely there.",
+    )
+    sky_share: list[float] = option(
+        [],
+        "Irradiance by the sky of open level ground over that of the sun across its beam, once per band or once for "
+        "all, instead of a fitted one.",
+        minimum=0,
+        maximum=0.6,
+    )
     pretrain: float = option(
         0.2, "Share of the last stage's epochs before the reflectance model comes in.", minimum=0, maximum=0.9
     )

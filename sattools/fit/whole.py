@@ -72,6 +72,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         if options.field == "surface":
             fitted = _fit_surface(scene, setup, sources, prior, told)
         else:
+            check_sky(setup.options, sources[0].radiance.shape[0])
             from sattools.fit.rays.stage import fit_rays
 
             fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told, radiance=setup.radiance)
@@ -83,6 +84,7 @@ def _fit_surface(
     scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior | None, progress: Progress
 ) -> Fitted:
     options, radiance = setup.options, setup.radiance
+    check_sky(options, sources[0].radiance.shape[0])
     notes: list[str] = []
     grid, z_range = scene.require_grid(), scene.require_height_range()
     # amplitudes of a reflectance model and what tiles share have the unit of the images
@@ -136,6 +138,18 @@ def _fit_surface(
     return Fitted(model, job.trace, notes + more)
 
 
+def check_sky(options: FitOptions, bands: int) -> None:
+    """Raise SceneError where a sky is asked for without a reflectance model, or of another number of bands."""
+    if options.sky == "none" and not options.sky_share:
+        return
+    if options.brdf == "lambert" or options.field != "surface":
+        raise SceneError(
+            f"--sky: found --brdf {options.brdf} and --field {options.field}, expected rpv, hapke or auto on a surface"
+        )
+    if options.sky_share and len(options.sky_share) not in (1, bands):
+        raise SceneError(f"--sky-share: found {len(options.sky_share)} values, expected 1 or {bands}, one per band")
+
+
 def choose_device(name: str) -> torch.device:
     """The device of that name; auto = CUDA where there is one."""
     if name == "cuda" and not torch.cuda.is_available():
@@ -145,4 +159,4 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-__all__ = ["FitSetup", "choose_device", "fit_whole", "set_up"]
+__all__ = ["FitSetup", "check_sky", "choose_device", "fit_whole", "set_up"]

@@ -45,7 +45,7 @@ STAGES: dict[str, Stage] = {
     "export": Stage(
         (
             *("dsm", "dsm_picture", "probability", "validity", "albedo", "reflectance", "normal", "relit"),
-            *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc"),
+            *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc", "identifiable"),
             *("points", "points_ply", "contours", "ortho", "ortho_source"),
             *("mesh", "mesh_obj", "mesh_mtl", "mesh_texture", "tileset", "collection", "collection_item"),
         ),

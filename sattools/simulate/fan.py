@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -15,6 +15,7 @@ from sattools.scene.raster import write_cog
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.files import write_truth
 from sattools.simulate.natural import AMOUNT, PARAMETERS, NaturalWorld, build_natural
+from sattools.simulate.natural_sky import BANDS, STRIDE, open_sky, sky_directions, sky_light
 from sattools.simulate.natural_trace import render_natural
 from sattools.simulate.options import SimulateOptions
 from sattools.simulate.sensor import Radiometry
@@ -62,7 +63,8 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
     write_parameters(scene, world, grid, options.reflectance)
     progress(0.05, "compiling the ray tracer")
     views = plan_fan(options, grid, (low, high), np.random.default_rng(seeds[1]))
-    take_all(scene, views, seeds[2], lambda _, view, seed: _take(scene, options, world, view, seed), progress)
+    sky = Sky.over(world, options.sky) if options.sky else None
+    take_all(scene, views, seeds[2], lambda _, view, seed: _take(scene, options, world, sky, view, seed), progress)
     return scene
 
 
@@ -137,18 +139,50 @@ def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime
     return (noon + timedelta(hours=float(hours))).replace(microsecond=0)
 
 
+@dataclass(frozen=True)
+class Sky:
+    """An even sky over a world: its share per band, its directions, and which of them the world's places see."""
+
+    share: np.ndarray
+    directions: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def over(cls, world: NaturalWorld, share: float) -> Sky:
+        """The sky of a share (green) of the sun's irradiance over a world."""
+        directions = sky_directions()
+        high = float(world.height.max()) + 2.0
+        seen = open_sky(world.height, world.slope_x, world.slope_y, world.cell_size, directions, STRIDE, high)
+        return cls(share * np.array(BANDS), directions, seen)
+
+    def light(self, world: NaturalWorld, view: np.ndarray) -> np.ndarray:
+        """What every place adds towards ``view`` ``[3]``, over its amplitude: ``[H, W, 3]``."""
+        light = sky_light(
+            self.seen, world.slope_x, world.slope_y, world.albedo, world.parameters, world.model, self.directions,
+            STRIDE, view,
+        )  # fmt: skip
+        return np.asarray(light * self.share, np.float32)
+
+
 def _take(
-    scene: Scene, options: SimulateOptions, world: NaturalWorld, view: SimulatedView, seed: np.random.SeedSequence
+    scene: Scene,
+    options: SimulateOptions,
+    world: NaturalWorld,
+    sky: Sky | None,
+    view: SimulatedView,
+    seed: np.random.SeedSequence,
 ) -> Item:
     """Render one view and write its files."""
     assert scene.grid is not None  # set before the views are taken
     sun = grid_direction(*view.sun, scene.grid.crs, view.rpc.lon_offset, view.rpc.lat_offset)
     low, high = float(world.height.min()) - 2.0, float(world.height.max()) + 2.0
     camera = view.camera
+    towards = -camera.look / np.linalg.norm(camera.look)
+    added = np.zeros((0, 0, 3), np.float32) if sky is None else sky.light(world, towards)
     factor, lit, height = render_natural(
         world.height, world.slope_x, world.slope_y, world.albedo, world.parameters, world.model, world.cell_size,
         np.array(world.centre), camera.origin, camera.velocity, camera.look, camera.across, camera.focal, camera.col0,
-        camera.row0, view.shape, SAMPLES, sun, low, high,
+        camera.row0, view.shape, SAMPLES, sun, low, high, added, STRIDE,
     )  # fmt: skip
     full = 2**12 - 1
     signal = full * spread(factor)

@@ -1,4 +1,4 @@
-"""Ray tracing of a `NaturalWorld`: one sun, no sky, reflectance of `sattools.simulate.brdf`."""
+"""Ray tracing of a `NaturalWorld`: one sun, sky light if given, reflectance of `sattools.simulate.brdf`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ def render_natural(
     height: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, amplitude: np.ndarray, parameters: np.ndarray,
     model: int, cell: float, centre: np.ndarray, origin: np.ndarray, velocity: np.ndarray, look: np.ndarray,
     across: np.ndarray, focal: float, col0: float, row0: float, shape: tuple[int, int], samples: int, sun: np.ndarray,
-    z_low: float, z_high: float,
+    z_low: float, z_high: float, sky: np.ndarray, sky_stride: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Reflectance factor pi L / E [3, H, W], share of sunlit ground [H, W] and height of the middle [H, W] of a view.
 
-    E is the sun's irradiance on a plane across its beam, so a white Lambertian facet shows cos i; shade is black.
+    E is the sun's irradiance on a plane across its beam, so a white Lambertian facet shows cos i. `sky` [h, w, 3] is
+    what the sky adds to every `sky_stride`-th cell, over its amplitude; of no cells, shade is black.
     Camera and sampling as in `sattools.simulate.trace.render`; the raster's rows run south, its columns east.
     """
     rows, columns = height.shape
@@ -54,6 +55,10 @@ def render_natural(
                     continue
                 if face < 0:
                     continue
+                if sky.size:
+                    near_r, near_c = min(r // sky_stride, sky.shape[0] - 1), min(c // sky_stride, sky.shape[1] - 1)
+                    for b in range(3):
+                        image[b, row, col] += sky[near_r, near_c, b] * amplitude[r, c, b]
                 # seams between plates count as the plate behind them
                 ne, nn = -slope_x[r, c], slope_y[r, c]
                 norm = math.sqrt(ne * ne + nn * nn + 1.0)

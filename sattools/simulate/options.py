@@ -75,6 +75,13 @@ class SimulateOptions:
     slope: float = option(15.0, "Mean slope of the fractal relief of natural ground [degrees].", minimum=0, maximum=60)
     sun_azimuth: float = option(135.0, "Sun over natural ground, from north [degrees].", minimum=0, maximum=360)
     sun_elevation: float = option(48.0, "Sun over natural ground, above the horizon [degrees].", minimum=2, maximum=90)
+    sky: float = option(
+        0.0,
+        "Sky light on natural ground: irradiance of level ground in green over that of the sun across its beam (red "
+        "has 0.75, blue 1.3 times as much).",
+        minimum=0,
+        maximum=1,
+    )
     train: int = option(
         7, "Most nadir views of natural ground that are for training; the others are held out.", minimum=2
     )

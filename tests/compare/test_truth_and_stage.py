@@ -62,6 +62,15 @@ def test_a_contest_dsm_named_alone_is_read_with_its_text_file_and_classes(tmp_pa
     assert (truth.grid, truth.protocol, truth.classes[0, 0]) == (GRID, "dfc2019", 9)
 
 
+def test_a_georeferenced_dsm_of_the_contests_name_needs_no_classes(tmp_path: Path) -> None:
+    write_contest_tile(tmp_path, "HAP", city(), np.full((160, 160), 2, np.uint8))
+    (tmp_path / "HAP_CLS.tif").unlink()
+    write_cog(tmp_path / "HAP_DSM.tif", city(), GRID)
+    truth = read_reference(tmp_path / "HAP_DSM.tif")
+    assert truth.grid == GRID
+    assert truth.classes is None
+
+
 def test_omaha_is_in_zone_15_and_other_places_are_refused(tmp_path: Path) -> None:
     for aoi in ("OMA_001", "XYZ_001"):
         write_contest_tile(tmp_path, aoi, city(), np.full((160, 160), 2, np.uint8))

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from sattools.cli import main
-from sattools.compare.stage import compare_views
+from sattools.compare.images import compare_views
 from sattools.errors import SceneError
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export

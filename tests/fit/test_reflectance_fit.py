@@ -12,7 +12,8 @@ import torch
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
 from sattools.fit.checkpoint import load
-from sattools.fit.illumination import light_scale, phase_angles, radiance_kind, views_left_out
+from sattools.fit.illumination import LEAST_KNOWN, light_scale, phase_angles, radiance_kind, views_left_out
+from sattools.fit.materials.blocks import blocks_of
 from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import (
     Samples,
@@ -25,7 +26,8 @@ from sattools.fit.materials.inversion import (
 )
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals
 from sattools.fit.materials.scene import ReflectiveScene
-from sattools.fit.materials.selection import blocks_of, choose_model, extreme_views
+from sattools.fit.materials.selection import choose_model, extreme_views
+from sattools.fit.materials.uncertainty import known_share, shape_correlation
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.fit.surface.schedule import schedule
@@ -319,3 +321,27 @@ def test_blocks_alternate_so_that_half_of_them_can_set_the_scale() -> None:
     parity = blocks[::8, ::8] % 2
     assert (parity[:, 1:] != parity[:, :-1]).all()
     assert (parity[1:] != parity[:-1]).all()
+
+
+def test_what_the_views_do_not_tell_counts_as_the_prior() -> None:
+    """One phase angle tells of neither b nor c; many phase angles tell of both."""
+    endmembers = start_endmembers("hapke", 1, torch.zeros(1, dtype=torch.float64))
+    samples, _ = made_up("hapke", endmembers, 300)
+    suns = [unit((0.9 * np.sin(a), 0.9 * np.cos(a), 0.5)) for a in np.linspace(0, 2 * np.pi, 7)]
+    zenith = unit((0.0, 0.0, 1.0))
+    few = replace(samples, suns=suns[:1] * 7, views=[zenith] * 7)
+    many = replace(
+        samples,
+        suns=[unit((x, 0.0, 1.0)) for x in (-2.0, -1.0, -0.3, 0.0, 0.3, 1.0, 2.0)],
+        views=[unit((0.5, 0.0, 1.0))] * 7,
+    )
+    known = {}
+    for name, own in (("few", few), ("many", many)):
+        own = replace(
+            own, seen=predict("hapke", own, AMPLITUDE["hapke"].raw(torch.full_like(own.seen[0], 0.4)), endmembers)
+        )
+        solution = invert("hapke", own, endmembers, rounds=4, independent=0.02)
+        known[name] = known_share("hapke", solution)[0].tolist()
+        assert -1 <= shape_correlation(solution) <= 1
+    assert max(known["few"][:2]) < LEAST_KNOWN
+    assert min(known["many"][:2]) > LEAST_KNOWN

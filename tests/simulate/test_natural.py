@@ -130,3 +130,17 @@ def test_terrains_have_their_own_defaults_and_limits() -> None:
         SimulateOptions(bits=12)
     shown = CliRunner().invoke(main, ["simulate", "--terrain", "natural", "--print-config"])
     assert "views = 21" in shown.output
+
+
+def test_an_even_sky_adds_its_share_to_level_white_ground(tmp_path: Path) -> None:
+    """Lambertian ground shows albedo (sin(sun elevation) + sky); shade aside, the sun's part does not change."""
+    level = {**SMALL, "slope": 0.0, "reflectance": "lambert", "noise": 0.0, "units": 1}
+    dark, light = (
+        simulate(SimulateOptions(**level, sky=sky), tmp_path / name) for name, sky in (("dark", 0.0), ("light", 0.1))
+    )
+    for one, other in zip(dark.items, light.items, strict=True):
+        before, after = (
+            read_image(s.path(i.assets["image"].href)).astype(float) for s, i in ((dark, one), (light, other))
+        )
+        expected = 1 + 0.1 * np.array([0.75, 1.0, 1.3]) / np.sin(np.radians(48.0))
+        assert (after.mean((1, 2)) / before.mean((1, 2))).tolist() == pytest.approx(expected.tolist(), rel=2e-3)

@@ -8,12 +8,12 @@ amplitudes are found one by one, so a Gauss-Newton step of the few shape numbers
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind, radiance_factor
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind, diffuse, radiance_factor
 
 STEP = 1e-3  # of the finite differences in the unbounded form
 GAP_SHARE = 0.02  # error of the model and the geometry, as share of the signal
@@ -29,6 +29,8 @@ class Samples:
         normal: ``[N, 3]``; shares: ``[N, K]``.
         seen: ``[V, N, C]`` pi L / E; weight: ``[V, N]``, 0 = not seen or in shade.
         suns, views: unit vectors ``[3]``, one per view.
+        sky: ``[N, C]`` gain of the sky's light, see `sattools.fit.materials.sky`, or None = no sky.
+        share: ``[C]`` of the sky.
     """
 
     normal: Tensor
@@ -37,16 +39,18 @@ class Samples:
     weight: Tensor
     suns: Sequence[Tensor]
     views: Sequence[Tensor]
+    sky: Tensor | None = None
+    share: Tensor = field(default_factory=lambda: torch.zeros(0))
 
     def subset(self, index: Tensor) -> Samples:
         """Some of the cells."""
-        return Samples(
-            self.normal[index],
-            self.abundances[index],
-            self.seen[:, index],
-            self.weight[:, index],
-            self.suns,
-            self.views,
+        return replace(
+            self,
+            normal=self.normal[index],
+            abundances=self.abundances[index],
+            seen=self.seen[:, index],
+            weight=self.weight[:, index],
+            sky=None if self.sky is None else self.sky[index],
         )
 
 
@@ -85,7 +89,11 @@ def predict(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> Te
     """
     value, shape = AMPLITUDE[kind].bounded(amplitude), shape_of(kind, s.abundances, endmembers)
     pairs = zip(s.suns, s.views, strict=True)
-    return torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape) for sun, view in pairs])
+    direct = torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape) for sun, view in pairs])
+    if s.sky is None:
+        return direct
+    more = value.shape[-1] // s.sky.shape[-1]  # `with_slope` asks for several values of every band
+    return direct + s.share.repeat(more) * s.sky.repeat(1, more) * diffuse(kind, value)
 
 
 def with_slope(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor]:
@@ -172,6 +180,46 @@ class Solution:
     covariance: Tensor
 
 
+@dataclass
+class _System:
+    """Normal equations of the endmembers (row-major), the amplitudes eliminated, and the present cost."""
+
+    hessian: Tensor
+    gradient: Tensor
+    cost: float
+    centre: Tensor
+
+
+def _system(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, independent: float) -> _System:
+    """See `_System`; without the endmembers' prior."""
+    count = endmembers.numel()
+    sigma = noise_of(s)
+    here, slope = with_slope(kind, s, amplitude, endmembers)
+    residual = (s.seen - here) / sigma
+    weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
+    centre = material_mean(s.abundances, amplitude)
+    cost = float((weight * residual**2).sum()) * independent
+    cost += float((amplitude_precision(centre) * (amplitude - centre) ** 2).sum()) * independent
+    j_amplitude = slope / sigma  # [V, N, C]
+    # a change of one shape parameter of all endmembers together: cells differ by their abundances
+    columns = []
+    for p in range(endmembers.shape[1]):
+        moved = endmembers.clone()
+        moved[:, p] += STEP
+        columns.append((predict(kind, s, amplitude, moved) - here) / STEP / sigma)
+    j_shape = torch.stack(columns, -1)  # [V, N, C, 3]
+    a = (weight * j_amplitude**2).sum(0) + amplitude_precision(centre)  # [N, C]
+    cross = (weight[..., None] * j_amplitude[..., None] * j_shape).sum(0)  # [N, C, 3]
+    full = torch.einsum("vncp,vncq->npq", weight[..., None] * j_shape, j_shape)
+    reduced = full - torch.einsum("ncp,ncq->npq", cross / a[..., None], cross)
+    g_shape = torch.einsum("vncp,vnc->np", j_shape, weight * residual)
+    g_amplitude = (weight * j_amplitude * residual).sum(0) + amplitude_precision(centre) * (centre - amplitude)
+    g = g_shape - torch.einsum("ncp,nc->np", cross, g_amplitude / a)
+    hessian = torch.einsum("nk,nl,npq->kplq", s.abundances, s.abundances, reduced).reshape(count, count) * independent
+    gradient = torch.einsum("nk,np->kp", s.abundances, g).reshape(count) * independent
+    return _System(hessian, gradient, cost, centre)
+
+
 @torch.no_grad()
 def invert(
     kind: Kind, s: Samples, endmembers: Tensor, rounds: int = 12, independent: float = 0.2, free: bool = True
@@ -196,43 +244,19 @@ def invert(
     cost = float("inf")
     best = (amplitude, endmembers)
     for _ in range(rounds if free else 0):
-        sigma = noise_of(s)
-        here, slope = with_slope(kind, s, amplitude, endmembers)
-        residual = (s.seen - here) / sigma
-        weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
-        centre = material_mean(s.abundances, amplitude)
-        now = float((weight * residual**2).sum()) * independent
-        now += float((amplitude_precision(centre) * (amplitude - centre) ** 2).sum()) * independent
-        now += float((((endmembers - prior_mean).reshape(-1) / prior_sigma) ** 2).sum())
+        system = _system(kind, s, amplitude, endmembers, independent)
+        away = (prior_mean - endmembers).reshape(-1)
+        now = system.cost + float(((away / prior_sigma) ** 2).sum())
         if now < cost:
             damping, cost, best = max(damping / 4, 1e-6), now, (amplitude, endmembers)
         else:
             damping *= 10
-        j_amplitude = slope / sigma  # [V, N, C]
-        # a change of one shape parameter of all endmembers together: cells differ by their abundances
-        columns = []
-        for p in range(endmembers.shape[1]):
-            moved = endmembers.clone()
-            moved[:, p] += STEP
-            columns.append((predict(kind, s, amplitude, moved) - here) / STEP / sigma)
-        j_shape = torch.stack(columns, -1)  # [V, N, C, 3]
-        a = (weight * j_amplitude**2).sum(0) + amplitude_precision(centre)  # [N, C]
-        cross = (weight[..., None] * j_amplitude[..., None] * j_shape).sum(0)  # [N, C, 3]
-        full = torch.einsum("vncp,vncq->npq", weight[..., None] * j_shape, j_shape)
-        reduced = full - torch.einsum("ncp,ncq->npq", cross / a[..., None], cross)
-        g_shape = torch.einsum("vncp,vnc->np", j_shape, weight * residual)
-        g_amplitude = (weight * j_amplitude * residual).sum(0) + amplitude_precision(centre) * (centre - amplitude)
-        g = g_shape - torch.einsum("ncp,nc->np", cross, g_amplitude / a)
-        hessian = (
-            torch.einsum("nk,nl,npq->kplq", s.abundances, s.abundances, reduced).reshape(count, count) * independent
-        )
-        gradient = torch.einsum("nk,np->kp", s.abundances, g).reshape(count) * independent
-        hessian = hessian + torch.diag(1 / prior_sigma**2)
-        gradient = gradient + (prior_mean - endmembers).reshape(-1) / prior_sigma**2
+        hessian = system.hessian + torch.diag(1 / prior_sigma**2)
+        gradient = system.gradient + away / prior_sigma**2
         covariance = torch.linalg.inv(hessian)
         step = torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
         endmembers = (endmembers + step.reshape(endmembers.shape).clamp(-0.7, 0.7)).clamp(-6, 6)
-        amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, 1, centre)
+        amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, 1, system.centre)
     amplitude, endmembers = best if free else (amplitude, endmembers)
     return Solution(amplitude, endmembers, covariance)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import (
     Samples,
     Solution,
@@ -17,20 +17,24 @@ from sattools.fit.materials.inversion import (
     material_mean,
     shape_of,
     solve_amplitudes,
-    start_endmembers,
 )
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
-from sattools.fit.materials.uncertainty import parameter_std
+from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
+from sattools.fit.materials.uncertainty import known_share, parameter_std, shape_correlation
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
 
+Sky = Literal["none", "fitted", "auto"] | Sequence[float]
+
 STANDARD_SUN_DEG = 15.0
+# share of the cells that counts as independent: errors of slopes and cameras are alike over many of them, and a fit
+# that believes every cell trades w for b and c to please them
+INDEPENDENT = 0.05
 LIT = 0.95  # sun visibility from which a cell tells of its reflectance
 SAMPLES = 4000
-LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
 SATURATED = 0.999  # a number at full scale is a lower limit, not a value
 TEXTURE = 0.05  # deviation of the log amplitude, beyond small texture, that one material has anyway
-NORMAL_CELLS = 1.25  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
+NORMAL_CELLS = 2.0  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 
 
 @dataclass
@@ -39,7 +43,8 @@ class ReflectiveScene(SurfaceScene):
 
     The radiance of a cell towards image j is gain_j scale_j (v BRF cos i + (1 - v) ambient_j r) + offset_j with the
     sun's visibility v and the surface's diffuse reflectance r; scale_j is 1 for reflectance factors pi L / E and
-    1 / sin(sun elevation) for top-of-atmosphere reflectance.
+    1 / sin(sun elevation) for top-of-atmosphere reflectance. With a sky, which lights all ground, lit or not, the
+    second term is sky_share sky r.
 
     Attributes:
         kind: model.
@@ -50,6 +55,9 @@ class ReflectiveScene(SurfaceScene):
         cell_size: [m].
         frozen: ``[H, W, 3]`` normals that do not follow the height, or None.
         smooth: weight of the amplitudes' smoothness.
+        identifiable: ``[H, W, 3]`` share of the shapes' prior variance that the images took away; or empty.
+        sky: ``[H, W, C]`` gain of the sky's light, see `sattools.fit.materials.sky`; empty = no sky.
+        sky_share: ``[C]`` of the sky; what shade shows at the start, or as given.
     """
 
     kind: Kind = "hapke"
@@ -62,6 +70,16 @@ class ReflectiveScene(SurfaceScene):
     cell_size: float = 1.0
     frozen: Tensor | None = None
     smooth: float = 0.0
+    identifiable: Tensor = field(default_factory=lambda: torch.zeros(0))
+    sky: Tensor = field(default_factory=lambda: torch.zeros(0))
+    sky_share: Tensor = field(default_factory=lambda: torch.zeros(0))
+    correlation: float = field(default=0.0, init=False)  # of the errors of the first two shape parameters
+    sky_ratio: float = field(default=0.0, init=False)  # share over its standard deviation, in the surest band
+
+    @property
+    def has_sky(self) -> bool:
+        """Whether the sky lights the ground."""
+        return self.sky.numel() > 0
 
     def casting(self) -> Tensor:
         """Heights ``[H, W]`` that cast the shadows: those that the normals are taken from.
@@ -98,6 +116,9 @@ class ReflectiveScene(SurfaceScene):
         """
         amplitude, shape = self.values()
         light = radiance_factor(self.kind, self.normals(), sun, towards, amplitude, shape)
+        if self.has_sky:
+            light = light if visibility is None else visibility[..., None] * light
+            return light + self.sky_share * self.sky * diffuse(self.kind, amplitude)
         if visibility is None:
             return light
         v = visibility[..., None]
@@ -107,6 +128,8 @@ class ReflectiveScene(SurfaceScene):
         """Tensors that gradient descent changes: heights [m], colours, the unbounded amplitude."""
         leaves = super().trainable()
         del leaves["albedo"]
+        if self.has_sky:
+            leaves.pop("ambient", None)
         return {**leaves, "amplitude": self.amplitude}
 
     def tensors(self) -> dict[str, Tensor]:
@@ -115,6 +138,10 @@ class ReflectiveScene(SurfaceScene):
         own = {name: getattr(self, name) for name in names}
         if self.frozen is not None:
             own["frozen"] = self.frozen
+        if self.identifiable.numel():
+            own["identifiable"] = self.identifiable
+        if self.has_sky:
+            own |= {"sky": self.sky, "sky_share": self.sky_share}
         return {**super().tensors(), **own}
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
@@ -161,7 +188,51 @@ class ReflectiveScene(SurfaceScene):
             torch.stack(weight).reshape(len(views), count),
             list(self.suns),
             list(self.view_vectors),
+            self.sky.reshape(count, -1) if self.has_sky else None,
+            self.sky_share,
         )
+
+    @torch.no_grad()
+    def add_sky(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float, sky: Sky) -> None:
+        """Let the sky light the ground, and find materials and amplitudes anew.
+
+        Args:
+            views: the views.
+            visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
+            cell_size: edge of a cell [m].
+            sky: `fitted`, `auto` or its share per band, or one for all.
+        """
+        bands = self.amplitude.shape[-1]
+        self.sky = torch.ones_like(self.amplitude)  # until `_look_up` knows better
+        self.sky_share = self.amplitude.new_tensor([0.0] if isinstance(sky, str) else sky).expand(bands).clone()
+        for _ in range(2):  # amplitudes found without the sky are too bright, and the shade beside them too dark
+            whole = self._look_up(self.samples(views, visibility, cell_size), cell_size)
+            if isinstance(sky, str):
+                self._read_shade(whole, visibility)
+                faint = self.sky_ratio < LEAST_RATIO or float(self.sky_share.max()) < LEAST_SHARE
+                if (sky == "auto" and faint) or self.sky_ratio == 0.0:
+                    self.sky, self.sky_share = torch.zeros(0), torch.zeros(0)
+            self.solve(views, visibility, cell_size, 4, amplitudes=True)
+            if not self.has_sky:
+                return
+
+    def _read_shade(self, whole: Samples, visibility: Sequence[Tensor | None]) -> None:
+        """The sky's share as deep shade shows it, taking the ground there for its material's mean."""
+        told = ((whole.weight > 0).sum(0) > 0)[:, None]
+        flat = self.amplitude.detach().reshape(whole.seen.shape[1:])
+        usual = AMPLITUDE[self.kind].bounded(material_mean(whole.abundances, flat, told.to(flat)))
+        deep = torch.stack([torch.zeros_like(self.height) if v is None else deep_shade(v) for v in visibility])
+        assert whole.sky is not None  # the caller has looked up
+        ratio = whole.seen / (whole.sky * diffuse(self.kind, usual)).clamp_min(1e-5)
+        shape = (self.height.shape[0], self.height.shape[1])
+        self.sky_share, self.sky_ratio = share_in_shade(ratio, deep.reshape(whole.weight.shape), shape)
+
+    def _look_up(self, whole: Samples, cell_size: float) -> Samples:
+        """The samples with the sky's gain, for the present heights and materials."""
+        amplitude, shape = self.values()
+        height, normal = self.casting().detach(), self.normals().detach()
+        self.sky = sky_gain(self.kind, height, normal, cell_size, amplitude.detach(), shape)
+        return replace(whole, sky=self.sky.reshape(whole.normal.shape[0], -1), share=self.sky_share)
 
     @torch.no_grad()
     def solve(
@@ -182,11 +253,13 @@ class ReflectiveScene(SurfaceScene):
             amplitudes: find them, too.
         """
         whole = self.samples(views, visibility, cell_size)
+        if self.has_sky:
+            whole = self._look_up(whole, cell_size)
         usable = torch.nonzero((whole.weight > 0).sum(0) >= 2)[:, 0]
         if len(usable) == 0:
             usable = torch.arange(whole.normal.shape[0])
         order = torch.randperm(len(usable), generator=torch.Generator().manual_seed(0))[:SAMPLES]
-        solution = invert(self.kind, whole.subset(usable[order]), self.endmembers, rounds)
+        solution = invert(self.kind, whole.subset(usable[order]), self.endmembers, rounds, INDEPENDENT)
         self.endmembers.copy_(solution.endmembers)
         if amplitudes:
             amplitude, _ = solve_amplitudes(self.kind, whole, self.endmembers, rounds=4)
@@ -222,13 +295,17 @@ class ReflectiveScene(SurfaceScene):
         Returns:
             Standard deviation of every parameter, by name.
         """
-        before = self.endmembers.clone()
+        before, sky = self.endmembers.clone(), self.sky
         whole, solution = self.solve(views, visibility, cell_size, 4, amplitudes=False)
         flat = self.amplitude.reshape(whole.normal.shape[0], -1)
+        earlier = replace(whole, sky=sky.reshape(flat.shape)) if self.has_sky else whole
         old, new = (
-            solve_amplitudes(self.kind, whole, endmembers, flat, 1)[0] for endmembers in (before, self.endmembers)
+            solve_amplitudes(self.kind, s, endmembers, flat, 1)[0]
+            for s, endmembers in ((earlier, before), (whole, self.endmembers))
         )
         self.amplitude.copy_((flat + new - old).reshape(self.amplitude.shape))
+        self.identifiable = self.abundances @ known_share(self.kind, solution).to(self.abundances)
+        self.correlation = shape_correlation(solution)
         std = parameter_std(self.kind, whole, self.amplitude.reshape(whole.normal.shape[0], -1), solution)
         self.albedo = standard_reflectance(self)
         rows, cols = self.height.shape
@@ -243,75 +320,6 @@ def standard_reflectance(scene: ReflectiveScene) -> Tensor:
     sun = amplitude.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
     level = up.expand(*amplitude.shape[:-1], 3)
     return radiance_factor(scene.kind, level, sun, up, amplitude, shape) / math.cos(tilt)
-
-
-def reflective(
-    scene: SurfaceScene,
-    kind: Kind,
-    views: Sequence[View],
-    scale: Sequence[float],
-    cell_size: float,
-    frozen: Tensor | None = None,
-    *,
-    endmembers: int,
-    smooth: float,
-    seed: int,
-    solve: bool = True,
-) -> tuple[ReflectiveScene, list[Tensor]]:
-    """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
-
-    Args:
-        scene: heights and albedo found so far.
-        kind: model.
-        views: images on the scene's grid; all with a known sun.
-        scale: see `ReflectiveScene`.
-        cell_size: [m].
-        frozen: normals that stay, or None = those of the height.
-        endmembers: most endmembers.
-        smooth: weight of the amplitudes' smoothness.
-        seed: of the clustering.
-        solve: find endmembers and amplitudes, too.
-
-    Returns:
-        The scene, and the sun's visibility in every view.
-    """
-    from sattools.render import sun_visibility
-
-    height = scene.height.detach()
-    suns = height.new_tensor([view.sun for view in views])
-    view_vectors = height.new_tensor([view.slope.unit() for view in views])
-    casting = blurred(height, NORMAL_CELLS)
-    cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
-    visibility = [cast[view.sun] for view in views if view.sun is not None]
-    normal = surface_normals(height, cell_size) if frozen is None else frozen
-    mean = torch.zeros_like(scene.albedo)
-    total = torch.zeros_like(height)
-    for j, view in enumerate(views):
-        picture, shown = shown_on(view, height.cpu().numpy(), cell_size)
-        weight = torch.from_numpy(shown[..., 0]).to(height) * (visibility[j] > LIT)
-        cosine = (normal @ suns[j]).clamp_min(LOW_LIGHT)
-        light = (torch.from_numpy(picture).to(height) - scene.offset[j]) / (scene.gain[j] * scale[j])
-        mean += weight[..., None] * light / cosine[..., None]
-        total += weight
-    mean = mean / total.clamp_min(1)[..., None]
-    abundances = cluster_endmembers(mean.cpu().numpy(), (total > 0).cpu().numpy(), endmembers, seed)
-    modelled = ReflectiveScene(
-        **scene.tensors(),
-        absolute=scene.absolute,
-        kind=kind,
-        amplitude=torch.zeros_like(scene.albedo),
-        endmembers=start_endmembers(kind, abundances.shape[-1], height),
-        abundances=torch.from_numpy(abundances).to(height),
-        suns=suns,
-        view_vectors=view_vectors,
-        scale=height.new_tensor(scale),
-        cell_size=cell_size,
-        frozen=frozen,
-        smooth=smooth,
-    )
-    if solve:
-        modelled.solve(views, visibility, cell_size, 8, amplitudes=True)
-    return modelled, visibility
 
 
 def restored(
@@ -331,4 +339,4 @@ def restored(
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
 
 
-__all__ = ["NORMAL_CELLS", "ReflectiveScene", "reflective", "restored", "standard_reflectance"]
+__all__ = ["LIT", "NORMAL_CELLS", "ReflectiveScene", "Sky", "restored", "standard_reflectance"]

@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from sattools.fit.materials.blocks import blocks_of, typical
 from sattools.fit.materials.inversion import (
     ROBUST,
     Samples,
@@ -22,7 +23,6 @@ from sattools.fit.materials.parameters import Kind
 Model = Literal["lambert", "rpv", "hapke"]
 LADDER: tuple[Kind, ...] = ("rpv", "hapke")
 CELLS = 3000
-BLOCK = 8  # cells of a block; blocks count as independent
 OUTLIER = 5.0  # residuals beyond this many standard deviations are something else than reflectance
 STANDARD_ERRORS = 2.0  # twice what is asked for at least: a wrong step up the ladder costs more than a missing one
 PLAIN_ROUNDS = 10
@@ -64,11 +64,11 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
         errors[kind] = [_error(_modelled(kind, s, j), s, j, block, relative) for j in held]
         # how much less the richer model errs in every cell, over the held-out views
         gain = torch.stack(errors[best]).mean(0) - torch.stack(errors[kind]).mean(0)
-        before, _ = _typical(torch.stack(errors[best]).mean(0)[scored], block[scored])
-        typical, error = _typical(gain[scored], block[scored])
-        better = typical > STANDARD_ERRORS * error and typical > LEAST_GAIN * before
+        before, _ = typical(torch.stack(errors[best]).mean(0)[scored], block[scored])
+        usual, error = typical(gain[scored], block[scored])
+        better = usual > STANDARD_ERRORS * error and usual > LEAST_GAIN * before
         notes.append(
-            f"brdf auto: {kind} changes the error of held-out views by {-100 * typical / max(before, 1e-12):+.1f} % "
+            f"brdf auto: {kind} changes the error of held-out views by {-100 * usual / max(before, 1e-12):+.1f} % "
             f"(standard error {100 * error / max(before, 1e-12):.1f} %) of {best}'s: "
             + (f"took {kind}" if better else f"kept {best}")
         )
@@ -126,28 +126,6 @@ def _error(predicted: Tensor, s: Samples, j: int, block: Tensor, relative: bool)
     return weight * residual.square().clamp_max(OUTLIER**2).mean(-1)
 
 
-def _typical(values: Tensor, block: Tensor) -> tuple[float, float]:
-    """Median over blocks of each block's median, and its standard error from the blocks' spread.
-
-    A phase function shows in every cell of a material. Wrong heights show in some places, but strongly, and their
-    parallax drifts with the view as a phase function does: flattened relief moves bright slopes and dark ones towards
-    each other, so that even its mean is not 0. A mean over cells would take that for reflectance.
-    """
-    medians = torch.stack([values[block == b].median() for b in torch.unique(block)])
-    middle = medians.median()
-    spread = 1.4826 * float((medians - middle).abs().median())  # of a normal distribution's standard deviation
-    return float(middle), 1.2533 * spread / len(medians) ** 0.5  # sqrt(pi / 2): of a median
-
-
-def blocks_of(shape: tuple[int, int]) -> Tensor:
-    """Number of the `BLOCK` x `BLOCK` block of every cell of a grid, flat; neighbours differ in parity along rows."""
-    rows = torch.arange(shape[0])[:, None] // BLOCK
-    cols = torch.arange(shape[1])[None] // BLOCK
-    width = int(cols.max()) + 1
-    width += 1 - width % 2
-    return (rows * width + cols).reshape(-1)
-
-
 def draw(s: Samples, shape: tuple[int, int], seed: int) -> tuple[Samples, Tensor]:
     """`CELLS` of the cells that three views see, and their blocks.
 
@@ -162,4 +140,4 @@ def draw(s: Samples, shape: tuple[int, int], seed: int) -> tuple[Samples, Tensor
     return s.subset(chosen), blocks_of(shape)[chosen]
 
 
-__all__ = ["Choice", "blocks_of", "choose_model", "draw", "extreme_views"]
+__all__ = ["Choice", "choose_model", "draw", "extreme_views"]

@@ -73,4 +73,30 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
     return result
 
 
-__all__ = ["parameter_std"]
+@torch.no_grad()
+def known_share(kind: Kind, solution: Solution) -> Tensor:
+    """Share ``[K, 3]`` of each shape parameter's prior variance that the images took away: 0 = its prior, 1 = known.
+
+    Args:
+        kind: reflectance model.
+        solution: of the inversion.
+    """
+    count = solution.endmembers.shape[0]
+    prior = solution.covariance.new_tensor([p.prior_sigma**2 for p in SHAPE[kind]])
+    return (1 - solution.covariance.diagonal().reshape(count, 3) / prior).clamp(0, 1)
+
+
+@torch.no_grad()
+def shape_correlation(solution: Solution) -> float:
+    """Correlation of the errors of the first two shape parameters (b and c, k and Theta), median over the endmembers.
+
+    Args:
+        solution: of the inversion.
+    """
+    count = solution.endmembers.shape[0]
+    blocks = solution.covariance.reshape(count, 3, count, 3)
+    own = torch.stack([blocks[k, :, k] for k in range(count)])
+    return float((own[:, 0, 1] / (own[:, 0, 0] * own[:, 1, 1]).sqrt()).median())
+
+
+__all__ = ["known_share", "parameter_std", "shape_correlation"]

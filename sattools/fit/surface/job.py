@@ -16,8 +16,9 @@ from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT
 from sattools.fit.illumination import Radiance, light_scale, material_notes, prior_normals
 from sattools.fit.inputs import fingerprint
-from sattools.fit.materials.scene import ReflectiveScene, reflective, restored
+from sattools.fit.materials.scene import ReflectiveScene, restored
 from sattools.fit.materials.selection import Choice, choose_model, draw
+from sattools.fit.materials.start import reflective
 from sattools.fit.options import FitOptions
 from sattools.fit.resume import IlluminationOptions, Interrupted
 from sattools.fit.surface.light import IlluminationModel
@@ -196,6 +197,7 @@ class SurfaceJob:
             endmembers=options.materials,
             smooth=options.material_smooth,
             seed=options.seed,
+            sky=options.sky_share or options.sky,
         )
         return modelled
 

@@ -1,0 +1,93 @@
+"""The start of a fit with a reflectance model: materials by colour, parameters by inversion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from sattools.fit.materials.endmembers import cluster_endmembers
+from sattools.fit.materials.inversion import start_endmembers
+from sattools.fit.materials.parameters import Kind, blurred, surface_normals
+from sattools.fit.materials.scene import LIT, NORMAL_CELLS, ReflectiveScene, Sky
+from sattools.fit.surface.scene import SurfaceScene
+from sattools.views import View, shown_on
+
+LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
+
+
+def reflective(
+    scene: SurfaceScene,
+    kind: Kind,
+    views: Sequence[View],
+    scale: Sequence[float],
+    cell_size: float,
+    frozen: Tensor | None = None,
+    *,
+    endmembers: int,
+    smooth: float,
+    seed: int,
+    solve: bool = True,
+    sky: Sky = "none",
+) -> tuple[ReflectiveScene, list[Tensor]]:
+    """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
+
+    Args:
+        scene: heights and albedo found so far.
+        kind: model.
+        views: images on the scene's grid; all with a known sun.
+        scale: see `ReflectiveScene`.
+        cell_size: [m].
+        frozen: normals that stay, or None = those of the height.
+        endmembers: most endmembers.
+        smooth: weight of the amplitudes' smoothness.
+        seed: of the clustering.
+        solve: find endmembers and amplitudes, too.
+        sky: light of the sky: none, fitted, auto = fitted and kept if it is surely there, or its share per band.
+
+    Returns:
+        The scene, and the sun's visibility in every view.
+    """
+    from sattools.render import sun_visibility
+
+    height = scene.height.detach()
+    suns = height.new_tensor([view.sun for view in views])
+    view_vectors = height.new_tensor([view.slope.unit() for view in views])
+    casting = blurred(height, NORMAL_CELLS)
+    cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
+    visibility = [cast[view.sun] for view in views if view.sun is not None]
+    normal = surface_normals(height, cell_size) if frozen is None else frozen
+    mean = torch.zeros_like(scene.albedo)
+    total = torch.zeros_like(height)
+    for j, view in enumerate(views):
+        picture, shown = shown_on(view, height.cpu().numpy(), cell_size)
+        weight = torch.from_numpy(shown[..., 0]).to(height) * (visibility[j] > LIT)
+        cosine = (normal @ suns[j]).clamp_min(LOW_LIGHT)
+        light = (torch.from_numpy(picture).to(height) - scene.offset[j]) / (scene.gain[j] * scale[j])
+        mean += weight[..., None] * light / cosine[..., None]
+        total += weight
+    mean = mean / total.clamp_min(1)[..., None]
+    abundances = cluster_endmembers(mean.cpu().numpy(), (total > 0).cpu().numpy(), endmembers, seed)
+    modelled = ReflectiveScene(
+        **scene.tensors(),
+        absolute=scene.absolute,
+        kind=kind,
+        amplitude=torch.zeros_like(scene.albedo),
+        endmembers=start_endmembers(kind, abundances.shape[-1], height),
+        abundances=torch.from_numpy(abundances).to(height),
+        suns=suns,
+        view_vectors=view_vectors,
+        scale=height.new_tensor(scale),
+        cell_size=cell_size,
+        frozen=frozen,
+        smooth=smooth,
+    )
+    if solve:
+        modelled.solve(views, visibility, cell_size, 8, amplitudes=True)
+        if sky != "none":
+            modelled.add_sky(views, visibility, cell_size, sky)
+    return modelled, visibility
+
+
+__all__ = ["reflective"]
