@@ -24,7 +24,7 @@ class FitCommand(GroupedCommand):
                     "prior_weight", "pose"),
         "Images": ("views", "holdout", "reference"),
         "Light": ("loss", "robust", "shadow", "shadow_weight", "shadow_start", "transient"),
-        "Reflectance": ("brdf", "pretrain", "normals", "materials", "material_smooth"),
+        "Reflectance": ("brdf", "pretrain", "normals", "materials", "material_smooth", "sky", "sky_share"),
         "Network": ("start", "network", "width", "rays", "samples", "guided", "steps", "rate", "depth_weight", "beta",
                     "solar_weight"),
         "Resources": ("device", "tile", "overlap", "part", "budget", "resume", "seed"),

@@ -100,7 +100,12 @@ def test_an_image_file_that_is_not_there(images: Any, out: Any) -> None:
 
 
 def test_a_folder_instead_of_an_image(images: Any, out: Any) -> None:
-    assert_refused(prep(*images, images[0].parent, "--out", out), "prep", "images: ")
+    # it stands for its images, which are then given twice
+    assert_refused(prep(*images, images[0].parent, "--out", out), "prep", "TOWN_001.tif", "expected unique file names")
+    empty = out.with_name("empty")
+    empty.mkdir()
+    assert_refused(prep(*images, empty, "--out", out), "prep", "empty: found a folder without images")
+    assert files(out) == []
 
 
 def test_an_area_outside_the_images(images: Any, out: Any, tmp_path: Path) -> None:
