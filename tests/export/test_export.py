@@ -15,7 +15,7 @@ from sattools.export.datum import to_datum
 from sattools.export.hillshade import hillshade
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
-from sattools.fit.checkpoint import save
+from sattools.fit.checkpoint import load, save
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.raster import read_raster, write_cog
 
@@ -60,6 +60,16 @@ def test_the_albedo_has_one_band_per_colour_and_says_its_scale(scene: Any) -> No
     assert grid == GRID
     assert albedo.shape == (3, 40, 60)
     assert (albedo == 0.25).all()
+
+
+def test_no_ground_is_darker_than_black(scene: Any) -> None:
+    tensors, meta = load(scene.path("model"))
+    tensors["albedo"][20, 35] = torch.tensor([-0.1, 0.0, 0.3])  # an image's offset was found wrong
+    save(scene.path("model"), tensors, meta)
+    export(scene, ExportOptions())
+    albedo, _ = read_raster(scene.path(scene.products["albedo"]))
+    assert albedo[:, 20, 35].tolist() == pytest.approx([0.0, 0.0, 0.3])
+    assert (albedo[:, 0, 0] == 0.25).all()
 
 
 def test_shadow_masks_show_cast_shadow_opposite_the_sun(scene: Any) -> None:
