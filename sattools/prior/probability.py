@@ -12,7 +12,7 @@ MEANING = "less than 1 m of error"
 METHOD = "logistic curve over the confidence of matching; its weights are from simulated scenes"
 NAMES = ("1", "confidence", "its square root", "log2 of the cell over 0.5 m")
 # found by benchmarks/probability.py on simulated scenes, see docs/lab/accuracy.md
-WEIGHTS = (-0.622, 3.269, 3.989, -0.736)
+WEIGHTS = (-1.025, 3.642, 5.506, -0.7286)
 
 
 def features(confidence: np.ndarray, cell: float) -> np.ndarray:
