@@ -10,14 +10,14 @@ def test_probability_grows_with_the_confidence_and_falls_with_the_cell() -> None
     confidence = np.linspace(0, 1, 101, dtype=np.float32)[None]
     p = height_probability(confidence, 0.5)[0]
     assert (np.diff(p) > 0).all()
-    # 1 / (1 + exp(0.622)), and sums of the other weights
-    assert p[0] == pytest.approx(0.349, abs=5e-4)
-    assert p[25] == pytest.approx(1 / (1 + np.exp(0.622 - 3.269 * 0.25 - 3.989 * 0.5)), abs=1e-4)
-    assert p[100] == pytest.approx(0.9987, abs=2e-4)
+    # 1 / (1 + exp(1.025)), and sums of the other weights
+    assert p[0] == pytest.approx(0.264, abs=5e-4)
+    assert p[25] == pytest.approx(1 / (1 + np.exp(1.025 - 3.642 * 0.25 - 5.506 * 0.5)), abs=1e-4)
+    assert p[100] == pytest.approx(0.9997, abs=2e-4)
     coarse = height_probability(confidence, 2.0)[0]
     assert (coarse < p).all()
     odds = [v / (1 - v) for v in (float(p[25]), float(coarse[25]))]
-    assert np.log(odds[0] / odds[1]) == pytest.approx(2 * 0.736, abs=1e-3)
+    assert np.log(odds[0] / odds[1]) == pytest.approx(2 * 0.7286, abs=1e-3)
 
 
 def test_what_has_no_confidence_has_no_probability() -> None:
