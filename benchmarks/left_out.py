@@ -23,9 +23,10 @@ from steps import switched, variant
 from sattools.prior.frame import Frame
 from sattools.prior.matching.match import match
 from sattools.prior.matching.pairs import choose_pairs
-from sattools.prior.stage import make_frame
+from sattools.prior.stage import crop, make_frame
 from sattools.prior.visibility.kernels import first_hit_heights
 from sattools.scene import Scene
+from sattools.scene.regrid import resize_map
 from sattools.views import load_sources
 
 HIDDEN_M = 1.0  # below the surface that a view sees first from which it does not show a place
@@ -65,13 +66,18 @@ def scores(scene: Scene, changed: dict[str, Any], lefts: list[int]) -> np.ndarra
     z_range = scene.require_height_range()
     with switched(changed) as options:
         grid = scene.require_grid().resized(options.resolution or scene.require_grid().cell_size)
-        frame, views = make_frame(load_sources(scene, scene.train_items()), grid, z_range, options.window)
+        sources = load_sources(scene, scene.train_items())
+        frame, views = make_frame(sources, grid, z_range, options.window)
+        fine = grid.resized(grid.cell_size * options.detail)
+        looked = make_frame(sources, fine, z_range, options.window)[0]
         limits = (options.min_angle, options.max_angle)
         for left in lefts:
             rest = [view for v, view in enumerate(views) if v != left]
             slopes, suns = [v.slope for v in rest], [v.sun for v in rest]
             pairs = choose_pairs(slopes, suns, options.pairs, limits, options.ideal_angle)
-            surface = match(without(frame, left), pairs, z_range, options).height
+            height = match(without(looked, left), pairs, z_range, options, finer=1 / options.detail).height
+            surface = resize_map(crop(height, fine.shape), fine, grid)
+            surface = np.pad(surface, [(0, n - m) for n, m in zip(frame.shape, grid.shape, strict=True)], mode="edge")
             picture = drawn(frame, surface, left)
             inside = slice(frame.margin, -frame.margin or None)
             own = np.where(frame.masks[left] > 0, frame.images[left], np.nan)[inside, inside]

@@ -81,10 +81,18 @@ def try_out(say: Callable[[str], None]) -> Finding:
     """
     with tempfile.TemporaryDirectory(prefix="sattools-try-") as place:
         folder = Path(place)
-        made = folder / "SIM" / "images"
         steps = [
             ["simulate", "--size", "64", "--views", "6", "--id", "SIM", "--out", place],
-            ["prep", "--metadata", str(folder / "SIM/metadata"), "--id", "TRY", "--out", place],
+            [
+                "prep",
+                str(folder / "SIM/images"),
+                "--metadata",
+                str(folder / "SIM/metadata"),
+                "--id",
+                "TRY",
+                "--out",
+                place,
+            ],
             ["fit"],
             ["export"],
             ["compare", "--dsm", str(folder / "SIM/truth/SIM_DSM.tif")],
@@ -93,8 +101,7 @@ def try_out(say: Callable[[str], None]) -> Finding:
         begun = time.perf_counter()
         for step in steps:
             say(f"trying {step[0]}")
-            files = sorted(map(str, made.glob("*.tif"))) if step[0] == "prep" else []
-            call = [sys.executable, "-m", "sattools", "--quiet", *step[:1], *files, *step[1:]]
+            call = [sys.executable, "-m", "sattools", "--quiet", *step]
             done = subprocess.run(call, input=document, capture_output=True, check=False)
             if done.returncode:
                 last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]

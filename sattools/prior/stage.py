@@ -134,7 +134,7 @@ def match_sources(
     pairs = choose_pairs([v.slope for v in views], [v.sun for v in views], options.pairs, limits, options.ideal_angle)
     if not len(pairs):
         return None
-    matched = match(frame, pairs, z_range, options, progress)
+    matched = match(frame, pairs, z_range, options, progress, finer=1 / options.detail)
     agreement = left_out_agreement(frame, matched.height)
     maps = {name: crop(array, fine.shape) for name, array in vars(matched).items()}
     resized = {

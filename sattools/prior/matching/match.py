@@ -68,7 +68,13 @@ def margin_for(parallax: np.ndarray, z_ref: float, z_range: tuple[float, float],
 
 
 def match(
-    frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions, progress: Progress = silent
+    frame: Frame,
+    pairs: np.ndarray,
+    z_range: tuple[float, float],
+    options: PriorOptions,
+    progress: Progress = silent,
+    *,
+    finer: float = 1.0,
 ) -> Match:
     """Find the surface: rough passes find the occlusions, a last one the heights.
 
@@ -78,6 +84,7 @@ def match(
         z_range: lowest and highest height [m].
         options: see `PriorOptions`.
         progress: told the share done.
+        finer: number of the frame's cells along a cell of the surface that is made of it.
     """
     task = _prepared(frame, pairs, z_range, options)
     frame, step = task.frame, task.step
@@ -102,7 +109,7 @@ def match(
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
     if options.edges:
-        height, doubt = snap_edges(frame, hits, height, tolerance, options.edges, 1 / options.detail)
+        height, doubt = snap_edges(frame, hits, height, tolerance, options.edges, finer)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     return Match(mean_of_neighbours(height, doubt), score, uniqueness, views, agreeing)
 

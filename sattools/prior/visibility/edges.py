@@ -184,14 +184,17 @@ def _gather(height, off_step, row, col, below, above, where, side, weight, aroun
 
 
 @njit(cache=True)
-def _likeness(image, mask, hit, limit, r, c, where, side, weight, count, noise, fewest):
+def _likeness(
+    image, mask, hit, parallax, z, z_ref, row, col, tolerance, where, side, weight, count, noise, fewest
+):  # fmt: skip
     """How surely a pixel belongs to the high side in one view, -1 ... 1; NaN where the view cannot tell.
 
-    r, c: frame position of the cell at the height in question; limit: highest first hit at which it is seen.
+    row, col: frame position of the cell at z_ref; z: the height in question; tolerance: depth at which it still shows.
     The two sides get one spread, so that a pixel that mixes them belongs to the one that has more of it.
     """
+    r, c = row + parallax[0] * (z - z_ref), col + parallax[1] * (z - z_ref)
     a, b = round(r), round(c)
-    if hit[a, b] > limit or mask[a, b] == 0:
+    if hit[a, b] > z + tolerance or mask[a, b] == 0:
         return np.nan
     low = low_squares = low_weight = 0.0
     high = high_squares = high_weight = 0.0
@@ -274,44 +277,19 @@ def compare_sides(
             at_roof = at_foot = 0.0
             roof_views = foot_views = 0
             for v in range(views):
-                r, c = row + margin + parallax[v, 0] * (top - z_ref), col + margin + parallax[v, 1] * (top - z_ref)
                 like = _likeness(
-                    images[v],
-                    masks[v],
-                    first_hit_height[v],
-                    top + tolerance,
-                    r,
-                    c,
-                    where,
-                    side,
-                    weight,
-                    cells,
-                    noise,
-                    around.fewest_looks,
-                )
+                    images[v], masks[v], first_hit_height[v], parallax[v], top, z_ref, row + margin, col + margin,
+                    tolerance, where, side, weight, cells, noise, around.fewest_looks,
+                )  # fmt: skip
                 if like == like:
                     at_roof += like
                     roof_views += 1
                 if outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col] <= OUTSIDE:
                     continue
-                r, c = (
-                    row + margin + parallax[v, 0] * (bottom - z_ref),
-                    col + margin + parallax[v, 1] * (bottom - z_ref),
-                )
                 like = _likeness(
-                    images[v],
-                    masks[v],
-                    first_hit_height[v],
-                    bottom + tolerance,
-                    r,
-                    c,
-                    where,
-                    side,
-                    weight,
-                    cells,
-                    noise,
-                    around.fewest_looks,
-                )
+                    images[v], masks[v], first_hit_height[v], parallax[v], bottom, z_ref, row + margin, col + margin,
+                    tolerance, where, side, weight, cells, noise, around.fewest_looks,
+                )  # fmt: skip
                 if like == like:
                     at_foot += like
                     foot_views += 1
