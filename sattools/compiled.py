@@ -6,11 +6,14 @@ home, where numba would refuse to be used at all.
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import stat
 import tempfile
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +81,6 @@ def _settle() -> bool:
 _KEPT = _settle()
 
 import numba  # noqa: E402
-from numba import prange  # noqa: E402
 from numba.core import event  # noqa: E402
 
 
@@ -129,4 +131,87 @@ def _forgiving(kernel: Any) -> Any:
     return kernel
 
 
-__all__ = ["FASTMATH", "cache_folder", "njit", "prange", "writable"]
+PARTS = 4  # of a thread's work: pieces do not all take equally long
+_pool: ThreadPoolExecutor | None = None
+
+
+def spread(pieces: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
+    """Share the pieces of a kernel's work among threads.
+
+    numba could do that itself (`parallel=True`), but compiles every such kernel twice, which made a first run twice as
+    long, and its threads would be another pool beside those of PyTorch and BLAS. The kernel must let go of the
+    interpreter (``nogil=True``), and no piece may write where another one reads or writes.
+
+    Args:
+        pieces: given the kernel's arguments, how many pieces there are.
+
+    Returns:
+        A decorator. The kernel's last two arguments are its first piece and the one after its last; the function that
+        it becomes is called without them. ``threads=N`` takes fewer threads than the process has.
+    """
+
+    def decorate(kernel: Any) -> Callable[..., None]:
+        @functools.wraps(kernel.py_func)
+        def run(*arguments: Any, threads: int | None = None) -> None:
+            count, used = pieces(*arguments), min(threads or MOST_THREADS, MOST_THREADS)
+            if used == 1 or count < 2:
+                kernel(*arguments, 0, count)
+                return
+            parts = min(PARTS * used, count)
+            bounds = [count * k // parts for k in range(parts + 1)]
+            _together([functools.partial(kernel, *arguments, *bounds[k : k + 2]) for k in range(parts)], used)
+
+        return run
+
+    return decorate
+
+
+def at_once(*calls: Callable[[], object]) -> None:
+    """Run a few calls of compiled kernels, side by side where this process has threads for it."""
+    if MOST_THREADS == 1:
+        for call in calls:
+            call()
+    else:
+        _together(list(calls), min(len(calls), MOST_THREADS))
+
+
+def _together(calls: list[Callable[[], object]], threads: int) -> None:
+    """Run calls on so many threads, this one among them; the first error is raised when none of them runs any more."""
+    global _pool
+    if _pool is None:
+        _pool = ThreadPoolExecutor(MOST_THREADS, "sattools")
+    waiting = iter(calls)
+    lock = threading.Lock()
+
+    def work() -> None:
+        while True:
+            with lock:
+                call = next(waiting, None)
+            if call is None:
+                return
+            call()
+
+    others = [_pool.submit(work) for _ in range(threads - 1)]
+    try:
+        work()
+    finally:
+        with lock:  # after an error or Ctrl-C what has not begun is left alone
+            for _ in waiting:
+                pass
+        others = [other for other in others if not other.cancel()]  # those that found no thread are not waited for
+        wait(others)
+    for other in others:
+        other.result()
+
+
+def _without_pool() -> None:
+    """A forked child has none of its parent's threads."""
+    global _pool
+    _pool = None
+
+
+os.register_at_fork(after_in_child=_without_pool)
+MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # what `--threads` has set
+
+
+__all__ = ["FASTMATH", "at_once", "cache_folder", "njit", "spread", "writable"]

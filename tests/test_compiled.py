@@ -1,14 +1,17 @@
 """Where compiled kernels are kept: also in containers without a home and with a read-only installation."""
 
+import functools
 import os
 import shutil
 import stat
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import sattools
@@ -117,3 +120,67 @@ def test_without_any_folder_kernels_are_compiled_for_this_run(container: Any) ->
         "import tempfile; tempfile.tempdir = '/proc/none'; import sattools.tiny as t; t.more(1)",
     ]
     assert subprocess.run(call, env=container, cwd=site, capture_output=True).returncode == 0
+
+
+def _counting(pieces: int = 100) -> tuple[Any, np.ndarray]:
+    """A kernel that counts how often each piece is done."""
+
+    @compiled.spread(lambda times: len(times))
+    @compiled.njit(nogil=True)
+    def count(times: Any, first: int, end: int) -> None:
+        for piece in range(first, end):
+            times[piece] += 1
+
+    return count, np.zeros(pieces, np.int64)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7])
+@pytest.mark.parametrize("pieces", [0, 1, 3, 100])
+def test_every_piece_is_done_once_by_any_number_of_threads(
+    threads: int, pieces: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "MOST_THREADS", threads)
+    count, times = _counting(pieces)
+    count(times)
+    assert (times == 1).all()
+
+
+def test_an_error_in_a_piece_reaches_the_caller_when_no_other_is_running(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "MOST_THREADS", 2)
+    running, most = set(), []
+
+    def call(k: int) -> None:
+        running.add(k)
+        most.append(k)
+        try:
+            if k == 3:
+                raise ValueError("the third")
+        finally:
+            running.remove(k)
+
+    with pytest.raises(ValueError, match="the third"):
+        compiled.at_once(*(functools.partial(call, k) for k in range(50)))
+    assert not running
+    assert 3 in most
+    assert len(most) < 50, "what had not begun was left alone"
+
+
+def test_kernels_that_call_for_more_threads_from_a_thread_do_not_wait_for_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(compiled, "MOST_THREADS", 2)
+    monkeypatch.setattr(compiled, "_pool", ThreadPoolExecutor(1))  # fewer than are asked for
+    count, times = _counting()
+    compiled.at_once(*[lambda: count(times[:50]), lambda: count(times[50:])])
+    assert (times == 1).all()
+
+
+def test_a_forked_child_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "MOST_THREADS", 2)
+    count, times = _counting()
+    count(times)
+    child = os.fork()
+    if child == 0:
+        count(times)
+        os._exit(0 if (times == 2).all() else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from sattools.compiled import njit, prange
+from sattools.compiled import njit, spread
 from sattools.reflectance.elementary import angle, at_least, at_most, exp, expm1, log, sign, tan
 from sattools.reflectance.hapke_limits import (
     A_MIN,
@@ -39,7 +38,7 @@ LANES = 128  # samples side by side
 PART = 8192  # samples of one task of a thread
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, inline="always")
 def _h_rates(w, r0, slope, x, log, h, g_h):
     """Gradients of x and w through H(x)."""
     g_f = -g_h * h * h
@@ -49,7 +48,7 @@ def _h_rates(w, r0, slope, x, log, h, g_h):
     return -g_f * w * (mid - r0x * log - tail / (1 + x)), -g_f * x * (mid + w * (1 - x * log) / slope)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, inline="always")
 def _sample(n0, n1, n2, s0, s1, s2, v0, v1, v2, w, b, c, theta, b0, h):
     """BRF of a sample and its 15 derivatives."""
     # angles
@@ -208,7 +207,7 @@ def _sample(n0, n1, n2, s0, s1, s2, v0, v1, v2, w, b, c, theta, b0, h):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True)
 def _lanes(known, results):
     """`_sample` of `LANES` samples, operands and results side by side; free of branches, so that it becomes vectors."""
     for j in range(LANES):
@@ -258,15 +257,16 @@ def _store3(results, row, start, size, target):
         target[start + j, 2] = results[(row + 2) * LANES + j]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def evaluate(n, s, v, w, b, c, theta, b0, h, needed, out, gn, gs, gv, gw, gb, gc, gt, gb0, gh):
+@spread(lambda *arguments: math.ceil(len(arguments[10]) / PART))
+@njit(cache=True, nogil=True)
+def evaluate(n, s, v, w, b, c, theta, b0, h, needed, out, gn, gs, gv, gw, gb, gc, gt, gb0, gh, first_part, end_part):
     """BRF of N samples into ``out`` ``[N]`` and derivatives, where ``needed`` ``[9]``, into the other arrays.
 
     Directions are ``[N, 3]`` or ``[1, 3]``, parameters ``[N]`` or ``[1]`` (shared by all); derivatives ``[N, 3]`` and
     ``[N]``, of any length where not needed.
     """
     count = len(out)
-    for part in prange((count + PART - 1) // PART):
+    for part in range(first_part, end_part):
         known = np.empty(15 * LANES)
         results = np.empty(16 * LANES)
         for start in range(part * PART, min(count, (part + 1) * PART), LANES):
@@ -325,14 +325,7 @@ class CompiledHapke(torch.autograd.Function):
             normal.new_empty((*(shape if need else (1,)), *((3,) if k < 3 else ()))) for k, need in enumerate(needed)
         ]
         arrays = [rate.numpy().reshape(-1, 3) if k < 3 else rate.numpy().reshape(-1) for k, rate in enumerate(rates)]
-        threads, before = torch.get_num_threads(), numba.get_num_threads()
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
-        try:
-            evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays)
-        finally:
-            numba.set_num_threads(before)
-            if torch.get_num_threads() != threads:  # when it starts its threads, numba may set torch's number as well
-                torch.set_num_threads(threads)
+        evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays, threads=torch.get_num_threads())
         ctx.needed, ctx.shapes = needed, [None if o is None else o.shape for o in operands]
         ctx.save_for_backward(*[rate for rate, need in zip(rates, needed, strict=True) if need])
         return out

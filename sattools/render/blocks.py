@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, njit, spread
 
 # rays that are led down together
 LANES = 32
@@ -71,16 +71,12 @@ def packed_width(cols: int) -> int:
     return PAD + cols + LANES + 1
 
 
-@njit(parallel=True, fastmath=FASTMATH, cache=True, nogil=True)
-def pack(height, colour, maps):
-    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C].
-
-    They hold height, ceiling (the highest surface within REACH cells) and colours, one after the other, with the edge
-    columns repeated on both sides.
-    """
-    rows, cols = height.shape
-    across = np.empty((rows, cols), np.float32)
-    for row in prange(rows):
+@spread(lambda height, across: len(height))
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def _highest_across(height, across, first, end):
+    """Highest surface within REACH cells of the same row, for some rows."""
+    cols = height.shape[1]
+    for row in range(first, end):
         line = height[row]
         for col in range(cols):
             across[row, col] = line[col]
@@ -89,7 +85,14 @@ def pack(height, colour, maps):
                 across[row, col] = max(across[row, col], line[col + d])
             for col in range(d, cols):
                 across[row, col] = max(across[row, col], line[col - d])
-    for row in prange(rows):
+
+
+@spread(lambda height, *_: len(height))
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def _pack_rows(height, colour, across, maps, first, end):
+    """Fill some rows, see `pack`."""
+    rows, cols = height.shape
+    for row in range(first, end):
         top = maps[row, CEILING, PAD : PAD + cols]
         for col in range(cols):
             top[col] = across[row, col]
@@ -105,6 +108,17 @@ def pack(height, colour, maps):
         for channel in range(maps.shape[1]):
             maps[row, channel, :PAD] = maps[row, channel, PAD]
             maps[row, channel, PAD + cols :] = maps[row, channel, PAD + cols - 1]
+
+
+def pack(height, colour, maps):
+    """Fill maps [H, 2 + C, `packed_width`] from height [H, W] and colour [H, W, C].
+
+    They hold height, ceiling (the highest surface within REACH cells) and colours, one after the other, with the edge
+    columns repeated on both sides.
+    """
+    across = np.empty_like(height)
+    _highest_across(height, across)
+    _pack_rows(height, colour, across, maps)
 
 
 __all__ = ["Sampling", "absorption", "coefficients", "pack", "packed_width"]

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, njit, spread
 from sattools.render.blocks import CEILING, COLOUR, DEEP, EMPTY, LANES, PAD, REACH, coefficients
 
 MIN_TRANSMITTANCE = 1e-3
@@ -54,7 +54,7 @@ def _plane(v, k, row, rows, col, cols):
     return z, upper, min(upper + 1, rows - 1), first, x - np.float32(whole), y - np.float32(upper)
 
 
-@njit(fastmath=FASTMATH, error_model="numpy", inline="always")
+@njit(fastmath=FASTMATH, inline="always")
 def _density(u):
     """Logistic function of u = (surface - z) / softness >= -EMPTY, to a relative 5e-6."""
     u = min(max(u, np.float32(-EMPTY)), np.float32(DEEP))
@@ -83,7 +83,7 @@ def _alpha(p, a):
     return p * x
 
 
-@njit(fastmath=FASTMATH, error_model="numpy")
+@njit(fastmath=FASTMATH)
 def _skip_empty_space(s, maps, at, k, z, v, largest):
     """Mark the rays that are close to the surface on plane k; returns their number.
 
@@ -113,7 +113,7 @@ def _next(s, planes):
     return int(plane)
 
 
-@njit(fastmath=FASTMATH, error_model="numpy")
+@njit(fastmath=FASTMATH)
 def _weigh(s, maps, upper, lower, z, fx, fy, softness, absorb):
     """Weights of the samples of one plane; returns how many are not 0."""
     one, zero = np.float32(1.0), np.float32(0.0)
@@ -142,9 +142,10 @@ def _accumulate_colour(s, maps, upper, lower, fx, fy, weight, to):
         s[to + j] += s[weight + j] * colour
 
 
-@njit(parallel=True, fastmath=FASTMATH, error_model="numpy", cache=True, nogil=True)
-def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
-    """Composite every ray of a view; returns the number of field samples that were evaluated.
+@spread(lambda *arguments: arguments[-1])
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def _march(maps, v, absorb, mask, rgb, depth, opacity, spans, counts, chunks, from_chunk, to_chunk):
+    """Composite every ray of a view; counts [chunks] are the numbers of field samples that were evaluated.
 
     maps: of `pack`; v, absorb: `Sampling`, `absorption`; mask [H, W] (0 = skip); chunks: pieces of work, each of
     consecutive rows; outputs rgb [H, W, C], depth [H, W] (sum of weight * z), opacity [H, W], spans [H, blocks, 2]
@@ -153,11 +154,10 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
     rows, cols, bands = rgb.shape
     width = maps.shape[2]
     flat = maps.reshape(-1)
-    counts = np.zeros(chunks, np.int64)
     one = np.float32(1.0)
     # the ceiling holds for REACH cells around, of which one belongs to the bilinear read
     largest = np.float32(REACH - 1) / max(abs(v.slope_x), abs(v.slope_y), np.float32(1e-3))
-    for chunk in prange(chunks):
+    for chunk in range(from_chunk, to_chunk):
         count = 0
         s = _workspace(5 + bands)
         for row in range(rows * chunk // chunks, rows * (chunk + 1) // chunks):
@@ -193,10 +193,16 @@ def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
                     for c in range(bands):
                         rgb[row, col + j, c] = s[(5 + c) * LANES + j]
         counts[chunk] = count
-    return counts.sum()
 
 
-@njit(fastmath=FASTMATH, error_model="numpy")
+def march(maps, v, absorb, mask, chunks, rgb, depth, opacity, spans):
+    """Composite every ray of a view (see `_march`); returns the number of field samples that were evaluated."""
+    counts = np.zeros(chunks, np.int64)
+    _march(maps, v, absorb, mask, rgb, depth, opacity, spans, counts, chunks)
+    return int(counts.sum())
+
+
+@njit(fastmath=FASTMATH)
 def _weigh_back(s, maps, upper, lower, z, fx, fy, softness, thickness, absorb):
     """Weights of the samples of one plane, for the gradient; returns how many are not 0.
 
@@ -258,30 +264,38 @@ def _reach(v, spans, first, end, rows):
     return min(low, high), high
 
 
-@njit(parallel=True, fastmath=FASTMATH, error_model="numpy", cache=True, nogil=True)
-def march_backward(
-    maps, v, absorb, mask, chunks, rgb, depth, opacity, spans, grad_rgb, grad_depth, grad_opacity, grad_height,
-    grad_colour,
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def _places(v, chunks, rows, spans, own):
+    """Which rows of the map the rays of each chunk read, from and to, and where its gradients begin: ``[chunks, 3]``.
+
+    In the row after the last, all of their number.
+    """
+    reach = np.zeros((chunks + 1, 3), np.int64)
+    for chunk in range(chunks):
+        low, high = _reach(v, spans, rows * chunk // chunks, rows * (chunk + 1) // chunks, rows)
+        reach[chunk, 0], reach[chunk, 1] = low, high
+        reach[chunk + 1, 2] = reach[chunk, 2] + (high - low) * own
+    return reach
+
+
+@spread(lambda *arguments: arguments[-1])
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def _march_back(
+    maps, v, absorb, mask, rgb, depth, opacity, spans, grad_rgb, grad_depth, grad_opacity, reach, grads, chunks,
+    from_chunk, to_chunk,
 ):  # fmt: skip
-    """Gradients of `march` with respect to height and colour, filled in.
+    """Gradients of `march`, summed up by every chunk for itself.
 
     With v_k = grad . (c_k, z_k, 1): dL/d(sigma_k step) = T_{k+1} v_k - sum over later samples of w_m v_m; the later
-    samples are the whole sum, known from the forward pass, minus those passed so far. Every chunk of rows adds up
-    gradients of its own, over the rows that its rays read, and these are added in the order of the chunks.
+    samples are the whole sum, known from the forward pass, minus those passed so far. The gradients of a chunk are
+    those of the rows that its rays read.
     """
     rows, cols, bands = rgb.shape
     width = maps.shape[2]
     flat = maps.reshape(-1)
     line, own = maps.shape[1] * width, (1 + bands) * width  # numbers per row of the maps and of the gradients
-    reach = np.zeros((chunks, 3), np.int64)
-    total = 0
-    for chunk in range(chunks):
-        low, high = _reach(v, spans, rows * chunk // chunks, rows * (chunk + 1) // chunks, rows)
-        reach[chunk, 0], reach[chunk, 1], reach[chunk, 2] = low, high, total
-        total += (high - low) * own
-    grads = np.empty(total, np.float32)
     one, thickness = np.float32(1.0), v.step / v.softness
-    for chunk in prange(chunks):
+    for chunk in range(from_chunk, to_chunk):
         begin = reach[chunk, 2] - reach[chunk, 0] * own
         grads[reach[chunk, 2] : reach[chunk, 2] + (reach[chunk, 1] - reach[chunk, 0]) * own] = 0.0
         s = _workspace(10 + bands)
@@ -324,7 +338,15 @@ def march_backward(
                         _scatter(s, grads, to_lower + to, fx, fy, _WEIGHT, grad)
                     _scatter(s, grads, to_upper, fx, one - fy, _RISE, _BEHIND)
                     _scatter(s, grads, to_lower, fx, fy, _RISE, _BEHIND)
-    for row in prange(rows):
+
+
+@spread(lambda reach, grads, width, grad_height, grad_colour: len(grad_height))
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def _add_up(reach, grads, width, grad_height, grad_colour, first, end):
+    """Add the gradients of all chunks, in their order, for some rows of the map."""
+    cols, bands = grad_colour.shape[1:]
+    chunks, own = len(reach) - 1, (1 + bands) * width
+    for row in range(first, end):
         sums = np.zeros((1 + bands, width), np.float32)
         for chunk in range(chunks):
             if reach[chunk, 0] <= row < reach[chunk, 1]:
@@ -340,6 +362,20 @@ def march_backward(
             grad_height[row, col] = sums[0, PAD + col]
             for b in range(bands):
                 grad_colour[row, col, b] = sums[1 + b, PAD + col]
+
+
+def march_backward(
+    maps, v, absorb, mask, chunks, rgb, depth, opacity, spans, grad_rgb, grad_depth, grad_opacity, grad_height,
+    grad_colour,
+):  # fmt: skip
+    """Gradients of `march` with respect to height and colour, filled in."""
+    width = maps.shape[2]
+    reach = _places(v, chunks, len(rgb), spans, (1 + rgb.shape[2]) * width)
+    grads = np.empty(reach[-1, 2], np.float32)
+    _march_back(
+        maps, v, absorb, mask, rgb, depth, opacity, spans, grad_rgb, grad_depth, grad_opacity, reach, grads, chunks
+    )
+    _add_up(reach, grads, width, grad_height, grad_colour)
 
 
 __all__ = ["march", "march_backward"]

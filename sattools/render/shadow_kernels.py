@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, njit, spread
 from sattools.render.blocks import LANES
 
 # narrowest ramp of a shadow on a slope that the sun grazes, of the ray's rise over a cell
@@ -31,11 +31,12 @@ def _limited(before, here, after):
     return back if abs(back) < abs(ahead) else ahead
 
 
-@njit(parallel=True, cache=True, nogil=True)
-def limited_slopes(height, slope_x, slope_y):
+@spread(lambda height, *_: len(height))
+@njit(cache=True, nogil=True)
+def limited_slopes(height, slope_x, slope_y, first, end):
     """Rise of every cell's plate per cell along columns and rows [m], filled in; 0 across the map's edge."""
     rows, cols = height.shape
-    for row in prange(rows):
+    for row in range(first, end):
         for col in range(cols):
             h = height[row, col]
             across = 0 < col < cols - 1
@@ -72,7 +73,7 @@ def _path(dx, dy, rows, cols):
     return aside, down, enters
 
 
-@njit(fastmath=FASTMATH, error_model="numpy")
+@njit(fastmath=FASTMATH)
 def _start(s, height, slope_x, slope_y, at, count, dx, dy, tangent):
     """A block's cells before their rays leave; returns how many are turned to the sun."""
     half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
@@ -89,7 +90,7 @@ def _start(s, height, slope_x, slope_y, at, count, dx, dy, tangent):
     return lit
 
 
-@njit(fastmath=FASTMATH, error_model="numpy")
+@njit(fastmath=FASTMATH)
 def _meet(s, height, slope_x, slope_y, at, first, end, k, aside, down, enter, leave, dx, dy, tangent, growth, top):
     """Compare the rays of a block's cells first to end with the k-th plates on their way; returns how many go on."""
     half, zero, two = np.float32(0.5), np.float32(0.0), np.float32(2.0)
@@ -116,8 +117,11 @@ def _meet(s, height, slope_x, slope_y, at, first, end, k, aside, down, enter, le
     return going
 
 
-@njit(parallel=True, fastmath=FASTMATH, error_model="numpy", cache=True, nogil=True)
-def shadow_march(height, slope_x, slope_y, direction, tangent, growth, top, visibility, caster, width, chunks):
+@spread(lambda *arguments: arguments[-1])
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def shadow_march(
+    height, slope_x, slope_y, direction, tangent, growth, top, visibility, caster, width, chunks, from_chunk, to_chunk
+):
     """Sun visibility of every cell, and which cell casts the shadow.
 
     The cells are plates with the slopes of `limited_slopes` and steps between them; the ray from a cell's middle is
@@ -133,7 +137,7 @@ def shadow_march(height, slope_x, slope_y, direction, tangent, growth, top, visi
     dx, dy = direction[0], direction[1]
     aside, down, enters = _path(dx, dy, rows, cols)
     flat, flat_x, flat_y = height.reshape(-1), slope_x.reshape(-1), slope_y.reshape(-1)
-    for chunk in prange(chunks):
+    for chunk in range(from_chunk, to_chunk):
         s = np.empty(5 * LANES, np.float32)
         for row in range(chunk, rows, chunks):
             for col in range(0, cols, LANES):

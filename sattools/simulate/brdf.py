@@ -14,7 +14,7 @@ from sattools.compiled import njit
 LAMBERT, RPV, HAPKE = 0, 1, 2
 _TINY = 1e-9
 
-_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+_jit = njit(cache=True, nogil=True, fastmath=False)
 
 
 @_jit

@@ -21,7 +21,7 @@ SHININESS = 60.0  # exponent of the mirror lobe about the half vector (Blinn 197
 LITTER = (0.13, 0.12, 0.09)  # reflectance of the ground under crowns
 WALL_SKY = 0.4  # share of the sky that a wall sees
 
-_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+_jit = njit(cache=True, nogil=True, fastmath=False)
 
 
 @_jit

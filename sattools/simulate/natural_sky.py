@@ -31,7 +31,7 @@ def sky_directions() -> np.ndarray:
     return np.array(rows)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(cache=True, nogil=True, fastmath=False)
 def open_sky(
     height: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, cell: float, directions: np.ndarray, stride: int,
     z_high: float,
@@ -55,7 +55,7 @@ def open_sky(
     return seen
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(cache=True, nogil=True, fastmath=False)
 def sky_light(
     seen: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, amplitude: np.ndarray, parameters: np.ndarray,
     model: int, directions: np.ndarray, stride: int, view: np.ndarray,

@@ -13,7 +13,7 @@ from sattools.simulate.trace import first_hit
 GAP_SHARE = 0.12  # plates of a curved slope part by some centimetres: what dips less, in cells, casts no shadow
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@njit(cache=True, nogil=True, fastmath=False)
 def render_natural(
     height: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, amplitude: np.ndarray, parameters: np.ndarray,
     model: int, cell: float, centre: np.ndarray, origin: np.ndarray, velocity: np.ndarray, look: np.ndarray,

@@ -17,7 +17,7 @@ GAP_M = 0.02  # plates of one surface may part by this much without casting a sh
 STOREY_M = 3.2
 WINDOW_M = 2.6
 
-_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+_jit = njit(cache=True, nogil=True, fastmath=False)
 
 
 @_jit

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rendered import CELL, RANGE, views_of
 
+from sattools import compiled
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matching.kernels import correlate
@@ -115,18 +116,14 @@ def test_blocks_give_the_surface_that_the_whole_gives(house: Any) -> None:
     assert np.mean(np.abs(whole.height - parts.height) < 0.3) > 0.97
 
 
-def test_the_result_does_not_depend_on_the_number_of_threads(house: Any) -> None:
-    import numba
-
+def test_the_result_does_not_depend_on_the_number_of_threads(house: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     _, frame = house
-    before = numba.get_num_threads()
-    first = match(frame, ALL, RANGE, PriorOptions())
-    try:
-        numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
-        second = match(frame, ALL, RANGE, PriorOptions())
-    finally:
-        numba.set_num_threads(before)
-    np.testing.assert_array_equal(first.height, second.height)
+    found = []
+    for threads in (1, 2, 3):
+        monkeypatch.setattr(compiled, "MOST_THREADS", threads)
+        found.append(match(frame, ALL, RANGE, PriorOptions()).height)
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
 
 
 def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, njit, spread
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 SIXTH = np.float32(1 / 6)
@@ -235,7 +235,8 @@ def _correlate_tile(
         _fill_unseen(volume[i], unseen, line)
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
+@spread(lambda *arguments: arguments[-2].shape[0] * arguments[-2].shape[1])
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
 def correlate(
     images,
     masks,
@@ -259,6 +260,8 @@ def correlate(
     mixed,
     active,
     volume,
+    first_tile,
+    end_tile,
 ):
     """Agreement of the views at every (cell, height).
 
@@ -296,10 +299,12 @@ def correlate(
         active: ``[h, w, 2]`` int64 first plane and the one after the last that are looked at in every tile of `TILE` x
             `TILE_COLS` cells; on the others nothing agrees.
         volume: ``[H, D, W]`` float32, filled with agreements in [0, 1].
+        first_tile: first tile, from `spread`.
+        end_tile: the one after the last.
     """
     height, width = volume.shape[0], volume.shape[2]
-    down, across = active.shape[:2]
-    for t in prange(down * across):
+    across = active.shape[1]
+    for t in range(first_tile, end_tile):
         r0, c0 = TILE * (t // across), TILE_COLS * (t % across)
         rows, cols = slice(r0, min(r0 + TILE, height)), slice(c0, min(c0 + TILE_COLS, width))
         first, last = active[t // across, t % across]

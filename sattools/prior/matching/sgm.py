@@ -6,9 +6,12 @@ as well, so every loop over them is vectorised, however many planes there are.
 
 from __future__ import annotations
 
+import functools
+import math
+
 import numpy as np
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, at_once, njit, spread
 
 HUGE = np.float32(1e9)  # cost of a plane beyond the first and last, never the cheapest
 ONE = np.float32(1)
@@ -36,11 +39,12 @@ def _along(cost, large, small, result, before, now, backwards):
         least = smallest
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def _along_rows(score, small, large, total):
+@spread(lambda score, *_: math.ceil(len(score) / ROWS_AT_ONCE))
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
+def _along_rows(score, small, large, total, first_group, end_group):
     """Fill ``total`` with the costs of the two paths along the rows."""
     rows, depth, cols = score.shape
-    for group in prange((rows + ROWS_AT_ONCE - 1) // ROWS_AT_ONCE):
+    for group in range(first_group, end_group):
         # a path goes from column to column, so here the planes lie side by side
         cost, result = np.empty((cols, depth), np.float32), np.empty((cols, depth), np.float32)
         before, now = np.empty(depth + 2, np.float32), np.empty(depth + 2, np.float32)
@@ -70,7 +74,7 @@ def _add(out, a, b, c):
         out[j] += a[j] + b[j] + c[j]
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
 def _across_rows(score, small, large, total, first, count, step, turn, state, least):
     """Add the costs of the three paths that lead from row to row, in one direction, for some rows.
 
@@ -109,7 +113,6 @@ def _across_rows(score, small, large, total, first, count, step, turn, state, le
     return turn
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
 def aggregate(score, small, large, total):
     """Sum of the semi-global path costs of eight directions (Hirschmueller 2008, eq. 13), cost = 1 - score.
 
@@ -124,19 +127,22 @@ def aggregate(score, small, large, total):
     state = np.zeros((2, 2, 3, depth + 2, cols + 2), np.float32)
     state[:, :, :, 0] = state[:, :, :, depth + 1] = HUGE
     least = np.zeros((2, 2, 3, cols + 2), np.float32)
-    turn = np.zeros(2, np.int64)
+    turn = [0, 0]
     half = rows // 2
+
+    def go(way: int, upper: bool) -> None:
+        first = (0 if upper else half) if way == 0 else (half - 1 if upper else rows - 1)
+        count, step = half if upper else rows - half, 1 if way == 0 else -1
+        turn[way] = _across_rows(score, small, large, total, first, count, step, turn[way], state[way], least[way])
+
     # one thread goes down, another up; they change halves at the same time, so that no row is added to by both at once
     for phase in range(2):
-        for way in prange(2):
-            upper = way == phase
-            first = (0 if upper else half) if way == 0 else (half - 1 if upper else rows - 1)
-            count, step = half if upper else rows - half, 1 if way == 0 else -1
-            turn[way] = _across_rows(score, small, large, total, first, count, step, turn[way], state[way], least[way])
+        at_once(*(functools.partial(go, way, way == phase) for way in range(2)))
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def lowest(total, heights, height, index):
+@spread(lambda total, *_: len(total))
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
+def lowest(total, heights, height, index, first_row, end_row):
     """Height of least cost, refined by a parabola through its neighbours.
 
     Args:
@@ -144,10 +150,12 @@ def lowest(total, heights, height, index):
         heights: ``[D]`` float64, evenly spaced [m].
         height: ``[H, W]`` float32, filled [m].
         index: ``[H, W]`` int32, filled with the plane of least cost.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
-    rows, depth, cols = total.shape
+    depth, cols = total.shape[1:]
     step = heights[1] - heights[0]
-    for row in prange(rows):
+    for row in range(first_row, end_row):
         least, best = total[row, 0].copy(), index[row]
         best[:] = 0
         for k in range(1, depth):
@@ -166,17 +174,20 @@ def lowest(total, heights, height, index):
             height[row, col] = z
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def second_best_margin(total, index, gap):
+@spread(lambda total, *_: len(total))
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
+def second_best_margin(total, index, gap, first_row, end_row):
     """How much dearer the cheapest height is that is not a neighbour of the best one.
 
     Args:
         total: ``[H, D, W]`` float32 costs.
         index: ``[H, W]`` int32 plane of least cost.
         gap: ``[H, W]`` float32, filled; 0 where there are too few planes.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
-    rows, depth, cols = total.shape
-    for row in prange(rows):
+    depth, cols = total.shape[1:]
+    for row in range(first_row, end_row):
         best, rival = index[row], gap[row]
         rival[:] = HUGE
         for k in range(depth):

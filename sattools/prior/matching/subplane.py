@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sattools.compiled import njit, prange
+from sattools.compiled import njit, spread
 from sattools.prior.matching.sweep import MatchTask, agreement
 from sattools.prior.visibility.occlusion import Visibility
 
@@ -66,16 +66,19 @@ def _add_neighbours(here, there, down, right, sums):
         syz[col] += same * (y * z)
 
 
-@njit(parallel=True, cache=True)
-def local_planes(surface, smooth):
+@spread(lambda surface, _: len(surface))
+@njit(cache=True, nogil=True)
+def local_planes(surface, smooth, first_row, end_row):
     """Height of the least-squares plane through the neighbours on the same surface, so that stairs become slopes.
 
     Args:
         surface: ``[H, W]`` float32 heights [m].
         smooth: the same, filled.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
     rows, cols = surface.shape
-    for row in prange(rows):
+    for row in range(first_row, end_row):
         sums = np.zeros((9, cols))
         for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
             for right in range(-REACH, REACH + 1):
@@ -103,8 +106,9 @@ def _add_votes(here, there, agreement, votes):
             votes[k, col] += agreement[k, col] if abs(there[col] - here[col]) <= SAME_M else np.float32(0)
 
 
-@njit(parallel=True, cache=True)
-def best_nearby(volume, surface, offsets, refined):
+@spread(lambda volume, *_: len(volume))
+@njit(cache=True, nogil=True)
+def best_nearby(volume, surface, offsets, refined, first_row, end_row):
     """Height of the best agreement summed over the neighbours on the same surface, refined by a parabola.
 
     Args:
@@ -112,10 +116,12 @@ def best_nearby(volume, surface, offsets, refined):
         surface: ``[H, W]`` float32 heights [m].
         offsets: ``[D]`` float64 from the surface, evenly spaced, the middle one 0 [m].
         refined: ``[H, W]`` float32 heights, filled [m].
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
     rows, depth, cols = volume.shape
     step = offsets[1] - offsets[0]
-    for row in prange(rows):
+    for row in range(first_row, end_row):
         votes = np.zeros((depth, cols))
         for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
             for right in range(-REACH, REACH + 1):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sattools.compiled import njit, prange
+from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
 from sattools.prior.visibility.occlusion import at_surface
 
@@ -74,8 +74,9 @@ def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
     return result
 
 
-@njit(parallel=True, cache=True)
-def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height):
+@spread(lambda total, parallax, *_: len(parallax))
+@njit(cache=True, nogil=True)
+def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height, first_view, end_view):
     """Update the best places of all rays with the cells of a block.
 
     Args:
@@ -87,9 +88,11 @@ def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height):
         col0: frame position of the block's first cell at that height.
         cost: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
         height: ``[V, Hf, Wf]`` float32, see `RayMinima`; changed.
+        first_view: first view, from `spread`.
+        end_view: the one after the last.
     """
     rows, depth, cols = total.shape
-    for v in prange(parallax.shape[0]):
+    for v in range(first_view, end_view):
         down, right = np.empty(depth, np.int64), np.empty(depth, np.int64)
         for k in range(depth):
             down[k] = row0 + round(parallax[v, 0] * (heights[k] - z_ref))
@@ -104,10 +107,11 @@ def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height):
                     least[col] = here[col] if here[col] < least[col] else least[col]
 
 
-@njit(parallel=True, cache=True)
-def _fill(height, stands, reach, result):
+@spread(lambda height, *_: len(height))
+@njit(cache=True, nogil=True)
+def _fill(height, stands, reach, result, first_row, end_row):
     rows, cols = height.shape
-    for row in prange(rows):
+    for row in range(first_row, end_row):
         around = np.empty(8, np.float32)
         for col in range(cols):
             if stands[row, col]:
@@ -122,11 +126,15 @@ def _fill(height, stands, reach, result):
                     if r < 0 or c < 0 or r >= rows or c >= cols:
                         break
                     if stands[r, c]:
-                        around[count] = height[r, c]
+                        at = count  # kept in order: the compiler takes a second for numpy's sorting
+                        while at > 0 and around[at - 1] > height[r, c]:
+                            around[at] = around[at - 1]
+                            at -= 1
+                        around[at] = height[r, c]
                         count += 1
                         break
             if count:
-                result[row, col] = np.sort(around[:count])[min(RANK, count - 1)]
+                result[row, col] = around[min(RANK, count - 1)]
 
 
 __all__ = ["RayMinima", "count_consistent_views", "filled", "update_minima"]

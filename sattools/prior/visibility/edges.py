@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, median_filter, minimum_filter
 
-from sattools.compiled import njit, prange
+from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
 from sattools.prior.neighbours import doubtful_walls
 
@@ -225,10 +225,11 @@ def _likeness(
     return min(max(ratio / CAP, -1.0), 1.0)
 
 
-@njit(parallel=True, cache=True)
+@spread(lambda height, *_: len(height))
+@njit(cache=True, nogil=True)
 def compare_sides(
     height, off_step, uphill, images, masks, parallax, outward, z_ref, margin, first_hit_height, tolerance, noise,
-    around, below, above, roof, foot,
+    around, below, above, roof, foot, first_row, end_row,
 ):  # fmt: skip
     """What either side of a wall looks like, for every cell near one.
 
@@ -250,11 +251,13 @@ def compare_sides(
         above: the same of the high side.
         roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
         foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
     rows, cols = height.shape
     views = images.shape[0]
     most = (2 * around.look + 1) * (around.look + 1)
-    for row in prange(rows):
+    for row in range(first_row, end_row):
         where = np.empty((most, 2), np.int64)
         side = np.empty(most, np.int64)
         weight = np.empty(most)

@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, njit, spread
 
 NO_SHADE = np.float32(-1e9)
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def first_hit_heights(surface, parallax, z_ref, z_top, z_bottom, first_hit_height):
+@spread(lambda surface, parallax, *_: len(parallax) * len(surface))
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
+def first_hit_heights(surface, parallax, z_ref, z_top, z_bottom, first_hit_height, first, end):
     """Height at which the ray through every frame position of every view first meets the surface.
 
     Args:
@@ -22,29 +23,31 @@ def first_hit_heights(surface, parallax, z_ref, z_top, z_bottom, first_hit_heigh
         z_top: where rays start and end [m].
         z_bottom: where rays start and end [m].
         first_hit_height: ``[V, Hf, Wf]`` float32, filled.
+        first: first row of a view, counted over all views, from `spread`.
+        end: the one after the last.
     """
-    views = parallax.shape[0]
     rows, cols = surface.shape
-    for v in range(views):
+    for piece in range(first, end):
+        v, row = piece // rows, piece % rows
         # no step may jump over a cell
         step = 1.0 / max(abs(parallax[v, 0]), abs(parallax[v, 1]), 0.5)
-        for row in prange(rows):
-            for col in range(cols):
-                z = z_top
-                hit = z_bottom
-                while z > z_bottom:
-                    dz = z - z_ref
-                    r = round(row - parallax[v, 0] * dz)
-                    c = round(col - parallax[v, 1] * dz)
-                    if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
-                        hit = min(surface[r, c], z + step)
-                        break
-                    z -= step
-                first_hit_height[v, row, col] = hit
+        for col in range(cols):
+            z = z_top
+            hit = z_bottom
+            while z > z_bottom:
+                dz = z - z_ref
+                r = round(row - parallax[v, 0] * dz)
+                c = round(col - parallax[v, 1] * dz)
+                if 0 <= r < rows and 0 <= c < cols and surface[r, c] >= z:
+                    hit = min(surface[r, c], z + step)
+                    break
+                z -= step
+            first_hit_height[v, row, col] = hit
 
 
-@njit(parallel=True, cache=True)
-def descend(surface, bottom, top, low, high, depth, where):
+@spread(lambda surface, bottom, *_: len(bottom))
+@njit(cache=True, nogil=True)
+def descend(surface, bottom, top, low, high, depth, where, first_row, end_row):
     """Follow lines of sight from above to the first cell of the surface that reaches them.
 
     Args:
@@ -55,9 +58,11 @@ def descend(surface, bottom, top, low, high, depth, where):
         high: upper height [m].
         depth: ``[h, w]`` float32, filled with the height met; NaN = none.
         where: ``[h, w, 2]`` int64, filled with the cell met; (0, 0) if none.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
     rows, cols = surface.shape
-    for i in prange(depth.shape[0]):
+    for i in range(first_row, end_row):
         for j in range(depth.shape[1]):
             r0, c0 = bottom[i, j, 0], bottom[i, j, 1]
             dr, dc = top[i, j, 0] - r0, top[i, j, 1] - c0
@@ -78,8 +83,9 @@ def descend(surface, bottom, top, low, high, depth, where):
                 before = z
 
 
-@njit(parallel=True, cache=True, fastmath=FASTMATH)
-def shadow_heights(surface, sun, cell, top, shadow):
+@spread(lambda surface, *_: len(surface))
+@njit(cache=True, fastmath=FASTMATH, nogil=True)
+def shadow_heights(surface, sun, cell, top, shadow, first_row, end_row):
     """Height below which a point over each cell lies in the shadow of the other cells.
 
     Args:
@@ -88,11 +94,13 @@ def shadow_heights(surface, sun, cell, top, shadow):
         cell: edge of a cell [m].
         top: highest surface [m].
         shadow: ``[H, W]`` float32, filled; far below the ground where the sun is free down to it.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
     """
     rows, cols = surface.shape
     flat = max(math.hypot(sun[0], sun[1]), 1e-9)
     row_step, col_step, rise = -sun[1] / flat, sun[0] / flat, sun[2] / flat * cell
-    for row in prange(rows):
+    for row in range(first_row, end_row):
         for col in range(cols):
             best = NO_SHADE
             t = 1.0
