@@ -15,7 +15,19 @@ ALGORITHMS = {
     "export": (
         "Export maps",
         "Steps",
-        ("dsm", "dsm_std", "probability", "validity", "albedo", "ortho", "contours", *MATERIAL),
+        (
+            "dsm",
+            "dsm_std",
+            "probability",
+            "validity",
+            "albedo",
+            "ortho",
+            "contours",
+            "dtm",
+            "dtm_validity",
+            "ndsm",
+            *MATERIAL,
+        ),
     ),
     "align": ("Align with a reference", "References", ()),
     "compare": ("Compare with a reference", "References", ("difference",)),
@@ -45,7 +57,7 @@ KINDS = {
 }
 KINDS |= dict.fromkeys(("dsm", "classes", "predicted", "reference"), "raster")
 KINDS |= dict.fromkeys(("aoi", "polygons"), "polygons") | {"mask": "several polygons", "points": "file", "to": "file"}
-PRODUCTS = ("laz", "ply", "contours", "ortho", "mesh", "obj", "tiles")  # of `export --products`
+PRODUCTS = ("laz", "ply", "contours", "dtm", "ortho", "mesh", "obj", "tiles")  # of `export --products`
 ABBREVIATIONS = {"Dsm": "DSM", "Aoi": "Area of interest", "Crs": "CRS", "Id": "Name of the scene", "Brdf": "BRDF"}
 ABBREVIATIONS |= {"Bounds": "Extent", "Out": "Folder for the scene", "Dfc2019": "DFC 2019 folder", "To": "Reference"}
 

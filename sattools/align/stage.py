@@ -27,7 +27,7 @@ from sattools.scene.location import location
 from sattools.scene.opening import opened
 from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
-HEIGHTS = ("dsm", "prior_dsm")
+HEIGHTS = ("dsm", "dtm", "prior_dsm")
 CAMERAS = {"rpc": "_RPC.TXT", "colours_rpc": "_COLOURS_RPC.TXT"}  # of an item: asset -> end of its file's name
 ON_THE_GROUND = ("shadow", "s_net", "tau")  # assets of images that are maps of the ground
 MADE_OF_MAPS = sorted(

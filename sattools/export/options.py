@@ -26,8 +26,15 @@ class ExportOptions:
     )
     products: list[str] = option(
         [],
-        "What else to write, repeated or with commas between: laz and ply (point clouds), contours, ortho (true "
-        "orthophoto), mesh (glTF) and obj (textured with it), tiles (3D Tiles of the mesh).",
+        "What else to write, repeated or with commas between: laz and ply (point clouds), contours, dtm "
+        "(bare ground, heights above it), ortho (true orthophoto), mesh (glTF) and obj (textured with it), tiles (3D "
+        "Tiles of the mesh).",
+    )
+    ground_width: float = option(
+        100.0,
+        "Width of the widest building [m], where it is narrowest: what is wider counts as ground in product dtm.",
+        minimum=1,
+        maximum=1000,
     )
     contours: float | None = option(
         None, "Contour lines at multiples of so many metres of height, as a GeoPackage.", minimum=0.01

@@ -80,7 +80,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
                 counts += np.bincount(validity.ravel(), minlength=4)
     if at_once:
         _views(exported, options, subprogress(progress, 0.6, 0.7))
-    asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0)
+    asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0, options.ground_width)
     about = replace(stored.head, grid=stored.grid)
     products = write_products(scene, about, asked, subprogress(progress, 0.7, 1.0))
     write_collection(scene, stored.grid)

@@ -46,7 +46,7 @@ STAGES: dict[str, Stage] = {
         (
             *("dsm", "dsm_picture", "probability", "validity", "albedo", "reflectance", "normal", "relit"),
             *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc", "identifiable"),
-            *("points", "points_ply", "contours", "ortho", "ortho_source"),
+            *("points", "points_ply", "contours", "dtm", "dtm_validity", "ndsm", "ortho", "ortho_source"),
             *("mesh", "mesh_obj", "mesh_mtl", "mesh_texture", "tileset", "collection", "collection_item"),
         ),
         ("shadow", "s_net", "tau", "rendered", "relit"),

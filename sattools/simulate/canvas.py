@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sattools.simulate.materials import code
-from sattools.simulate.world import BUILDING, GROUND, TREES
+from sattools.simulate.world import BUILDING, GROUND, TREES, WATER
 
 
 def cells_across(size_m: float, angle: float, margin_m: float, cell_size: float) -> int:
@@ -55,6 +55,10 @@ class Canvas:
         r0, r1 = (min(max(round(y / self.cell), 0), rows) for y in (y0, y1))
         c0, c1 = (min(max(round(x / self.cell), 0), columns) for x in (x0, x1))
         return slice(r0, r1), slice(c0, c1)
+
+    def bare(self) -> np.ndarray:
+        """Height of the ground ``[H, W]`` [m], under trees and buildings too; water is its own ground."""
+        return np.where(self.classes == WATER, self.height, self.ground).astype(np.float32)
 
     def paint(self, area: tuple[slice, slice], material: str, tint: float = 1.0) -> None:
         """Give an area another material."""

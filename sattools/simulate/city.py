@@ -69,6 +69,7 @@ def build_city(
         canvas.wall,
         canvas.windows,
         np.isin(canvas.material, (code("asphalt"), code("marking"))) & (canvas.classes == GROUND),
+        canvas.bare(),
     )
 
 

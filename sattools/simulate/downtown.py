@@ -167,6 +167,7 @@ def _world(town: Town, centre: tuple[float, float], rotation: float, rng: np.ran
         wall_albedo=town.wall,
         windows=town.windows,
         streets=streets,
+        ground=town.bare(),
         crown_top=town.crown_top,
         crown_base=town.crown_base,
         foliage=np.where(crowns, LEAFY, 0.0).astype(np.float32),

@@ -47,6 +47,8 @@ def sat_nerf_metadata(
 def write_truth(scene: Scene, world: World, grid: Grid) -> None:
     """`truth/<id>_DSM.tif`, `_CLS.tif`, `_ALBEDO.tif` and `_DSM.txt` (the contest's layout); names them as products.
 
+    `_DTM.tif` too where the bare ground is known.
+
     Args:
         scene: gets the products.
         world: what is seen.
@@ -58,6 +60,8 @@ def write_truth(scene: Scene, world: World, grid: Grid) -> None:
         "truth_classes": ("CLS", world.on_grid(world.classes, grid), None, None),
         "truth_albedo": ("ALBEDO", world.on_grid(world.albedo, grid).transpose(2, 0, 1), float("nan"), None),
     }
+    if world.ground is not None:
+        rasters["truth_dtm"] = ("DTM", world.on_grid(world.ground, grid).astype(np.float32), float("nan"), "m")
     for product, (suffix, array, nodata, units) in rasters.items():
         href = f"truth/{scene.id}_{suffix}.tif"
         write_cog(scene.output(href), array, grid, nodata=nodata, units=units)

@@ -29,6 +29,7 @@ class World:
         wall_albedo: reflectance of walls that end at the top of this cell.
         windows: uint8, 1 where those walls have rows of windows.
         streets: where cars may drive; None = nowhere.
+        ground: ``[H, W]`` height of the bare ground, under trees and buildings too [m]; None = not known.
     """
 
     centre: tuple[float, float]
@@ -42,6 +43,7 @@ class World:
     wall_albedo: np.ndarray
     windows: np.ndarray
     streets: np.ndarray | None = None
+    ground: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -30,6 +30,8 @@ from .layers import place
 RAMPS = {
     "dsm": ("Viridis", None, None),
     "prior_dsm": ("Viridis", None, None),
+    "dtm": ("Viridis", None, None),
+    "ndsm": ("YlGn", 0.0, None),
     "dsm_std": ("Magma", 0.0, None),
     "prior_confidence": ("Cividis", 0.0, 1.0),
     "prior_probability": ("Cividis", 0.0, 1.0),
@@ -42,7 +44,7 @@ RAMPS = {
     "k": ("Plasma", None, None),
     "rhoc": ("Plasma", None, None),
 }
-SURFACES = ("dsm", "prior_dsm")
+SURFACES = ("dsm", "dtm", "prior_dsm")
 COLOURS = ("albedo", "ortho", "reflectance")
 VALIDITY = ((0, "#d9d9d9", "unseen"), (1, "#1a9850", "measured"), (2, "#fdae61", "filled"), (3, "#f7f7f7", "outside"))
 LINES = {
@@ -52,6 +54,7 @@ LINES = {
     "tie_points": lambda: QgsMarkerSymbol.createSimple({"color": "#e7298a", "size": "1.2", "outline_style": "no"}),
     "contours": lambda: QgsLineSymbol.createSimple({"color": "#5c4033", "width": "0.15"}),
 }
+GROUND = ((0, "#d9d9d9", "unseen"), (1, "#1a9850", "seen"), (2, "#fdae61", "interpolated"), (3, "#f7f7f7", "outside"))
 DIFFERENCE_M = 5.0  # end of the blue-red ramp
 CUT = (0.02, 0.98)  # shares of the cells between which a ramp spans
 SAMPLE = 250_000  # cells are enough for that
@@ -84,8 +87,9 @@ def dress(layer: Any, name: Any) -> None:
             -DIFFERENCE_M,
             DIFFERENCE_M,
         )
-    elif name == "validity":
-        classes = [QgsPalettedRasterRenderer.Class(value, QColor(shade), text) for value, shade, text in VALIDITY]
+    elif name in ("validity", "dtm_validity"):
+        shades = VALIDITY if name == "validity" else GROUND
+        classes = [QgsPalettedRasterRenderer.Class(value, QColor(shade), text) for value, shade, text in shades]
         layer.setRenderer(QgsPalettedRasterRenderer(layer.dataProvider(), 1, classes))
     elif name in COLOURS:
         natural(layer)

@@ -11,6 +11,7 @@ FILES: dict[str, dict[str, str]] = {
     "laz": {"points": "export/points.laz"},
     "ply": {"points_ply": "export/points.ply"},
     "contours": {"contours": "export/contours.gpkg"},
+    "dtm": {"dtm": "export/dtm.tif", "dtm_validity": "export/dtm_validity.tif", "ndsm": "export/ndsm.tif"},
     "ortho": {"ortho": "export/ortho.tif", "ortho_source": "export/ortho_source.tif"},
     "mesh": {"mesh": "export/mesh.glb"},
     "obj": {"mesh_obj": "export/mesh.obj", "mesh_mtl": "export/mesh.mtl", "mesh_texture": "export/mesh.png"},

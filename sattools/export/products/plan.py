@@ -18,7 +18,7 @@ from sattools.scene.jsonio import JsonObject
 if TYPE_CHECKING:
     from sattools.fit.model import FittedModel
 
-READ = ("dsm", "dsm_std", "albedo", "validity", "prior_confidence", "ortho")
+READ = ("dsm", "dsm_std", "albedo", "validity", "probability", "prior_confidence", "ortho")
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,14 @@ class Wanted:
         vertical: name of the vertical datum, see `sattools.export.datum`.
         datum: what heights are above, in words.
         interval: between contour lines [m].
+        ground_width: of the widest building [m].
     """
 
     names: Sequence[str]
     vertical: str = "ellipsoid"
     datum: str = "WGS84 ellipsoid"
     interval: float = 1.0
+    ground_width: float = 100.0
 
 
 def check_libraries(names: Sequence[str]) -> None:
@@ -107,6 +109,13 @@ def _contours(order: _Order) -> JsonObject:
     return {"lines": write_contours(order.files["contours"], order.maps, interval, order.progress)}
 
 
+def _dtm(order: _Order) -> JsonObject:
+    from sattools.export.products.terrain import write_terrain
+
+    vertical = vertical_crs(order.wanted.vertical), order.wanted.datum
+    return write_terrain(order.files, order.maps, order.wanted.ground_width, vertical, order.progress)
+
+
 def _ortho(order: _Order) -> JsonObject:
     from sattools.export.products.ortho import write_ortho
 
@@ -132,6 +141,7 @@ _MAKERS: dict[str, Callable[[_Order], JsonObject]] = {
     "laz": _laz,
     "ply": _ply,
     "contours": _contours,
+    "dtm": _dtm,
     "ortho": _ortho,
     "mesh": _mesh,
     "obj": _mesh,
