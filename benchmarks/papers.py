@@ -3,14 +3,13 @@
     python benchmarks/papers.py [--seconds 300] [--seed 1] [--size 64] [--width N] [--threads 1] [--fields ...]
         [--scene SCENE.json=REFERENCE.tif[@REGION]] [--out FILE.json]
 
-Without `--scene`: a simulated city with exact cameras, seven views of three dates, of which the one that is held out
-trains nothing (`--seed 0` to `--seed 9` were used for no choice of the networks). Every field starts from the same prior
-in a process of its own, trains for the given seconds (start and reading-off included) and is exported. Columns: mean
-absolute error by the protocol, about the median, at most 5 m; beside steps of more than 3 m signed and absolute, away
-from them; PSNR of the held-out views, colours matched on their western and scored on their eastern half; seconds and CPU
-seconds of the fit; points at which the field was evaluated in training, per CPU second (rays to the sun included,
-reading-off in the seconds but not in the points); largest memory of the process. The prior has a row of its own, and
-one of its means over cells of 1 m. Not measured on a GPU.
+Without `--scene`: a simulated city with exact cameras and seven views of three dates, one of them held out. Every field
+starts from the same prior in a process of its own, trains for the given seconds (start and reading-off included) and is
+exported. Columns: mean absolute error by the protocol, about the median, at most 5 m; beside steps of more than 3 m
+signed and absolute, away from them; PSNR of the held-out views, colours matched on their western and scored on their
+eastern half; seconds and CPU seconds of the fit; points at which the field was evaluated in training, per CPU second
+(rays to the sun included, reading-off in the seconds but not in the points); largest memory of the process. The prior
+has a row of its own, and one of its means over cells of 1 m. Not measured on a GPU.
 """
 
 from __future__ import annotations
