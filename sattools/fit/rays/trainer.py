@@ -138,7 +138,8 @@ class RayTrainer:
             rate = own if name.startswith("field.") else EMBEDDING_RATE if name == "embedding" else COLOUR_RATE
             begin = field_steps.begin.get(name.removeprefix("field."), 0.0)
             groups.append({"params": [tensor], "lr": rate, "initial": rate, "begin": begin})
-        self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon)
+        fused = self.device.type == "cpu"  # in one pass over a tensor
+        self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon, fused=fused)
         self.unsaid = torch.zeros(
             2, dtype=torch.float64, device="cpu"
         )  # loss and steps since the last row of the trace
@@ -210,13 +211,16 @@ class RayTrainer:
             t = torch.cat([t, near], dim=1).sort(dim=1).values
         points = batch.points(t)
         sigma, features = self.field.density(points.reshape(-1, 3))
-        weights, _ = composite(sigma.reshape(t.shape), t, length)
+        weights, transmittance = composite(sigma.reshape(t.shape), t, length)
+        features = self.field.shown(features, transmittance.detach().flatten())
         sun = rays.suns[view]
         known = torch.isfinite(sun).all(dim=1)
         sun = torch.where(known[:, None], sun, sun.new_tensor([0.0, 0.0, 1.0]))
 
-        def per_sample(values: Tensor) -> Tensor:
-            return values[:, None].expand(-1, t.shape[1], -1).reshape(-1, values.shape[1])
+        asks = bool(self.field.heads - {"albedo"})
+
+        def per_sample(values: Tensor) -> Tensor | None:
+            return values[:, None].expand(-1, t.shape[1], -1).reshape(-1, values.shape[1]) if asks else None
 
         look = self.field.look(features, per_sample(sun), per_sample(self.embedding[view]))
         look = {name: value.reshape(*t.shape, -1) for name, value in look.items()}
