@@ -21,10 +21,11 @@ class RayOptions:
         "eonerf", "Network of --field mlp."
     )
     width: int | None = option(None, "Width of the network's trunk (default: the paper's).", minimum=8, maximum=4096)
-    start: Literal["prior", "noise"] = option(
-        "prior",
-        "What a network starts from: the prior's surface, to which it learns what is different, seen by few samples "
-        "around it; or noise, with the paper's samples and steps (days on a CPU).",
+    start: Literal["surface", "prior", "noise"] = option(
+        "surface",
+        "What a network starts from: the surface that `fit` makes of the prior, with its colours and light, or the "
+        "prior's own, to which it learns what is different, seen by few samples around it; or noise, with the paper's "
+        "samples and steps (days on a CPU).",
     )
     rays: int = option(1024, "Rays per step.", minimum=1, maximum=1 << 20)
     samples: int = option(64, "Stratified samples per ray.", minimum=2, maximum=4096)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -20,7 +20,15 @@ from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.maps import evaluations, read_maps
-from sattools.fit.rays.start import base_surface, box_over, filled_prior, make_field, ray_set
+from sattools.fit.rays.start import (
+    base_surface,
+    box_over,
+    colours_on,
+    filled_prior,
+    make_field,
+    ray_set,
+    surface_prior,
+)
 from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
@@ -50,6 +58,8 @@ def fit_rays(
     progress: Progress,
     *,
     radiance: Radiance = "relative",
+    start: FittedModel | None = None,
+    trace: Trace | None = None,
 ) -> Fitted:
     """Train a field ray by ray.
 
@@ -61,18 +71,21 @@ def fit_rays(
         device: where the field is trained and read off.
         progress: told the share done.
         radiance: what the images' numbers are.
+        start: surface that the field begins as, instead of the prior's.
+        trace: of what has been done already.
 
     Raises:
         SceneError: a combination of options that cannot work.
     """
-    trace = Trace()
+    trace = trace or Trace()
     check(options, prior is not None, sources)
     whole, z_range = scene.require_grid(), scene.require_height_range()
     warm = _starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
     z_ref = reference_height(prior, z_range)
     views = views_on(sources, grid, z_ref, z_range)
-    prior_here = None if prior is None else filled_prior(prior, grid)
+    first = prior if start is None or prior is None else surface_prior(start, prior)
+    prior_here = None if first is None else filled_prior(first, grid)
     rays = ray_set(views, grid, z_range, prior_here).to(device)
     absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
@@ -83,13 +96,18 @@ def fit_rays(
     base = None
     if warm:
         assert prior_here is not None  # `check`
-        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
-        base = base.to(device)
+        shaded = options.shadow != "none"
+        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=shaded).to(device)
+        if start is not None and shaded:  # a field without shadows has to begin with the mean image
+            base = replace(base, colour=colours_on(start, grid).to(device))
+            gain, offset = start.gain, start.offset
     with device:  # whatever is made from here on, is made there
-        first = None if prior_here is None else prior_here.to(device)
-        field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], first, base=base)
+        there = None if prior_here is None else prior_here.to(device)
+        field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], there, base=base)
         steps = STEPS.get(options.field, FieldSteps())
         trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
+        if start is not None and options.shadow != "none":
+            trainer.colour["ambient"].data.copy_(start.ambient)
         mark = fingerprint(scene, options, sources, prior)
         notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
         model = _model_of(trainer, base, views, grid, z_range)
@@ -143,10 +161,10 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
     """
     if options.guided and not has_prior:
         raise SceneError("--guided: found no prior to sample around, expected --prior-weight above 0")
-    if options.field == "neural" and options.start != "prior":
-        raise SceneError("--field neural: found --start noise, expected --start prior, which is all that it knows")
+    if options.field == "neural" and options.start == "noise":
+        raise SceneError("--field neural: found --start noise, expected --start surface or prior")
     if _starts_from_prior(options) and not has_prior:
-        raise SceneError("--start prior: found no prior, expected --prior-weight above 0 (or --start noise)")
+        raise SceneError(f"--start {options.start}: found no prior, expected --prior-weight above 0 (or --start noise)")
     if options.field == "mlp" and options.shadow == "learned" and "sun" not in NETWORKS[options.network].heads:
         raise SceneError(f"--shadow learned: network {options.network} has no head for it, expected --shadow geometric")
     if options.solar_weight > 0 and (options.field != "mlp" or "sun" not in NETWORKS[options.network].heads):
@@ -171,7 +189,7 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
 
 
 def _starts_from_prior(options: FitOptions) -> bool:
-    return options.field in ("mlp", "neural") and options.start == "prior"
+    return options.field in ("mlp", "neural") and options.start != "noise"
 
 
 @dataclass
