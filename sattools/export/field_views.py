@@ -76,6 +76,7 @@ def _options(model: FittedModel) -> FitOptions:
         shadow=model.shadow,
         transient=model.transient,
         brdf=model.brdf,
+        brdf_at="sample" if "brdf_at_sample" in model.extra else "ray",
         pretrain=0.0,
         samples=SAMPLES,
         guided=AROUND,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Field
-from sattools.fit.rays.trainer import HAPKE_B_MAX, RayTrainer
+from sattools.fit.rays.trainer import BETA_MIN, HAPKE_B_MAX, RayTrainer
 from sattools.render.volume import RayBatch, composite, median_share, stratified
 from sattools.scene import Grid
 
@@ -19,7 +19,7 @@ REACH = 2.0  # of the fine samples, in distances of the coarse ones
 FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: anywhere, around it, around the median
 AROUND_M, FINE_M = 4.0, 1.0
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
-IMAGE_HEADS = {"sun": "s_net", "tau": "tau"}  # answers that differ between images
+IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class GroundMaps:
         height_std: ``[H, W]`` standard deviation of the transmittance's height [m].
         albedo: ``[H, W, C]``.
         heads: ``[H, W]`` parameters of a reflectance model by name.
-        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients.
+        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients, uncertainty.
     """
 
     height: Tensor
@@ -79,6 +79,8 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     if "b" in heads:
         heads["b"] = heads["b"].clamp_max(HAPKE_B_MAX)
     images = {name: maps[name].permute(2, 0, 1).contiguous() for name in IMAGE_HEADS.values() if name in maps}
+    if "beta" in images:
+        images["beta"] += BETA_MIN
     return GroundMaps(maps["height"], maps["height_std"], maps["albedo"], heads, images)
 
 

@@ -33,6 +33,11 @@ class RayOptions:
     steps: int = option(300000, "Steps of a fit ray by ray.", minimum=1, maximum=100_000_000)
     rate: float = option(5e-4, "Adam step of the network (times 0.9 every epoch).", minimum=0)
     depth_weight: float = option(1 / 3, "Weight of the prior's depths where a ray disagrees with them.", minimum=0)
+    brdf_at: Literal["ray", "sample"] = option(
+        "ray",
+        "Where a network's reflectance model is evaluated: once a ray with the mean parameters, or at every sample as "
+        "in the papers, about twice as slow.",
+    )
     beta: bool = option(False, "Learn an uncertainty per pixel (Sat-NeRF's loss), from the third epoch.")
     solar_weight: float = option(0.0, "Weight of Sat-NeRF's solar correction of learned shadows.", minimum=0)
 

@@ -125,6 +125,8 @@ def _model_of(
     extra |= {f"base.{n}": t for n, t in base.tensors().items()} if base else {}
     box = box_over(grid, z_range)
     extra["box"] = torch.tensor([box.low, box.high])
+    if options.brdf_at == "sample":
+        extra["brdf_at_sample"] = torch.ones(1)
     assert options.brdf != "auto"  # `check`
     return FittedModel(
         grid=grid,
@@ -147,6 +149,7 @@ def _model_of(
         brdf=options.brdf,
         s_net=maps.images.get("s_net") if options.shadow == "learned" else None,
         tau=maps.images.get("tau") if options.transient == "on" else None,
+        beta=maps.images.get("beta") if options.beta else None,
         extra=extra,
     )
 

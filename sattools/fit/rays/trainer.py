@@ -228,7 +228,12 @@ class RayTrainer:
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
         s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
-        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.view_vectors[view], share)
+        geometry = rays.normal[chosen], sun, rays.view_vectors[view]
+        if options.brdf_at == "sample":
+            normal, to_sun, sight = (v[:, None] for v in geometry)
+            albedo = (weights[..., None] * self._reflected(look, normal, to_sun, sight, share)).sum(dim=1)
+        else:
+            albedo = self._reflected(mean, *geometry, share)
         if s is None:
             lit = albedo
         elif "sky" in look:  # Sat-NeRF shades every sample
@@ -295,22 +300,22 @@ class RayTrainer:
         return solar_correction(weights.detach(), transmittance.detach(), s)
 
     def _reflected(
-        self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
+        self, found: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
     ) -> Tensor:
-        """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence).
+        """Albedo ``[..., C]``, or after the pre-training the reflectance model times cos(incidence).
 
         It is divided by cos(sun zenith), as top-of-atmosphere reflectance is, unless images are reflectance factors.
         """
         brdf = self.options.brdf
         if brdf == "lambert" or share < self.options.pretrain:
-            return mean["albedo"]
-        n, s, v = (x[:, None] for x in (normal, sun, view_vector))
-        level = 1.0 if self.radiance == "reflectance_factor" else sun[:, 2:].clamp_min(0.05)
-        cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / level
+            return found["albedo"]
+        n, s, v = (x[..., None, :] for x in (normal, sun, view_vector))
+        level = 1.0 if self.radiance == "reflectance_factor" else sun[..., 2:].clamp_min(0.05)
+        cosine = (normal * sun).sum(dim=-1, keepdim=True).clamp_min(0) / level
         if brdf == "rpv":
-            return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
-        b = mean["b"].clamp_max(HAPKE_B_MAX)
-        return hapke(n, s, v, mean["albedo"], b, mean["c"], mean["theta"].clamp_min(0.1)) * cosine
+            return rpv(n, s, v, found["albedo"], found["k"], found["theta"], found["rhoc"]) * cosine
+        b = found["b"].clamp_max(HAPKE_B_MAX)
+        return hapke(n, s, v, found["albedo"], b, found["c"], found["theta"].clamp_min(0.1)) * cosine
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 
