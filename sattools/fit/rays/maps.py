@@ -84,13 +84,6 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     return GroundMaps(maps["height"], maps["height_std"], maps["albedo"], heads, images)
 
 
-def evaluations(trainer: RayTrainer, grid: Grid) -> int:
-    """Points at which `read_maps` evaluates the field, in counts."""
-    somewhere = torch.zeros(1, 3)
-    known = _known_surfaces(trainer.field, somewhere)
-    return grid.width * grid.height * (FREE + len(known) * AROUND + FINE_AROUND if known else COARSE + FINE)
-
-
 def _first_samples(trainer: RayTrainer, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
     """Shares of vertical rays ``[R, S]`` in [0, 1] to look at first; reach and number of those around their median."""
     low, high = z_range
@@ -152,4 +145,4 @@ def _per_image(trainer: RayTrainer, surface: Tensor) -> dict[str, Tensor]:
     return {product: torch.stack(views, dim=1) for product, views in found.items()}
 
 
-__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "evaluations", "read_maps"]
+__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "read_maps"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from sattools.fit.illumination import Radiance
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays.maps import evaluations, read_maps
+from sattools.fit.rays.maps import read_maps
 from sattools.fit.rays.start import (
     base_surface,
     box_over,
@@ -42,7 +44,6 @@ TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
-FORWARD_SHARE = 1 / 3  # of a step: a field is evaluated, and its gradients cost twice as much
 STEPS = {
     "voxel": FieldSteps({"logits": 0.1, "albedo": 0.03}),
     "neural": FieldSteps(neural.RATES, neural.BEGIN, neural.EPSILON),
@@ -234,8 +235,7 @@ class _RayJob:
             total, count = total + loss, count + 1
             done, now = number + 1, trace.seconds()
             # a step of a network can take a minute: none begins that would end after the budget
-            step_s = (now - first) / (done - start)
-            over = bool(options.budget) and 2 * now - begun > self._room(options, step_s) and done < options.steps
+            over = bool(options.budget) and 2 * now - begun > self._room(options) and done < options.steps
             if done % every == 0 or done == options.steps or over:
                 row: Row = {"seconds": round(now, 3), "step": done, "loss": total / count}
                 trace.rows.append(row | self._score(options.reference))
@@ -256,24 +256,27 @@ class _RayJob:
                 return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"]
         return []
 
-    def _room(self, options: FitOptions, step_s: float) -> float:
-        """Seconds of the budget for steps of so many seconds: the surface must still be read off."""
-        samples = options.rays * (options.samples + options.guided)
-        reading = step_s * FORWARD_SHARE * evaluations(self.trainer, self.grid) / samples
-        return BUDGET_SHARE * (options.budget or 0.0) - reading
+    def _room(self, options: FitOptions) -> float:
+        """Seconds of the budget for steps: the surface must still be read off."""
+        return BUDGET_SHARE * (options.budget or 0.0) - self._reading_s
+
+    @functools.cached_property
+    def _reading_s(self) -> float:
+        """Seconds that reading the field off takes, by its first row."""
+        begun = time.perf_counter()
+        read_maps(self.trainer, self.grid.part(slice(0, 1), slice(0, self.grid.width)), self.z_range)
+        return (time.perf_counter() - begun) * self.grid.height
 
     def _plan_within(self, options: FitOptions, first: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""
         now = self.trace.seconds()
         step_s = (now - first) / TRIAL
-        more = (self._room(options, step_s) - now) / max(step_s, 1e-6)
+        more = (self._room(options) - now) / max(step_s, 1e-6)
         self.trainer.plan(max(TRIAL + 1, min(self.trainer.steps, TRIAL + round(more))))
 
     def _score(self, reference: str | None) -> Row:
         if reference is None:
             return {}
-        import time
-
         from sattools.compare import compare_dsm, read_reference
 
         pause = time.perf_counter()
