@@ -133,7 +133,7 @@ def main() -> None:
             amplitude, shape = model.values()
             maps = dict(zip(NAMES, (amplitude.permute(2, 0, 1), *(p[None] for p in shape)), strict=True))
             errors = {n: map_errors(maps[n].detach().numpy(), truth[n]) for n in NAMES}
-            psnr = image_errors(render_item(scene, item.id, model, fitted, None), target)["psnr"]
+            psnr = image_errors(render_item(scene, item.id, model, fitted, None)[0], target)["psnr"]
             line = [errors[n][key] for n in NAMES for key in ("nrmse", "nrmse_constant", "correlation")]
             rows.setdefault(kind, []).append([*line, psnr])
             print(seed, text(kind, rows[kind][-1]), flush=True)

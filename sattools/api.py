@@ -145,7 +145,7 @@ def fit(
 
     if isinstance(options, Mapping):
         asked = (
-            str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "prior"), ("field", ""))
+            str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "surface"), ("field", ""))
         )
         options = {**with_preset(*asked), **options}
     own = _options(FitOptions, options)

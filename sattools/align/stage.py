@@ -29,7 +29,7 @@ from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
 HEIGHTS = ("dsm", "dtm", "prior_dsm")
 CAMERAS = {"rpc": "_RPC.TXT", "colours_rpc": "_COLOURS_RPC.TXT"}  # of an item: asset -> end of its file's name
-ON_THE_GROUND = ("shadow", "s_net", "tau")  # assets of images that are maps of the ground
+ON_THE_GROUND = ("shadow", "s_net", "tau", "beta")  # assets of images that are maps of the ground
 MADE_OF_MAPS = sorted(
     {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
 )

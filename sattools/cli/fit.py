@@ -24,15 +24,15 @@ class FitCommand(GroupedCommand):
                     "prior_weight", "pose"),
         "Images": ("views", "holdout", "reference"),
         "Light": ("loss", "robust", "shadow", "shadow_weight", "shadow_start", "transient"),
-        "Reflectance": ("brdf", "pretrain", "normals", "materials", "material_smooth", "sky", "sky_share"),
+        "Reflectance": ("brdf", "brdf_at", "pretrain", "normals", "materials", "material_smooth", "sky", "sky_share"),
         "Network": ("start", "network", "width", "rays", "samples", "guided", "steps", "rate", "depth_weight", "beta",
                     "solar_weight"),
         "Resources": ("device", "tile", "overlap", "part", "budget", "resume", "seed"),
     }  # fmt: skip
     expert = frozenset(
         ("coarsest", "epochs", "softness", "smooth", "height_rate", "robust", "shadow_weight", "shadow_start",
-         "pretrain", "normals", "materials", "material_smooth", "network", "width", "rays", "samples", "guided",
-         "steps", "rate", "depth_weight", "beta", "solar_weight", "part")
+         "brdf_at", "pretrain", "normals", "materials", "material_smooth", "network", "width", "rays", "samples",
+         "guided", "steps", "rate", "depth_weight", "beta", "solar_weight", "part")
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from sattools.render import ParallelRays, render
 from sattools.views import View
 
 SAMPLES, AROUND = 48, 32  # along a ray, and around the surface that was read off
-RAYS = 4096  # at once
+RAYS = 512  # at once: a wide network keeps megabytes of each
 TRAINED = 10**6  # epochs after which everything that comes in late is in
 
 
@@ -76,6 +76,7 @@ def _options(model: FittedModel) -> FitOptions:
         shadow=model.shadow,
         transient=model.transient,
         brdf=model.brdf,
+        brdf_at="sample" if "brdf_at_sample" in model.extra else "ray",
         pretrain=0.0,
         samples=SAMPLES,
         guided=AROUND,

@@ -74,8 +74,8 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
 @torch.no_grad()
 def render_item(
     scene: Scene, item_id: str, surface: SurfaceScene, model: FittedModel, sun_angles: tuple[float, float] | None
-) -> np.ndarray:
-    """An item's image as the model predicts it, on the image's own pixels.
+) -> tuple[np.ndarray, np.ndarray]:
+    """An item's image as the model predicts it, on the image's own pixels, and the heights that they show.
 
     A training image has the gain and offset that the fit found. Any other one has none where the radiance is absolute;
     where it is relative, both are fitted on its western half, which is then left out (NaN), so that the eastern half
@@ -89,7 +89,7 @@ def render_item(
         sun_angles: (azimuth, elevation) of another sun [degrees], or None for the item's own.
 
     Returns:
-        ``[C, h, w]`` float32 radiance; NaN beyond the model.
+        ``[C, h, w]`` float32 radiance, ``[1, h, w]`` float32 height of what a pixel shows [m]; NaN beyond the model.
 
     Raises:
         SceneError: the scene has no such item.
@@ -121,16 +121,22 @@ def render_item(
     rows, cols = picture.shape[:2]
     col = np.arange(cols)[None] + (pose[0] + view.slope.east * rise) / grid.cell_size
     row = np.arange(rows)[:, None] - (pose[1] + view.slope.north * rise) / grid.cell_size
+    height = depth.astype(np.float32)
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity > 0.5)
+    height[~inside] = np.nan
     if known is None and not model.absolute:
         picture = _matched(picture, view.target, (view.mask > 0) & inside)
         inside[:, : cols // 2] = False
     picture[~inside] = np.nan
     at_col, at_row = _pixels_on(source.rpc, source.radiance.shape[1:], grid, z_ref)
-    shown = cv2.remap(
-        picture, at_col, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
-    )
-    return np.asarray(shown.reshape(*at_col.shape, -1).transpose(2, 0, 1))
+
+    def on_pixels(values: np.ndarray) -> np.ndarray:
+        shown = cv2.remap(
+            values, at_col, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
+        )
+        return np.asarray(shown.reshape(*at_col.shape, -1).transpose(2, 0, 1))
+
+    return on_pixels(picture), on_pixels(height)
 
 
 def _matched(picture: np.ndarray, target: np.ndarray, counted: np.ndarray) -> np.ndarray:
@@ -170,7 +176,7 @@ def _pixels_on(rpc: RPC, shape: tuple[int, ...], grid: Grid, z_ref: float) -> tu
 
 
 def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angles: tuple[float, float] | None) -> None:
-    """Write the item's asset ``rendered`` (with another sun: ``relit``).
+    """Write the item's assets ``rendered`` and ``rendered_height`` (with another sun: ``relit``).
 
     Args:
         exported: what is exported.
@@ -179,13 +185,14 @@ def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angl
         sun_angles: (azimuth, elevation) of another sun [degrees], or None.
     """
     scene = exported.scene
-    picture = render_item(scene, item_id, surface, exported.model, sun_angles)
-    name = "relit" if sun_angles else "rendered"
-    href = view_href(name, item_id)
+    picture, height = render_item(scene, item_id, surface, exported.model, sun_angles)
     item = next(item for item in scene.items if item.id == item_id)
     like = next(item.assets[asset] for asset in ("radiance", "image") if asset in item.assets)
-    write_image_like(scene.output(href), picture, scene.path(like.href))
-    item.assets[name] = Asset(href, GEOTIFF_TYPE)
+    files = {"relit": picture} if sun_angles else {"rendered": picture, "rendered_height": height}
+    for name, array in files.items():
+        href = view_href(name, item_id)
+        write_image_like(scene.output(href), array, scene.path(like.href))
+        item.assets[name] = Asset(href, GEOTIFF_TYPE)
 
 
 def write_relit(exported: Exported, surface: SurfaceScene, sun_angles: tuple[float, float]) -> None:

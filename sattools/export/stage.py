@@ -114,7 +114,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, PROBABILITY, *CATALOGUE.values()]
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
     hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
-    hrefs += [view_href("rendered", name) for name in options.view]
+    hrefs += [view_href(asset, name) for asset in ("rendered", "rendered_height") for name in options.view]
     hrefs += [f"export/{name}.tif" for name in material_names(model)]
     if options.sun is not None:
         hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]

@@ -23,7 +23,11 @@ from sattools.scene.cog import CogWriter
 from sattools.scene.raster import read_on
 
 # what the model may hold per image
-IMAGE_MAPS = {"s_net": "learned sun visibility, 1 = lit", "tau": "share of the light that transient objects leave"}
+IMAGE_MAPS = {
+    "s_net": "learned sun visibility, 1 = lit",
+    "tau": "share of the light that transient objects leave",
+    "beta": "learned uncertainty of the radiance",
+}
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
 VALIDITY, PROBABILITY = "export/validity.tif", "export/probability.tif"
 _PICTURE_CELLS = 3000  # along the longer edge of the picture

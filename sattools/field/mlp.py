@@ -108,6 +108,10 @@ class MlpField:
             features = torch.cat([features, colour], dim=-1)
         return softplus(raw) * self.per_metre, features
 
+    def shown(self, features: Tensor, transmittance: Tensor) -> Tensor:
+        """See `Field.shown`: all of them, whatever the share in [0, 1]."""
+        return features
+
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
         """See `Field.look`: colours and visibility."""
         colour = None

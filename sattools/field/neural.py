@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from sattools.field.kernels import EMPTY, LEAST, Colours, Density, runs_here
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid
 
@@ -21,6 +22,7 @@ STAY, EDGES = 2e-3, 1e-3  # in the penalty: changed parts, the length of edges
 # steps of Adam: logits of shares and of colours
 RATES = {"presence": 0.1, "colour": 0.02} | {f"grid.{k}": 0.02 for k in range(len(SHADES_M))}
 BEGIN = {"presence": 0.35}  # share of the training that colours have to themselves: they explain much that is no shape
+HIDDEN = 1e-3  # transmittance below which a sample's colour is not asked for
 EPSILON = 1e-15  # of Adam: the gradient of a share that is not there yet is very small (Müller et al. 2022, section 4)
 
 
@@ -63,20 +65,46 @@ class NeuralField:
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """See `Field.density` [1/m] at points [m]; features: the point [m] and the parts of the three heights."""
-        read = self._over(torch.cat([self.heights, self.presence, self.half]), points)
-        share = torch.sigmoid(read[3:5] + read[5:7])
+        logits = self.presence + self.half
+        if runs_here(points, logits):
+            sigma, parts = Density.apply(logits, self.heights, points, self.box, self.base.softness)
+        else:
+            sigma, parts = self.plain_density(logits, points)
+        return sigma, torch.cat([points, parts], dim=1)
+
+    def plain_density(self, logits: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Density ``[N]`` [1/m] and parts ``[N, 3]``: the twin of the kernel.
+
+        Args:
+            logits: ``[2, H, W]`` of the shares.
+            points: ``[N, 3]`` [m].
+        """
+        read = self._over(torch.cat([self.heights, logits]), points)
+        share = torch.sigmoid(read[3:5])
         low, own, high = torch.sigmoid((read[:3] - points[:, 2]) / self.base.softness)
         lower, upper = share[0], share[0] * share[1]
         parts = torch.stack([low * (1 - lower), own * (lower - upper), high * upper])
+        parts = parts * (points[:, 2] <= read[2] + EMPTY * self.base.softness)
         total = parts.sum(dim=0)
-        return total / self.base.softness, torch.cat([points, (parts / total.clamp_min(1e-12)).T], dim=1)
+        return total / self.base.softness, (parts / total.clamp_min(LEAST)).T
+
+    def shown(self, features: Tensor, transmittance: Tensor) -> Tensor:
+        """Features ``[N, F]``, without parts where a transmittance ``[N]`` is too small for their colours to matter."""
+        seen = transmittance > HIDDEN
+        return torch.cat([features[:, :3], features[:, 3:] * seen[:, None]], dim=1)
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
-        """See `Field.look`: colours."""
+        """See `Field.look`: colours; none where there are no parts."""
+        if runs_here(features.detach(), self.colour):
+            return {"albedo": Colours.apply(features, self.colour, self.box, *self.grids)}
+        return {"albedo": self.plain_colours(features)}
+
+    def plain_colours(self, features: Tensor) -> Tensor:
+        """Colours ``[N, C]`` of features ``[N, 6]``, unitless: the twin of the kernel."""
         points, parts = features[:, :3], features[:, 3:]
         raw = (self._over(self.colour, points).reshape(3, self.bands, -1) * parts.T[:, None]).sum(dim=0).T
         shade = torch.stack([self._within(grid, points) for grid in self.grids]).sum(dim=0).T
-        return {"albedo": torch.sigmoid(raw + shade)}
+        return torch.sigmoid(raw + shade) * (parts.sum(dim=1, keepdim=True) > 0)
 
     def choices(self, points: Tensor) -> Tensor:
         """The three heights ``[3, N]`` [m] over or under points ``[N, 3]`` [m], in ascending order."""

@@ -53,6 +53,10 @@ class Field(Protocol):
         """
         ...
 
+    def shown(self, features: Tensor, transmittance: Tensor) -> Tensor:
+        """Features ``[N, F]`` for `look`, perhaps without those that a small transmittance ``[N]`` in [0, 1] hides."""
+        ...
+
     def penalty(self) -> Tensor | float:
         """What the loss holds against the field itself, in its unitless terms."""
         ...

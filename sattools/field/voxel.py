@@ -43,6 +43,10 @@ class VoxelField:
         logit = self._read(self.logits[None], points)[:, 0]
         return torch.sigmoid(logit) / self.softness, points
 
+    def shown(self, features: Tensor, transmittance: Tensor) -> Tensor:
+        """See `Field.shown`: all of them, whatever the share in [0, 1]."""
+        return features
+
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
         """See `Field.look`: colours."""
         return {"albedo": torch.sigmoid(self._read(self.albedo, features))}

@@ -26,7 +26,8 @@ from sattools.scene.schema import Items, Maybe, Number, Table, Text
 Sun = tuple[float, float, float]
 COLOURS = ("gain", "offset", "ambient", "pose")
 _MAPS = ("height", "height_std", "albedo")
-_PER_IMAGE = ("s_net", "tau", *COLOURS)
+IMAGE_MAPS = ("s_net", "tau", "beta")
+_PER_IMAGE = (*IMAGE_MAPS, *COLOURS)
 _DESCRIPTION = Table(
     {
         "grid": GRID,
@@ -70,6 +71,7 @@ class FittedModel:
         network: of ``field="mlp"``.
         s_net: ``[V, H, W]`` learned sun visibility, or None.
         tau: ``[V, H, W]`` transmission of transient objects, or None.
+        beta: ``[V, H, W]`` learned uncertainty of the image's radiance, in its unit, or None.
         extra: tensors of the reflectance model (see `ReflectiveScene`) and ``NAME_std`` of its parameters, or the
             field's own.
     """
@@ -95,6 +97,7 @@ class FittedModel:
     network: str | None = None
     s_net: Tensor | None = None
     tau: Tensor | None = None
+    beta: Tensor | None = None
     extra: Mapping[str, Tensor] = dataclasses.field(default_factory=dict)
 
     @property
@@ -114,8 +117,8 @@ class FittedModel:
         return dataclasses.replace(self, **moved, extra={n: t.detach().to(device) for n, t in self.extra.items()})
 
     def image_maps(self) -> dict[str, Tensor]:
-        """Maps ``[V, H, W]`` of every image that the model has, by name; shares of light in [0, 1]."""
-        return {name: maps for name, maps in (("s_net", self.s_net), ("tau", self.tau)) if maps is not None}
+        """Maps ``[V, H, W]`` of every image that the model has, by name: shares of light in [0, 1], and beta."""
+        return {name: getattr(self, name) for name in IMAGE_MAPS if getattr(self, name) is not None}
 
     def surface(self) -> SurfaceScene:
         """The scene that was fitted, with its reflectance model if it has one.
@@ -145,7 +148,7 @@ class FittedModel:
                 tensors[item.name] = value
             elif item.name == "grid":
                 description[item.name] = self.grid.to_dict()
-            elif item.name not in ("s_net", "tau", "extra"):
+            elif item.name not in (*IMAGE_MAPS, "extra"):
                 description[item.name] = value
         return tensors, description
 
@@ -228,4 +231,4 @@ def _by(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape)) or "1"
 
 
-__all__ = ["COLOURS", "FittedModel", "check_height_limits"]
+__all__ = ["COLOURS", "IMAGE_MAPS", "FittedModel", "check_height_limits"]

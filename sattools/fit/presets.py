@@ -13,13 +13,16 @@ Sources:
     hapke-nerf: "Hapke-NeRF", sections 2 and 3: 64 stratified and 64 guided samples, dense depths, Lambertian
         pre-training.
 
-What differs from the papers: with ``--start prior`` (the default) a network learns what is different from the prior's
-surface and the mean image: both are added to its answers for density and albedo before their activations, the answers
-begin at zero, and 8 free and 16 samples around the prior with a smaller rate replace the papers' 64 to 128; ``--start
-noise`` has the papers' numbers. A sample stands for the part of the ray nearer to it than to its neighbours. The
-reflectance models are evaluated once a ray, on the prior's normals, times cos(incidence) / cos(sun zenith). Further,
-every image has a gain and an offset per band whatever the network (the papers leave them out or normalise the images
-beforehand), rays start at the scene's height range, and a surface is read where the transmittance crosses one half.
+What differs from the papers: with ``--start surface`` (the default) a network learns what is different from the surface
+that `fit` makes of the prior, with its albedo, light and colour relations (``--start prior``: from the prior's surface
+and the mean image, with which networks without shadows begin in any case): both are added to its answers for density
+and albedo before their activations, the answers begin at zero, and 8 free samples and 16 around that surface with a
+smaller rate replace the papers' 64 to 128; ``--start noise`` has the papers' numbers. A sample stands for the part of
+the ray nearer to it than to its neighbours.The reflectance models are evaluated once a ray
+(``--brdf-at sample``: at every sample, as the papers have it), on the prior's normals instead of a head's, times
+cos(incidence) / cos(sun zenith). Further, every image has a gain and an offset per band whatever the network (the
+papers leave them out or normalise the images beforehand), rays start at the scene's height range, and a surface is read
+where the transmittance crosses one half.
 One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
 """
 
@@ -50,7 +53,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "rpv-nerf": {**_GUIDED, "network": "rpv", "brdf": "rpv", "normals": "prior", "pretrain": 0.2},
     "hapke-nerf": {**_GUIDED, "network": "hapke", "brdf": "hapke", "normals": "prior", "pretrain": 0.2},
 }  # fmt: skip
-# of a network that starts from the prior, instead of the paper's values
+# of a network that starts from a surface, instead of the paper's values
 WARM: dict[str, Any] = {"samples": 8, "guided": 16, "rays": 256, "steps": 2000, "rate": 1e-4, "prior_weight": 0.2}
 # of `--field neural`; its rates are its own
 NEURAL: dict[str, Any] = {
@@ -60,12 +63,12 @@ NEURAL: dict[str, Any] = {
 
 def resolve(preset: str, given: JsonObject) -> FitOptions:
     """Options of a preset; what is ``given`` wins."""
-    start, field = given.get("start", "prior"), given.get("field", "")
+    start, field = given.get("start", "surface"), given.get("field", "")
     return FitOptions(**{**with_preset(preset, start, field), **given})
 
 
-def with_preset(preset: str, start: str = "prior", field: str = "") -> JsonObject:
-    """The values that a preset sets, for a network that starts from the ``prior`` or from ``noise``.
+def with_preset(preset: str, start: str = "surface", field: str = "") -> JsonObject:
+    """The values that a preset sets, for a network that starts from a ``surface``, the ``prior`` or ``noise``.
 
     Args:
         preset: its name.
@@ -74,7 +77,7 @@ def with_preset(preset: str, start: str = "prior", field: str = "") -> JsonObjec
     """
     known = set(FitOptions.__dataclass_fields__)
     values = PRESETS[preset]
-    if start == "prior" and values.get("field") == "mlp":
+    if start != "noise" and values.get("field") == "mlp":
         # a paper without dense depths keeps its losses: the prior is where its network starts, and no more
         values = {**values, **WARM, "depth_weight": values.get("depth_weight", 0.0)}
     if field == "neural":

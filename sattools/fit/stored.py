@@ -14,11 +14,10 @@ from torch import Tensor
 
 from sattools.errors import InputError
 from sattools.fit.checkpoint import CHECKSUM, KEY, VERSION, Put, save_in_pieces, verify
-from sattools.fit.model import FittedModel, check_height_limits
+from sattools.fit.model import IMAGE_MAPS, FittedModel, check_height_limits
 from sattools.scene import Grid
 
 CELL_MAPS = ("height", "height_std", "albedo")
-IMAGE_MAPS = ("s_net", "tau")
 IN_MEMORY = 256 << 20  # bytes up to which a model is read at once
 _STRIP_CELLS = 1_000_000
 
@@ -161,7 +160,7 @@ class StreamedModel:
         shapes: dict[str, tuple[int, ...]] = {"height": (height, width), "height_std": (height, width)}
         shapes["albedo"] = (height, width, self.bands)
         shapes |= dict.fromkeys(self.image_maps, (views, height, width))
-        tensors, description = replace(self.head, grid=self.grid, s_net=None, tau=None, extra={}).parts()
+        tensors, description = replace(self.head, grid=self.grid, s_net=None, tau=None, beta=None, extra={}).parts()
         small = {name: tensor.detach().cpu().float() for name, tensor in tensors.items() if name not in CELL_MAPS}
         shapes |= {name: tuple(tensor.shape) for name, tensor in small.items()}
 

@@ -17,6 +17,7 @@ from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.schedule import schedule
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
+from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
@@ -75,13 +76,39 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             check_sky(setup.options, sources[0].radiance.shape[0])
             from sattools.fit.rays.stage import fit_rays
 
-            fitted = fit_rays(scene, sources, setup.options, prior, setup.device, told, radiance=setup.radiance)
+            trace, start = Trace(), None
+            if prior is not None and starts_from_surface(setup.options):
+                start = _first_surface(scene, setup, sources, prior)
+            given = (scene, sources, setup.options, prior, setup.device, told)
+            fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace)
         fitted.notes[:0] = setup.notes
         return save_fit(scene, fitted, made)
 
 
+def starts_from_surface(options: FitOptions) -> bool:
+    """Whether a field begins as the surface that `fit` makes of the prior."""
+    return options.field in ("mlp", "neural") and options.start == "surface"
+
+
+def _first_surface(scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior) -> FittedModel:
+    """What a field begins as: the surface with its colours and light, by the defaults of `fit`."""
+    asked = setup.options
+    # rays of a field know no shift per view, so that its start must not either
+    plain = FitOptions(seed=asked.seed, prior_weight=asked.prior_weight, pose=False)
+    plain = calibrated(replace(plain, views=asked.views, holdout=asked.holdout), setup.radiance)
+    fitted = _fit_surface(scene, replace(setup, options=plain), sources, prior, silent, lasting=False)
+    assert isinstance(fitted.model, FittedModel)
+    return fitted.model
+
+
 def _fit_surface(
-    scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior | None, progress: Progress
+    scene: Scene,
+    setup: FitSetup,
+    sources: list[Source],
+    prior: DepthPrior | None,
+    progress: Progress,
+    *,
+    lasting: bool = True,
 ) -> Fitted:
     options, radiance = setup.options, setup.radiance
     check_sky(options, sources[0].radiance.shape[0])
@@ -93,7 +120,7 @@ def _fit_surface(
     z_ref = reference_height(prior, z_range)
     shortest = min(grid.shape) * grid.cell_size
     stages = schedule(options, grid.cell_size, z_range, prior is not None, shortest)
-    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance)
+    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance, lasting=lasting)
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])

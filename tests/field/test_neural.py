@@ -146,3 +146,62 @@ def test_what_the_images_do_not_ask_for_has_its_price() -> None:
         field.presence[part, 5, 11:13] *= -1
         assert float(field.penalty()) > start
         field.presence.copy_(kept)
+
+
+def roof_with_noise(random: torch.Generator) -> NeuralField:
+    field = NeuralField(BOX, house())
+    for tensor in field.named_tensors().values():
+        tensor += 0.5 * torch.randn(tensor.shape, generator=random)
+        tensor.requires_grad_(True)
+    return field
+
+
+def test_the_kernels_are_their_twin_and_so_are_their_gradients() -> None:
+    random = torch.Generator().manual_seed(5)
+    field = roof_with_noise(random)
+    # inside the box and around it
+    points = torch.rand(400, 3, generator=random) * torch.tensor([14.0, -14.0, 34.0]) + torch.tensor([-1.0, 1.0, -7.0])
+    weights = torch.rand(400, 4, generator=random)
+
+    def answers(plain: bool) -> list[torch.Tensor]:
+        if plain:
+            sigma, parts = field.plain_density(field.presence + field.half, points)
+            features = torch.cat([points, parts], dim=1)
+            colour = field.plain_colours(features)
+        else:
+            sigma, features = field.density(points)
+            colour = field.look(features, None, None)["albedo"]
+        total = (weights[:, :3] * colour * (1 + sigma[:, None])).sum() + (weights[:, 3] * sigma).sum()
+        return [sigma, features, colour, *torch.autograd.grad(total, list(field.named_tensors().values()))]
+
+    for kernel, twin in zip(answers(False), answers(True), strict=True):
+        assert torch.allclose(kernel, twin, atol=1e-4, rtol=1e-4)
+
+
+def test_gradients_do_not_depend_on_the_number_of_threads() -> None:
+    import numba
+
+    random = torch.Generator().manual_seed(6)
+    field = roof_with_noise(random)
+    points = torch.rand(300, 3, generator=random) * torch.tensor([12.0, -12.0, 30.0]) + torch.tensor([0.0, 0.0, -5.0])
+    before, found = numba.get_num_threads(), []
+    try:
+        for threads in (1, before):
+            numba.set_num_threads(threads)
+            sigma, features = field.density(points)
+            colour = field.look(features, None, None)["albedo"]
+            found.append(torch.autograd.grad((colour * sigma[:, None]).sum(), list(field.named_tensors().values())))
+    finally:
+        numba.set_num_threads(before)
+    assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
+
+
+def test_a_hidden_sample_is_not_asked_for_its_colour() -> None:
+    field = NeuralField(BOX, house())
+    points = torch.tensor([[3.0, -3.0, 0.0], [3.0, -3.0, -1.0], [3.0, -3.0, 20.0]])
+    sigma, features = field.density(points)
+    assert sigma[2] == 0  # nothing is that high
+    features = field.shown(features, torch.tensor([0.6, 1e-5, 1.0]))
+    colour = field.look(features, None, None)["albedo"]
+    assert colour[0].tolist() == pytest.approx(GROUND, abs=0.01)
+    assert colour[1:].tolist() == [[0, 0, 0], [0, 0, 0]]

@@ -90,7 +90,7 @@ def trainer_on_meta(options: FitOptions) -> RayTrainer:
     rays = RaySet(three, three, three, torch.arange(count) % views, one, one, one, three, suns, sights, 20.0).to(META)
     with META:
         surface = torch.zeros(8, 8), torch.zeros(8, 8, 3)
-        start = SurfaceBase(BOX, *surface, 0.5) if options.field != "voxel" and options.start == "prior" else None
+        start = SurfaceBase(BOX, *surface, 0.5) if options.field != "voxel" and options.start != "noise" else None
         grid = Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8)
         field = make_field(options, grid, (0.0, 20.0), 5.0, 3, None, base=start)
         return RayTrainer(field, rays, options, torch.ones(views, 3), torch.zeros(views, 3))

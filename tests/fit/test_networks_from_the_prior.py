@@ -21,6 +21,7 @@ from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.stage import _duration
 from sattools.fit.rays.start import depth_std_m, restored_field
+from sattools.fit.rays.trainer import BETA_MIN
 from sattools.fit.stage import fit
 from sattools.fit.trace import Trace
 from sattools.prior.files import read_prior
@@ -119,6 +120,15 @@ def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_to
     assets = {name for item in scene.items for name in item.assets}
     assert ("s_net" in assets) == (preset in ("satnerf", "eonerf-learned-shadow"))
     assert ("tau" in assets) == (preset == "eonerf")
+    assert ("beta" in assets) == (preset in ("eonerf", "satnerf"))
+    if "beta" in assets:
+        with rasterio.open(scene.path(scene.items[0].assets["beta"].href)) as data:
+            assert float(data.read(masked=True).min()) >= BETA_MIN - 1e-6
+    with rasterio.open(scene.path(scene.items[0].assets["rendered_height"].href)) as data:
+        seen = data.read(1)
+    assert np.array_equal(np.isfinite(seen), known)
+    low, high = scene.require_height_range()
+    assert low - 1 <= np.nanmin(seen) <= np.nanmax(seen) <= high + 1
 
 
 def test_a_model_gives_its_field_back(make_town: Any) -> None:
@@ -189,3 +199,31 @@ def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(make_town: Any
     assert all(torch.equal(one.extra[name], other.extra[name]) for name in one.extra)
     losses = [s.path("fit/trace.csv").read_text().splitlines() for s in (whole, broken)]
     assert [row.split(",")[1:] for row in losses[0]] == [row.split(",")[1:] for row in losses[1]]
+
+
+def test_at_every_sample_the_reflectance_model_sees_the_parameters_there(make_town: Any) -> None:
+    """It is not that of the mean parameters, and not far from it."""
+    losses = {}
+    for where in ("ray", "sample"):
+        scene = make_town(where)
+        fit(scene, resolve("hapke-nerf", {**TINY, "steps": 3, "pretrain": 0.0, "brdf_at": where}))
+        model = FittedModel.load(scene.path("fit/model.safetensors"))
+        assert ("brdf_at_sample" in model.extra) == (where == "sample")
+        trace = scene.path("fit/trace.csv").read_text().splitlines()
+        losses[where] = float(trace[-1].split(",")[trace[0].split(",").index("loss")])
+    assert losses["sample"] != losses["ray"]
+    assert losses["sample"] == pytest.approx(losses["ray"], rel=0.3)
+
+
+def test_a_network_begins_as_the_surface_that_the_fit_makes(make_town: Any) -> None:
+    from sattools.fit.options import FitOptions
+
+    first, network = make_town("FIRST"), make_town("NETWORK")
+    fit(first, FitOptions(pose=False))
+    fit(network, resolve("eonerf", {**TINY, "resolution": None, "steps": 1, "rate": 0.0}))
+    one, other = (FittedModel.load(s.path("fit/model.safetensors")) for s in (first, network))
+    assert one.grid == other.grid
+    assert (one.height - other.height).abs().median() < 0.02
+    # the first image's relation stays, the others and the light in shade begin with the surface's
+    assert torch.allclose(one.gain, other.gain, atol=0.01)
+    assert torch.allclose(one.ambient, other.ambient, atol=0.01)

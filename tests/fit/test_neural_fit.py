@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from sattools.fit.rays.start import restored_field
 from sattools.fit.stage import fit
 from sattools.prior.files import read_prior
 from sattools.scene import Scene
+from sattools.simulate import SimulateOptions, simulate
 
 TINY = {"field": "neural", "rays": 64, "steps": 12, "resolution": 2.0}
 
@@ -160,10 +162,17 @@ FIELDS: dict[str, FitOptions] = {
 }
 
 
-@pytest.mark.parametrize("hard", [grazing_sun, saturation, partial_overlap, two_views])
-def test_every_field_gives_finite_maps_of_a_hard_scene(make_town: Callable[..., Scene], hard: Any) -> None:
-    scene = make_town()
-    hard(scene)
+def opposition(scene: Scene) -> None:
+    """The sun stands behind the sensor in every image."""
+    for item in scene.items:
+        item.properties["view:sun_azimuth"] = item.properties["view:azimuth"]
+        item.properties["view:sun_elevation"] = 90.0 - item.properties["view:off_nadir"]
+
+
+RELIEF = {"terrain": "natural", "size": 64.0, "gsd": 1.0, "off_nadir": 20.0}
+
+
+def check_every_field(scene: Scene) -> None:
     for name, options in FIELDS.items():
         fit(scene, options)
         model = fitted(scene)
@@ -172,3 +181,24 @@ def test_every_field_gives_finite_maps_of_a_hard_scene(make_town: Callable[..., 
         assert low - 5 <= float(model.height.min()) <= float(model.height.max()) <= high + 5, name
         for tensor in (model.height_std, model.albedo, model.gain, *model.extra.values()):
             assert torch.isfinite(tensor).all(), name
+
+
+@pytest.mark.parametrize("hard", [grazing_sun, opposition, saturation, partial_overlap, two_views])
+def test_every_field_gives_finite_maps_of_a_hard_scene(make_town: Callable[..., Scene], hard: Any) -> None:
+    scene = make_town()
+    hard(scene)
+    check_every_field(scene)
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        {**RELIEF, "lat": 78.2, "lon": 15.6, "sun_elevation": 25.0},
+        {"lat": -17.0, "lon": 180.0},
+        {**RELIEF, "slope": 55.0},
+    ],
+    ids=["Svalbard", "date line", "steep"],
+)
+def test_every_field_gives_finite_maps_of_a_hard_place(tmp_path: Path, where: dict[str, Any]) -> None:
+    given = {"id": "HARD", "size": 32.0, "views": 3, "dates": 2, **where}
+    check_every_field(simulate(SimulateOptions(**given), tmp_path / "HARD"))

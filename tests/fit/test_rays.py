@@ -144,7 +144,7 @@ def test_a_budget_stops_the_training(make_town: Any) -> None:
     ("options", "message"),
     [
         ({"preset": "eonerf", "start": "noise", "guided": 8}, "--guided: found no prior"),
-        ({"preset": "eonerf", "prior_weight": 0.0, "guided": 0}, "--start prior: found no prior"),
+        ({"preset": "eonerf", "prior_weight": 0.0, "guided": 0}, "--start surface: found no prior"),
         ({"preset": "eonerf", "shadow": "learned"}, "network eonerf has no head for it"),
         ({"preset": "spsnerf", "solar_weight": 0.1}, "--solar-weight: expected a network with learned shadows"),
         ({"preset": "eonerf", "transient": "auto"}, "expected --field surface"),

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Field
-from sattools.fit.rays.trainer import HAPKE_B_MAX, RayTrainer
+from sattools.fit.rays.trainer import BETA_MIN, HAPKE_B_MAX, RayTrainer
 from sattools.render.volume import RayBatch, composite, median_share, stratified
 from sattools.scene import Grid
 
@@ -19,7 +19,7 @@ REACH = 2.0  # of the fine samples, in distances of the coarse ones
 FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: anywhere, around it, around the median
 AROUND_M, FINE_M = 4.0, 1.0
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
-IMAGE_HEADS = {"sun": "s_net", "tau": "tau"}  # answers that differ between images
+IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class GroundMaps:
         height_std: ``[H, W]`` standard deviation of the transmittance's height [m].
         albedo: ``[H, W, C]``.
         heads: ``[H, W]`` parameters of a reflectance model by name.
-        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients.
+        images: ``[V, H, W]`` by name of the product: learned sun visibility, transmission of transients, uncertainty.
     """
 
     height: Tensor
@@ -58,9 +58,11 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
         start = torch.stack([x, torch.full_like(x, -(row + 0.5) * grid.cell_size), torch.full_like(x, high)], dim=1)
         batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
         t, reach, fine = _first_samples(trainer, start, z_range)
-        weights, _ = _seen(trainer, batch, t)
-        t = _with_samples_around(t, median_share(weights, t), reach, fine)
-        weights, features = _seen(trainer, batch, t)
+        known = _seen(trainer, batch, t)
+        more = _around(median_share(_weights(batch, t, known[0]), t), reach, fine)
+        t, (sigma, features) = _merged(t, known, more, _seen(trainer, batch, more))
+        weights = _weights(batch, t, sigma)
+        features = features.flatten(0, 1)
         share, total = median_share(weights, t), weights.sum(dim=1).clamp_min(1e-6)
         centre = (weights * t).sum(dim=1) / total
         spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt()
@@ -77,14 +79,9 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     if "b" in heads:
         heads["b"] = heads["b"].clamp_max(HAPKE_B_MAX)
     images = {name: maps[name].permute(2, 0, 1).contiguous() for name in IMAGE_HEADS.values() if name in maps}
+    if "beta" in images:
+        images["beta"] += BETA_MIN
     return GroundMaps(maps["height"], maps["height_std"], maps["albedo"], heads, images)
-
-
-def evaluations(trainer: RayTrainer, grid: Grid) -> int:
-    """Points at which `read_maps` evaluates the field, in counts."""
-    somewhere = torch.zeros(1, 3)
-    known = _known_surfaces(trainer.field, somewhere)
-    return grid.width * grid.height * (2 * (FREE + len(known) * AROUND) + FINE_AROUND if known else 2 * COARSE + FINE)
 
 
 def _first_samples(trainer: RayTrainer, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
@@ -95,7 +92,8 @@ def _first_samples(trainer: RayTrainer, start: Tensor, z_range: tuple[float, flo
         return stratified(len(start), COARSE, None), REACH / COARSE, FINE
     t = stratified(len(start), FREE, None)
     for height in known:
-        t = _with_samples_around(t, (high - height) / (high - low), AROUND_M / (high - low), AROUND)
+        around = _around((high - height) / (high - low), AROUND_M / (high - low), AROUND)
+        t = torch.cat([t, around], dim=1).sort(dim=1).values
     return t, FINE_M / (high - low), FINE_AROUND
 
 
@@ -107,17 +105,32 @@ def _known_surfaces(field: Field, points: Tensor) -> list[Tensor]:
     return [] if base is None else [base.heights(points)]
 
 
-def _with_samples_around(t: Tensor, share: Tensor, reach: float, count: int) -> Tensor:
-    """Shares ``[R, S]`` in [0, 1] and ``count`` more, evenly within ``reach`` of ``share`` ``[R]``, ascending."""
+def _around(share: Tensor, reach: float, count: int) -> Tensor:
+    """``count`` shares ``[R, count]`` in [0, 1], evenly within ``reach`` of ``share`` ``[R]``, ascending."""
     near = (torch.arange(count) + 0.5) / count * 2 - 1
-    return torch.cat([t, (share[:, None] + reach * near).clamp(0, 1)], dim=1).sort(dim=1).values
+    return (share[:, None] + reach * near).clamp(0, 1)
 
 
-def _seen(trainer: RayTrainer, batch: RayBatch, t: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights ``[R, S]`` and features of samples."""
+Answers = tuple[Tensor, Tensor]  # densities [R, S], features [R, S, F]
+
+
+def _seen(trainer: RayTrainer, batch: RayBatch, t: Tensor) -> Answers:
+    """What the field answers at samples."""
     sigma, features = trainer.field.density(batch.points(t).reshape(-1, 3))
-    weights, _ = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
-    return weights, features
+    return sigma.reshape(t.shape), features.reshape(*t.shape, -1)
+
+
+def _weights(batch: RayBatch, t: Tensor, sigma: Tensor) -> Tensor:
+    """Weights ``[R, S]`` of samples."""
+    return composite(sigma, t, batch.path.norm(dim=1))[0]
+
+
+def _merged(t: Tensor, answers: Answers, more: Tensor, others: Answers) -> tuple[Tensor, Answers]:
+    """Samples and what was answered there, with others among them, ascending: no point is asked twice."""
+    t, order = torch.cat([t, more], dim=1).sort(dim=1)
+    sigma = torch.cat([answers[0], others[0]], dim=1).gather(1, order)
+    features = torch.cat([answers[1], others[1]], dim=1)
+    return t, (sigma, features.gather(1, order[..., None].expand_as(features)))
 
 
 def _per_image(trainer: RayTrainer, surface: Tensor) -> dict[str, Tensor]:
@@ -132,4 +145,4 @@ def _per_image(trainer: RayTrainer, surface: Tensor) -> dict[str, Tensor]:
     return {product: torch.stack(views, dim=1) for product, views in found.items()}
 
 
-__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "evaluations", "read_maps"]
+__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "read_maps"]

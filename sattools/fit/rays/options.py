@@ -21,10 +21,11 @@ class RayOptions:
         "eonerf", "Network of --field mlp."
     )
     width: int | None = option(None, "Width of the network's trunk (default: the paper's).", minimum=8, maximum=4096)
-    start: Literal["prior", "noise"] = option(
-        "prior",
-        "What a network starts from: the prior's surface, to which it learns what is different, seen by few samples "
-        "around it; or noise, with the paper's samples and steps (days on a CPU).",
+    start: Literal["surface", "prior", "noise"] = option(
+        "surface",
+        "What a network starts from: the surface that `fit` makes of the prior, with its colours and light, or the "
+        "prior's own, to which it learns what is different, seen by few samples around it; or noise, with the paper's "
+        "samples and steps (days on a CPU).",
     )
     rays: int = option(1024, "Rays per step.", minimum=1, maximum=1 << 20)
     samples: int = option(64, "Stratified samples per ray.", minimum=2, maximum=4096)
@@ -32,6 +33,11 @@ class RayOptions:
     steps: int = option(300000, "Steps of a fit ray by ray.", minimum=1, maximum=100_000_000)
     rate: float = option(5e-4, "Adam step of the network (times 0.9 every epoch).", minimum=0)
     depth_weight: float = option(1 / 3, "Weight of the prior's depths where a ray disagrees with them.", minimum=0)
+    brdf_at: Literal["ray", "sample"] = option(
+        "ray",
+        "Where a network's reflectance model is evaluated: once a ray with the mean parameters, or at every sample as "
+        "in the papers, about twice as slow.",
+    )
     beta: bool = option(False, "Learn an uncertainty per pixel (Sat-NeRF's loss), from the third epoch.")
     solar_weight: float = option(0.0, "Weight of Sat-NeRF's solar correction of learned shadows.", minimum=0)
 

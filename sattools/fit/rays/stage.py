@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -19,8 +21,16 @@ from sattools.fit.illumination import Radiance
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays.maps import evaluations, read_maps
-from sattools.fit.rays.start import base_surface, box_over, filled_prior, make_field, ray_set
+from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.start import (
+    base_surface,
+    box_over,
+    colours_on,
+    filled_prior,
+    make_field,
+    ray_set,
+    surface_prior,
+)
 from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
@@ -34,7 +44,6 @@ TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
-FORWARD_SHARE = 1 / 3  # of a step: a field is evaluated, and its gradients cost twice as much
 STEPS = {
     "voxel": FieldSteps({"logits": 0.1, "albedo": 0.03}),
     "neural": FieldSteps(neural.RATES, neural.BEGIN, neural.EPSILON),
@@ -50,6 +59,8 @@ def fit_rays(
     progress: Progress,
     *,
     radiance: Radiance = "relative",
+    start: FittedModel | None = None,
+    trace: Trace | None = None,
 ) -> Fitted:
     """Train a field ray by ray.
 
@@ -61,18 +72,21 @@ def fit_rays(
         device: where the field is trained and read off.
         progress: told the share done.
         radiance: what the images' numbers are.
+        start: surface that the field begins as, instead of the prior's.
+        trace: of what has been done already.
 
     Raises:
         SceneError: a combination of options that cannot work.
     """
-    trace = Trace()
+    trace = trace or Trace()
     check(options, prior is not None, sources)
     whole, z_range = scene.require_grid(), scene.require_height_range()
     warm = _starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
     z_ref = reference_height(prior, z_range)
     views = views_on(sources, grid, z_ref, z_range)
-    prior_here = None if prior is None else filled_prior(prior, grid)
+    first = prior if start is None or prior is None else surface_prior(start, prior)
+    prior_here = None if first is None else filled_prior(first, grid)
     rays = ray_set(views, grid, z_range, prior_here).to(device)
     absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
@@ -83,13 +97,18 @@ def fit_rays(
     base = None
     if warm:
         assert prior_here is not None  # `check`
-        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
-        base = base.to(device)
+        shaded = options.shadow != "none"
+        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=shaded).to(device)
+        if start is not None and shaded:  # a field without shadows has to begin with the mean image
+            base = replace(base, colour=colours_on(start, grid).to(device))
+            gain, offset = start.gain, start.offset
     with device:  # whatever is made from here on, is made there
-        first = None if prior_here is None else prior_here.to(device)
-        field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], first, base=base)
+        there = None if prior_here is None else prior_here.to(device)
+        field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], there, base=base)
         steps = STEPS.get(options.field, FieldSteps())
         trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
+        if start is not None and options.shadow != "none":
+            trainer.colour["ambient"].data.copy_(start.ambient)
         mark = fingerprint(scene, options, sources, prior)
         notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
         model = _model_of(trainer, base, views, grid, z_range)
@@ -107,6 +126,8 @@ def _model_of(
     extra |= {f"base.{n}": t for n, t in base.tensors().items()} if base else {}
     box = box_over(grid, z_range)
     extra["box"] = torch.tensor([box.low, box.high])
+    if options.brdf_at == "sample":
+        extra["brdf_at_sample"] = torch.ones(1)
     assert options.brdf != "auto"  # `check`
     return FittedModel(
         grid=grid,
@@ -129,6 +150,7 @@ def _model_of(
         brdf=options.brdf,
         s_net=maps.images.get("s_net") if options.shadow == "learned" else None,
         tau=maps.images.get("tau") if options.transient == "on" else None,
+        beta=maps.images.get("beta") if options.beta else None,
         extra=extra,
     )
 
@@ -143,10 +165,10 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
     """
     if options.guided and not has_prior:
         raise SceneError("--guided: found no prior to sample around, expected --prior-weight above 0")
-    if options.field == "neural" and options.start != "prior":
-        raise SceneError("--field neural: found --start noise, expected --start prior, which is all that it knows")
+    if options.field == "neural" and options.start == "noise":
+        raise SceneError("--field neural: found --start noise, expected --start surface or prior")
     if _starts_from_prior(options) and not has_prior:
-        raise SceneError("--start prior: found no prior, expected --prior-weight above 0 (or --start noise)")
+        raise SceneError(f"--start {options.start}: found no prior, expected --prior-weight above 0 (or --start noise)")
     if options.field == "mlp" and options.shadow == "learned" and "sun" not in NETWORKS[options.network].heads:
         raise SceneError(f"--shadow learned: network {options.network} has no head for it, expected --shadow geometric")
     if options.solar_weight > 0 and (options.field != "mlp" or "sun" not in NETWORKS[options.network].heads):
@@ -171,7 +193,7 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
 
 
 def _starts_from_prior(options: FitOptions) -> bool:
-    return options.field in ("mlp", "neural") and options.start == "prior"
+    return options.field in ("mlp", "neural") and options.start != "noise"
 
 
 @dataclass
@@ -213,8 +235,7 @@ class _RayJob:
             total, count = total + loss, count + 1
             done, now = number + 1, trace.seconds()
             # a step of a network can take a minute: none begins that would end after the budget
-            step_s = (now - first) / (done - start)
-            over = bool(options.budget) and 2 * now - begun > self._room(options, step_s) and done < options.steps
+            over = bool(options.budget) and 2 * now - begun > self._room(options) and done < options.steps
             if done % every == 0 or done == options.steps or over:
                 row: Row = {"seconds": round(now, 3), "step": done, "loss": total / count}
                 trace.rows.append(row | self._score(options.reference))
@@ -235,24 +256,27 @@ class _RayJob:
                 return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"]
         return []
 
-    def _room(self, options: FitOptions, step_s: float) -> float:
-        """Seconds of the budget for steps of so many seconds: the surface must still be read off."""
-        samples = options.rays * (options.samples + options.guided)
-        reading = step_s * FORWARD_SHARE * evaluations(self.trainer, self.grid) / samples
-        return BUDGET_SHARE * (options.budget or 0.0) - reading
+    def _room(self, options: FitOptions) -> float:
+        """Seconds of the budget for steps: the surface must still be read off."""
+        return BUDGET_SHARE * (options.budget or 0.0) - self._reading_s
+
+    @functools.cached_property
+    def _reading_s(self) -> float:
+        """Seconds that reading the field off takes, by its first row."""
+        begun = time.perf_counter()
+        read_maps(self.trainer, self.grid.part(slice(0, 1), slice(0, self.grid.width)), self.z_range)
+        return (time.perf_counter() - begun) * self.grid.height
 
     def _plan_within(self, options: FitOptions, first: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""
         now = self.trace.seconds()
         step_s = (now - first) / TRIAL
-        more = (self._room(options, step_s) - now) / max(step_s, 1e-6)
+        more = (self._room(options) - now) / max(step_s, 1e-6)
         self.trainer.plan(max(TRIAL + 1, min(self.trainer.steps, TRIAL + round(more))))
 
     def _score(self, reference: str | None) -> Row:
         if reference is None:
             return {}
-        import time
-
         from sattools.compare import compare_dsm, read_reference
 
         pause = time.perf_counter()

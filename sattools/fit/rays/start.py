@@ -20,6 +20,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.rays.trainer import RaySet, concatenated
 from sattools.render import ParallelRays, Quadrature, plate_slopes, render, sun_visibility
 from sattools.scene import Grid
+from sattools.scene.regrid import sample_map
 from sattools.views import View, shown_on
 
 VOXEL_PLANES_M = 1.0
@@ -71,6 +72,16 @@ def base_surface(
         weight += counts
     colour = torch.from_numpy(total / np.maximum(weight, 1e-6)).float().clamp(0, 1)
     return SurfaceBase(box_over(grid, z_range), height, colour, PRIOR_SOFTNESS)
+
+
+def surface_prior(start: FittedModel, prior: DepthPrior) -> DepthPrior:
+    """A fitted surface as what rays are guided by: its heights, the prior's confidence."""
+    return DepthPrior(start.height, prior.on(start.grid).confidence, start.grid)
+
+
+def colours_on(start: FittedModel, grid: Grid) -> Tensor:
+    """Albedo ``[H, W, C]`` of a fitted surface on a grid, in [0, 1]."""
+    return torch.from_numpy(sample_map(start.albedo.numpy(), start.grid, grid)).float().clamp(0, 1)
 
 
 def filled_prior(prior: DepthPrior, grid: Grid) -> DepthPrior:
@@ -202,4 +213,14 @@ def restored_field(model: FittedModel) -> Field:
     return field
 
 
-__all__ = ["base_surface", "box_over", "depth_std_m", "filled_prior", "make_field", "ray_set", "restored_field"]
+__all__ = [
+    "base_surface",
+    "box_over",
+    "colours_on",
+    "depth_std_m",
+    "filled_prior",
+    "make_field",
+    "ray_set",
+    "restored_field",
+    "surface_prior",
+]

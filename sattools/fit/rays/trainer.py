@@ -138,7 +138,8 @@ class RayTrainer:
             rate = own if name.startswith("field.") else EMBEDDING_RATE if name == "embedding" else COLOUR_RATE
             begin = field_steps.begin.get(name.removeprefix("field."), 0.0)
             groups.append({"params": [tensor], "lr": rate, "initial": rate, "begin": begin})
-        self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon)
+        fused = self.device.type == "cpu"  # in one pass over a tensor
+        self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon, fused=fused)
         self.unsaid = torch.zeros(
             2, dtype=torch.float64, device="cpu"
         )  # loss and steps since the last row of the trace
@@ -210,13 +211,16 @@ class RayTrainer:
             t = torch.cat([t, near], dim=1).sort(dim=1).values
         points = batch.points(t)
         sigma, features = self.field.density(points.reshape(-1, 3))
-        weights, _ = composite(sigma.reshape(t.shape), t, length)
+        weights, transmittance = composite(sigma.reshape(t.shape), t, length)
+        features = self.field.shown(features, transmittance.detach().flatten())
         sun = rays.suns[view]
         known = torch.isfinite(sun).all(dim=1)
         sun = torch.where(known[:, None], sun, sun.new_tensor([0.0, 0.0, 1.0]))
 
-        def per_sample(values: Tensor) -> Tensor:
-            return values[:, None].expand(-1, t.shape[1], -1).reshape(-1, values.shape[1])
+        asks = bool(self.field.heads - {"albedo"})
+
+        def per_sample(values: Tensor) -> Tensor | None:
+            return values[:, None].expand(-1, t.shape[1], -1).reshape(-1, values.shape[1]) if asks else None
 
         look = self.field.look(features, per_sample(sun), per_sample(self.embedding[view]))
         look = {name: value.reshape(*t.shape, -1) for name, value in look.items()}
@@ -224,7 +228,12 @@ class RayTrainer:
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
         s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
-        albedo = self._reflected(mean, rays.normal[chosen], sun, rays.view_vectors[view], share)
+        geometry = rays.normal[chosen], sun, rays.view_vectors[view]
+        if options.brdf_at == "sample":
+            normal, to_sun, sight = (v[:, None] for v in geometry)
+            albedo = (weights[..., None] * self._reflected(look, normal, to_sun, sight, share)).sum(dim=1)
+        else:
+            albedo = self._reflected(mean, *geometry, share)
         if s is None:
             lit = albedo
         elif "sky" in look:  # Sat-NeRF shades every sample
@@ -291,22 +300,22 @@ class RayTrainer:
         return solar_correction(weights.detach(), transmittance.detach(), s)
 
     def _reflected(
-        self, mean: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
+        self, found: dict[str, Tensor], normal: Tensor, sun: Tensor, view_vector: Tensor, share: float
     ) -> Tensor:
-        """Albedo ``[R, C]``, or after the pre-training the reflectance model times cos(incidence).
+        """Albedo ``[..., C]``, or after the pre-training the reflectance model times cos(incidence).
 
         It is divided by cos(sun zenith), as top-of-atmosphere reflectance is, unless images are reflectance factors.
         """
         brdf = self.options.brdf
         if brdf == "lambert" or share < self.options.pretrain:
-            return mean["albedo"]
-        n, s, v = (x[:, None] for x in (normal, sun, view_vector))
-        level = 1.0 if self.radiance == "reflectance_factor" else sun[:, 2:].clamp_min(0.05)
-        cosine = (normal * sun).sum(dim=1).clamp_min(0)[:, None] / level
+            return found["albedo"]
+        n, s, v = (x[..., None, :] for x in (normal, sun, view_vector))
+        level = 1.0 if self.radiance == "reflectance_factor" else sun[..., 2:].clamp_min(0.05)
+        cosine = (normal * sun).sum(dim=-1, keepdim=True).clamp_min(0) / level
         if brdf == "rpv":
-            return rpv(n, s, v, mean["albedo"], mean["k"], mean["theta"], mean["rhoc"]) * cosine
-        b = mean["b"].clamp_max(HAPKE_B_MAX)
-        return hapke(n, s, v, mean["albedo"], b, mean["c"], mean["theta"].clamp_min(0.1)) * cosine
+            return rpv(n, s, v, found["albedo"], found["k"], found["theta"], found["rhoc"]) * cosine
+        b = found["b"].clamp_max(HAPKE_B_MAX)
+        return hapke(n, s, v, found["albedo"], b, found["c"], found["theta"].clamp_min(0.1)) * cosine
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 

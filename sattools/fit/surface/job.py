@@ -58,6 +58,7 @@ class SurfaceJob:
     light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
     chosen: IlluminationOptions | None = None
     coarse: Coarse | None = None
+    lasting: bool = True  # leaves checkpoints; the start of another field is fitted anew
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
         """Fit all stages; the surface, its grid, and notes."""
@@ -302,6 +303,8 @@ class SurfaceJob:
         return fingerprint(self.scene, self.options, self.sources, self.prior)
 
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
+        if not self.lasting:
+            return
         state = Interrupted(trainer.state(), self._print, self.trace.rows, stage, epoch, illumination=self.chosen)
         state.save(self.scene.output(CHECKPOINT))
 

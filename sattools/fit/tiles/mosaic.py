@@ -169,7 +169,9 @@ def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
     height, height_std, albedo = (
         torch.from_numpy(sample_map(getattr(model, name).numpy(), model.grid, grid)) for name in CELL_MAPS
     )
-    return replace(model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None)
+    return replace(
+        model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None, beta=None
+    )
 
 
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:

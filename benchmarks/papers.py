@@ -1,0 +1,193 @@
+"""The papers' networks and the fields of our own on one scene in equal seconds: heights, a new view, memory, samples.
+
+    python benchmarks/papers.py [--seconds 300] [--seed 1] [--size 64] [--width N] [--threads 1] [--fields ...]
+        [--scene SCENE.json=REFERENCE.tif[@REGION]] [--out FILE.json]
+
+Without `--scene`: a simulated city with exact cameras and seven views of three dates, one of them held out. Every field
+starts from the same prior in a process of its own, trains for the given seconds (start and reading-off included) and is
+exported. Columns: mean absolute error by the protocol, about the median, at most 5 m; beside steps of more than 3 m
+signed and absolute, away from them; PSNR of the held-out views, colours matched on their western and scored on their
+eastern half; seconds and CPU seconds of the fit; points at which the field was evaluated in training, per CPU second
+(rays to the sun included, reading-off in the seconds but not in the points); largest memory of the process. The prior
+has a row of its own, and one of its means over cells of 1 m. Not measured on a GPU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import resource
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from steps import averaged, reference
+
+PRESETS = ("satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf")
+FIELDS = ["surface", "neural", *PRESETS]
+ERRORS = ("MAE", "centred", "capped", "near, signed", "near", "away")
+COLUMNS = ["field", *ERRORS, "PSNR", "steps", "seconds", "CPU s", "M samples/CPU s", "peak GB"]
+AVERAGE_M = 1.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--size", type=float, default=64.0)
+    parser.add_argument("--width", type=int, help="of the networks (default: the papers')")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--fields", nargs="*", default=FIELDS, help="surface, neural, voxel or a preset")
+    parser.add_argument("--scene", metavar="SCENE=REFERENCE[@REGION]", help="instead of a simulated city")
+    parser.add_argument("--out", type=Path, help="all figures as JSON")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        path, against = scene_of(options, Path(folder))
+        rows = starts(path, against)
+        print(table(rows), flush=True)
+        for name in options.fields:
+            given = (name, path, against, Path(folder) / name, options.seconds, options.width, options.threads)
+            # a process of its own: its memory is its own, and nothing is warm
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+                rows.append(pool.submit(run, given).result())
+            print(table(rows[-1:]).splitlines()[-1], flush=True)
+    if options.out:
+        options.out.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def scene_of(options: argparse.Namespace, folder: Path) -> tuple[str, str]:
+    """Scene document with a prior, and what it is scored against."""
+    from sattools.prior import PriorOptions
+    from sattools.prior.stage import prior
+    from sattools.scene import Scene
+    from sattools.scene.copies import absolute_copy
+    from sattools.simulate import SimulateOptions, simulate
+
+    if options.scene:
+        path, _, against = options.scene.partition("=")
+        scene = absolute_copy(Scene.from_file(path), folder)
+    else:
+        city = SimulateOptions(id="TOWN", size=options.size, views=7, dates=3, test_views=1, seed=options.seed)
+        scene = simulate(city, folder / "TOWN")
+        against = str(scene.path(scene.products["truth_dsm"]))
+    if "prior_dsm" not in scene.products:
+        prior(scene, PriorOptions())
+    return str(scene.write()), against
+
+
+def starts(path: str, against: str) -> list[dict[str, Any]]:
+    """The prior, and its means over larger cells."""
+    from sattools.scene import Scene
+    from sattools.scene.raster import read_raster
+
+    scene = Scene.from_file(path)
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
+    coarse = averaged(height[0], grid, AVERAGE_M)
+    return [
+        {"field": "prior", **scored(height[0], grid, against)},
+        {"field": f"prior, means of {AVERAGE_M:g} m", **scored(*coarse, against)},
+    ]
+
+
+def scored(height: Any, grid: Any, against: str) -> dict[str, float]:
+    """Errors [m] of a height map."""
+    from sattools.compare import compare_dsm
+
+    figures = compare_dsm(height, reference(against), grid).figures
+    near, away = figures["near_steps"], figures["away_from_steps"]
+    values = [figures["mae"], figures["mae_centred"], figures["mae_capped_5m"]]
+    values += [near["signed"], near["absolute"], away["absolute"]]
+    return dict(zip(ERRORS, values, strict=True))
+
+
+def run(given: tuple[str, str, str, Path, float, int | None, int]) -> dict[str, Any]:
+    """One field for the given seconds, exported and scored."""
+    name, path, against, folder, seconds, width, threads = given
+    from sattools.cli import set_threads
+
+    set_threads(threads)
+    import torch
+
+    torch.set_num_threads(threads)
+    from sattools.compare.images import compare_views
+    from sattools.export.options import ExportOptions
+    from sattools.export.stage import export
+    from sattools.fit.stage import fit
+    from sattools.scene import Scene
+    from sattools.scene.copies import absolute_copy
+    from sattools.scene.raster import read_raster
+
+    scene = absolute_copy(Scene.from_file(path), folder)
+    options = chosen(name, seconds, width)
+    if name == "surface":
+        fit(scene, replace(options, epochs=[1]))  # compiles
+    points = counted_points()
+    told: list[tuple[int, str]] = []
+    begun, used = time.perf_counter(), time.process_time()
+    fit(scene, options, lambda share, text: told.append((points(), text)))
+    begun, used = time.perf_counter() - begun, time.process_time() - used
+    held_out = [item.id for item in scene.items if item.held_out]
+    export(scene, ExportOptions(view=held_out))
+    height, grid = read_raster(scene.path(scene.products["dsm"]))
+    training = [(count, text) for count, text in told if text.startswith("step ")]
+    samples, last = training[-1] if training else (points(), "")
+    return {
+        "field": name,
+        **scored(height[0], grid, against),
+        "PSNR": compare_views(scene)["psnr"] if held_out else None,
+        "steps": last.removeprefix("step ").split("/")[0],
+        "seconds": round(begun, 1),
+        "CPU s": round(used, 1),
+        "M samples/CPU s": samples / used / 1e6,
+        "peak GB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def chosen(name: str, seconds: float, width: int | None) -> Any:
+    """Options of a field that ends after so many seconds."""
+    from sattools.fit.presets import resolve
+
+    if name in PRESETS:
+        return resolve(name, {"budget": seconds, "width": width, "steps": 10**6})
+    own = {"steps": 10**6} if name != "surface" else {}
+    return resolve("fast", {"budget": seconds, "field": name, **own})
+
+
+def counted_points() -> Any:
+    """A function that says at how many points a field has been evaluated so far."""
+    from sattools.field.mlp import MlpField
+    from sattools.field.neural import NeuralField
+    from sattools.field.voxel import VoxelField
+    from sattools.render.surface import COUNTER
+
+    counted, before = {"points": 0}, COUNTER["forward"]
+    kinds: tuple[Any, ...] = (MlpField, NeuralField, VoxelField)
+    for kind in kinds:
+
+        def count(self: Any, points: Any, density: Any = kind.density) -> Any:
+            counted["points"] += len(points)
+            return density(self, points)
+
+        kind.density = count
+    # what a volume's rays see of the prior is rendered as a surface, and no sample of the field
+    return lambda: counted["points"] or COUNTER["forward"] - before
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, float):
+            return f"{value:.3f}" if value < 10 else f"{value:.1f}"
+        return "" if value is None else str(value)
+
+    lines = [COLUMNS, ["---"] * len(COLUMNS), *([text(row.get(name)) for name in COLUMNS] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+if __name__ == "__main__":
+    main()
