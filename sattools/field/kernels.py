@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.compiled import FASTMATH, njit, prange
+from sattools.compiled import FASTMATH, njit, spread
 from sattools.field.protocol import Box
 
 EMPTY = (
@@ -107,10 +107,11 @@ def _density_part(points, maps, frame, softness, sigma, parts):
         parts[n, 0], parts[n, 1], parts[n, 2] = low * share, own * share, top * share
 
 
-@njit(fastmath=FASTMATH, parallel=True, cache=True, nogil=True)
-def density_at(points, maps, frame, softness, sigma, parts):
+@spread(lambda *_: CHUNKS)
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def density_at(points, maps, frame, softness, sigma, parts, first_chunk, end_chunk):
     """Density [1/m] and parts of the three heights, filled in; maps: three heights [m], two logits of shares."""
-    for chunk in prange(CHUNKS):
+    for chunk in range(first_chunk, end_chunk):
         i = _part(chunk, len(points))
         _density_part(points[i], maps, frame, softness, sigma[i], parts[i])
 
@@ -145,10 +146,11 @@ def _density_gradients_part(points, maps, frame, softness, grad_sigma, grad_part
             cell[1] += second * weights[corner]
 
 
-@njit(fastmath=FASTMATH, parallel=True, cache=True, nogil=True)
-def density_gradients(points, maps, frame, softness, grad_sigma, grad_parts, grads):
+@spread(lambda *_: CHUNKS)
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def density_gradients(points, maps, frame, softness, grad_sigma, grad_parts, grads, first_chunk, end_chunk):
     """Gradients of the two logits, added to `grads` [CHUNKS, H, W, 2]."""
-    for chunk in prange(CHUNKS):
+    for chunk in range(first_chunk, end_chunk):
         i = _part(chunk, len(points))
         _density_gradients_part(points[i], maps, frame, softness, grad_sigma[i], grad_parts[i], grads[chunk])
 
@@ -215,10 +217,11 @@ def _colours_part(features, maps, frame, volumes, frames, colour):
             colour[n, c] = _sigmoid(raw[c])
 
 
-@njit(fastmath=FASTMATH, parallel=True, cache=True, nogil=True)
-def colours_at(features, maps, frame, volumes, frames, colour):
+@spread(lambda *_: CHUNKS)
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def colours_at(features, maps, frame, volumes, frames, colour, first_chunk, end_chunk):
     """Colours [N, C], filled in; 0 where features [N, 6] have no parts. Maps: logits of three heights, C each."""
-    for chunk in prange(CHUNKS):
+    for chunk in range(first_chunk, end_chunk):
         i = _part(chunk, len(features))
         _colours_part(features[i], maps, frame, volumes, frames, colour[i])
 
@@ -248,10 +251,11 @@ def _colour_gradients_part(features, maps, frame, colour, grad, mine, grad_featu
                 grad_features[n, 3 + k] += total * w
 
 
-@njit(fastmath=FASTMATH, parallel=True, cache=True, nogil=True)
-def colour_gradients(features, maps, frame, colour, grad, grads, grad_features):
+@spread(lambda *_: CHUNKS)
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def colour_gradients(features, maps, frame, colour, grad, grads, grad_features, first_chunk, end_chunk):
     """Gradients of maps (to `grads` [CHUNKS, H, W, 3 C]) and of parts; `grad` becomes that of the logits."""
-    for chunk in prange(CHUNKS):
+    for chunk in range(first_chunk, end_chunk):
         i = _part(chunk, len(features))
         _colour_gradients_part(features[i], maps, frame, colour[i], grad[i], grads[chunk], grad_features[i])
 
@@ -273,10 +277,11 @@ def _volume_gradients_part(features, grad, frame, mine):
                 cell[c] += w * grad[n, c]
 
 
-@njit(fastmath=FASTMATH, parallel=True, cache=True, nogil=True)
-def volume_gradients(features, grad, frame, grads):
+@spread(lambda *_: CHUNKS)
+@njit(fastmath=FASTMATH, cache=True, nogil=True)
+def volume_gradients(features, grad, frame, grads, first_chunk, end_chunk):
     """Gradients of a volume, added to `grads` [CHUNKS, D, H, W, C]; `grad` [N, C] is that of the logits."""
-    for chunk in prange(CHUNKS):
+    for chunk in range(first_chunk, end_chunk):
         i = _part(chunk, len(features))
         _volume_gradients_part(features[i], grad[i], frame, grads[chunk])
 
