@@ -285,7 +285,9 @@ def fitted_alone(square: Grid, truth: Path, files: list[Path], options: argparse
     bounds = [str(v) for v in (west - m, south - m, east + m, north + m)]
     place = options.out / "alone"
     shutil.rmtree(place, ignore_errors=True)
-    done = command("prep", *map(str, files), "--crs", square.crs, "--bounds", *bounds, "--out", str(place), *common)
+    cells = ["--cell-size", str(options.cell_size)] if options.cell_size else []
+    where = ["--crs", square.crs, "--bounds", *bounds, "--out", str(place)]
+    done = command("prep", *map(str, files), *where, *cells, *common)
     for step in (["fit"], ["export"], ["compare", "--dsm", str(truth)]):
         if done.status:
             return math.nan

@@ -75,7 +75,11 @@ class FitOptions(RayOptions):
         minimum=0.01,
     )
     epochs: list[int] = option(
-        [16], "Passes over all views per stage, coarse to fine (the last is repeated).", minimum=1, maximum=100_000
+        [],
+        "Passes over all views per stage, coarse to fine (the last is repeated; default: 8 from a prior, 16 from a "
+        "flat start, with a reflectance model, or where shadows or transients are learned).",
+        minimum=1,
+        maximum=100_000,
     )
     softness: list[float] = option(
         [1.5, 0.5],

@@ -114,6 +114,17 @@ def test_the_surface_has_twice_the_cell_of_the_scene_and_a_prior_spares_the_coar
     assert [s.cell_size for s in schedule(FitOptions(), 0.5, (0.0, 1.0), with_prior=False)] == [4.0, 2.0, 1.0]
 
 
+def test_a_matched_surface_needs_fewer_passes_unless_more_is_sought() -> None:
+    def passes(with_prior: bool = True, **given: Any) -> list[int]:
+        return [s.epochs for s in schedule(FitOptions(**given), 0.5, (0.0, 1.0), with_prior)]
+
+    assert passes() == [8]
+    assert passes(with_prior=False) == [16, 16, 16]
+    assert passes(shadow="learned") == passes(shadow="auto") == passes(transient="on") == [16]
+    assert sum(passes(brdf="hapke")) == 16
+    assert passes(epochs=[3]) == [3]
+
+
 def test_the_coarsest_stage_is_no_coarser_than_asked_for() -> None:
     options = FitOptions(coarsest=4.0, resolution=0.3)
     assert [s.cell_size for s in schedule(options, 0.3, (0.0, 1.0), False)] == [2.4, 1.2, 0.6, 0.3]
@@ -129,7 +140,7 @@ def test_a_small_area_has_no_stages_of_next_to_no_cells() -> None:
     assert [s.cell_size for s in stages] == [4.0]
 
 
-@pytest.mark.parametrize("wrong", [{"softness": [1.0]}, {"softness": [1.0, -1.0]}, {"epochs": []}, {"epochs": [0]}])
+@pytest.mark.parametrize("wrong", [{"softness": [1.0]}, {"softness": [1.0, -1.0]}, {"epochs": [0]}])
 def test_a_schedule_that_cannot_be_is_refused(wrong: Any) -> None:
     with pytest.raises(SceneError, match="expected"):
         schedule(FitOptions(**wrong), 0.5, (0.0, 1.0), False)
