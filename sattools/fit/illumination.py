@@ -64,7 +64,8 @@ def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
     """The options with the weights of the loss set for images that agree to a per cent, as calibrated ones do.
 
     They are given for images of many dates, in units of `FitOptions.robust`, a tenth of the range from black to white;
-    calibrated images differ by less before something is wrong, and the smoothness may be overruled by less.
+    calibrated images differ by less before something is wrong, and the smoothness may be overruled by less. The prior
+    may not: what a reflectance model leaves unexplained would be taken for heights.
     """
     if kind == "relative":
         return options
@@ -74,17 +75,6 @@ def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
         robust=options.robust * CALIBRATED_SHARE,
         smooth=smooth,
     )
-
-
-def trusting(options: FitOptions, kind: Radiance) -> FitOptions:
-    """The options with the weight of the prior for the reflectance model that was chosen.
-
-    What calibrated images show may overrule the prior by less, but only under a model of how brightness changes with
-    the angles: under Lambert's, that change would be taken for heights.
-    """
-    if kind == "relative" or options.brdf == "lambert":
-        return options
-    return replace(options, prior_weight=options.prior_weight * CALIBRATED_SHARE)
 
 
 def exposed(sources: list[Source]) -> tuple[list[Source], float]:
@@ -231,6 +221,5 @@ __all__ = [
     "phase_angles",
     "prior_normals",
     "radiance_kind",
-    "trusting",
     "views_left_out",
 ]  # fmt: skip

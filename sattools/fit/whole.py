@@ -9,7 +9,7 @@ import torch
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, Fitted, save_fit
-from sattools.fit.illumination import Radiance, calibrated, check_light, exposed, radiance_kind, trusting
+from sattools.fit.illumination import Radiance, calibrated, check_light, exposed, radiance_kind
 from sattools.fit.inputs import holding_out, load_prior, may_write
 from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
@@ -127,7 +127,6 @@ def _fit_surface(
         notes += choice.notes
         options = job.options = replace(options, brdf=choice.model)
         job.stages = schedule(options, grid.cell_size, z_range, prior is not None, shortest)
-    job.options = trusting(options, radiance)
     surface, finest, more = job.run(progress)
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
