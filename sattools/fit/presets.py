@@ -18,7 +18,7 @@ that `fit` makes of the prior, with its albedo, light and colour relations (``--
 and the mean image, with which networks without shadows begin in any case): both are added to its answers for density
 and albedo before their activations, the answers begin at zero, and 8 free samples and 16 around that surface with a
 smaller rate replace the papers' 64 to 128; ``--start noise`` has the papers' numbers. A sample stands for the part of
-the ray nearer to it than to its neighbours.The reflectance models are evaluated once a ray
+the ray nearer to it than to its neighbours. The reflectance models are evaluated once a ray
 (``--brdf-at sample``: at every sample, as the papers have it), on the prior's normals instead of a head's, times
 cos(incidence) / cos(sun zenith). Further, every image has a gain and an offset per band whatever the network (the
 papers leave them out or normalise the images beforehand), rays start at the scene's height range, and a surface is read
