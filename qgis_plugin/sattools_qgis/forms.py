@@ -18,6 +18,7 @@ ALGORITHMS = {
         (
             "dsm",
             "dsm_std",
+            "dsm_error95",
             "probability",
             "validity",
             "albedo",

@@ -16,7 +16,17 @@ from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
 from sattools.export.products.names import hrefs as product_hrefs
 from sattools.export.products.plan import Wanted, check_libraries, write_products
-from sattools.export.surface_files import ALBEDO, DSM, IMAGE_MAPS, PICTURE, PROBABILITY, STD, VALIDITY, SurfaceFiles
+from sattools.export.surface_files import (
+    ALBEDO,
+    DSM,
+    ERROR95,
+    IMAGE_MAPS,
+    PICTURE,
+    PROBABILITY,
+    STD,
+    VALIDITY,
+    SurfaceFiles,
+)
 from sattools.export.validity import FILLED, MEASURED, UNSEEN, UNWANTED, Witnesses
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StoredModel
@@ -111,7 +121,7 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     from sattools.export.novel import RELIT, view_href
 
     ids = {item.id for item in scene.items}
-    hrefs = [DSM, STD, ALBEDO, PICTURE, VALIDITY, PROBABILITY, *CATALOGUE.values()]
+    hrefs = [DSM, STD, ERROR95, ALBEDO, PICTURE, VALIDITY, PROBABILITY, *CATALOGUE.values()]
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
     hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
     hrefs += [view_href(asset, name) for asset in ("rendered", "rendered_height") for name in options.view]

@@ -30,8 +30,17 @@ IMAGE_MAPS = {
 }
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
 VALIDITY, PROBABILITY = "export/validity.tif", "export/probability.tif"
+ERROR95 = "export/dsm_error95.tif"
+# what the prior says of its heights -> its product, and the file on the cells of the surface: a fit that starts from
+# matching corrects its heights by less than a metre nearly everywhere
+OF_PRIOR = {"prior_probability": PROBABILITY, "prior_dsm_std": STD, "prior_dsm_error95": ERROR95}
 _PICTURE_CELLS = 3000  # along the longer edge of the picture
 _SOFTWARE = {"SOFTWARE": "sattools"}
+_ABOUT_PRIOR: dict[str, dict[str, Any]] = {
+    PROBABILITY: {"units": "1", "descriptions": ["probability of less than 1 m of error"]},
+    STD: {"units": "m", "descriptions": ["standard deviation of the height: 68 % of the errors are smaller"]},
+    ERROR95: {"units": "m", "descriptions": ["95 % of the errors of the height are smaller"]},
+}
 
 
 class SurfaceFiles:
@@ -82,11 +91,10 @@ class SurfaceFiles:
         if validity:
             tags = {"MEANING": MEANING, **_SOFTWARE}
             about[VALIDITY] = {"dtype": np.uint8, "nodata": None, "tags": tags, "descriptions": ["validity"]}
-        # a fit that starts from matching corrects its heights by less than a metre nearly everywhere
-        self._prior = _prior_probability(scene)
-        if self._prior is not None:
-            tags = {"METHOD": "of the prior, see prior_probability", **_SOFTWARE}
-            about[PROBABILITY] = {"units": "1", "tags": tags, "descriptions": ["probability of less than 1 m of error"]}
+        self._prior = {href: scene.path(scene.products[n]) for n, href in OF_PRIOR.items() if n in scene.products}
+        for product, href in OF_PRIOR.items():
+            if href in self._prior:
+                about[href] = _ABOUT_PRIOR[href] | {"tags": {"METHOD": f"of the prior, see {product}", **_SOFTWARE}}
         items = {item.id for item in scene.items}
         self._suns = [(name, sun) for name, sun in shadow_suns(head) if name in items]
         for name, _ in self._suns:
@@ -122,14 +130,17 @@ class SurfaceFiles:
         heights, _ = to_datum(model.height.numpy(), block.grid, self.vertical)
         dsm = exported.shown(heights)
         self._put(DSM, dsm, block)
-        self._put(STD, exported.shown(model.height_std.numpy()), block)
         # where an image's own offset was found wrong, the darkest ground comes out below none at all
         albedo = np.maximum(model.albedo.permute(2, 0, 1).numpy(), 0)
         self._put(ALBEDO, exported.shown(albedo), block)
         if validity is not None:
             self._put(VALIDITY, validity, block)
-        if self._prior is not None:
-            self._put(PROBABILITY, exported.shown(_one_band(self._prior, block.grid)), block)
+        of_prior = {STD: model.height_std.numpy()}
+        for href, path in self._prior.items():
+            of_prior[href] = _one_band(path, block.grid)
+        of_prior[STD] = np.where(np.isfinite(of_prior[STD]), of_prior[STD], model.height_std.numpy())
+        for href, values in of_prior.items():
+            self._put(href, exported.shown(values), block)
         for name, sun in self._suns:
             lit = surface.lit(block, sun, False)
             self._put(view_href("shadow", name), np.where(exported.valid, lit < 0.5, 255).astype(np.uint8), block)
@@ -154,8 +165,9 @@ class SurfaceFiles:
         scene.products.update(dsm=DSM, dsm_std=STD, albedo=ALBEDO, dsm_picture=PICTURE)
         if VALIDITY in self._files:
             scene.products["validity"] = VALIDITY
-        if PROBABILITY in self._files:
-            scene.products["probability"] = PROBABILITY
+        for name, href in (("probability", PROBABILITY), ("dsm_error95", ERROR95)):
+            if href in self._files:
+                scene.products[name] = href
         assets = [("shadow", name, view_href("shadow", name)) for name, _ in self._suns]
         assets += [(kind, name, href) for (kind, name), href in self._image_maps.items()]
         items = {item.id: item for item in scene.items}
@@ -163,17 +175,11 @@ class SurfaceFiles:
             items[name].assets[kind] = Asset(href)
 
 
-def _prior_probability(scene: Scene) -> Path | None:
-    """File of the prior's probability of less than 1 m of error; None where the prior has none."""
-    name = scene.products.get("prior_probability")
-    return None if name is None else scene.path(name)
-
-
 def _one_band(path: Path, target: Grid) -> np.ndarray:
     """A raster with one band ``[h, w]`` on a part of the ground."""
     array = read_on(path, target)
     if len(array) != 1:
-        raise InputError(f"{path}: found {len(array)} bands, expected one as prior_probability has")
+        raise InputError(f"{path}: found {len(array)} bands, expected one")
     return np.asarray(array[0])
 
 
@@ -184,4 +190,4 @@ def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:
     return np.logical_or.reduce([np.isfinite(part).any(axis=(1, 2)) for part in parts])
 
 
-__all__ = ["ALBEDO", "DSM", "IMAGE_MAPS", "PICTURE", "PROBABILITY", "STD", "VALIDITY", "SurfaceFiles"]
+__all__ = ["ALBEDO", "DSM", "ERROR95", "IMAGE_MAPS", "PICTURE", "PROBABILITY", "STD", "VALIDITY", "SurfaceFiles"]

@@ -10,13 +10,26 @@ import numpy as np
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
-from sattools.prior.probability import MEANING, METHOD, height_probability
+from sattools.prior.probability import (
+    ERROR95_MEANING,
+    ERROR_METHOD,
+    MEANING,
+    METHOD,
+    STD_MEANING,
+    height_errors,
+    height_probability,
+)
 from sattools.scene import Grid, Scene
 from sattools.scene.cog import CogWriter
 from sattools.scene.raster import read_raster, write_sensor_image
 
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 PROBABILITY = "prior/probability.tif"
+STD, ERROR95 = "prior/dsm_std.tif", "prior/dsm_error95.tif"
+MAPS = {
+    "dsm": DSM, "confidence": CONFIDENCE, "probability": PROBABILITY, "dsm_std": STD, "dsm_error95": ERROR95,
+    "normals": NORMALS,
+}  # fmt: skip
 
 
 def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
@@ -36,6 +49,15 @@ def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: s
         path, array[None].astype(np.float32), rpc.to_tags(), nodata=float("nan"), descriptions=[name], units=unit,
         tags={"SOFTWARE": "sattools"},
     )  # fmt: skip
+
+
+def _error(name: str, meaning: str) -> dict[str, Any]:
+    """How a map of errors is described."""
+    return {
+        "units": "m",
+        "tags": {"METHOD": ERROR_METHOD, "MEANING": meaning, "SOFTWARE": "sattools"},
+        "descriptions": [name],
+    }
 
 
 class MapFiles:
@@ -61,6 +83,10 @@ class MapFiles:
             CogWriter(scene.output(DSM), grid, **height),
             CogWriter(scene.output(CONFIDENCE), grid, **trust),
             CogWriter(scene.output(PROBABILITY), grid, **probable),
+            CogWriter(scene.output(STD), grid, **_error("standard deviation of the height", STD_MEANING)),
+            CogWriter(
+                scene.output(ERROR95), grid, **_error("95 % of the errors of the height are smaller", ERROR95_MEANING)
+            ),
             CogWriter(scene.output(NORMALS), grid, bands=3, **slant),
         ]
 
@@ -79,13 +105,13 @@ class MapFiles:
             rows: see above.
         """
         probable = height_probability(confidence, self.grid.cell_size)
-        for file, values in zip(self._files, (height, confidence, probable, slant), strict=True):
+        errors = height_errors(confidence, self.grid.cell_size)
+        for file, values in zip(self._files, (height, confidence, probable, *errors, slant), strict=True):
             file.write(values, rows)
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
-        names = {"dsm": DSM, "confidence": CONFIDENCE, "probability": PROBABILITY, "normals": NORMALS}
-        self.scene.products.update({f"prior_{name}": href for name, href in names.items()})
+        self.scene.products.update({f"prior_{name}": href for name, href in MAPS.items()})
 
 
 def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np.ndarray, Grid]:
@@ -122,4 +148,4 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
     return arrays[0], arrays[1], grids[0]
 
 
-__all__ = ["CONFIDENCE", "DSM", "NORMALS", "PROBABILITY", "MapFiles", "read_prior", "write_sensor_map"]
+__all__ = ["CONFIDENCE", "DSM", "MAPS", "NORMALS", "PROBABILITY", "MapFiles", "read_prior", "write_sensor_map"]

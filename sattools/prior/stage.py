@@ -8,7 +8,7 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.confidence import match_confidence
-from sattools.prior.files import CONFIDENCE, DSM, NORMALS, PROBABILITY, MapFiles, write_sensor_map
+from sattools.prior.files import CONFIDENCE, DSM, MAPS, MapFiles, write_sensor_map
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
 from sattools.prior.matching.match import Match, margin_for, match
@@ -66,7 +66,7 @@ def prior(
         OutputExistsError: a product exists and ``overwrite`` is False.
     """
     items = scene.train_items()
-    outputs = [DSM, CONFIDENCE, PROBABILITY, NORMALS]
+    outputs = list(MAPS.values())
     if options.per_image:
         outputs += [_per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
     begin(scene, "prior", outputs, overwrite)
@@ -147,7 +147,7 @@ def match_sources(
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
     """Write height [m] and confidence, both ``[H, W]``, and what follows from them, as the scene's prior.
 
-    That is the probability of a height to be less than 1 m off, and its normals.
+    That is the probability of a height to be less than 1 m off, how far off it may be, and its normals.
 
     Args:
         scene: gets the products.

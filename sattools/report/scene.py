@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 # product -> what it is, with its unit; shown where a scene has them
 MAPS = {
     "dsm_std": "standard deviation of the height [m]",
+    "dsm_error95": "95 % of the errors of the height are smaller [m]",
     "albedo": "albedo [1]",
     "reflectance": "reflectance [1]",
     "w": "single-scattering albedo w [1]",

@@ -40,11 +40,24 @@ class Stage:
 STAGES: dict[str, Stage] = {
     "prep": Stage(("area",)),
     "normalise": Stage(("radiance_histogram",), ("radiance",)),
-    "prior": Stage(("prior_dsm", "prior_confidence", "prior_probability", "prior_normals"), ("depth", "confidence")),
+    "prior": Stage(
+        ("prior_dsm", "prior_dsm_error95", "prior_confidence", "prior_probability", "prior_normals"),
+        ("depth", "confidence"),
+    ),
     "fit": Stage(("model", "trace"), (), (FIT_ROLE,)),
     "export": Stage(
         (
-            *("dsm", "dsm_picture", "probability", "validity", "albedo", "reflectance", "normal", "relit"),
+            *(
+                "dsm",
+                "dsm_picture",
+                "dsm_error95",
+                "probability",
+                "validity",
+                "albedo",
+                "reflectance",
+                "normal",
+                "relit",
+            ),
             *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc", "identifiable"),
             *("points", "points_ply", "contours", "dtm", "dtm_validity", "ndsm", "ortho", "ortho_source"),
             *("mesh", "mesh_obj", "mesh_mtl", "mesh_texture", "tileset", "collection", "collection_item"),

@@ -97,6 +97,23 @@ def test_the_priors_probability_comes_along_on_the_cells_of_the_surface(scene: A
     assert probability[0, 20, -5] == pytest.approx(0.75)
 
 
+def test_the_priors_errors_take_the_place_of_the_fits_noise(scene: Any) -> None:
+    export(scene, ExportOptions())
+    noise = read_raster(scene.path(scene.products["dsm_std"]))[0]
+    assert "dsm_error95" not in scene.products
+    own = np.full(GRID.shape, 0.75, np.float32)
+    own[3, 4] = np.nan
+    for name, values in (("prior_dsm_std", own), ("prior_dsm_error95", 4 * own)):
+        write_cog(scene.output(f"{name}.tif"), values, GRID)
+        scene.products[name] = f"{name}.tif"
+    export(scene, ExportOptions())
+    std, error95 = (read_raster(scene.path(scene.products[name]))[0][0] for name in ("dsm_std", "dsm_error95"))
+    assert std[20, 5] == 0.75
+    assert error95[20, 5] == 3.0
+    assert std[3, 4] == noise[0, 3, 4]
+    assert np.isnan(error95[3, 4])
+
+
 def test_products_need_overwrite(scene: Any) -> None:
     export(scene, ExportOptions())
     with pytest.raises(OutputExistsError, match="--overwrite"):

@@ -1,11 +1,19 @@
 """The left-right check on the ground grid: rays, consistent views, and what is filled."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sattools.prior.frame import Frame
-from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, update_minima
+from sattools.prior.visibility.consistency import (
+    RayMinima,
+    count_consistent_views,
+    filled,
+    own_pixel_votes,
+    typical_look,
+    update_minima,
+)
 from sattools.prior.visibility.occlusion import UNKNOWN
 
 HEIGHTS = np.array([0.0, 2.0])
@@ -101,3 +109,52 @@ def test_nothing_beyond_twenty_metres_fills_a_hole() -> None:
     fine, coarse = filled(height, stands, 1.0)[0], filled(height, stands, 2.0)[0]
     assert (fine[10], fine[9]) == (3.0, 7.0)
     assert (coarse[20], coarse[19]) == (3.0, 7.0)
+
+
+def readable_votes(
+    value: np.ndarray, seen: np.ndarray, best: np.ndarray, height: np.ndarray, parallax: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The twin of `typical_look` and `own_pixel_votes` that can be read."""
+    look = np.nanmedian(np.where(seen, value, np.nan), axis=0)
+    votes = np.zeros(seen.shape, bool)
+    for v, row, col in zip(*np.nonzero(seen & (best < height)), strict=True):
+        rise = height[row, col] - best[v, row, col]
+        r, c = (round(at + per_metre * rise) for at, per_metre in zip((row, col), parallax[v], strict=True))
+        if not (0 <= r < height.shape[0] and 0 <= c < height.shape[1]) or abs(height[r, c] - best[v, row, col]) > near:
+            continue
+        unlike = abs(value[v, row, col] - look[r, c]) - 0.1
+        votes[v, row, col] = abs(value[v, row, col] - look[row, col]) < 0.25 * unlike
+    return look, votes
+
+
+def test_pixels_vote_as_in_the_readable_twin() -> None:
+    rng = np.random.default_rng(4)
+    shape = (5, 12, 14)
+    height = rng.choice([0.0, 6.0], shape[1:]).astype(np.float32)
+    value = (0.2 + 0.5 * (height > 3) + rng.normal(0, 0.05, shape)).astype(np.float32)
+    seen = rng.random(shape) < 0.8
+    seen[0] = True
+    best = rng.choice([0.0, 6.0, np.nan], shape).astype(np.float32)
+    parallax = rng.uniform(-0.5, 0.5, (5, 2))
+    look, votes = readable_votes(value, seen, best, height, parallax, 1.5)
+    found, agree = np.empty_like(height), np.zeros(shape, bool)
+    typical_look(value, seen, found)
+    own_pixel_votes(value, seen, found, best, height, parallax, np.float32(1.5), agree)
+    np.testing.assert_allclose(found, look, atol=1e-6)
+    np.testing.assert_array_equal(agree, votes)
+    assert 20 < votes.sum() < seen.sum() / 2
+
+
+def test_a_tree_stays_though_the_ground_behind_it_agrees_better() -> None:
+    """Every ray's best place is the ground; a dark crown on bright ground says that it is not what the pixel shows."""
+    f = frame()
+    flat = RayMinima(np.zeros(f.images.shape, np.float32), np.zeros(f.images.shape, np.float32))
+    height = np.array([[0, 2, 0, 0, 0]], np.float32)
+    hits = np.full(f.images.shape, UNKNOWN, np.float32)
+    plain = count_consistent_views(f, hits, flat, height, tolerance=0.5, step=0.5)[0]
+    assert plain.tolist() == [[2, 0, 2, 2, 2]]
+    crown = np.full(f.images.shape, 0.6, np.float32)
+    for image, columns in zip(crown, (slice(2, 5), slice(3, 6)), strict=True):
+        image[:, columns] = 0.0  # two metres of height are one column of the second view
+    seen = count_consistent_views(replace(f, images=crown), hits, flat, height, tolerance=0.5, step=0.5)[0]
+    assert seen[0, 1] == 1  # the first looks straight down: what is below the crown is the crown's own cell

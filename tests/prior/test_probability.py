@@ -1,9 +1,9 @@
-"""The probability that a height is right to a metre."""
+"""The probability that a height is right to a metre, and how far off it may be."""
 
 import numpy as np
 import pytest
 
-from sattools.prior.probability import height_probability
+from sattools.prior.probability import height_errors, height_probability
 
 
 def test_probability_grows_with_the_confidence_and_falls_with_the_cell() -> None:
@@ -26,3 +26,15 @@ def test_what_has_no_confidence_has_no_probability() -> None:
     p = height_probability(confidence, 0.5)
     np.testing.assert_array_equal(np.isnan(p), np.isnan(confidence))
     assert p.dtype == np.float32
+
+
+def test_errors_fall_with_the_confidence_and_grow_with_the_cell() -> None:
+    confidence = np.linspace(0, 1, 101, dtype=np.float32)[None]
+    std, error95 = (e[0] for e in height_errors(confidence, 0.5))
+    assert std.dtype == error95.dtype == np.float32
+    assert (np.diff(std) < 0).all()
+    assert (np.diff(error95) < 0).all()
+    assert std[[0, 25, 100]] == pytest.approx([10.14, 0.2486, 0.0223], rel=5e-3)
+    assert error95[[0, 25, 100]] == pytest.approx([77.9, 1.294, 0.0313], rel=5e-3)
+    coarse = height_errors(confidence, 2.0)[0][0]
+    assert coarse / std == pytest.approx(np.exp(2 * 0.7217), rel=1e-4)

@@ -31,7 +31,8 @@ def product(scene: Any, name: Any) -> Any:
 
 def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     scene, entry = matched
-    for name, bands in (("prior_dsm", 1), ("prior_confidence", 1), ("prior_probability", 1), ("prior_normals", 3)):
+    names = ("prior_dsm", "prior_dsm_std", "prior_dsm_error95", "prior_confidence", "prior_probability")
+    for name, bands in (*((name, 1) for name in names), ("prior_normals", 3)):
         array, grid = product(scene, name)
         assert grid == scene.require_grid()
         assert array.shape == (bands, *grid.shape)
@@ -75,6 +76,19 @@ def test_the_probability_is_about_the_share_of_heights_that_are_right_to_a_metre
     # a town of six views, unlike any that the weights were found on
     assert said.mean() == pytest.approx(right.mean(), abs=0.1)
     assert right[said > 0.9].mean() > right[said < 0.6].mean() + 0.3
+
+
+def test_two_heights_in_three_are_less_off_than_their_standard_deviation(matched: Any) -> None:
+    scene, _ = matched
+    truth = read_reference(scene.path(scene.products["truth_dsm"]))
+    height, grid = product(scene, "prior_dsm")
+    difference = compare_dsm(height[0], truth, grid, method="none").difference
+    error = np.abs(difference - np.nanmedian(difference))
+    known = np.isfinite(error)
+    std, error95 = (product(scene, f"prior_dsm_{name}")[0][0] for name in ("std", "error95"))
+    # a town of six views, unlike any that the weights were found on
+    assert (error < std)[known].mean() == pytest.approx(0.68, abs=0.12)
+    assert (error < error95)[known].mean() == pytest.approx(0.95, abs=0.06)
 
 
 def test_depth_per_image_is_the_height_that_its_pixel_sees(matched: Any) -> None:

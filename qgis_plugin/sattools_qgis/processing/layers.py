@@ -11,8 +11,9 @@ SHOWN = ("contours", "footprints", "difference", "dsm", "prior_dsm")
 # From top to bottom. QGIS gives a new project its topmost layer's CRS: footprints in degrees would squeeze the maps.
 ORDER = (
     "contours", "difference", "dsm", "dsm hillshade", "prior_dsm", "prior_dsm hillshade", "dtm", "dtm hillshade",
-    "ndsm", "ortho", "albedo", "reflectance", "w", "b", "c", "theta", "rho0", "k", "rhoc", "dsm_std", "probability",
-    "validity", "dtm_validity", "prior_confidence", "prior_probability", "tie_points", "footprints",
+    "ndsm", "ortho", "albedo", "reflectance", "w", "b", "c", "theta", "rho0", "k", "rhoc", "dsm_std",
+    "dsm_error95", "probability", "validity", "dtm_validity", "prior_confidence", "prior_probability",
+    "tie_points", "footprints",
 )  # fmt: skip
 
 

@@ -33,6 +33,7 @@ RAMPS = {
     "dtm": ("Viridis", None, None),
     "ndsm": ("YlGn", 0.0, None),
     "dsm_std": ("Magma", 0.0, None),
+    "dsm_error95": ("Magma", 0.0, None),
     "prior_confidence": ("Cividis", 0.0, 1.0),
     "prior_probability": ("Cividis", 0.0, 1.0),
     "probability": ("Cividis", 0.0, 1.0),

@@ -40,6 +40,7 @@ _TYPES = {
 _TITLES = {
     "dsm": "Surface model",
     "dsm_std": "Standard deviation of the surface model",
+    "dsm_error95": "What 95 % of the errors of the surface model are below",
     "dsm_picture": "Picture of the surface model",
     "validity": "What was measured",
     "probability": "Probability of less than 1 m of error",

@@ -5,6 +5,10 @@ there would rather end at another cell: a roof smeared over the ground beside it
 So every ray is asked where along it, over all cells and heights, the images agree best after aggregation. A cell stands
 where most of the views that see it have their best place there; the others are filled from the lower side, as what is
 not seen by enough views is more often ground behind a wall than roof.
+
+What is small and high (a tree, a chimney, the rim of a tower) has a higher aggregated cost than the wide ground behind
+it, which this view does not see and others do. So a view whose own pixel says otherwise is not counted against the
+cell: where it looks like what the views see at the cell, and surely not like what they see at the ray's best place.
 """
 
 from __future__ import annotations
@@ -12,12 +16,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
 from sattools.prior.visibility.occlusion import at_surface
 
 SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
+UNLIKE = 0.1  # difference of brightness from which a pixel does not look like a place
+LIKE = 0.25  # share of what it differs by beyond that from the best place, by which it may differ from the cell
 REACH_M = 20.0  # distance within which a standing cell is looked for
 RANK = 2  # of the heights found in eight directions, from the lowest: one or two may be holes themselves
 
@@ -54,7 +61,13 @@ def count_consistent_views(
         step: distance of the height planes [m].
     """
     best, seen = at_surface(replace(frame, images=minima.height), first_hit_height, height, tolerance)
-    agree = seen & (np.abs(best - height) <= SAME_PLANES * step)
+    near = np.float32(SAME_PLANES * step)
+    agree = seen & (np.abs(best - height) <= near)
+    smooth = np.stack([uniform_filter(image, 3, mode="nearest") for image in frame.images])
+    value, _ = at_surface(replace(frame, images=smooth), first_hit_height, height, tolerance)
+    look = np.empty_like(height)
+    typical_look(value, seen, look)
+    own_pixel_votes(value, seen, look, best, height, frame.parallax, near, agree)
     return agree.sum(axis=0, dtype=np.uint8), seen.sum(axis=0, dtype=np.uint8)
 
 
@@ -107,6 +120,75 @@ def update_minima(total, parallax, heights, z_ref, row0, col0, cost, height, fir
                     least[col] = here[col] if here[col] < least[col] else least[col]
 
 
+@njit(inline="always")
+def _in_order(values, count, value):
+    """Put a value among so many in ascending order; their new number. The compiler takes a second for numpy's sort."""
+    at = count
+    while at > 0 and values[at - 1] > value:
+        values[at] = values[at - 1]
+        at -= 1
+    values[at] = value
+    return count + 1
+
+
+@spread(lambda value, *_: value.shape[1])
+@njit(cache=True, nogil=True)
+def typical_look(value, seen, look, first_row, end_row):
+    """Median brightness of every cell in the views that see it.
+
+    Args:
+        value: ``[V, H, W]`` float32 what the views show of the surface.
+        seen: ``[V, H, W]`` bool.
+        look: ``[H, W]`` float32, filled; NaN where none sees it.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
+    """
+    views, rows, cols = value.shape
+    for row in range(first_row, end_row):
+        shown = np.empty(views, np.float32)
+        for col in range(cols):
+            count = 0
+            for v in range(views):
+                if seen[v, row, col]:
+                    count = _in_order(shown, count, value[v, row, col])
+            look[row, col] = np.nan
+            if count:
+                look[row, col] = (shown[(count - 1) // 2] + shown[count // 2]) / np.float32(2)
+
+
+@spread(lambda value, *_: value.shape[1])
+@njit(cache=True, nogil=True)
+def own_pixel_votes(value, seen, look, best, height, parallax, near, agree, first_row, end_row):
+    """Let views agree whose pixel looks like the cell and not like the best place of its ray, which lies below.
+
+    Args:
+        value: ``[V, H, W]`` float32 what the views show of the surface.
+        seen: ``[V, H, W]`` bool.
+        look: ``[H, W]`` float32, see `typical_look`.
+        best: ``[V, H, W]`` float32 height of the best place on the ray through the cell [m]; NaN = none.
+        height: ``[H, W]`` float32 [m].
+        parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
+        near: heights that differ by less are one place [m].
+        agree: ``[V, H, W]`` bool; changed.
+        first_row: first row, from `spread`.
+        end_row: the one after the last.
+    """
+    views, rows, cols = value.shape
+    for row in range(first_row, end_row):
+        for col in range(cols):
+            z = height[row, col]
+            for v in range(views):
+                below = best[v, row, col]
+                # NaN compares false
+                if agree[v, row, col] or not seen[v, row, col] or not below < z:
+                    continue
+                r, c = round(row + parallax[v, 0] * (z - below)), round(col + parallax[v, 1] * (z - below))
+                if not (0 <= r < rows and 0 <= c < cols) or abs(height[r, c] - below) > near:
+                    continue
+                shown = value[v, row, col]
+                agree[v, row, col] = abs(shown - look[row, col]) < LIKE * (abs(shown - look[r, c]) - UNLIKE)
+
+
 @spread(lambda height, *_: len(height))
 @njit(cache=True, nogil=True)
 def _fill(height, stands, reach, result, first_row, end_row):
@@ -126,15 +208,10 @@ def _fill(height, stands, reach, result, first_row, end_row):
                     if r < 0 or c < 0 or r >= rows or c >= cols:
                         break
                     if stands[r, c]:
-                        at = count  # kept in order: the compiler takes a second for numpy's sorting
-                        while at > 0 and around[at - 1] > height[r, c]:
-                            around[at] = around[at - 1]
-                            at -= 1
-                        around[at] = height[r, c]
-                        count += 1
+                        count = _in_order(around, count, height[r, c])
                         break
             if count:
                 result[row, col] = around[min(RANK, count - 1)]
 
 
-__all__ = ["RayMinima", "count_consistent_views", "filled", "update_minima"]
+__all__ = ["RayMinima", "count_consistent_views", "filled", "own_pixel_votes", "typical_look", "update_minima"]
