@@ -40,6 +40,7 @@ from sattools.views import Source, View, match_colours, views_on
 log = logging.getLogger(__name__)
 ROWS, SAVE_EVERY = 20, 5  # rows of the trace per fit; checkpoints among them
 TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
+ROWS_TRIED = 4  # to know how long reading all off takes
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
@@ -262,10 +263,11 @@ class _RayJob:
 
     @functools.cached_property
     def _reading_s(self) -> float:
-        """Seconds that reading the field off takes, by its first row."""
+        """Seconds that reading the field off takes, by its first rows."""
+        rows = min(ROWS_TRIED, self.grid.height)
         begun = time.perf_counter()
-        read_maps(self.trainer, self.grid.part(slice(0, 1), slice(0, self.grid.width)), self.z_range)
-        return (time.perf_counter() - begun) * self.grid.height
+        read_maps(self.trainer, self.grid.part(slice(0, rows), slice(0, self.grid.width)), self.z_range)
+        return (time.perf_counter() - begun) * self.grid.height / rows
 
     def _plan_within(self, options: FitOptions, first: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""
