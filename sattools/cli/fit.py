@@ -75,5 +75,9 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return str(foresee(scene, options))
 
+    if print_config and options.field == "mlp":
+        from sattools.fit.presets import DIFFERENCES
+
+        click.echo("".join(f"# {line}\n" for line in DIFFERENCES.splitlines()), nl=False)
     run = Run("fit", options, dry_run, print_config, overwrite, at_once=False)
     run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen)

@@ -4,7 +4,7 @@ Maps lie with their values side by side, ``[H, W, K]``, volumes ``[D, H, W, K]``
 Points are in metres, a frame takes them to cells: western edge, columns per metre, northern edge, rows per metre, and
 for volumes lowest height, layers per metre. Where a column can have nothing at a height nothing is computed there: most
 samples of a ray are in empty space. Gradients are summed in `CHUNKS` parts, whatever the number of threads, so that
-they are the same each time.
+they are the same each time; in one where a volume is so large that zeros and sums would cost more than points.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ EMPTY = (
     9.0  # softness lengths above its high height from which a column is empty: exp(-9) of its optical depth is there
 )
 FAR = 30.0  # argument beyond which a logistic function is at its end
+LARGE = 4_000_000  # values of a volume, above which one part has to do
 CHUNKS = 4  # parts of the points, each with gradients of its own
 LEAST = 1e-12  # density at which parts still have a meaning
 ONE = np.float32(1.0)
@@ -49,9 +50,9 @@ def frame_within(box: Box, shape: tuple[int, ...]) -> np.ndarray:
 
 
 @njit
-def _part(chunk, count):
+def _part(chunk, count, chunks=CHUNKS):
     """Which of `count` points a chunk has."""
-    return slice(chunk * count // CHUNKS, (chunk + 1) * count // CHUNKS)
+    return slice(chunk * count // chunks, (chunk + 1) * count // chunks)
 
 
 @njit(fastmath=FASTMATH)
@@ -277,12 +278,12 @@ def _volume_gradients_part(features, grad, frame, mine):
                 cell[c] += w * grad[n, c]
 
 
-@spread(lambda *_: CHUNKS)
+@spread(lambda features, grad, frame, grads: len(grads))
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
 def volume_gradients(features, grad, frame, grads, first_chunk, end_chunk):
-    """Gradients of a volume, added to `grads` [CHUNKS, D, H, W, C]; `grad` [N, C] is that of the logits."""
+    """Gradients of a volume, added to `grads` [parts, D, H, W, C]; `grad` [N, C] is that of the logits."""
     for chunk in range(first_chunk, end_chunk):
-        i = _part(chunk, len(features))
+        i = _part(chunk, len(features), len(grads))
         _volume_gradients_part(features[i], grad[i], frame, grads[chunk])
 
 
@@ -297,7 +298,7 @@ def _packed(maps: Tensor) -> np.ndarray:
 
 def _summed(grads: np.ndarray) -> Tensor:
     """Gradients ``[CHUNKS, ..., K]`` -> ``[K, ...]``."""
-    return torch.from_numpy(grads.sum(axis=0)).movedim(-1, 0)
+    return torch.from_numpy(grads.sum(axis=0) if len(grads) > 1 else grads[0]).movedim(-1, 0)
 
 
 class Density(torch.autograd.Function):
@@ -345,7 +346,7 @@ class Colours(torch.autograd.Function):
         colour_gradients(at, maps, frame, shown, grad, found, of_features)
         of_volumes = []
         for shape, frame_v in zip(shapes, frames, strict=True):
-            of_volume = np.zeros((CHUNKS, *shape), np.float32)
+            of_volume = np.zeros((1 if math.prod(shape) > LARGE else CHUNKS, *shape), np.float32)
             volume_gradients(at, grad, frame_v, of_volume)
             of_volumes.append(_summed(of_volume))
         return torch.from_numpy(of_features), _summed(found), None, *of_volumes

@@ -14,6 +14,7 @@ from sattools.field.networks import EMBEDDING, Head, Network
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
 
+SHAPES = ("b", "c", "k", "theta", "rhoc")  # heads for shape parameters of reflectance models
 W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.2)
 
 
@@ -34,7 +35,8 @@ class MlpField:
         bands: colours of the images (the papers have 3).
         width: of the trunk instead of the paper's.
         seed: of the initial weights.
-        base: a surface to start from: the network's answers for density and albedo are added to it, and begin at 0.
+        base: a surface to start from: the network's answers for density, albedo and shape parameters are added to its
+            own, and begin at 0.
     """
 
     def __init__(
@@ -70,9 +72,12 @@ class MlpField:
             sizes += [int(share * wide) for share in head.hidden]
             sizes += [bands if head.outputs == 3 else head.outputs]
             self.head_layers[name] = [self._layer(a, b, random) for a, b in pairwise(sizes)]
+        self.known: list[str] = []  # heads whose answers are added to what the base has
         if base is not None:
+            shapes = [name for name in network.heads if name in SHAPES] if base.shape is not None else []
+            self.known = ["albedo", *shapes]
             with torch.no_grad():
-                for layer in (self.sigma, self.head_layers["albedo"][-1]):
+                for layer in (self.sigma, *(self.head_layers[name][-1] for name in self.known)):
                     layer.weight.zero_()
                     layer.bias.zero_()
 
@@ -114,9 +119,11 @@ class MlpField:
 
     def look(self, features: Tensor, sun: Tensor | None, embedding: Tensor | None) -> dict[str, Tensor]:
         """See `Field.look`: colours and visibility."""
-        colour = None
+        begun: dict[str, Tensor] = {}
         if self.base is not None:
-            features, colour = features[..., : -self.bands], features[..., -self.bands :]
+            sizes = [self.bands] + [1] * (len(self.known) - 1)
+            features, *values = features.split([features.shape[-1] - sum(sizes), *sizes], dim=-1)
+            begun = dict(zip(self.known, values, strict=True))
         given = {"features": features, "sun": sun, "embedding": embedding}
         outputs: dict[str, Tensor] = {}
         for name, head in self.network.heads.items():
@@ -124,8 +131,8 @@ class MlpField:
             if any(part is None for part in parts):
                 continue
             raw = self._hidden(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
-            if name == "albedo" and colour is not None:
-                raw = raw + before_sigmoid(colour, head.low, head.high)
+            if name in begun:
+                raw = raw + before_sigmoid(begun[name], head.low, head.high)
             answer = self._answer(head, raw)
             if head.activation == "tau and beta":
                 outputs |= {"tau": torch.sigmoid(answer[..., :1]), "beta": softplus(answer[..., 1:])}

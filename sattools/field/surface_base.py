@@ -26,20 +26,24 @@ class SurfaceBase:
         height: ``[H, W]`` [m], on a grid that spans the box; row 0 in the north.
         colour: ``[H, W, C]`` in [0, 1].
         softness: s [m].
+        shape: ``[H, W, P]`` shape parameters of a reflectance model, in the order of the network's heads, or none.
     """
 
     box: Box
     height: Tensor
     colour: Tensor
     softness: float
+    shape: Tensor | None = None
 
     def to(self, device: torch.device) -> SurfaceBase:
         """The same on a device."""
-        return replace(self, height=self.height.to(device), colour=self.colour.to(device))
+        shape = None if self.shape is None else self.shape.to(device)
+        return replace(self, height=self.height.to(device), colour=self.colour.to(device), shape=shape)
 
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Density ``[N]`` per metre and colour ``[N, C]`` at points ``[N, 3]`` [m]."""
-        height, *colour = self._read(torch.cat([self.height[..., None], self.colour], dim=-1), points)
+        """Density ``[N]`` per metre, colour and shape parameters ``[N, C + P]`` at points ``[N, 3]`` [m]."""
+        maps = [self.height[..., None], self.colour] + ([] if self.shape is None else [self.shape])
+        height, *colour = self._read(torch.cat(maps, dim=-1), points)
         density = torch.sigmoid((height - points[:, 2]) / self.softness) / self.softness
         return density, torch.stack(colour, dim=-1)
 
@@ -54,13 +58,14 @@ class SurfaceBase:
         return read[0, :, 0]
 
     def tensors(self) -> dict[str, Tensor]:
-        """What `restored` needs beside the box: heights and softness [m], colours."""
-        return {"height": self.height, "colour": self.colour, "softness": self.height.new_tensor(self.softness)}
+        """What `restored` needs beside the box: heights and softness [m], colours, shape parameters."""
+        found = {"height": self.height, "colour": self.colour, "softness": self.height.new_tensor(self.softness)}
+        return found if self.shape is None else {**found, "shape": self.shape}
 
     @classmethod
     def restored(cls, tensors: dict[str, Tensor], box: Box) -> SurfaceBase:
         """Inverse of `tensors`: heights and softness [m], colours."""
-        return cls(box, tensors["height"], tensors["colour"], float(tensors["softness"]))
+        return cls(box, tensors["height"], tensors["colour"], float(tensors["softness"]), tensors.get("shape"))
 
 
 def before_softplus(density: Tensor) -> Tensor:

@@ -13,17 +13,7 @@ Sources:
     hapke-nerf: "Hapke-NeRF", sections 2 and 3: 64 stratified and 64 guided samples, dense depths, Lambertian
         pre-training.
 
-What differs from the papers: with ``--start surface`` (the default) a network learns what is different from the surface
-that `fit` makes of the prior, with its albedo, light and colour relations (``--start prior``: from the prior's surface
-and the mean image, with which networks without shadows begin in any case): both are added to its answers for density
-and albedo before their activations, the answers begin at zero, and 8 free samples and 16 around that surface with a
-smaller rate replace the papers' 64 to 128; ``--start noise`` has the papers' numbers. A sample stands for the part of
-the ray nearer to it than to its neighbours. The reflectance models are evaluated once a ray
-(``--brdf-at sample``: at every sample, as the papers have it), on the prior's normals instead of a head's, times
-cos(incidence) / cos(sun zenith). Further, every image has a gain and an offset per band whatever the network (the
-papers leave them out or normalise the images beforehand), rays start at the scene's height range, and a surface is read
-where the transmittance crosses one half.
-One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
+`DIFFERENCES` says what differs from the papers; ``--print-config`` shows it.
 """
 
 from __future__ import annotations
@@ -33,6 +23,19 @@ from typing import Any
 from sattools.fit.options import FitOptions
 from sattools.scene.jsonio import JsonObject
 
+DIFFERENCES = """\
+What differs from the papers: with `--start surface` (the default) a network learns what is different from the surface
+that `fit` makes of the prior, with its albedo (or w, b, c, theta; rho0, k, theta, rhoc), light and colour relations.
+With `--start prior` it begins with the prior's surface and the mean image; without shadows and reflectance model its
+colours always do. Both are added to its answers before their activations, the answers begin at zero, and 8 free samples
+and 16 around that surface with a smaller rate replace the papers' 64 to 128; `--start noise` has the papers' numbers.
+A sample stands for the part of the ray nearer to it than to its neighbours. The reflectance models are evaluated once a
+ray (`--brdf-at sample`: at every sample, as the papers have it), on the prior's normals instead of a head's, times
+cos(incidence) / cos(sun zenith), and without a Lambertian phase where they begin with a fit's parameters. Further,
+every image has a gain and an offset per band whatever the network (the papers leave them out or normalise the images
+beforehand), rays start at the scene's height range, and a surface is read where the transmittance crosses one half.
+One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
+"""
 _NERF: dict[str, Any] = {"field": "mlp", "loss": "mse", "robust": 0.0, "pose": False}
 _GUIDED = {**_NERF, "samples": 64, "guided": 64, "prior_weight": 0.2, "depth_weight": 1 / 3, "shadow": "none"}
 PRESETS: dict[str, dict[str, Any]] = {
@@ -80,9 +83,14 @@ def with_preset(preset: str, start: str = "surface", field: str = "") -> JsonObj
     if start != "noise" and values.get("field") == "mlp":
         # a paper without dense depths keeps its losses: the prior is where its network starts, and no more
         values = {**values, **WARM, "depth_weight": values.get("depth_weight", 0.0)}
+    if start == "surface" and "brdf" in values:
+        values = {
+            **values,
+            "pretrain": 0.0,
+        }  # it begins with the parameters of a fit, which a Lambertian phase would undo
     if field == "neural":
         values = {**values, **NEURAL}
     return {"preset": preset, **{name: value for name, value in values.items() if name in known}}
 
 
-__all__ = ["PRESETS", "resolve", "with_preset"]
+__all__ = ["DIFFERENCES", "PRESETS", "resolve", "with_preset"]

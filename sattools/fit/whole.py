@@ -13,6 +13,7 @@ from sattools.fit.illumination import Radiance, calibrated, check_light, exposed
 from sattools.fit.inputs import holding_out, load_prior, may_write
 from sattools.fit.model import COLOURS, FittedModel
 from sattools.fit.options import FitOptions
+from sattools.fit.rays.start import Beginning
 from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.schedule import schedule
@@ -76,9 +77,10 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             check_sky(setup.options, sources[0].radiance.shape[0])
             from sattools.fit.rays.stage import fit_rays
 
-            trace, start = Trace(), None
+            trace = Trace()
+            start: Beginning | None = None
             if prior is not None and starts_from_surface(setup.options):
-                start = _first_surface(scene, setup, sources, prior)
+                start = _beginning(scene, setup, sources, prior)
             given = (scene, sources, setup.options, prior, setup.device, told)
             fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace)
         fitted.notes[:0] = setup.notes
@@ -90,15 +92,19 @@ def starts_from_surface(options: FitOptions) -> bool:
     return options.field in ("mlp", "neural") and options.start == "surface"
 
 
-def _first_surface(scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior) -> FittedModel:
-    """What a field begins as: the surface with its colours and light, by the defaults of `fit`."""
+def _beginning(scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior) -> Beginning:
+    """What a field begins as: the surface with its colours and light, by the defaults of `fit`, and its reflectance."""
     asked = setup.options
     # rays of a field know no shift per view, so that its start must not either
     plain = FitOptions(seed=asked.seed, prior_weight=asked.prior_weight, pose=False)
     plain = calibrated(replace(plain, views=asked.views, holdout=asked.holdout), setup.radiance)
-    fitted = _fit_surface(scene, replace(setup, options=plain), sources, prior, silent, lasting=False)
-    assert isinstance(fitted.model, FittedModel)
-    return fitted.model
+    modelled = replace(plain, brdf=asked.brdf, normals="prior")
+    found: list[FittedModel] = []
+    for options in (plain, modelled) if asked.brdf in ("rpv", "hapke") else (plain,):
+        model = _fit_surface(scene, replace(setup, options=options), sources, prior, silent, lasting=False).model
+        assert isinstance(model, FittedModel)
+        found.append(model)
+    return Beginning(*found)
 
 
 def _fit_surface(

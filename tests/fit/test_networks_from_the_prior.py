@@ -17,6 +17,7 @@ from sattools.field.networks import NETWORKS
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
 from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.stage import _duration
@@ -152,7 +153,7 @@ def test_with_a_budget_the_reflectance_model_comes_in_after_its_share_of_what_is
     scene = make_town()
     seconds = itertools.count()
     monkeypatch.setattr(Trace, "seconds", lambda self: float(next(seconds)))
-    found = fit(scene, resolve("hapke-nerf", {**TINY, "steps": 100_000, "budget": 150.0}))
+    found = fit(scene, resolve("hapke-nerf", {**TINY, "start": "prior", "steps": 100_000, "budget": 150.0}))
     assert "stopped by the budget of 150 s" in found["notes"][-1]
     trained = FittedModel.load(scene.path("fit/model.safetensors"))
     untouched = MlpField(NETWORKS["hapke"], BOX, 3, width=16, seed=0)
@@ -227,3 +228,19 @@ def test_a_network_begins_as_the_surface_that_the_fit_makes(make_town: Any) -> N
     # the first image's relation stays, the others and the light in shade begin with the surface's
     assert torch.allclose(one.gain, other.gain, atol=0.01)
     assert torch.allclose(one.ambient, other.ambient, atol=0.01)
+
+
+def test_a_network_begins_with_the_reflectance_that_the_fit_finds(make_town: Any) -> None:
+    from sattools.fit.options import FitOptions
+
+    first, network = make_town("FIRST"), make_town("NETWORK")
+    fit(first, FitOptions(pose=False, brdf="hapke", normals="prior"))
+    fit(network, resolve("hapke-nerf", {**TINY, "resolution": 1.0, "steps": 1, "rate": 0.0}))
+    one, other = (FittedModel.load(s.path("fit/model.safetensors")) for s in (first, network))
+    scene = one.surface()
+    assert isinstance(scene, ReflectiveScene)
+    amplitude, (b, c, theta) = scene.values()
+    assert one.grid == other.grid
+    for name, fitted, tolerance in (("b", b, 0.02), ("c", c, 0.02), ("theta", theta, 1.0)):
+        assert (other.extra[f"map.{name}"] - fitted).abs().median() < tolerance, name
+    assert (other.albedo - amplitude.clamp(0.016, 0.784)).abs().median() < 0.02  # the head's range: w is at most 0.8

@@ -2,6 +2,7 @@
 
 import json
 import math
+import tomllib
 from dataclasses import replace
 from typing import Any
 
@@ -66,9 +67,10 @@ def test_presets_take_the_papers_values_from_noise_and_what_is_given_wins(preset
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_from_the_prior_few_samples_and_steps_do(preset: Any) -> None:
+def test_from_a_surface_few_samples_and_steps_do(preset: Any) -> None:
     options = resolve(preset, {})
-    assert (options.start, options.samples, options.guided, options.rays, options.steps) == ("prior", 8, 16, 256, 2000)
+    assert options.start == "surface"
+    assert (options.samples, options.guided, options.rays, options.steps) == (8, 16, 256, 2000)
     assert options.prior_weight > 0  # there must be a prior
     # losses stay the paper's: dense depths only where it has them
     assert (options.depth_weight > 0) == (preset in ("spsnerf", "rpv-nerf", "hapke-nerf"))
@@ -86,6 +88,8 @@ def test_the_command_prints_the_resolved_preset() -> None:
     assert 'network = "satnerf"' in printed
     assert "solar-weight = 0.05" in printed
     assert 'loss = "raw-gamma"' in printed
+    assert printed.startswith("# What differs from the papers")
+    assert tomllib.loads(printed)["fit"]["network"] == "satnerf"
     assert 'field = "surface"' in CliRunner().invoke(main, ["fit", "--print-config"]).output
 
 

@@ -18,6 +18,7 @@ COARSE, FINE = 64, 48  # samples per vertical ray, and around its median
 REACH = 2.0  # of the fine samples, in distances of the coarse ones
 FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: anywhere, around it, around the median
 AROUND_M, FINE_M = 4.0, 1.0
+ROWS = 32  # of columns that are read at once
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
 IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
 
@@ -54,8 +55,12 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     low, high = z_range
     x = (torch.arange(grid.width) + 0.5) * grid.cell_size
     rows: list[dict[str, Tensor]] = []
-    for row in range(grid.height):
-        start = torch.stack([x, torch.full_like(x, -(row + 0.5) * grid.cell_size), torch.full_like(x, high)], dim=1)
+    per_image = per_image and not trainer.field.heads.isdisjoint(IMAGE_HEADS)
+    # a network keeps hundreds of numbers of every point; columns are laid out anew for each question
+    at_once = ROWS if isinstance(trainer.field, NeuralField) else 1
+    for part in torch.arange(grid.height, device=x.device).split(at_once):
+        y, z = -(part + 0.5) * grid.cell_size, x.new_tensor(high)
+        start = torch.stack(torch.broadcast_tensors(x, y[:, None], z), dim=-1).flatten(0, 1)
         batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
         t, reach, fine = _first_samples(trainer, start, z_range)
         known = _seen(trainer, batch, t)
@@ -74,7 +79,7 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
         if per_image:
             found |= _per_image(trainer, torch.cat([start[:, :2], found["height"][:, None]], dim=1))
         rows.append(found)
-    maps = {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
+    maps = {n: torch.cat([row[n] for row in rows]).unflatten(0, (grid.height, grid.width)) for n in rows[0]}
     heads = {name: maps[name][..., 0] for name in MAP_HEADS if name in maps}
     if "b" in heads:
         heads["b"] = heads["b"].clamp_max(HAPKE_B_MAX)

@@ -6,7 +6,7 @@ import functools
 import logging
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -23,13 +23,12 @@ from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.maps import read_maps
 from sattools.fit.rays.start import (
+    Beginning,
     base_surface,
     box_over,
-    colours_on,
     filled_prior,
     make_field,
     ray_set,
-    surface_prior,
 )
 from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
@@ -41,6 +40,7 @@ from sattools.views import Source, View, match_colours, views_on
 log = logging.getLogger(__name__)
 ROWS, SAVE_EVERY = 20, 5  # rows of the trace per fit; checkpoints among them
 TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
+ROWS_TRIED = 4  # to know how long reading all off takes
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
@@ -59,7 +59,7 @@ def fit_rays(
     progress: Progress,
     *,
     radiance: Radiance = "relative",
-    start: FittedModel | None = None,
+    start: Beginning | None = None,
     trace: Trace | None = None,
 ) -> Fitted:
     """Train a field ray by ray.
@@ -72,7 +72,7 @@ def fit_rays(
         device: where the field is trained and read off.
         progress: told the share done.
         radiance: what the images' numbers are.
-        start: surface that the field begins as, instead of the prior's.
+        start: what the field begins as, instead of the prior's surface.
         trace: of what has been done already.
 
     Raises:
@@ -85,7 +85,7 @@ def fit_rays(
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
     z_ref = reference_height(prior, z_range)
     views = views_on(sources, grid, z_ref, z_range)
-    first = prior if start is None or prior is None else surface_prior(start, prior)
+    first = prior if start is None or prior is None else start.guide(prior)
     prior_here = None if first is None else filled_prior(first, grid)
     rays = ray_set(views, grid, z_range, prior_here).to(device)
     absolute = radiance != "relative"
@@ -94,21 +94,22 @@ def fit_rays(
         gain, offset = torch.ones_like(gain), torch.zeros_like(offset)
     if options.shadow == "auto" or options.transient == "auto":
         raise SceneError("--shadow auto, --transient auto: expected --field surface; name the model for other fields")
+    # a field with neither shadows nor slopes has to begin with the mean image
+    coloured = start if start is not None and (options.shadow != "none" or start.material is not None) else None
     base = None
     if warm:
         assert prior_here is not None  # `check`
-        shaded = options.shadow != "none"
-        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=shaded).to(device)
-        if start is not None and shaded:  # a field without shadows has to begin with the mean image
-            base = replace(base, colour=colours_on(start, grid).to(device))
-            gain, offset = start.gain, start.offset
+        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
+        if coloured:
+            base, gain, offset = coloured.coloured(base, grid), coloured.light.gain, coloured.light.offset
+        base = base.to(device)
     with device:  # whatever is made from here on, is made there
         there = None if prior_here is None else prior_here.to(device)
         field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], there, base=base)
         steps = STEPS.get(options.field, FieldSteps())
         trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
-        if start is not None and options.shadow != "none":
-            trainer.colour["ambient"].data.copy_(start.ambient)
+        if coloured:
+            trainer.colour["ambient"].data.copy_(coloured.light.ambient)
         mark = fingerprint(scene, options, sources, prior)
         notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
         model = _model_of(trainer, base, views, grid, z_range)
@@ -262,10 +263,11 @@ class _RayJob:
 
     @functools.cached_property
     def _reading_s(self) -> float:
-        """Seconds that reading the field off takes, by its first row."""
+        """Seconds that reading the field off takes, by its first rows."""
+        rows = min(ROWS_TRIED, self.grid.height)
         begun = time.perf_counter()
-        read_maps(self.trainer, self.grid.part(slice(0, 1), slice(0, self.grid.width)), self.z_range)
-        return (time.perf_counter() - begun) * self.grid.height
+        read_maps(self.trainer, self.grid.part(slice(0, rows), slice(0, self.grid.width)), self.z_range)
+        return (time.perf_counter() - begun) * self.grid.height / rows
 
     def _plan_within(self, options: FitOptions, first: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from sattools.field.protocol import Box, Field
 from sattools.field.surface_base import SurfaceBase
 from sattools.field.voxel import VoxelField
 from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.trainer import RaySet, concatenated
@@ -74,14 +76,38 @@ def base_surface(
     return SurfaceBase(box_over(grid, z_range), height, colour, PRIOR_SOFTNESS)
 
 
-def surface_prior(start: FittedModel, prior: DepthPrior) -> DepthPrior:
-    """A fitted surface as what rays are guided by: its heights, the prior's confidence."""
-    return DepthPrior(start.height, prior.on(start.grid).confidence, start.grid)
+@dataclass(frozen=True)
+class Beginning:
+    """What a field begins as, instead of the prior's surface and the mean image.
 
+    Attributes:
+        surface: that `fit` makes of the prior.
+        material: another one with the reflectance model that the field has, or None.
+    """
 
-def colours_on(start: FittedModel, grid: Grid) -> Tensor:
-    """Albedo ``[H, W, C]`` of a fitted surface on a grid, in [0, 1]."""
-    return torch.from_numpy(sample_map(start.albedo.numpy(), start.grid, grid)).float().clamp(0, 1)
+    surface: FittedModel
+    material: FittedModel | None = None
+
+    def guide(self, prior: DepthPrior) -> DepthPrior:
+        """What rays are guided by: the surface's heights [m], the prior's confidence."""
+        return DepthPrior(self.surface.height, prior.on(self.surface.grid).confidence, self.surface.grid)
+
+    @property
+    def light(self) -> FittedModel:
+        """Where the images' gains, offsets and light in shade are from."""
+        return self.material or self.surface
+
+    def coloured(self, base: SurfaceBase, grid: Grid) -> SurfaceBase:
+        """A base on a grid with these colours in [0, 1], or amplitudes, and shape parameters in their own units."""
+        if self.material is None:
+            colour = sample_map(self.surface.albedo.numpy(), self.surface.grid, grid)
+            return replace(base, colour=torch.from_numpy(colour).float().clamp(0, 1))
+        scene = self.material.surface()
+        assert isinstance(scene, ReflectiveScene)
+        amplitude, shape = scene.values()
+        found = torch.cat([amplitude, torch.stack(list(shape), dim=-1)], dim=-1).detach().cpu()
+        values = torch.from_numpy(sample_map(found.numpy(), self.material.grid, grid)).float()
+        return replace(base, colour=values[..., :-3].contiguous(), shape=values[..., -3:].contiguous())
 
 
 def filled_prior(prior: DepthPrior, grid: Grid) -> DepthPrior:
@@ -214,13 +240,12 @@ def restored_field(model: FittedModel) -> Field:
 
 
 __all__ = [
+    "Beginning",
     "base_surface",
     "box_over",
-    "colours_on",
     "depth_std_m",
     "filled_prior",
     "make_field",
     "ray_set",
     "restored_field",
-    "surface_prior",
 ]

@@ -143,7 +143,7 @@ def typical_look(value, seen, look, first_row, end_row):
         first_row: first row, from `spread`.
         end_row: the one after the last.
     """
-    views, rows, cols = value.shape
+    views, _, cols = value.shape
     for row in range(first_row, end_row):
         shown = np.empty(views, np.float32)
         for col in range(cols):
