@@ -25,6 +25,7 @@ from sattools.prior.visibility.occlusion import at_surface
 SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
 UNLIKE = 0.1  # difference of brightness from which a pixel does not look like a place
 LIKE = 0.25  # share of what it differs by beyond that from the best place, by which it may differ from the cell
+FEWEST_LOOKS = 4  # views that say how a cell looks
 REACH_M = 20.0  # distance within which a standing cell is looked for
 RANK = 2  # of the heights found in eight directions, from the lowest: one or two may be holes themselves
 
@@ -139,7 +140,7 @@ def typical_look(value, seen, look, first_row, end_row):
     Args:
         value: ``[V, H, W]`` float32 what the views show of the surface.
         seen: ``[V, H, W]`` bool.
-        look: ``[H, W]`` float32, filled; NaN where none sees it.
+        look: ``[H, W]`` float32, filled; NaN where too few see it for their median not to be the pixel itself.
         first_row: first row, from `spread`.
         end_row: the one after the last.
     """
@@ -152,7 +153,7 @@ def typical_look(value, seen, look, first_row, end_row):
                 if seen[v, row, col]:
                     count = _in_order(shown, count, value[v, row, col])
             look[row, col] = np.nan
-            if count:
+            if count >= FEWEST_LOOKS:
                 look[row, col] = (shown[(count - 1) // 2] + shown[count // 2]) / np.float32(2)
 
 
