@@ -12,11 +12,10 @@ sure third of the cells.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
-from probability import cells
+from probability import asked, cells
 from scipy.optimize import minimize
 
 from sattools.prior.probability import ERROR95_WEIGHTS, STD_WEIGHTS
@@ -63,11 +62,7 @@ def show(scene: Cells, std_weights: np.ndarray, bound_weights: np.ndarray) -> No
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fit", nargs="+", default=[], metavar="SCENE=REFERENCE[@REGION]")
-    parser.add_argument("--test", nargs="+", default=[], metavar="SCENE=REFERENCE[@REGION]")
-    parser.add_argument("--cache", type=Path, help="folder that keeps what matching found")
-    options = parser.parse_args()
+    options = asked(__doc__)
     std_weights, bound_weights = np.array(STD_WEIGHTS), np.array(ERROR95_WEIGHTS)
     scenes = [some_cells(text, options.cache) for text in options.fit]
     if scenes:

@@ -83,12 +83,17 @@ def calibration(p: np.ndarray, right: np.ndarray) -> tuple[float, float]:
     return float(gap.sum() / len(p)), float((gap[share] / count[share]).max())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def asked(about: str) -> argparse.Namespace:
+    """Scenes to fit weights on, and to test them on."""
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("--fit", nargs="+", default=[], metavar="SCENE=REFERENCE[@REGION]")
     parser.add_argument("--test", nargs="+", default=[], metavar="SCENE=REFERENCE[@REGION]")
     parser.add_argument("--cache", type=Path, help="folder that keeps what matching found")
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    options = asked(__doc__)
     weights = np.array(WEIGHTS)
     training = [cells(text, options.cache) for text in options.fit]
     if training:

@@ -11,7 +11,7 @@ import logging
 import os
 import stat
 import tempfile
-import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
@@ -180,24 +180,24 @@ def _together(calls: list[Callable[[], object]], threads: int) -> None:
     global _pool
     if _pool is None:
         _pool = ThreadPoolExecutor(MOST_THREADS, "sattools")
-    waiting = iter(calls)
-    lock = threading.Lock()
+    waiting = deque(calls)
 
     def work() -> None:
-        while True:
-            with lock:
-                call = next(waiting, None)
-            if call is None:
+        while waiting:
+            try:
+                call = waiting.popleft()
+            except IndexError:  # another thread was faster
                 return
-            call()
+            try:
+                call()
+            except BaseException:  # after an error or Ctrl-C what has not begun is left alone
+                waiting.clear()
+                raise
 
     others = [_pool.submit(work) for _ in range(threads - 1)]
     try:
         work()
     finally:
-        with lock:  # after an error or Ctrl-C what has not begun is left alone
-            for _ in waiting:
-                pass
         others = [other for other in others if not other.cancel()]  # those that found no thread are not waited for
         wait(others)
     for other in others:

@@ -7,6 +7,8 @@ import stat
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -145,24 +147,34 @@ def test_every_piece_is_done_once_by_any_number_of_threads(
     assert (times == 1).all()
 
 
-def test_an_error_in_a_piece_reaches_the_caller_when_no_other_is_running(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("here", [True, False])
+def test_an_error_in_a_piece_reaches_the_caller_when_no_other_is_running(
+    here: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever thread meets it: this one, or one of the pool."""
     monkeypatch.setattr(compiled, "MOST_THREADS", 2)
-    running, most = set(), []
+    both, failed = threading.Barrier(2), threading.Event()
+    running: set[int] = set()
+    begun = []
 
     def call(k: int) -> None:
         running.add(k)
-        most.append(k)
+        begun.append(k)
         try:
-            if k == 3:
-                raise ValueError("the third")
+            if k < 2:  # one in each thread
+                both.wait()
+                if (threading.current_thread() is threading.main_thread()) == here:
+                    failed.set()
+                    raise ValueError("the first")
+                failed.wait()
+            time.sleep(0.01)  # so that the other thread can say that nothing more is wanted
         finally:
             running.remove(k)
 
-    with pytest.raises(ValueError, match="the third"):
-        compiled.at_once(*(functools.partial(call, k) for k in range(50)))
+    with pytest.raises(ValueError, match="the first"):
+        compiled.at_once(*(functools.partial(call, k) for k in range(200)))
     assert not running
-    assert 3 in most
-    assert len(most) < 50, "what had not begun was left alone"
+    assert len(begun) < 200, "what had not begun was left alone"
 
 
 def test_kernels_that_call_for_more_threads_from_a_thread_do_not_wait_for_each_other(
