@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")"
 extras=${1:-products,batch,notebook}
 # first, or pip would take the build with CUDA
-python3 -m pip install --no-cache-dir torch==2.13.0 --index-url "${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}"
-python3 -m pip install --no-cache-dir --only-binary :all: setuptools
-python3 -m pip install --no-cache-dir ".[$extras]"
+python3 -m pip install --no-cache-dir --no-compile torch==2.13.0 --index-url "${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}"
+python3 -m pip install --no-cache-dir --no-compile --only-binary :all: setuptools
+python3 -m pip install --no-cache-dir --no-compile ".[$extras]"
 sattools doctor --try
