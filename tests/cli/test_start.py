@@ -20,7 +20,7 @@ PRESENT = main.list_commands(None)
 def test_help_loads_no_heavy_library(name: Any) -> None:
     code = (
         "import sys; from sattools.cli import main; main(sys.argv[1:], standalone_mode=False); "
-        "heavy = {'torch', 'numpy', 'rasterio', 'shapely', 'geopandas', 'matplotlib', 'numba', 'cv2', 'pvlib'}; "
+        "heavy = {'torch', 'numpy', 'rasterio', 'shapely', 'geopandas', 'matplotlib', 'numba', 'cv2', 'erfa'}; "
         "print('loaded', sorted(heavy & set(sys.modules)))"
     )
     arguments = [name, "--help"] if name else ["--help"]
