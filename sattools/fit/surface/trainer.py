@@ -269,7 +269,8 @@ class StageTrainer:
             for _ in range(probes):
                 signs = torch.randint(0, 2, rgb.shape, generator=generator).to(rgb) * 2 - 1
                 signs = signs * self.masks[j][..., None]
-                (gradient,) = torch.autograd.grad(rgb, height, signs, retain_graph=True)
+                # the gradient of a sum: for that of a map times signs torch imports sympy
+                (gradient,) = torch.autograd.grad((rgb * signs).sum(), height, retain_graph=True)
                 information += gradient**2 / (probes * variance * rgb.shape[-1])
         height.requires_grad_(False)
         if self.prior is not None:

@@ -197,7 +197,7 @@ def _look(
             target[j] = lit * np.float32(valid[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@njit(inline="always", fastmath=FASTMATH)
 def _correlate_tile(
     images, masks, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
     pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, r0, c0,

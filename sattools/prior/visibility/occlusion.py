@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import grey_erosion, uniform_filter
+from scipy.ndimage import grey_erosion
 
 from sattools.prior.frame import Frame
 from sattools.scene.regrid import split_cells
@@ -143,10 +143,12 @@ def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> fl
         reach: distance of radiance from it that still counts as dark.
         least: smallest value returned.
     """
+    import cv2
+
     noises = []
     for image, mask, level in zip(frame.images, frame.masks, dark, strict=True):
-        mean = uniform_filter(image, 3)
-        spread = uniform_filter(image * image, 3) - mean * mean
+        mean = cv2.blur(image, (3, 3))
+        spread = cv2.blur(image * image, (3, 3)) - mean * mean
         near = (mask > 0) & (np.abs(mean - level) < reach)
         if near.sum() > FEWEST:
             noises.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
