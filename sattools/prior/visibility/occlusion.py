@@ -98,16 +98,18 @@ def at_surface(
         surface: ``[H, W]`` heights [m].
         tolerance: depth below the visible surface that still counts as seen [m].
     """
-    rows, cols = np.indices(frame.shape)
+    rows, cols = (np.arange(n, dtype=np.float64) + frame.margin for n in frame.shape)
+    rows, lowest = rows[:, None], surface + tolerance
     value = np.empty((len(frame.images), *frame.shape), np.float32)
     seen = np.empty(value.shape, bool)
     last = np.array(frame.images.shape[1:]) - 1
     dz = surface - frame.z_ref
     for v, per_metre in enumerate(frame.parallax):
-        r = np.clip(np.rint(rows + frame.margin + per_metre[0] * dz).astype(int), 0, last[0])
-        c = np.clip(np.rint(cols + frame.margin + per_metre[1] * dz).astype(int), 0, last[1])
-        value[v] = frame.images[v][r, c]
-        seen[v] = (frame.masks[v][r, c] > 0) & (first_hit_height[v][r, c] <= surface + tolerance)
+        r = np.clip(np.rint(rows + per_metre[0] * dz), 0, last[0])
+        c = np.clip(np.rint(cols + per_metre[1] * dz), 0, last[1])
+        place = (r * (last[1] + 1) + c).astype(np.intp)
+        value[v] = frame.images[v].ravel()[place]
+        seen[v] = (frame.masks[v].ravel()[place] > 0) & (first_hit_height[v].ravel()[place] <= lowest)
     return value, seen
 
 
