@@ -65,7 +65,7 @@ class PriorOptions:
         minimum=0,
     )
     rough_passes: int = option(
-        4, "Passes, at most, at twice the cell that find the occlusions; 0 = ignore occlusion.", minimum=0, maximum=100
+        5, "Passes, at most, at twice the cell that find the occlusions; 0 = ignore occlusion.", minimum=0, maximum=100
     )
     erode: float = option(
         3.0, "Radius by which the surface is eroded before its occlusions are computed [m].", minimum=0

@@ -16,7 +16,7 @@ from sattools.compiled import FASTMATH, njit, spread
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 SIXTH = np.float32(1 / 6)
-TILE, TILE_COLS = 24, 64  # cells that one thread carries through all heights: they stay in the second-level cache
+TILE, TILE_COLS = 24, 96  # cells that one thread carries through all heights: they stay in the second-level cache
 
 
 @njit(cache=True, fastmath=FASTMATH)

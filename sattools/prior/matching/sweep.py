@@ -18,6 +18,7 @@ ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 REACH_M = 6.0  # distance within which heights of an earlier pass may turn out to be a cell's own
+FAR_REACH_M = 10.0  # the same where few pairs made that pass, and all heights between them
 NEAR_M = 4.0  # distance above and below them up to which heights are looked at again
 STRAY = 30  # cells that may be wrong about it at either end
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
@@ -198,8 +199,11 @@ def sweep(
     from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 
     options = task.options
-    reach, margin = math.ceil(REACH_M / task.frame.cell), max(KEEP_PLANES * task.step, NEAR_M)
-    active = active_planes(heights, guide, task.frame.shape, reach, margin)
+    few = len(task.pairs) < ROBUST_PAIRS
+    reach = math.ceil((FAR_REACH_M if few else REACH_M) / task.frame.cell)
+    active = active_planes(heights, guide, task.frame.shape, reach, max(KEEP_PLANES * task.step, NEAR_M))
+    if few:
+        active = np.logical_or.accumulate(active, -1) & np.logical_or.accumulate(active[..., ::-1], -1)[..., ::-1]
     volume = agreement(task, visibility, heights, active=active)
     if ceiling is not None:
         volume[heights[:, None] > ceiling[:, None, :]] = 0

@@ -149,8 +149,8 @@ def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> fl
 
     noises = []
     for image, mask, level in zip(frame.images, frame.masks, dark, strict=True):
-        mean = cv2.blur(image, (3, 3))
-        spread = cv2.blur(image * image, (3, 3)) - mean * mean
+        mean = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REFLECT)
+        spread = cv2.blur(image * image, (3, 3), borderType=cv2.BORDER_REFLECT) - mean * mean
         near = (mask > 0) & (np.abs(mean - level) < reach)
         if near.sum() > FEWEST:
             noises.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
