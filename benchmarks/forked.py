@@ -23,7 +23,7 @@ MODULES = (
     "sattools.export.novel sattools.export.stage sattools.fit.rays.stage sattools.fit.stage sattools.fit.tiles.stage "
     "sattools.prep.dfc2019 "
     "sattools.prep.stage sattools.prior.stage sattools.radiometry.stage sattools.report.batch sattools.report.scene "
-    "sattools.scene.files sattools.simulate.stage geopandas matplotlib.backends.backend_agg numba pvlib torch"
+    "sattools.scene.files sattools.simulate.stage geopandas matplotlib.backends.backend_agg numba erfa torch"
 )
 
 

@@ -145,7 +145,7 @@ def test_nothing_unpickles_or_runs_a_shell(path: Any) -> None:
 def test_command_modules_start_with_the_frame_only() -> None:
     """What a command's module imports at once is paid by every `--help` and every completion."""
     for path in (PACKAGE / "cli").glob("*.py"):
-        heavy = {"torch", "geopandas", "matplotlib", "numba", "cv2", "skimage", "pvlib", "shapely"}
+        heavy = {"torch", "geopandas", "matplotlib", "numba", "cv2", "skimage", "erfa", "shapely"}
         assert top_level_imports(path) & heavy == set(), path
 
 

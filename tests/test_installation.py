@@ -19,7 +19,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CONDA = {
     "matplotlib": "matplotlib-base",
     "opencv-python-headless": "py-opencv",
-    "pvlib": "pvlib-python",
     "torch": "pytorch-cpu",
     "lazrs": "lazrs-python",
 }

@@ -24,6 +24,8 @@ from sattools.scene.jsonio import JsonObject
 
 Array = NDArray[np.float64]
 
+_ROUGHLY = 1e-3  # gain of a step at which cameras are good enough to tell false matches and to compare models
+
 
 @dataclass(frozen=True)
 class AdjustOptions:
@@ -219,7 +221,7 @@ def _solve(block: Block, options: AdjustOptions, notes: list[str], progress: Pro
     """Shifts first; they decide which observations are tie points at all. Then the model asked for."""
     views, tracks = len(block.rpcs), block.tracks
     progress(0.0, "adjusting shifts")
-    solution = solve(block, affine=False)
+    solution = solve(block, affine=False, least_gain=_ROUGHLY)
     inlier = _inliers(block, solution, options.max_residual_px)
     block, points = block.kept(inlier, solution.points)
     counts = np.bincount(block.tracks.view, minlength=views)
@@ -311,7 +313,7 @@ def _affine_gains(block: Block, start: Solution, options: AdjustOptions, notes: 
     train, train_points = block.kept(~held, start.points)
     test, test_points = block.kept(held, start.points)
     for affine in (False, True):
-        fitted = solve(train, affine, Solution(train_points, start.parameters))
+        fitted = solve(train, affine, Solution(train_points, start.parameters), least_gain=_ROUGHLY)
         points = triangulate(test, fitted.parameters, test_points)
         # Each view gets the same say, and a few false matches do not decide.
         norm2 = np.minimum(residual_norm(test, points, fitted.parameters), 2.0) ** 2

@@ -83,7 +83,12 @@ class Block:
 
     def residuals(self, points: Array, parameters: Array) -> Array:
         """Observed minus predicted pixels `[m, 2]`."""
-        return self.linearised(points, parameters)[0]
+        residual = np.empty((len(self.tracks.point), 2))
+        geographic = self.geographic(points)
+        for v, index in enumerate(self.by_view):
+            pixel = np.stack(self.rpcs[v].projection(*geographic[self.tracks.point[index]].T), axis=-1)
+            residual[index] = self.tracks.pixel[index] - pixel - self._basis(v, pixel) @ parameters[v].reshape(3, 2)
+        return residual
 
     def matrix(self, view: int, parameters: Array) -> Array:
         """The correction as an affine map `[2, 3]` from old (col, row, 1) to new (col, row)."""
@@ -131,7 +136,9 @@ def residual_norm(block: Block, points: Array, parameters: Array) -> Array:
     return np.hypot(residual[:, 0], residual[:, 1])
 
 
-def solve(block: Block, affine: bool, initial: Solution | None = None, max_iterations: int = 30) -> Solution:
+def solve(
+    block: Block, affine: bool, initial: Solution | None = None, max_iterations: int = 30, least_gain: float = 2e-5
+) -> Solution:
     """Points and corrections under a Cauchy loss that tightens (graduated non-convexity).
 
     The problem is nearly linear, so the wide loss finds the basin even when a view is tens of pixels off; from an
@@ -142,6 +149,7 @@ def solve(block: Block, affine: bool, initial: Solution | None = None, max_itera
         affine: correct by an affine map instead of a shift.
         initial: where to begin, or None.
         max_iterations: Gauss-Newton steps.
+        least_gain: share by which a step must lower the loss for another one to be taken.
     """
     if initial is None:
         parameters = np.zeros((len(block.rpcs), 6))
@@ -156,7 +164,7 @@ def solve(block: Block, affine: bool, initial: Solution | None = None, max_itera
         points += step_points
         parameters += step_parameters
         # Not the step: along a common movement it may wander without any effect.
-        if width <= _LOSS_PX and before - cost < 2e-5 * cost:
+        if width <= _LOSS_PX and before - cost < least_gain * cost:
             break
         before = cost if width <= _LOSS_PX else np.inf
         width = width if first else max(_LOSS_PX, 0.5 * width)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.camera.ground import to_geographic
+from sattools.camera.ground import project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.scene.grid import Grid
 
@@ -41,6 +41,23 @@ def project_cells(rpc: RPC, grid: Grid, height: NDArray[np.float32]) -> tuple[Ar
     return found[0], found[1]
 
 
+def project_plane(rpc: RPC, grid: Grid, z: float) -> tuple[Array, Array]:
+    """Columns and rows ``[H, W]`` [px] of an image at which the cells' middles are seen, all at height ``z`` [m].
+
+    The RPC is evaluated at every 32nd cell and bilinear between these: a map projection and two cubics for every cell
+    took a tenth of the matching's time.
+
+    Args:
+        rpc: camera of the image.
+        grid: of the cells.
+        z: height above the ellipsoid [m].
+    """
+    rows, cols = _nodes(grid.height), _nodes(grid.width)
+    x, y = np.meshgrid(grid.x()[0] + cols * grid.cell_size, grid.y()[0] - rows * grid.cell_size)
+    col, row = (_between(part, rows, cols, grid.shape) for part in project(rpc, grid.crs, x, y, z))
+    return col, row
+
+
 def _nodes(count: int) -> Array:
     """Numbers of the cells along an axis at which the RPC is evaluated; the last one may lie beyond."""
     return np.arange(0, count + STEP, STEP, dtype=np.float64)
@@ -55,4 +72,4 @@ def _between(values: Array, rows: Array, cols: Array, shape: tuple[int, int]) ->
     return np.asarray(lines[:, col] * (1 - v) + lines[:, col + 1] * v)
 
 
-__all__ = ["project_cells"]
+__all__ = ["project_cells", "project_plane"]

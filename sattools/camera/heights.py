@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.camera.ground import project
+from sattools.camera.ground import project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
@@ -130,22 +130,25 @@ def sweep_histogram(
     x, y = west + (np.arange(width) + 0.5) * cell, north - (np.arange(height) + 0.5) * cell
     nodes_x, nodes_y = np.linspace(x[0], x[-1], 5), np.linspace(y[0], y[-1], 5)
     smoothed = [_blurred(g, r, crs, bounds, float(planes[0]), cell) for g, r in zip(grays, rpcs, strict=True)]
+    lon, lat = to_geographic(crs, *(g.ravel() for g in np.meshgrid(nodes_x, nodes_y)))
+    to_pixels = _to_affine(nodes_x, nodes_y, x, y)
+    seen_at = [np.stack(r.projection(lon, lat, planes[:, None]), axis=-1) for r in rpcs]  # [D, 25, 2]
 
     window = np.ones((5, 5), np.uint8)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     best, least = np.full((height, width), -1.0), np.ones((height, width))
     winner = np.full((height, width), -1, np.int32)
-    for k, plane in enumerate(planes):
+    for k in range(len(planes)):
         progress(k / len(planes), "height range")
         total, own, views = (np.zeros((height, width)) for _ in range(3))
-        for (gray, valid), rpc in zip(smoothed, rpcs, strict=True):
-            col, row = project(rpc, crs, nodes_x[None], nodes_y[:, None], float(plane))
-            to_image = _affine(nodes_x, nodes_y, x, y, col, row)
-            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-            value = cv2.warpAffine(gray, to_image, (width, height), flags=flags, borderValue=0)
-            seen = cv2.warpAffine(valid, to_image, (width, height), flags=flags, borderValue=0)
+        for gray, at in zip(smoothed, seen_at, strict=True):
+            to_image = (to_pixels @ at[k]).T
+            value = cv2.warpAffine(gray, to_image, (width, height), flags=flags, borderValue=np.nan)
+            seen = np.isfinite(value)
+            value[~seen] = 0.0
             mean = cv2.blur(value, (5, 5))
             variance = cv2.blur(value * value, (5, 5)) - mean * mean
-            good = (cv2.erode(seen, window) > 0.99) & (variance > 1e-6)
+            good = (cv2.erode(seen.view(np.uint8), window) > 0) & (variance > 1e-6)
             # Mean and deviation are those around each cell, not of the window they are summed over: nearly the same
             # where they vary slowly, and one filter for all views instead of one per pair.
             z_v = np.where(good, (value - mean) / np.sqrt(np.maximum(variance, 1e-6)), 0.0)
@@ -188,8 +191,8 @@ def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int, least: Arr
 
 def _blurred(
     gray: NDArray[np.float32], rpc: RPC, crs: str, bounds: Bounds, z: float, cell: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Image smoothed to the cell size and scaled to unit spread, and its validity, both float32."""
+) -> NDArray[np.float32]:
+    """Image smoothed to the cell size and scaled to unit spread; NaN where it has no value."""
     import cv2
 
     west, south, east, north = bounds
@@ -200,16 +203,14 @@ def _blurred(
     spread = float(np.std(gray[valid])) if valid.any() else 1.0
     filled = np.where(valid, (gray - (gray[valid].mean() if valid.any() else 0.0)) / max(spread, 1e-6), 0.0)
     smooth = cv2.GaussianBlur(filled.astype(np.float32), (0, 0), max(0.5 * pixels, 0.3))
-    return np.asarray(smooth, np.float32), valid.astype(np.float32)
+    return np.where(valid, smooth, np.float32(np.nan))
 
 
-def _affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any], col: Array, row: Array) -> Array:
-    """Least squares map `[2, 3]` from cell (column, row) to pixel (col, row)."""
+def _to_affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any]) -> Array:
+    """What makes the least squares map ``[3, 2]`` from cell (column, row) to pixel (col, row) of the nodes' pixels."""
     cell_x, cell_y = x[1] - x[0], y[1] - y[0]
     gx, gy = np.meshgrid((nodes_x - x[0]) / cell_x, (nodes_y - y[0]) / cell_y)
-    design = np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)], 1)
-    solution = np.linalg.lstsq(design, np.stack([col.ravel(), row.ravel()], 1), rcond=None)[0]
-    return np.asarray(solution.T, np.float64)
+    return np.linalg.pinv(np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)], 1))
 
 
 __all__ = ["HeightOptions", "by_chance", "estimate_height_range", "extend_range", "sweep_histogram", "tie_point_range"]

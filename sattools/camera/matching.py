@@ -43,17 +43,18 @@ def free_matches(
     if len(ground_a) < 2 or len(ground_b) < 2:
         return np.empty((0, 2), np.intp)
     along, across, length = frame(run)
-    distance = np.maximum(2.0 - 2.0 * (descriptor_a @ descriptor_b.T), 1e-4)
-    off_along = np.abs(_differences(ground_a @ along, ground_b @ along))
-    off_across = np.abs(_differences(ground_a @ across, ground_b @ across))
-    distance[(off_along > half_height * length + half_bias) | (off_across > half_bias)] = 4.0
-    best_b = distance.argmin(1)
-    best_a = distance.argmin(0)
+    far = _apart(ground_a @ along, ground_b @ along, half_height * length + half_bias)
+    far |= _apart(ground_a @ across, ground_b @ across, half_bias)
+    # of unit vectors: the nearer, the larger their product
+    product = descriptor_a @ descriptor_b.T
+    np.copyto(product, np.float32(-1), where=far)
     index = np.arange(len(ground_a))
-    best = distance[index, best_b]
-    distance[index, best_b] = 4.0
-    second = distance.min(1)
-    good = (best_a[best_b] == index) & (best < RATIO * second) & (best < MAX_DISTANCE2)
+    best_b = product.argmax(1)
+    best = product[index, best_b]
+    mutual = best == product.max(0)[best_b]
+    product[index, best_b] = -1
+    nearest, next_best = (np.maximum(2 - 2 * p, 1e-4) for p in (best, product.max(1)))
+    good = mutual & (nearest < RATIO * next_best) & (nearest < MAX_DISTANCE2)
     return np.stack([index[good], best_b[good]], 1)
 
 
@@ -145,9 +146,12 @@ def _mode(values: Array, width: float) -> float:
     return float(ordered[best[len(best) // 2]])
 
 
-def _differences(a: Array, b: Array) -> NDArray[np.float32]:
+def _apart(a: Array, b: Array, limit: float) -> NDArray[np.bool_]:
+    """Which of ``[n]`` and ``[m]`` numbers differ by more than a limit, ``[n, m]``."""
     centre = a.mean()
-    return (a - centre).astype(np.float32)[:, None] - (b - centre).astype(np.float32)[None]
+    difference = (a - centre).astype(np.float32)[:, None] - (b - centre).astype(np.float32)[None]
+    np.abs(difference, out=difference)
+    return difference > np.float32(limit)
 
 
 def _best(owner: Matches, distance: NDArray[np.float32], count: int) -> tuple[Matches, NDArray[np.float32]]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sattools.camera.rpc_formats import read_rpc_fields
 from sattools.camera.rpc_names import SCALARS, VECTORS
-from sattools.camera.rpc_polynomials import monomial_derivatives, monomials
+from sattools.camera.rpc_polynomials import derivative_coefficients, monomials
 from sattools.errors import InputError
 from sattools.scene.files import write_text
 from sattools.scene.location import location
@@ -337,11 +337,12 @@ class RPC:
     def _normalised_jacobian(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Normalised (col, row) and their derivatives `[n, 2, 3]` by normalised coordinates."""
         k = self._coefficients()
-        cn, cd, rn, rd = k @ monomials(x, y, z)
+        terms = monomials(x, y, z)
+        cn, cd, rn, rd = k @ terms
         col, row = cn / cd, rn / rd
+        slopes = (derivative_coefficients(k).reshape(12, 10) @ terms[:10]).reshape(3, 4, -1)
         jac = np.empty((x.size, 2, 3))
-        for axis, derivative in enumerate(monomial_derivatives(x, y, z)):
-            dcn, dcd, drn, drd = k @ derivative
+        for axis, (dcn, dcd, drn, drd) in enumerate(slopes):
             jac[:, 0, axis] = (dcn - col * dcd) / cd
             jac[:, 1, axis] = (drn - row * drd) / rd
         return col, row, jac

@@ -29,24 +29,23 @@ def monomials(lon: Array, lat: Array, alt: Array) -> Array:
     return m
 
 
-def monomial_derivatives(lon: Array, lat: Array, alt: Array) -> tuple[Array, Array, Array]:
-    """Derivatives of `monomials` by normalised longitude, latitude and height, three arrays `[20, n]`, unitless.
+def derivative_coefficients(coefficients: Array) -> Array:
+    """Derivatives of cubic polynomials, as coefficients ``[3, ..., 10]`` of the first ten monomials.
 
     Args:
-        lon: ``[n]`` normalised longitude.
-        lat: ``[n]`` normalised latitude.
-        alt: ``[n]`` normalised height.
+        coefficients: ``[..., 20]`` of `monomials`.
+
+    Returns:
+        Those of the derivatives by normalised longitude, latitude and height.
     """
-    dlon, dlat, dalt = np.zeros((3, 20, lon.size))
-    lon2, lat2, alt2 = lon * lon, lat * lat, alt * alt
-    dlon[1] = dlat[2] = dalt[3] = 1.0
-    dlon[4], dlon[5], dlon[7], dlon[10] = lat, alt, 2 * lon, lat * alt
-    dlon[11], dlon[12], dlon[13], dlon[14], dlon[17] = 3 * lon2, lat2, alt2, 2 * lon * lat, 2 * lon * alt
-    dlat[4], dlat[6], dlat[8], dlat[10] = lon, alt, 2 * lat, lon * alt
-    dlat[12], dlat[14], dlat[15], dlat[16], dlat[18] = 2 * lon * lat, lon2, 3 * lat2, alt2, 2 * lat * alt
-    dalt[5], dalt[6], dalt[9], dalt[10] = lon, lat, 2 * alt, lon * lat
-    dalt[13], dalt[16], dalt[17], dalt[18], dalt[19] = 2 * lon * alt, 2 * lat * alt, lon2, lat2, 3 * alt2
-    return dlon, dlat, dalt
+    return np.moveaxis(coefficients[..., _BECOMES] * _POWER, -2, 0)
 
 
-__all__ = ["monomial_derivatives", "monomials"]
+# which of the twenty becomes 1, x, y, z, xy, xz, yz, x2, y2, z2 in the derivative by x, by y and by z, and its power
+_BECOMES = np.array(
+    [[1, 7, 4, 5, 14, 17, 10, 11, 12, 13], [2, 4, 8, 6, 12, 10, 18, 14, 15, 16], [3, 5, 6, 9, 10, 13, 16, 17, 18, 19]]
+)
+_POWER = np.array([[1, 2, 1, 1, 2, 2, 1, 3, 1, 1], [1, 1, 2, 1, 2, 1, 2, 1, 3, 1], [1, 1, 1, 2, 1, 2, 2, 1, 1, 3]])
+
+
+__all__ = ["derivative_coefficients", "monomials"]

@@ -124,11 +124,14 @@ def _json_usage(ctx: click.Context, wanted: bool) -> None:
 def set_threads(threads: int | None) -> None:
     """Set the number of threads before any numerical library starts its pool.
 
-    Waiting threads must sleep: spinning ones were measured to slow a shared machine down fifteen-fold.
+    Waiting threads must sleep: spinning ones were measured to slow a shared machine down fifteen-fold. numpy's matrices
+    are small ones, by the thousand: with as many threads as cores the adjustment of cameras took four times the CPU
+    seconds and longer, so OpenBLAS gets one thread unless the environment asks for more.
     """
     count = str(threads or len(os.sched_getaffinity(0)))
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         if threads or name not in os.environ:
             os.environ[name] = count
 

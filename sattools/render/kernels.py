@@ -11,6 +11,7 @@ compiler turns it into vector instructions. `sattools.render.blocks` lays out th
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -168,7 +169,7 @@ def _march(maps, v, absorb, mask, rgb, depth, opacity, spans, counts, chunks, fr
                 for j in range(inside):
                     s[j] = one if mask[row, col + j] else np.float32(0.0)
                 first, last = v.planes, 0
-                k = 0
+                k: Any = np.int64(0)  # a plain 0 is a type of its own: everything would be compiled twice
                 while k < v.planes:
                     z, r0, r1, x, fx, fy = _plane(v, k, row, rows, col, cols)
                     upper = np.uint64(r0 * maps.shape[1] * width + x)

@@ -145,7 +145,7 @@ def shadow_march(
                 going = _start(
                     s, flat, flat_x, flat_y, np.uint64(row * cols + col), np.uint64(count), dx, dy, tangent
                 )  # fmt: skip
-                k = 0
+                k = np.int64(0)  # a plain 0 is a type of its own: `_meet` would be compiled twice
                 while going > 0:
                     r, c = row + down[k], col + aside[k]
                     first, end = max(0, -c), min(count, cols - c)

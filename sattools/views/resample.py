@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sattools.camera.cells import project_plane
 from sattools.camera.ground import grid_direction, ground_rays, project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
@@ -121,9 +122,7 @@ def make_view(
         z_range: lowest and highest height [m].
         sun: (azimuth, elevation) from true north and horizon [degrees], or None.
     """
-    x, y = np.meshgrid(grid.x(), grid.y())
-    col, row = project(rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
-    target, mask = read_at(image, col.reshape(grid.shape), row.reshape(grid.shape))
+    target, mask = read_at(image, *project_plane(rpc, grid, z_ref))
     slope, spread = line_of_sight(rpc, grid, z_ref, z_range)
     direction = None
     if sun is not None:

@@ -123,6 +123,39 @@ def test_sun_of_the_published_example() -> None:
     assert elevation == pytest.approx(90 - 50.11162, abs=5e-3)
 
 
+@pytest.mark.parametrize(
+    ("time", "lon", "lat", "height", "azimuth", "elevation"),
+    [
+        ("1972-03-20T12:00:00", 0, 0, 0, 90.1697, 88.1287),
+        ("1985-12-21T23:59:59", 180, -45.5, 0, 359.0159, 67.9465),
+        ("1999-12-31T23:59:59", -70.4, -24.6, 2635, 241.1373, -6.1403),
+        ("2000-02-29T06:30:00", 77.1, 28.6, 216, 165.9870, 52.6654),
+        ("2003-06-21T00:00:00", 10, 90, 0, 9.6102, 23.4739),
+        ("2003-12-21T00:00:00", 10, 90, 0, 10.5902, -23.4360),
+        ("2008-12-21T13:17:00", -110, -90, 2835, 90.3235, 23.4647),
+        ("2011-08-28T18:45:12.5", -157.8, 21.3, 5000, 92.7875, 34.3194),
+        ("2014-10-18T15:55:30", -81.66, 30.35, -20, 152.4328, 45.9283),
+        ("2016-07-01T23:10:00", 18.95, 69.65, 10, 5.0155, 2.9869),
+        ("2017-01-05T06:00:00", 25.6, -33.96, 60, 97.2197, 31.9665),
+        ("2019-09-23T07:50:00", 15, 46, 300, 125.1381, 29.0923),
+        ("2020-06-20T21:30:00", 100, -0.02, 0, 63.8709, -25.4753),
+        ("2024-02-29T10:05:00", 359.5, 51.48, 45, 144.3173, 24.6475),
+        ("2026-04-08T17:00:00", -360, -78, 100, 286.6010, -4.0693),
+        ("2035-05-17T03:21:09", 139.7, 35.7, 40, 213.1380, 70.9829),
+        ("2049-11-02T20:00:00", -122.4, 37.8, -400, 182.0740, 37.1241),
+    ],
+)
+def test_sun_agrees_with_another_library_at_all_places_and_times(
+    time: str, lon: float, lat: float, height: float, azimuth: float, elevation: float
+) -> None:
+    """Values of pvlib 0.16 (nrel_numpy), which follows Reda and Andreas 2004 to the letter."""
+    found = sun_position(datetime.fromisoformat(time), lon, lat, height)
+    apart = np.degrees(np.linalg.norm(direction(*found) - direction(azimuth, elevation)))
+    assert apart < 3e-4
+    assert 0.0 <= found[0] < 360.0
+    assert found[1] == pytest.approx(elevation, abs=3e-4)
+
+
 def test_a_time_without_zone_is_utc() -> None:
     aware = sun_position(datetime(2015, 5, 2, 16, 19, 43, tzinfo=timezone.utc), -81.66, 30.35)  # noqa: UP017
     assert sun_position(datetime(2015, 5, 2, 16, 19, 43), -81.66, 30.35) == aware

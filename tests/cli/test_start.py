@@ -20,7 +20,7 @@ PRESENT = main.list_commands(None)
 def test_help_loads_no_heavy_library(name: Any) -> None:
     code = (
         "import sys; from sattools.cli import main; main(sys.argv[1:], standalone_mode=False); "
-        "heavy = {'torch', 'numpy', 'rasterio', 'shapely', 'geopandas', 'matplotlib', 'numba', 'cv2', 'pvlib'}; "
+        "heavy = {'torch', 'numpy', 'rasterio', 'shapely', 'geopandas', 'matplotlib', 'numba', 'cv2', 'erfa'}; "
         "print('loaded', sorted(heavy & set(sys.modules)))"
     )
     arguments = [name, "--help"] if name else ["--help"]
@@ -61,6 +61,22 @@ def test_every_option_is_in_the_document_of_commands() -> None:
         for parameter in main.get_command(None, name).params:
             if parameter.param_type_name == "option":
                 assert parameter.opts[0] in sections[name], f"{name} {parameter.opts[0]}"
+
+
+def test_small_matrices_get_one_thread_unless_the_user_wants_more() -> None:
+    code = "import os; from sattools.cli import set_threads; set_threads(4); print(os.environ['OPENBLAS_NUM_THREADS'])"
+    plain = {k: v for k, v in os.environ.items() if "THREADS" not in k}
+    for extra, expected in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=plain | extra, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split() == [expected]
+
+
+def test_images_are_filtered_by_as_many_threads_as_asked_for() -> None:
+    code = "from sattools.cli import set_threads; set_threads(1); import cv2; print(cv2.getNumThreads())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1"]
 
 
 def test_threads_are_settled_before_numerical_libraries_start() -> None:

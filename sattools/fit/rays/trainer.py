@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
+from sattools.fit.adam import Adam
 from sattools.fit.illumination import Radiance
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
@@ -139,7 +140,7 @@ class RayTrainer:
             begin = field_steps.begin.get(name.removeprefix("field."), 0.0)
             groups.append({"params": [tensor], "lr": rate, "initial": rate, "begin": begin})
         fused = self.device.type == "cpu"  # in one pass over a tensor
-        self.adam = torch.optim.Adam(groups, eps=field_steps.epsilon, fused=fused)
+        self.adam = Adam(groups, eps=field_steps.epsilon, fused=fused)
         self.unsaid = torch.zeros(
             2, dtype=torch.float64, device="cpu"
         )  # loss and steps since the last row of the trace

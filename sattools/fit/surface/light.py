@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from sattools.fit.adam import Adam
 from sattools.fit.options import FitOptions
 
 FEATURES, HIDDEN = 8, 32
@@ -98,7 +99,7 @@ class IlluminationModel:
         own = {name: tensor for name, tensor in self.tensors.items() if name != "transient"}
         for tensor in own.values():
             tensor.requires_grad_(True)
-        adam = torch.optim.Adam([{"params": [tensor], "lr": self.rate(name)} for name, tensor in own.items()])
+        adam = Adam([{"params": [tensor], "lr": self.rate(name)} for name, tensor in own.items()])
         random = torch.Generator().manual_seed(seed)
         for step in range(FOLLOW_STEPS):
             j = int(torch.randint(len(suns), (1,), generator=random))

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
+from sattools.fit.adam import Adam
 from sattools.fit.losses import tone
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.light import IlluminationModel
@@ -168,7 +169,7 @@ def _held_out_errors(
         return tone(gain[j] * albedo * shaded + offset[j]) - tone(part.colour[j, 0])
 
     def fit(parameters: Sequence[Tensor], which: Sequence[int], where: Tensor) -> None:
-        adam = torch.optim.Adam(parameters, RATE, betas=(0.9, 0.99))
+        adam = Adam(parameters, RATE, betas=(0.9, 0.99))
         for step in range(STEPS):
             adam.param_groups[0]["lr"] = RATE * (1 - step / STEPS)
             j = which[int(torch.randint(len(which), (1,), generator=torch_random))] if len(which) > 1 else which[0]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
 
+from sattools.fit.adam import Adam
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.losses import photometric, robust_scale
 from sattools.fit.options import FitOptions
@@ -120,7 +121,7 @@ class StageTrainer:
         for p in self.parameters.values():
             p.requires_grad_(True)
         groups = [{"params": [p], "name": n} for n, p in self.parameters.items()]
-        self.adam = torch.optim.Adam(groups, lr=0.0, betas=BETAS)
+        self.adam = Adam(groups, lr=0.0, betas=BETAS)
         # colours take steps in proportion to the brightness of the images, where that is not stretched to [0, 1]
         self.brightness = min(1.0, 3 * typical) if scene.absolute else 1.0
         self.visibility: list[Tensor | None] = [None] * len(views)
@@ -268,7 +269,8 @@ class StageTrainer:
             for _ in range(probes):
                 signs = torch.randint(0, 2, rgb.shape, generator=generator).to(rgb) * 2 - 1
                 signs = signs * self.masks[j][..., None]
-                (gradient,) = torch.autograd.grad(rgb, height, signs, retain_graph=True)
+                # the gradient of a sum: for that of a map times signs torch imports sympy
+                (gradient,) = torch.autograd.grad((rgb * signs).sum(), height, retain_graph=True)
                 information += gradient**2 / (probes * variance * rgb.shape[-1])
         height.requires_grad_(False)
         if self.prior is not None:

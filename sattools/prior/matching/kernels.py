@@ -197,10 +197,11 @@ def _look(
             target[j] = lit * np.float32(valid[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
 
 
-@njit(cache=True, fastmath=FASTMATH)
+@njit(inline="always", fastmath=FASTMATH)
 def _correlate_tile(
     images, masks, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
-    pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, r0, c0, volume,
+    pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, r0, c0,
+    volume,
 ):  # fmt: skip
     """The part of `correlate` whose first cell is (r0, c0): ``volume`` is ``[rows, D, columns]``."""
     views = images.shape[0]
@@ -215,6 +216,9 @@ def _correlate_tile(
     total = np.empty((rows, cols), np.float32)
     weight = np.empty((rows, cols), np.float32)
     for k in range(depth):
+        if not active[k]:
+            volume[:, k] = 0
+            continue
         for v in range(views):
             _look(
                 images[v], masks[v], parallax[v], heights[k], base, z_ref, hit_heights[v], shadow_heights[v], tolerance,
@@ -296,8 +300,8 @@ def correlate(
         weak: weight of a view from which the surface hides the point; above 0, a place that no image can contradict
             is worth what the images show there, not a constant.
         mixed: factor of the weight of pairs in different light.
-        active: ``[h, w, 2]`` int64 first plane and the one after the last that are looked at in every tile of `TILE` x
-            `TILE_COLS` cells; on the others nothing agrees.
+        active: ``[h, w, D]`` bool, planes that are looked at in every tile of `TILE` x `TILE_COLS` cells; on the others
+            nothing agrees.
         volume: ``[H, D, W]`` float32, filled with agreements in [0, 1].
         first_tile: first tile, from `spread`.
         end_tile: the one after the last.
@@ -307,13 +311,10 @@ def correlate(
     for t in range(first_tile, end_tile):
         r0, c0 = TILE * (t // across), TILE_COLS * (t % across)
         rows, cols = slice(r0, min(r0 + TILE, height)), slice(c0, min(c0 + TILE_COLS, width))
-        first, last = active[t // across, t % across]
-        volume[rows, :first, cols] = 0
-        volume[rows, last:, cols] = 0
         _correlate_tile(
-            images, masks, parallax, heights[first:last], base, z_ref, hit_heights, shadow_heights, dark, tolerance,
-            pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, r0, c0,
-            volume[rows, first:last, cols],
+            images, masks, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
+            pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed,
+            active[t // across, t % across], r0, c0, volume[rows, :, cols],
         )  # fmt: skip
 
 

@@ -52,8 +52,8 @@ def _along_rows(score, small, large, total, first_group, end_group):
             for k in range(depth):
                 for col in range(cols):
                     cost[col, k] = ONE - score[row, k, col]
-            _along(cost, large, small, result, before, now, False)
-            _along(cost, large, small, result, before, now, True)
+            for way in range(2):  # forwards, backwards; constants would have it compiled once for each
+                _along(cost, large, small, result, before, now, way == 1)
             for k in range(depth):
                 for col in range(cols):
                     total[row, k, col] = result[col, k]

@@ -17,7 +17,8 @@ MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
-REACH_M = 10.0  # distance within which heights of an earlier pass may turn out to be a cell's own
+REACH_M = 6.0  # distance within which heights of an earlier pass may turn out to be a cell's own
+FAR_REACH_M = 10.0  # the same where few pairs made that pass, and all heights between them
 NEAR_M = 4.0  # distance above and below them up to which heights are looked at again
 STRAY = 30  # cells that may be wrong about it at either end
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
@@ -157,23 +158,22 @@ def active_planes(
         margin: distance from the surface up to which planes are looked at [m].
 
     Returns:
-        ``[h, w, 2]`` int64, the first and the one after the last.
+        ``[h, w, D]`` bool. Between a street and the roofs beside it there may be planes near neither.
     """
     from sattools.prior.matching.kernels import TILE, TILE_COLS
 
     tiles = math.ceil(shape[0] / TILE), math.ceil(shape[1] / TILE_COLS)
-    active = np.zeros((*tiles, 2), np.int64)
-    active[..., 1] = len(heights)
+    active = np.ones((*tiles, len(heights)), bool)
     if guide is None:
         return active
     step = heights[1] - heights[0]
+    first = np.clip(np.floor((guide - margin - heights[0]) / step), 0, len(heights) - 1).astype(np.intp)
+    end = np.clip(np.ceil((guide + margin - heights[0]) / step) + 1, 1, len(heights)).astype(np.intp)
     for i, j in np.ndindex(tiles):
         rows = slice(max(0, i * TILE - reach), (i + 1) * TILE + reach)
         cols = slice(max(0, j * TILE_COLS - reach), (j + 1) * TILE_COLS + reach)
-        around = guide[rows, cols]
-        low, high = float(around.min()) - margin, float(around.max()) + margin
-        first = min(max(math.floor((low - heights[0]) / step), 0), len(heights) - 3)
-        active[i, j] = first, min(max(math.ceil((high - heights[0]) / step) + 1, first + 3), len(heights))
+        begun, ended = (np.bincount(at[rows, cols].ravel(), minlength=len(heights) + 1) for at in (first, end))
+        active[i, j] = np.cumsum(begun - ended)[:-1] > 0
     return active
 
 
@@ -199,8 +199,11 @@ def sweep(
     from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 
     options = task.options
-    reach, margin = math.ceil(REACH_M / task.frame.cell), max(KEEP_PLANES * task.step, NEAR_M)
-    active = active_planes(heights, guide, task.frame.shape, reach, margin)
+    few = len(task.pairs) < ROBUST_PAIRS
+    reach = math.ceil((FAR_REACH_M if few else REACH_M) / task.frame.cell)
+    active = active_planes(heights, guide, task.frame.shape, reach, max(KEEP_PLANES * task.step, NEAR_M))
+    if few:
+        active = np.logical_or.accumulate(active, -1) & np.logical_or.accumulate(active[..., ::-1], -1)[..., ::-1]
     volume = agreement(task, visibility, heights, active=active)
     if ceiling is not None:
         volume[heights[:, None] > ceiling[:, None, :]] = 0

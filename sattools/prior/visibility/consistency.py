@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
@@ -61,10 +60,12 @@ def count_consistent_views(
         tolerance: depth below the visible surface that still counts as seen [m].
         step: distance of the height planes [m].
     """
+    import cv2
+
     best, seen = at_surface(replace(frame, images=minima.height), first_hit_height, height, tolerance)
     near = np.float32(SAME_PLANES * step)
     agree = seen & (np.abs(best - height) <= near)
-    smooth = np.stack([uniform_filter(image, 3, mode="nearest") for image in frame.images])
+    smooth = np.stack([cv2.blur(image, (3, 3), borderType=cv2.BORDER_REPLICATE) for image in frame.images])
     value, _ = at_surface(replace(frame, images=smooth), first_hit_height, height, tolerance)
     look = np.empty_like(height)
     typical_look(value, seen, look)

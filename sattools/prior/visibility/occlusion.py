@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import grey_erosion, uniform_filter
+from scipy.ndimage import grey_erosion
 
 from sattools.prior.frame import Frame
 from sattools.scene.regrid import split_cells
@@ -98,16 +98,18 @@ def at_surface(
         surface: ``[H, W]`` heights [m].
         tolerance: depth below the visible surface that still counts as seen [m].
     """
-    rows, cols = np.indices(frame.shape)
+    rows, cols = (np.arange(n, dtype=np.float64) + frame.margin for n in frame.shape)
+    rows, lowest = rows[:, None], surface + tolerance
     value = np.empty((len(frame.images), *frame.shape), np.float32)
     seen = np.empty(value.shape, bool)
     last = np.array(frame.images.shape[1:]) - 1
     dz = surface - frame.z_ref
     for v, per_metre in enumerate(frame.parallax):
-        r = np.clip(np.rint(rows + frame.margin + per_metre[0] * dz).astype(int), 0, last[0])
-        c = np.clip(np.rint(cols + frame.margin + per_metre[1] * dz).astype(int), 0, last[1])
-        value[v] = frame.images[v][r, c]
-        seen[v] = (frame.masks[v][r, c] > 0) & (first_hit_height[v][r, c] <= surface + tolerance)
+        r = np.clip(np.rint(rows + per_metre[0] * dz), 0, last[0])
+        c = np.clip(np.rint(cols + per_metre[1] * dz), 0, last[1])
+        place = (r * (last[1] + 1) + c).astype(np.intp)
+        value[v] = frame.images[v].ravel()[place]
+        seen[v] = (frame.masks[v].ravel()[place] > 0) & (first_hit_height[v].ravel()[place] <= lowest)
     return value, seen
 
 
@@ -143,10 +145,12 @@ def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> fl
         reach: distance of radiance from it that still counts as dark.
         least: smallest value returned.
     """
+    import cv2
+
     noises = []
     for image, mask, level in zip(frame.images, frame.masks, dark, strict=True):
-        mean = uniform_filter(image, 3)
-        spread = uniform_filter(image * image, 3) - mean * mean
+        mean = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REFLECT)
+        spread = cv2.blur(image * image, (3, 3), borderType=cv2.BORDER_REFLECT) - mean * mean
         near = (mask > 0) & (np.abs(mean - level) < reach)
         if near.sum() > FEWEST:
             noises.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
