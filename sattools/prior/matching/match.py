@@ -33,7 +33,9 @@ OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked fo
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.5, 0.6)  # share of the cells that are such slopes: up to the first it is a town, from the second on hills
-HILLS_BRIGHTNESS = 3.0  # factor of `brightness` on hills: open ground looks the brighter the nearer a view is to the sun
+HILLS_BRIGHTNESS = (
+    3.0  # factor of `brightness` on hills: open ground looks the brighter the nearer a view is to the sun
+)
 HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
 
 

@@ -132,7 +132,9 @@ def best_nearby(volume, surface, offsets, same_m, refined, first_row, end_row):
                 first, last = _overlap(cols, right)
                 if first < last:
                     there = slice(first + right, last + right)
-                    _add_votes(surface[row, first:last], surface[i, there], volume[i, :, there], same_m, votes[:, first:last])
+                    _add_votes(
+                        surface[row, first:last], surface[i, there], volume[i, :, there], same_m, votes[:, first:last]
+                    )
         for col in range(cols):
             best = depth // 2  # stays where nothing speaks for another height
             for k in range(depth):
