@@ -79,7 +79,8 @@ class PriorOptions:
     )
     edges: float = option(
         0.04,
-        "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them, as on hills.",
+        "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them, as on "
+        "hills.",
         minimum=0,
     )
     memory: float = option(1500.0, "Cost volume above which the area is matched in blocks [MB].", minimum=10)

@@ -144,8 +144,8 @@ def for_slopes(options: PriorOptions, height: np.ndarray, cell: float) -> PriorO
     """The options for ground that rises and falls as the rough surface does.
 
     In a city most cells are level, and surfaces of one brightness each need it to be told apart. Hills have texture
-    everywhere, but show every view a brightness of its own, by what their slopes and soils reflect to where it is. Their
-    slopes are no walls, to be moved to where the brightness changes.
+    everywhere, but show every view a brightness of its own, by what their slopes and soils reflect to where it is.
+    Their slopes are no walls, to be moved to where the brightness changes.
 
     Args:
         options: as they are given, for cities.
@@ -164,7 +164,7 @@ def for_slopes(options: PriorOptions, height: np.ndarray, cell: float) -> PriorO
 
 
 def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, RoughSurface]:
-    """Match at twice the cell until the surface and its occlusions agree; the task of the last pass, and the surface."""
+    """Match at twice the cell until surface and occlusions agree; the task of the last pass, and the surface."""
     frame, options, passes = task.frame.halved(), task.options, task.options.rough_passes
     rough = replace(task, frame=frame, step=2 * task.step)
     visibility = all_visible(frame)
