@@ -46,7 +46,7 @@ from sattools.views import load_sources
 WALLS_M = (3.0, 15.0, 50.0, np.inf)
 # parts of the prior that no option switches off: `--variant 'NAME: PART=0'`
 PARTS: dict[str, tuple[str, Any]] = {
-    "means": ("sattools.prior.matching.match.mean_of_neighbours", lambda height, doubt: height),
+    "means": ("sattools.prior.matching.match.mean_of_neighbours", lambda height, doubt, **_: height),
     "suns": ("sattools.prior.matching.match._prepared", lambda frame, *rest: _prepared(sunless(frame), *rest)),
     "courtyards": ("sattools.prior.matching.match.open_courtyards", lambda task, surface: surface),
     "consistency": ("sattools.prior.matching.match.filled", lambda height, sure, cell: height),

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from sattools.export.context import Exported
+from sattools.fit.illumination import LEAST_KNOWN
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor, surface_normals
 from sattools.fit.materials.scene import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
 from sattools.fit.materials.uncertainty import SLOPE_STD
@@ -75,6 +76,7 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
     scene, model, grid = exported.scene, exported.model, exported.model.grid
     assert model.brdf != "lambert"
     tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": model.brdf}
+    shapes = [parameter.name for parameter in SHAPE[model.brdf]]
     for name, array in maps.items():
         href = f"export/{name}.tif"
         own = dict(tags)
@@ -85,10 +87,13 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
             own["GEOMETRY"] = f"level ground, nadir view, sun {STANDARD_SUN_DEG:g} degrees from the vertical"
         if name.endswith("_std"):
             own["METHOD"] = "curvature of the fit; materials told apart wrongly are not in it"
+        if name in shapes and "identifiable" in maps:
+            known = float((maps["identifiable"][shapes.index(name)] >= LEAST_KNOWN).mean())
+            own["DETERMINED"] = f"{known:.2f} of the cells, see identifiable.tif; elsewhere this is mostly the prior"
         if stem == "normal" and array.shape[0] == 3:
             bands = ["normal east", "normal north", "normal up"]
         elif name == "identifiable":
-            bands = [parameter.name for parameter in SHAPE[model.brdf]]
+            bands = shapes
             own["CONTENT"] = "share of the prior's variance that the images took away: 0 = its prior, 1 = known"
         else:
             bands, wavelengths = ([name], {}) if array.shape[0] == 1 else exported.band_names(name, array.shape[0])

@@ -73,7 +73,12 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
 
 @torch.no_grad()
 def render_item(
-    scene: Scene, item_id: str, surface: SurfaceScene, model: FittedModel, sun_angles: tuple[float, float] | None
+    scene: Scene,
+    item_id: str,
+    surface: SurfaceScene,
+    model: FittedModel,
+    sun_angles: tuple[float, float] | None,
+    valid: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """An item's image as the model predicts it, on the image's own pixels, and the heights that they show.
 
@@ -87,6 +92,7 @@ def render_item(
         surface: of the model.
         model: how the images were fitted.
         sun_angles: (azimuth, elevation) of another sun [degrees], or None for the item's own.
+        valid: ``[H, W]`` bool, cells of the model that images reach; pixels that show others are NaN. None = all.
 
     Returns:
         ``[C, h, w]`` float32 radiance, ``[1, h, w]`` float32 height of what a pixel shows [m]; NaN beyond the model.
@@ -123,6 +129,9 @@ def render_item(
     row = np.arange(rows)[:, None] - (pose[1] + view.slope.north * rise) / grid.cell_size
     height = depth.astype(np.float32)
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity > 0.5)
+    if valid is not None:
+        near_row, near_col = (np.clip(np.rint(at), 0, n - 1).astype(np.intp) for at, n in ((row, rows), (col, cols)))
+        inside &= valid[near_row, near_col]
     height[~inside] = np.nan
     if known is None and not model.absolute:
         picture = _matched(picture, view.target, (view.mask > 0) & inside)
@@ -185,7 +194,7 @@ def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angl
         sun_angles: (azimuth, elevation) of another sun [degrees], or None.
     """
     scene = exported.scene
-    picture, height = render_item(scene, item_id, surface, exported.model, sun_angles)
+    picture, height = render_item(scene, item_id, surface, exported.model, sun_angles, exported.valid)
     item = next(item for item in scene.items if item.id == item_id)
     like = next(item.assets[asset] for asset in ("radiance", "image") if asset in item.assets)
     files = {"relit": picture} if sun_angles else {"rendered": picture, "rendered_height": height}

@@ -29,6 +29,7 @@ KINDS = ("reflectance_factor", "toa_reflectance", "relative")
 NARROW_PHASE_DEG = 10.0  # below this span a phase function is a constant
 CALIBRATED_SHARE = 0.1
 CALIBRATED_SMOOTH = 0.2
+PLAIN_PRIOR = 5.0  # factor of the prior's weight where one colour per cell has to explain calibrated images
 NORMAL_SMOOTHING_M = 6.0
 EXPOSURE = 1 / 3  # median radiance of images that fill their range
 LEAST_KNOWN = 0.5  # share of the prior's variance that the images must take away before a parameter counts as found
@@ -65,7 +66,7 @@ def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
 
     They are given for images of many dates, in units of `FitOptions.robust`, a tenth of the range from black to white;
     calibrated images differ by less before something is wrong, and the smoothness may be overruled by less. The prior
-    may not: what a reflectance model leaves unexplained would be taken for heights.
+    may not: what a reflectance model leaves unexplained would be taken for heights, most of all what one colour does.
     """
     if kind == "relative":
         return options
@@ -74,6 +75,7 @@ def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:
         options,
         robust=options.robust * CALIBRATED_SHARE,
         smooth=smooth,
+        prior_weight=options.prior_weight * (PLAIN_PRIOR if options.brdf == "lambert" else 1.0),
     )
 
 

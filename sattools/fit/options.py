@@ -77,7 +77,7 @@ class FitOptions(RayOptions):
     epochs: list[int] = option(
         [],
         "Passes over all views per stage, coarse to fine (the last is repeated; default: 8 from a prior, 16 from a "
-        "flat start, with a reflectance model, or where shadows or transients are learned).",
+        "flat start or where shadows or transients are learned).",
         minimum=1,
         maximum=100_000,
     )

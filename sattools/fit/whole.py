@@ -98,6 +98,7 @@ def _beginning(scene: Scene, setup: FitSetup, sources: list[Source], prior: Dept
     # rays of a field know no shift per view, so that its start must not either
     plain = FitOptions(seed=asked.seed, prior_weight=asked.prior_weight, pose=False)
     plain = calibrated(replace(plain, views=asked.views, holdout=asked.holdout), setup.radiance)
+    plain = replace(plain, prior_weight=asked.prior_weight)  # which knows the radiance already
     modelled = replace(plain, brdf=asked.brdf, normals="prior")
     found: list[FittedModel] = []
     for options in (plain, modelled) if asked.brdf in ("rpv", "hapke") else (plain,):

@@ -18,6 +18,19 @@ ALL_CELLS = 300.0  # walls all over the area that count as much as those around
 # the mean of 3 x 3 cells weighted 1 2 1 by 1 2 1, as pairs of opposite neighbours: rows, columns, weight of either
 _PAIRS = ((0, 1, 2 / 16), (1, 0, 2 / 16), (1, 1, 1 / 16), (1, -1, 1 / 16))
 _OWN = 4 / 16
+FINE_CELL_M = 0.7  # widest cell for which differences of height are meant in metres
+
+
+def relief(cell: float) -> float:
+    """Factor of the height differences that tell a wall from a slope, for cells of this width [m].
+
+    They are meant for cells on which a roof or a street is flat. Between the centres of wider cells a mountain side
+    rises as much, and would be taken for one wall beside the other.
+
+    Args:
+        cell: edge of a cell [m].
+    """
+    return max(1.0, cell / FINE_CELL_M)
 
 
 def doubtful_walls(likeness: np.ndarray, beside_wall: np.ndarray, cell: float) -> np.ndarray:
@@ -47,7 +60,9 @@ def doubtful_walls(likeness: np.ndarray, beside_wall: np.ndarray, cell: float) -
     return doubt
 
 
-def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, passes: int = PASSES) -> np.ndarray:
+def mean_of_neighbours(
+    height: np.ndarray, doubt: np.ndarray | None = None, passes: int = PASSES, step_m: float = STEP_M
+) -> np.ndarray:
     """Heights averaged over neighbouring cells, across a step only as far as it may as well be elsewhere.
 
     A wall in the wrong place costs its whole height; where nothing says on which side of it a cell lies, the mean of
@@ -58,6 +73,7 @@ def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, pass
         height: ``[H, W]`` [m]; NaN = none.
         doubt: ``[H, W]`` 0 ... 1, weight of a cell for one on the other side of a step; None = 0.
         passes: times that 3 x 3 cells are averaged.
+        step_m: height step between neighbours from which they may be two sides of a wall [m].
 
     Returns:
         ``[H, W]`` float32 heights [m]; NaN where there was none.
@@ -77,7 +93,7 @@ def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, pass
                 there = slice(1 + sign * down, 1 + sign * down + rows), slice(1 + sign * right, 1 + sign * right + cols)
                 near = around[there]
                 step = np.abs(near - here)
-                same = step <= STEP_M
+                same = step <= step_m
                 low = np.clip((TALL_M[1] - step) / (TALL_M[1] - TALL_M[0]), 0, 1)
                 crossing = np.where(np.isfinite(near), np.minimum(around_across[there], across) * low, np.float32(0))
                 pair = np.minimum(pair, np.float32(share) * np.where(same, np.float32(1), crossing))

@@ -38,7 +38,9 @@ class PriorOptions:
         1, "Half width of the window in cells that are compared (1: 3 x 3 cells).", minimum=1, maximum=16
     )
     noise: float = option(0.005, "Contrast below which no structure is asked for (radiance).", minimum=1e-6)
-    brightness: float = option(0.1, "Difference of radiance at which two images agree by half.", minimum=1e-6)
+    brightness: float = option(
+        0.1, "Difference of radiance at which two images agree by half; three times as much on hills.", minimum=1e-6
+    )
     unseen: float = option(
         0.35,
         "Agreement assumed where no pair of images sees a point, 0 to 1: less keeps the surface away from such points, "
@@ -58,7 +60,9 @@ class PriorOptions:
         minimum=0,
         maximum=1,
     )
-    small_jump: float = option(0.2, "Semi-global penalty for a height change of one plane (an agreement).", minimum=0)
+    small_jump: float = option(
+        0.2, "Semi-global penalty for a height change of one plane (an agreement); half on hills.", minimum=0
+    )
     large_jump: float = option(
         0.4,
         "Semi-global penalty for any larger height change (an agreement); up to 4 x with fewer than 60 pairs.",
@@ -75,7 +79,8 @@ class PriorOptions:
     )
     edges: float = option(
         0.04,
-        "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them.",
+        "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them, as on "
+        "hills.",
         minimum=0,
     )
     memory: float = option(1500.0, "Cost volume above which the area is matched in blocks [MB].", minimum=10)

@@ -10,8 +10,10 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.compare.images import compare_views
 from sattools.errors import SceneError
+from sattools.export.novel import render_item
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
+from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.scene import Scene
@@ -44,6 +46,7 @@ def test_every_parameter_has_a_map_and_its_uncertainty_in_the_right_units(fitted
 
     with rasterio.open(fitted.path(fitted.products["theta"])) as data:
         assert data.units == ("degrees",)
+        assert "of the cells, see identifiable.tif" in data.tags()["DETERMINED"]
     with rasterio.open(fitted.path(fitted.products["reflectance"])) as data:
         assert "15 degrees from the vertical" in data.tags()["GEOMETRY"]
         assert data.tags()["SCALE"].startswith("absolute")
@@ -61,6 +64,19 @@ def test_a_held_out_view_comes_out_in_its_own_geometry_without_any_gain(fitted: 
     figures = compare_views(fitted)
     assert set(figures["views"]) == {"HILL_001", "HILL_005"}
     assert figures["psnr"] == figures["views"]["HILL_001"]["psnr"] > 30
+
+
+def test_a_view_shows_no_ground_that_the_images_do_not_reach(fitted: Any) -> None:
+    model = FittedModel.load(fitted.path(fitted.products["model"]))
+    reached = np.zeros(model.grid.shape, bool)
+    reached[:, : model.grid.width // 2] = True
+    everything, _ = render_item(fitted, "HILL_005", model.surface(), model, None)
+    half, height = render_item(fitted, "HILL_005", model.surface(), model, None, reached)
+    known, kept = np.isfinite(everything).all(0), np.isfinite(half).all(0)
+    assert 0.4 < kept.sum() / known.sum() < 0.6  # the western half, but for the parallax of its border
+    assert not (kept & ~known).any()
+    np.testing.assert_array_equal(half[:, kept], everything[:, kept])
+    assert np.isnan(height[0][known & ~kept]).all()
 
 
 def test_relighting_moves_the_shade_to_the_other_side(fitted: Any) -> None:

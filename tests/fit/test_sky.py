@@ -11,7 +11,7 @@ from sattools.fit.illumination import material_notes
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, diffuse
 from sattools.fit.materials.scene import ReflectiveScene, restored
 from sattools.fit.materials.sky import deep_shade, share_in_shade, sky_directions, sky_gain
-from sattools.fit.materials.start import reflective
+from sattools.fit.materials.start import ambient_in_shade, reflective
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.scene import start_scene
 from sattools.fit.whole import check_sky
@@ -120,6 +120,22 @@ def test_sky_light_is_added_to_lit_and_shaded_ground_alike() -> None:
     scene.sky = torch.zeros(0)
     assert with_sky.numpy() == pytest.approx((scene.light(sun, up, None, scene.ambient[0]) + sky).numpy())
     assert "ambient" in scene.trainable()
+
+
+def test_the_light_in_shade_begins_as_deep_shade_shows_it() -> None:
+    """Three views: one of them shows 40 cells of shade, one too few of them, one none."""
+    scene = small_scene()
+    scene.sky = torch.zeros(0)
+    scene.amplitude = torch.zeros(8, 5, 2).double()  # w = 0.49 everywhere
+    scene.ambient = torch.full((3, 2), 0.4, dtype=torch.float64)
+    usual = diffuse("hapke", AMPLITUDE["hapke"].bounded(scene.amplitude))
+    everywhere, one, none = torch.ones(8, 5).double(), torch.zeros(8, 5).double(), torch.zeros(8, 5).double()
+    one[0, 0] = 1
+    light = usual * torch.tensor([0.05, 0.08])
+    found = ambient_in_shade(scene, [(light, everywhere), (10 * light, one), (10 * light, none)])
+    # the views that do not show it get what the first one shows
+    assert found.numpy() == pytest.approx(np.tile([0.05, 0.08], (3, 1)))
+    assert ambient_in_shade(scene, [(light, none)] * 3).numpy() == pytest.approx(np.full((3, 2), 0.4))
 
 
 def test_gradients_of_light_with_a_sky() -> None:

@@ -11,7 +11,7 @@ from sattools import compiled
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matching.kernels import correlate
-from sattools.prior.matching.match import match
+from sattools.prior.matching.match import for_slopes, match
 from sattools.prior.matching.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import filled
@@ -175,3 +175,21 @@ def test_few_pairs_count_only_what_is_surely_seen() -> None:
     options = PriorOptions()
     assert pair_weights(ROBUST_PAIRS - 1, options) == (1, 0.0, 0.0)
     assert pair_weights(ROBUST_PAIRS, options) == pytest.approx((3, 0.05, 0.1))
+
+
+def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:
+    """On a slope of 27 degrees every cell is a slope; a town of level ground and walls keeps what was asked for."""
+    options = PriorOptions(brightness=0.1, small_jump=0.2, edges=0.04)
+    town = np.zeros((20, 20), np.float32)
+    town[:, 10:] = 8.0
+    assert for_slopes(options, town, 1.0) == options
+    hills = for_slopes(options, np.tile(0.5 * np.arange(20, dtype=np.float32), (20, 1)), 1.0)
+    assert (hills.brightness, hills.small_jump, hills.edges) == (pytest.approx(0.3), pytest.approx(0.1), 0.0)
+
+
+def test_half_a_hill_keeps_its_walls() -> None:
+    half = np.zeros((20, 20), np.float32)
+    half[:, 9:] = 0.5 * np.arange(11)  # 55 % of the cells: halfway from town to hills
+    found = for_slopes(PriorOptions(brightness=0.1, small_jump=0.2), half, 1.0)
+    assert (found.brightness, found.small_jump) == (pytest.approx(0.2), pytest.approx(0.15))
+    assert found.edges == PriorOptions().edges

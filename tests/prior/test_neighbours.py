@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sattools.prior.neighbours import doubtful_walls, mean_of_neighbours
+from sattools.prior.neighbours import doubtful_walls, mean_of_neighbours, relief
 
 ROWS, COLS = np.mgrid[0:30, 0:40].astype(np.float32)
 
@@ -91,3 +91,15 @@ def test_single_cells_that_look_like_neither_side_are_no_doubt() -> None:
 
 def test_without_walls_there_is_nothing_to_keep_apart() -> None:
     np.testing.assert_array_equal(doubtful_walls(np.zeros((4, 5)), np.zeros((4, 5), bool), 0.5), 1.0)
+
+
+def test_what_tells_a_wall_from_a_slope_grows_with_wide_cells() -> None:
+    assert [relief(cell) for cell in (0.35, 0.7, 1.4)] == [1.0, 1.0, 2.0]
+
+
+def test_a_step_that_wide_cells_make_of_a_slope_is_averaged() -> None:
+    stairs = np.repeat(np.arange(10.0), 2)[None].repeat(8, axis=0) * 3.0  # steps of 3 m
+    np.testing.assert_allclose(mean_of_neighbours(stairs, np.zeros(stairs.shape)), stairs, atol=1e-4)
+    # 1 2 1 twice over pairs of equal cells: 1/16 of what is two stairs away, 4/16 and then 5/16 of the next
+    found = mean_of_neighbours(stairs, np.zeros(stairs.shape), step_m=4.0)
+    np.testing.assert_allclose(np.diff(found[4, 4:-4]), 1.5, atol=0.4)

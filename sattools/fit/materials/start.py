@@ -9,12 +9,14 @@ from torch import Tensor
 
 from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import start_endmembers
-from sattools.fit.materials.parameters import Kind, blurred, surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, surface_normals
 from sattools.fit.materials.scene import LIT, NORMAL_CELLS, ReflectiveScene, Sky
+from sattools.fit.materials.sky import deep_shade
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
 
 LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
+LEAST_SHADE = 30  # cells in deep shade that say how light it is there
 
 
 def reflective(
@@ -60,12 +62,14 @@ def reflective(
     normal = surface_normals(height, cell_size) if frozen is None else frozen
     mean = torch.zeros_like(scene.albedo)
     total = torch.zeros_like(height)
+    shaded: list[tuple[Tensor, Tensor]] = []
     for j, view in enumerate(views):
         picture, shown = shown_on(view, height.cpu().numpy(), cell_size)
         weight = torch.from_numpy(shown[..., 0]).to(height) * (visibility[j] > LIT)
         cosine = (normal @ suns[j]).clamp_min(LOW_LIGHT)
         light = (torch.from_numpy(picture).to(height) - scene.offset[j]) / (scene.gain[j] * scale[j])
         mean += weight[..., None] * light / cosine[..., None]
+        shaded.append((light, torch.from_numpy(shown[..., 0]).to(height) * deep_shade(visibility[j])))
         total += weight
     mean = mean / total.clamp_min(1)[..., None]
     abundances = cluster_endmembers(mean.cpu().numpy(), (total > 0).cpu().numpy(), endmembers, seed)
@@ -87,7 +91,34 @@ def reflective(
         modelled.solve(views, visibility, cell_size, 8, amplitudes=True)
         if sky != "none":
             modelled.add_sky(views, visibility, cell_size, sky)
+        modelled.ambient = ambient_in_shade(modelled, shaded)
     return modelled, visibility
 
 
-__all__ = ["reflective"]
+@torch.no_grad()
+def ambient_in_shade(scene: ReflectiveScene, shaded: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+    """Light that reaches shade, per view and band ``[V, C]``, as deep shade shows it.
+
+    Shade under a clear sky is far darker than any fit from a common start comes to be in a few passes, and ground that
+    a fit takes for lighter than it is spoils every view that shows more of it. Where an image shows too little of it,
+    the others' mean counts; where all do, the light stays.
+
+    Args:
+        scene: with its amplitudes.
+        shaded: per view, light ``[H, W, C]`` as pi L / E, and 1 in deep shade ``[H, W]``, else 0.
+    """
+    usual = diffuse(scene.kind, AMPLITUDE[scene.kind].bounded(scene.amplitude)).clamp_min(1e-3)
+    ambient, told = scene.ambient.clone(), []
+    for j, (light, deep) in enumerate(shaded):
+        ratio = (light / usual)[deep > 0]
+        ratio = ratio[ratio.isfinite().all(-1)]
+        if len(ratio) >= LEAST_SHADE:
+            ambient[j] = ratio.median(0).values.clamp(0.02, 1.0)
+            told.append(j)
+    if told:
+        others = [j for j in range(len(shaded)) if j not in told]
+        ambient[others] = ambient[told].mean(0)
+    return ambient
+
+
+__all__ = ["ambient_in_shade", "reflective"]

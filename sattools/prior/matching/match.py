@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter, minimum_filter
 from sattools.prior.frame import Frame
 from sattools.prior.matching.subplane import refine_subplane
 from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
-from sattools.prior.neighbours import mean_of_neighbours
+from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
@@ -31,6 +31,12 @@ SURE = 0.5  # agreement above which a cell of the first pass says where the surf
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
 OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
+SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
+HILLS = (0.5, 0.6)  # share of the cells that are such slopes: up to the first it is a town, from the second on hills
+HILLS_BRIGHTNESS = (
+    3.0  # factor of `brightness` on hills: open ground looks the brighter the nearer a view is to the sun
+)
+HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
 
 
 @dataclass(frozen=True)
@@ -91,8 +97,7 @@ def match(
     visibility = all_visible(frame)
     guide = ceiling = None
     if options.rough_passes:
-        z_range, surface = _rough_passes(task, progress)
-        task = replace(task, z_range=z_range)
+        task, surface = _rough_passes(task, progress)
         visibility = surface.visibility.doubled()
         guide = split_cells(surface.height)
         ceiling = None if surface.ceiling is None else split_cells(surface.ceiling)
@@ -108,10 +113,11 @@ def match(
     height = filled(height, (2 * agreeing > views) | beyond_images, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
-    if options.edges:
-        height, doubt = snap_edges(frame, hits, height, tolerance, options.edges, finer)
+    if task.options.edges:
+        height, doubt = snap_edges(frame, hits, height, tolerance, task.options.edges, finer)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
-    return Match(mean_of_neighbours(height, doubt), score, uniqueness, views, agreeing)
+    height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))
+    return Match(height, score, uniqueness, views, agreeing)
 
 
 def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:
@@ -134,8 +140,31 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     return MatchTask(fine, pairs, z_range, step, options)
 
 
-def _rough_passes(task: MatchTask, progress: Progress) -> tuple[tuple[float, float], RoughSurface]:
-    """Match at twice the cell until the surface and its occlusions agree; the heights it lies in, and the surface."""
+def for_slopes(options: PriorOptions, height: np.ndarray, cell: float) -> PriorOptions:
+    """The options for ground that rises and falls as the rough surface does.
+
+    In a city most cells are level, and surfaces of one brightness each need it to be told apart. Hills have texture
+    everywhere, but show every view a brightness of its own, by what their slopes and soils reflect to where it is.
+    Their slopes are no walls, to be moved to where the brightness changes.
+
+    Args:
+        options: as they are given, for cities.
+        height: ``[H, W]`` rough surface [m].
+        cell: its cells' edge [m].
+    """
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(height, cell))))
+    share = float(np.mean((slope > SLOPES_DEG[0]) & (slope < SLOPES_DEG[1])))
+    hills = min(max((share - HILLS[0]) / (HILLS[1] - HILLS[0]), 0.0), 1.0)
+    return replace(
+        options,
+        brightness=options.brightness * (1 + hills * (HILLS_BRIGHTNESS - 1)),
+        small_jump=options.small_jump * (1 + hills * (HILLS_JUMP - 1)),
+        edges=options.edges if hills < 1 else 0.0,
+    )
+
+
+def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, RoughSurface]:
+    """Match at twice the cell until surface and occlusions agree; the task of the last pass, and the surface."""
     frame, options, passes = task.frame.halved(), task.options, task.options.rough_passes
     rough = replace(task, frame=frame, step=2 * task.step)
     visibility = all_visible(frame)
@@ -146,7 +175,9 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[tuple[float, flo
         height = median_filter(height, 3, mode="nearest")
         if k == 0:
             rough = replace(
-                rough, z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step)
+                rough,
+                z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step),
+                options=for_slopes(options, height, frame.cell),
             )
         eroded = erode(height, options.erode / frame.cell)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
@@ -158,7 +189,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[tuple[float, flo
         if before is not None and np.mean(np.abs(surface.height - before) > task.step) < CONVERGED:
             break
         before = surface.height
-    return rough.z_range, surface
+    return replace(task, z_range=rough.z_range, options=rough.options), surface
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sattools.compiled import njit, spread
 from sattools.prior.matching.sweep import MatchTask, agreement
+from sattools.prior.neighbours import relief
 from sattools.prior.visibility.occlusion import Visibility
 
 PARTS = 2  # of a plane's distance
@@ -31,13 +32,14 @@ def refine_subplane(task: MatchTask, visibility: Visibility, surface: np.ndarray
     """
     step, window = task.step, task.options.window
     smooth = np.empty(surface.shape, np.float32)
-    local_planes(surface, smooth)
+    same_m = SAME_M * relief(task.frame.cell)
+    local_planes(surface, same_m, smooth)
     np.clip(smooth, surface - step / 2, surface + step / 2, out=smooth)  # stairs are no higher, and the margin ends
     offsets = np.arange(-PARTS, PARTS + 1) * (step / PARTS)
     base = np.pad(smooth, window, mode="edge")
     volume = agreement(task, visibility, offsets, base)
     refined = np.empty_like(smooth)
-    best_nearby(volume, smooth, offsets, refined)
+    best_nearby(volume, smooth, offsets, same_m, refined)
     return refined
 
 
@@ -48,13 +50,13 @@ def _overlap(cols, right):
 
 
 @njit(cache=True)
-def _add_neighbours(here, there, down, right, sums):
+def _add_neighbours(here, there, down, right, same_m, sums):
     """Add neighbours on the same surface to the nine sums of a row's least-squares planes ``[9, W]``."""
     y, x = np.float64(down), np.float64(right)
     n, sx, sy, sz, sxx, sxy, syy, sxz, syz = sums
     for col in range(here.shape[0]):
         z = there[col] - here[col]
-        same = 1.0 if abs(z) <= SAME_M else 0.0
+        same = 1.0 if abs(z) <= same_m else 0.0
         n[col] += same
         sx[col] += same * x
         sy[col] += same * y
@@ -66,13 +68,14 @@ def _add_neighbours(here, there, down, right, sums):
         syz[col] += same * (y * z)
 
 
-@spread(lambda surface, _: len(surface))
+@spread(lambda surface, *_: len(surface))
 @njit(cache=True, nogil=True)
-def local_planes(surface, smooth, first_row, end_row):
+def local_planes(surface, same_m, smooth, first_row, end_row):
     """Height of the least-squares plane through the neighbours on the same surface, so that stairs become slopes.
 
     Args:
         surface: ``[H, W]`` float32 heights [m].
+        same_m: heights this near belong to the same surface [m].
         smooth: the same, filled.
         first_row: first row, from `spread`.
         end_row: the one after the last.
@@ -85,7 +88,7 @@ def local_planes(surface, smooth, first_row, end_row):
                 first, last = _overlap(cols, right)
                 if first < last:
                     here, there = surface[row, first:last], surface[i, first + right : last + right]
-                    _add_neighbours(here, there, i - row, right, sums[:, first:last])
+                    _add_neighbours(here, there, i - row, right, same_m, sums[:, first:last])
         for col in range(cols):
             n, sx, sy, sz, sxx, sxy, syy, sxz, syz = sums[:, col]
             # Cramer's rule for the constant term; on a line of cells no plane is determined
@@ -99,22 +102,23 @@ def local_planes(surface, smooth, first_row, end_row):
 
 
 @njit(cache=True)
-def _add_votes(here, there, agreement, votes):
+def _add_votes(here, there, agreement, same_m, votes):
     """Add the agreement ``[D, W]`` of neighbours on the same surface to the votes ``[D, W]`` of a row."""
     for k in range(votes.shape[0]):
         for col in range(votes.shape[1]):
-            votes[k, col] += agreement[k, col] if abs(there[col] - here[col]) <= SAME_M else np.float32(0)
+            votes[k, col] += agreement[k, col] if abs(there[col] - here[col]) <= same_m else np.float32(0)
 
 
 @spread(lambda volume, *_: len(volume))
 @njit(cache=True, nogil=True)
-def best_nearby(volume, surface, offsets, refined, first_row, end_row):
+def best_nearby(volume, surface, offsets, same_m, refined, first_row, end_row):
     """Height of the best agreement summed over the neighbours on the same surface, refined by a parabola.
 
     Args:
         volume: ``[H, D, W]`` float32 agreements.
         surface: ``[H, W]`` float32 heights [m].
         offsets: ``[D]`` float64 from the surface, evenly spaced, the middle one 0 [m].
+        same_m: heights this near belong to the same surface [m].
         refined: ``[H, W]`` float32 heights, filled [m].
         first_row: first row, from `spread`.
         end_row: the one after the last.
@@ -128,7 +132,9 @@ def best_nearby(volume, surface, offsets, refined, first_row, end_row):
                 first, last = _overlap(cols, right)
                 if first < last:
                     there = slice(first + right, last + right)
-                    _add_votes(surface[row, first:last], surface[i, there], volume[i, :, there], votes[:, first:last])
+                    _add_votes(
+                        surface[row, first:last], surface[i, there], volume[i, :, there], same_m, votes[:, first:last]
+                    )
         for col in range(cols):
             best = depth // 2  # stays where nothing speaks for another height
             for k in range(depth):
