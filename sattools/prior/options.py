@@ -72,7 +72,10 @@ class PriorOptions:
         5, "Passes, at most, at twice the cell that find the occlusions; 0 = ignore occlusion.", minimum=0, maximum=100
     )
     erode: float = option(
-        3.0, "Radius by which the surface is eroded before its occlusions are computed [m].", minimum=0
+        2.0,
+        "Radius by which the surface is eroded before its occlusions are computed [m]; at least a cell of the rough "
+        "passes, 0 = not at all.",
+        minimum=0,
     )
     tolerance: float = option(
         2.0, "Depth below the visible surface from which a point is hidden [m]; at least two planes.", minimum=0

@@ -11,10 +11,11 @@ from sattools import compiled
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matching.kernels import correlate
-from sattools.prior.matching.match import for_slopes, match
+from sattools.prior.matching.match import _prepared, _rough_passes, for_slopes, match
 from sattools.prior.matching.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import filled
+from sattools.progress import silent
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,26 @@ def test_hidden_ground_is_seen_by_fewer_views(house: Any) -> None:
     beside = found.views[43:45, 30:38]
     assert beside.mean() < 4.8
     assert found.views[5:10, 5:15].min() == 5
+
+
+@pytest.mark.parametrize(("options", "hides"), [(PriorOptions(), True), (PriorOptions(erode=3.0), False)])
+def test_a_wing_of_five_metres_hides_what_is_behind_it(options: PriorOptions, hides: bool) -> None:
+    height = np.zeros((84, 60))
+    height[20:30, 14:46] = 9.0  # 10 cells of half a metre wide: eroded by 3 m nothing of it is left
+    frame = views_of(height, [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)])
+    _, surface = _rough_passes(_prepared(frame, ALL, RANGE, options), silent)
+    assert surface.height[12:13, 10:20].mean() == pytest.approx(9.0, abs=0.5)  # its ridge, on cells of a metre
+    assert (surface.visibility.first_hit_height.max() > 8) == hides
+
+
+def test_on_wide_cells_the_surface_is_eroded_by_one_of_them(house: Any) -> None:
+    _, frame = house
+
+    def hiding(erode: float) -> Any:
+        return _rough_passes(_prepared(frame, ALL, RANGE, PriorOptions(erode=erode)), silent)[1].eroded
+
+    np.testing.assert_array_equal(hiding(0.1), hiding(1.0))  # the rough passes' cells are a metre wide
+    assert (hiding(0.0) > 8).sum() > 1.3 * (hiding(1.0) > 8).sum()  # 11 x 10 cells, less their rim
 
 
 def test_two_views_are_enough_for_open_ground(house: Any) -> None:

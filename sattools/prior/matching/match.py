@@ -29,6 +29,7 @@ from sattools.scene.regrid import split_cells
 
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
+LEAST_ERODED = 1.0  # cells by which the surface is eroded where `erode` is less
 OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
@@ -179,7 +180,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
                 z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step),
                 options=for_slopes(options, height, frame.cell),
             )
-        eroded = erode(height, options.erode / frame.cell)
+        eroded = erode(height, max(options.erode / frame.cell, LEAST_ERODED) if options.erode else 0.0)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
         dark = measure_dark(frame, height, options.tolerance, visibility)
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
