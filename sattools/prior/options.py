@@ -73,8 +73,8 @@ class PriorOptions:
     )
     erode: float = option(
         2.0,
-        "Radius by which the surface is eroded before its occlusions are computed [m]; at least a cell of the rough "
-        "passes, 0 = not at all.",
+        "Radius by which the surface is eroded before its occlusions are computed [m]; half as much again with "
+        "fewer than 30 pairs, at least a cell of the rough passes; 0 = not at all.",
         minimum=0,
     )
     tolerance: float = option(

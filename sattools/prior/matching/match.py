@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter, minimum_filter
 
 from sattools.prior.frame import Frame
 from sattools.prior.matching.subplane import refine_subplane
-from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
+from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, ROBUST_PAIRS, MatchTask, narrow, sweep_blocks
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled
@@ -30,10 +30,11 @@ from sattools.scene.regrid import split_cells
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
 LEAST_ERODED = 1.0  # cells by which the surface is eroded where `erode` is less
+FEW_ERODE = 1.5  # factor of `erode` where few pairs made a surface that may be anywhere
 OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
-HILLS = (0.5, 0.6)  # share of the cells that are such slopes: up to the first it is a town, from the second on hills
+HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
 HILLS_BRIGHTNESS = (
     3.0  # factor of `brightness` on hills: open ground looks the brighter the nearer a view is to the sun
 )
@@ -141,7 +142,7 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     return MatchTask(fine, pairs, z_range, step, options)
 
 
-def for_slopes(options: PriorOptions, height: np.ndarray, cell: float) -> PriorOptions:
+def for_slopes(options: PriorOptions, height: np.ndarray, sure: np.ndarray, cell: float) -> PriorOptions:
     """The options for ground that rises and falls as the rough surface does.
 
     In a city most cells are level, and surfaces of one brightness each need it to be told apart. Hills have texture
@@ -151,10 +152,11 @@ def for_slopes(options: PriorOptions, height: np.ndarray, cell: float) -> PriorO
     Args:
         options: as they are given, for cities.
         height: ``[H, W]`` rough surface [m].
+        sure: ``[H, W]`` bool, where the images agree about it; elsewhere it is noise, which has slopes, too.
         cell: its cells' edge [m].
     """
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(height, cell))))
-    share = float(np.mean((slope > SLOPES_DEG[0]) & (slope < SLOPES_DEG[1])))
+    share = float(np.mean(((slope > SLOPES_DEG[0]) & (slope < SLOPES_DEG[1]))[sure])) if sure.any() else 0.0
     hills = min(max((share - HILLS[0]) / (HILLS[1] - HILLS[0]), 0.0), 1.0)
     return replace(
         options,
@@ -170,6 +172,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
     rough = replace(task, frame=frame, step=2 * task.step)
     visibility = all_visible(frame)
     before = ceiling = None
+    radius = options.erode * (1.0 if len(task.pairs) >= ROBUST_PAIRS else FEW_ERODE) / frame.cell
     for k in range(passes):
         progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
         height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling)
@@ -178,9 +181,9 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             rough = replace(
                 rough,
                 z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step),
-                options=for_slopes(options, height, frame.cell),
+                options=for_slopes(options, height, score > SURE, frame.cell),
             )
-        eroded = erode(height, max(options.erode / frame.cell, LEAST_ERODED) if options.erode else 0.0)
+        eroded = erode(height, max(radius, LEAST_ERODED) if options.erode else 0.0)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
         dark = measure_dark(frame, height, options.tolerance, visibility)
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
