@@ -71,7 +71,7 @@ def test_the_script_takes_the_cpu_build_before_anything_that_depends_on_torch(tm
     )
     said = done.stdout.splitlines()
     assert said[0].endswith("torch==2.13.0 --index-url https://download.pytorch.org/whl/cpu")
-    assert said[2].endswith("install --no-cache-dir .[products,batch,notebook]")
+    assert said[2].endswith("install --no-cache-dir --no-compile .[products,batch,notebook]")
     assert said[-1] == "sattools doctor --try"
 
 
