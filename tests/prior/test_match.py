@@ -212,6 +212,14 @@ def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:
     assert for_slopes(options, slope, ~everywhere, 1.0) == options  # nobody is sure that it is one
 
 
+@pytest.mark.parametrize(("pairs", "walls"), [(ALL, False), (ALL[:9], True)])
+def test_few_pairs_are_not_believed_that_it_is_a_hill(pairs: Any, walls: bool) -> None:
+    slope = np.tile(0.1 * np.arange(60.0), (84, 1))  # 11 degrees on cells of half a metre
+    frame = views_of(slope, [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)])
+    task, _ = _rough_passes(_prepared(frame, pairs, RANGE, PriorOptions()), silent)
+    assert (task.options.edges > 0) == walls
+
+
 def test_half_a_hill_keeps_its_walls() -> None:
     half = np.zeros((20, 200), np.float32)
     half[:, 77:] = 0.5 * np.arange(123)  # 61.5 % of the cells: halfway from town to hills

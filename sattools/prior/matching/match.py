@@ -35,9 +35,8 @@ OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked fo
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
-HILLS_BRIGHTNESS = (
-    3.0  # factor of `brightness` on hills: open ground looks the brighter the nearer a view is to the sun
-)
+HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
+HILLS_BRIGHTNESS = 3.0  # factor of `brightness` there: open ground is the brighter, the nearer a view is to the sun
 HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
 
 
@@ -181,7 +180,9 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             rough = replace(
                 rough,
                 z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step),
-                options=for_slopes(options, height, score > SURE, frame.cell),
+                options=for_slopes(options, height, score > SURE, frame.cell)
+                if len(task.pairs) >= HILLS_PAIRS
+                else options,
             )
         eroded = erode(height, max(radius, LEAST_ERODED) if options.erode else 0.0)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
