@@ -82,7 +82,9 @@ def command(
 
     def make(progress: Progress) -> tuple[Scene, JsonObject]:
         from sattools.prep.stage import prepare
+        from sattools.scene.memory import keep_freed
 
+        keep_freed()
         return prepare(paths, options, progress, overwrite)
 
     from sattools.scene.location import image_locations

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 STEP_M = 2.0  # height step between neighbours from which they may be two sides of a wall
 # across a step up to the first a wall may become a ramp, over the second not: a ramp is wrong on both sides of a wall
@@ -14,6 +13,7 @@ TALL_M = (10.0, 30.0)
 PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpolated
 FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
 SCALE_M = 20.0  # distance over which it is averaged
+REACH_SCALES = 4  # of its standard deviations, beyond which a cell does not count for a mean
 ALL_CELLS = 300.0  # walls all over the area that count as much as those around
 # the mean of 3 x 3 cells weighted 1 2 1 by 1 2 1, as pairs of opposite neighbours: rows, columns, weight of either
 _PAIRS = ((0, 1, 2 / 16), (1, 0, 2 / 16), (1, 1, 1 / 16), (1, -1, 1 / 16))
@@ -50,14 +50,32 @@ def doubtful_walls(likeness: np.ndarray, beside_wall: np.ndarray, cell: float) -
     doubt = np.ones(likeness.shape, np.float32)
     if not beside_wall.any():
         return doubt
-    scale = SCALE_M / cell
-    cells = 2 * math.pi * scale * scale
-    sure = np.where(beside_wall, np.abs(likeness), 0.0)
-    total = gaussian_filter(sure, scale, mode="constant") * cells
-    count = gaussian_filter(beside_wall.astype(np.float64), scale, mode="constant") * cells
-    mean = (total + ALL_CELLS * float(sure[beside_wall].mean())) / (count + ALL_CELLS)
+    mean = mean_around(np.abs(likeness), beside_wall, SCALE_M / cell)
     doubt[beside_wall] = np.clip((FIRM[1] - mean[beside_wall]) / (FIRM[1] - FIRM[0]), 0.0, 1.0)
     return doubt
+
+
+def mean_around(values: np.ndarray, where: np.ndarray, scale: float) -> np.ndarray:
+    """Mean of some cells around every cell, drawn to that of the whole area where they are few.
+
+    Args:
+        values: ``[H, W]``; those elsewhere do not count.
+        where: ``[H, W]`` bool, at least one of them.
+        scale: standard deviation of the mean [cells].
+
+    Returns:
+        ``[H, W]`` float32.
+    """
+    import cv2
+
+    cells = 2 * math.pi * scale * scale
+    size = 2 * math.ceil(REACH_SCALES * scale) + 1
+    total, count = (
+        cv2.GaussianBlur(cell.astype(np.float32), (size, size), scale, borderType=cv2.BORDER_CONSTANT) * cells
+        for cell in (np.where(where, values, 0.0), where)
+    )
+    mean: np.ndarray = (total + np.float32(ALL_CELLS * float(values[where].mean()))) / (count + np.float32(ALL_CELLS))
+    return mean
 
 
 def mean_of_neighbours(
@@ -104,4 +122,4 @@ def mean_of_neighbours(
     return here
 
 
-__all__ = ["doubtful_walls", "mean_of_neighbours"]
+__all__ = ["doubtful_walls", "mean_around", "mean_of_neighbours"]

@@ -111,7 +111,7 @@ def first_hit_heights(
         step = 1.0 / max(*np.abs(parallax[v]), 0.5)  # no step may jump over a cell
         z = z_top
         while z > z_bottom:
-            r, c = (round(at - per_metre * (z - z_ref)) for at, per_metre in zip((row, col), parallax[v], strict=True))
+            r, c = row + round(-parallax[v, 0] * (z - z_ref)), col + round(-parallax[v, 1] * (z - z_ref))
             if 0 <= r < surface.shape[0] and 0 <= c < surface.shape[1] and surface[r, c] >= z:
                 hits[v, row, col] = min(surface[r, c], z + step)
                 break
@@ -132,7 +132,7 @@ def shadow_heights(surface: np.ndarray, sun: np.ndarray, cell: float) -> np.ndar
     shadow = np.full(surface.shape, -1e9)  # [H, W]
     for row, col in np.ndindex(surface.shape):
         for t in range(1, sum(surface.shape)):
-            r, c = round(row - t * north / across), round(col + t * east / across)  # rows run south
+            r, c = row + round(-t * north / across), col + round(t * east / across)  # rows run south
             if not (0 <= r < surface.shape[0] and 0 <= c < surface.shape[1]):
                 break
             shadow[row, col] = max(shadow[row, col], surface[r, c] - t * cell * up / across)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import resource
 from pathlib import Path
 
 from sattools.errors import SattoolsError
 
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # numbers of GNU's malloc.h
 
 
 def available() -> int | None:
@@ -30,6 +33,20 @@ def available() -> int | None:
     return min(limits, default=None)
 
 
+def keep_freed() -> None:
+    """Keep what is freed for what is asked for next, up to a quarter of a GiB, instead of giving it back at once.
+
+    Arrays of some megabytes that come and go are otherwise fetched from the system page by page each time, which took a
+    sixth of the CPU seconds of `prep`. Does nothing where the C library has no such setting.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return
+    mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # the most that it takes
+    mallopt(_M_TRIM_THRESHOLD, 256 << 20)
+
+
 def check_memory(needed: float, what: str, remedy: str) -> None:
     """Raise SattoolsError where `needed` bytes are more than there are.
 
@@ -46,4 +63,4 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
         )
 
 
-__all__ = ["available", "check_memory"]
+__all__ = ["available", "check_memory", "keep_freed"]

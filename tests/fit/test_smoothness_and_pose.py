@@ -118,9 +118,10 @@ def test_a_matched_surface_needs_fewer_passes_unless_more_is_sought() -> None:
     def passes(with_prior: bool = True, **given: Any) -> list[int]:
         return [s.epochs for s in schedule(FitOptions(**given), 0.5, (0.0, 1.0), with_prior)]
 
-    assert passes() == [8]
+    assert passes() == [5]
     assert passes(with_prior=False) == [16, 16, 16]
     assert passes(shadow="learned") == passes(shadow="auto") == passes(transient="on") == [16]
+    assert passes(brdf="auto") == [8]
     assert passes(brdf="hapke") == [2, 6]  # a quarter of them without the model
     assert passes(epochs=[3]) == [3]
 

@@ -9,7 +9,7 @@ from sattools.prior import reference
 from sattools.prior.matching.kernels import TILE, TILE_COLS, correlate
 from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 from sattools.prior.matching.sweep import PLANES, active_planes
-from sattools.prior.visibility.kernels import descend, first_hit_heights, shadow_heights
+from sattools.prior.visibility.kernels import TOGETHER, descend, first_hit_heights, look_at, shadow_heights
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
@@ -295,7 +295,7 @@ def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line() -> None:
     surface = np.zeros((5, 12), np.float32)
     surface[:, 8] = 6.0
     shadow = np.empty_like(surface)
-    shadow_heights(surface, np.array([0.6, 0.0, 0.8]), 0.5, 6.0, shadow)  # sun in the east, 4 m up for 3 m along
+    shadow_heights(surface, np.array([0.6, 0.0, 0.8]), 0.5, 6.0, -9.0, shadow)  # sun in the east, 4 m up for 3 m along
     # one cell further from the wall the line is 0.5 m * 4 / 3 lower
     assert shadow[2, 4:8].tolist() == pytest.approx([6 - 8 / 3, 6 - 2, 6 - 4 / 3, 6 - 2 / 3], abs=1e-5)
     assert shadow[2, 9:].max() < 0  # only the ground's own line, below the ground
@@ -304,21 +304,42 @@ def test_a_wall_shades_what_lies_behind_it_up_to_the_suns_line() -> None:
 
 def test_first_hits_are_those_of_the_plain_twin() -> None:
     rng = np.random.default_rng(5)
-    surface = rng.uniform(0, 6, (14, 12)).astype(np.float32)
     slopes = np.array([[0.4, -0.7], [-1.2, 0.1], [0.0, 0.0]])
-    fast = np.empty((3, *surface.shape), np.float32)
-    first_hit_heights(surface, slopes, 2.0, 7.0, -1.0, fast)
-    np.testing.assert_allclose(fast, reference.first_hit_heights(surface, slopes, 2.0, 7.0, -1.0), atol=1e-6)
+    # narrower than what is followed side by side, and wider
+    for shape in ((14, 12), (4, TOGETHER + 9)):
+        surface = rng.uniform(0, 6, shape).astype(np.float32)
+        fast = np.empty((3, *shape), np.float32)
+        first_hit_heights(surface, slopes, 2.0, 7.0, -1.0, fast)
+        np.testing.assert_allclose(fast, reference.first_hit_heights(surface, slopes, 2.0, 7.0, -1.0), atol=1e-6)
+
+
+def test_what_views_show_of_a_surface_is_the_nearest_pixel_if_nothing_above_hides_it() -> None:
+    rng = np.random.default_rng(8)
+    images = rng.uniform(0, 1, (2, 16, 18)).astype(np.float32)
+    masks = (rng.uniform(0, 1, images.shape) < 0.8).astype(np.uint8)
+    hits = rng.uniform(0, 6, images.shape).astype(np.float32)
+    surface, parallax = rng.uniform(0, 6, (8, 10)).astype(np.float32), np.array([[0.4, -0.7], [-0.9, 0.3]])
+    value, seen = np.empty((2, 8, 10), np.float32), np.empty((2, 8, 10), bool)
+    look_at(images, masks, parallax, 2.0, 4, hits, surface, 1.5, value, seen)
+    for v, row, col in np.ndindex(value.shape):
+        z = surface[row, col]
+        # the last cells' rays may leave the frame: its border stands for what lies beyond
+        r = min(max(round(4 + row + parallax[v, 0] * (z - 2)), 0), 15)
+        c = min(max(round(4 + col + parallax[v, 1] * (z - 2)), 0), 17)
+        assert value[v, row, col] == images[v, r, c]
+        assert seen[v, row, col] == (masks[v, r, c] == 1 and hits[v, r, c] <= z + 1.5)
 
 
 @pytest.mark.parametrize("sun", [(0.6, 0.3, 0.5), (-0.1, -0.8, 0.4), (0.7, 0.0, 0.7)])
 def test_shadow_heights_are_those_of_the_plain_twin(sun: Any) -> None:
-    surface = np.random.default_rng(6).uniform(0, 9, (15, 11)).astype(np.float32)
-    fast = np.empty_like(surface)
-    shadow_heights(surface, np.array(sun), 0.5, float(surface.max()), fast)
-    slow = reference.shadow_heights(surface, np.array(sun), 0.5)
-    lower = slow < surface.min() - 20  # as far below, the kernel stops looking
-    np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)
+    for shape in ((15, 11), (5, TOGETHER + 7)):
+        surface = np.random.default_rng(6).uniform(0, 9, shape).astype(np.float32)
+        fast = np.empty_like(surface)
+        shadow_heights(surface, np.array(sun), 0.5, float(surface.max()), -20.0, fast)
+        slow = reference.shadow_heights(surface, np.array(sun), 0.5)
+        lower = slow < -20  # nobody asks there
+        assert (fast[lower] < -20).all()
+        np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)
 
 
 def test_planes_away_from_a_known_surface_are_left_out_and_the_others_are_as_before() -> None:

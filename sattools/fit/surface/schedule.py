@@ -9,7 +9,8 @@ from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.trainer import StageSettings
 
-EPOCHS, FEW_EPOCHS = 16, 8
+EPOCHS = 16
+FEW_EPOCHS, FEWEST_EPOCHS = 8, 5  # with a matched surface: of a reflectance model, of Lambert's
 LEAST_COARSE_CELLS = 4  # of a stage along the area's shorter side
 
 
@@ -56,11 +57,13 @@ def schedule(
 def default_epochs(options: FitOptions, with_prior: bool) -> int:
     """Passes over all views of a stage: a matched surface needs fewer, unless light is to be learned, too.
 
-    From the fourth pass on the surface of JAX_068 or of a simulated city changes by less than a centimetre; heights and
-    parameters of reflectance models are as good after 8 passes as after 16.
+    From the fourth pass on the surface of JAX_068 or of a simulated city changes by less than a centimetre, and is as
+    good after 5 passes as after 16; heights and parameters of reflectance models are after 8.
     """
     learned = options.shadow in ("learned", "auto") or options.transient != "off"
-    return FEW_EPOCHS if with_prior and not learned else EPOCHS
+    if not with_prior or learned:
+        return EPOCHS
+    return FEWEST_EPOCHS if options.brdf == "lambert" else FEW_EPOCHS
 
 
 def pretrained(stage: StageSettings, share: float) -> list[StageSettings]:

@@ -16,7 +16,7 @@ from sattools.compiled import FASTMATH, njit, spread
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 SIXTH = np.float32(1 / 6)
-TILE, TILE_COLS = 24, 96  # cells that one thread carries through all heights: they stay in the second-level cache
+TILE, TILE_COLS = 24, 96  # cells
 
 
 @njit(cache=True, fastmath=FASTMATH)
@@ -94,9 +94,35 @@ def _moments(moved, radius, mean, variance, sums, squares, line):
 
 
 @njit(cache=True, fastmath=FASTMATH)
+def _take_row(a, b, radius, products, sums):
+    """Take a row's products, summed over the windows' columns, into the sums over their rows, for those held so far."""
+    for j in range(sums.shape[0]):
+        sums[j] -= products[j]
+        products[j] = a[j] * b[j]
+    for k in range(1, 2 * radius + 1):
+        for j in range(sums.shape[0]):
+            products[j] += a[j + k] * b[j + k]
+    for j in range(sums.shape[0]):
+        sums[j] += products[j]
+
+
+@njit(inline="always")
+def _agreed(product, ma, mb, va, vb, dark, veil, lit_floor, dark_floor, steep, power):
+    """A power of the agreement of two windows, from the mean of their product and their moments; see `correlate`."""
+    # every constant in single precision: one in double makes the whole line double
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
+    floor = dark_floor if dark else lit_floor
+    shared = max(two * (product - ma * mb) + floor, zero)
+    apart = ma - mb - (veil if dark else zero)
+    score = shared / ((va + vb + floor) * (one + apart * apart * steep))
+    square = score * score
+    return square if power == 1 else square * square * square
+
+
+@njit(cache=True, fastmath=FASTMATH)
 def _add_pair(
     a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, dark_a, dark_b,
-    radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
+    radius, noise, shadow_noise, brightness, power, mixed, products, sums, total, weight,
 ):  # fmt: skip
     """Add a power of a pair's agreement to ``total`` and the pair's weight to ``weight``.
 
@@ -104,40 +130,66 @@ def _add_pair(
     of its views' weights, times ``mixed`` where one shows the point in the sun and the other in shadow. ``power``: 1 =
     second, 3 = sixth. Where both are in shadow and as dark as
     shadows (dark_a, dark_b) are, brightness counts from there, and structure only above the noise of the dark.
+    products: ``[2 radius + 1, columns]`` of the last rows, see `_take_row`; sums: over the windows.
     """
     rows, cols = total.shape
-    norm = np.float32(1.0 / (2 * radius + 1) ** 2)
+    size = 2 * radius + 1
+    norm = np.float32(1.0 / size**2)
     lit_floor, dark_floor = np.float32(noise * noise), np.float32(shadow_noise * shadow_noise)
     darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
     veil = dark_a - dark_b
     steep = np.float32(1.0 / (brightness * brightness))
-    # every constant in single precision: one in double makes the whole line double
-    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     sums[:] = 0
-    for i in range(2 * radius):
-        for j in range(sums.shape[0]):
-            sums[j] += a[i, j] * b[i, j]
+    products[:] = 0
+    for i in range(size - 1):
+        _take_row(a[i], b[i], radius, products[i], sums)
     for i in range(rows):
-        enter_a, enter_b = a[i + 2 * radius], b[i + 2 * radius]
-        leave_a, leave_b = a[i], b[i]
-        for j in range(sums.shape[0]):
-            sums[j] += enter_a[j] * enter_b[j]
-        _window_sum(sums, radius, line)
+        xa, xb, oldest = a[i + size - 1], b[i + size - 1], products[(i + size - 1) % size]
         ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
         sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
+        _take_row(xa, xb, radius, oldest, sums)
         for j in range(cols):
             both = sa[j] * sb[j]
             both = max(both, -mixed * both)
-            dark = sa[j] < 0 and sb[j] < 0 and ma[j] < darkest_a and mb[j] < darkest_b
-            floor = dark_floor if dark else lit_floor
-            shared = max(two * (line[j] * norm - ma[j] * mb[j]) + floor, zero)
-            apart = ma[j] - mb[j] - (veil if dark else zero)
-            score = shared / ((va[j] + vb[j] + floor) * (one + apart * apart * steep))
-            square = score * score
-            ti[j] += both * (square if power == 1 else square * square * square)
+            dark = (sa[j] < 0) & (sb[j] < 0) & (ma[j] < darkest_a) & (mb[j] < darkest_b)
+            ti[j] += both * _agreed(
+                sums[j] * norm, ma[j], mb[j], va[j], vb[j], dark, veil, lit_floor, dark_floor, steep, power
+            )  # fmt: skip
             wi[j] += both
-        for j in range(sums.shape[0]):
-            sums[j] -= leave_a[j] * leave_b[j]
+
+
+@njit(cache=True, fastmath=FASTMATH)
+def _add_pair_3x3(
+    a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, dark_a, dark_b,
+    noise, shadow_noise, brightness, power, mixed, products, sums, total, weight,
+):  # fmt: skip
+    """The same as `_add_pair` for windows of 3 x 3, the default: in one loop it takes three quarters of the time."""
+    rows, cols = total.shape
+    norm = np.float32(1.0 / 9.0)
+    lit_floor, dark_floor = np.float32(noise * noise), np.float32(shadow_noise * shadow_noise)
+    darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
+    veil = dark_a - dark_b
+    steep = np.float32(1.0 / (brightness * brightness))
+    sums[:] = 0
+    products[:] = 0
+    for i in range(2):
+        _take_row(a[i], b[i], 1, products[i], sums)
+    for i in range(rows):
+        xa, xb, oldest = a[i + 2], b[i + 2], products[(i + 2) % 3]
+        ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
+        sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
+        for j in range(cols):
+            product = xa[j] * xb[j] + xa[j + 1] * xb[j + 1] + xa[j + 2] * xb[j + 2]
+            inside = sums[j] + (product - oldest[j])
+            sums[j] = inside
+            oldest[j] = product
+            both = sa[j] * sb[j]
+            both = max(both, -mixed * both)
+            dark = (sa[j] < 0) & (sb[j] < 0) & (ma[j] < darkest_a) & (mb[j] < darkest_b)
+            ti[j] += both * _agreed(
+                inside * norm, ma[j], mb[j], va[j], vb[j], dark, veil, lit_floor, dark_floor, steep, power
+            )  # fmt: skip
+            wi[j] += both
 
 
 @njit(cache=True, fastmath=FASTMATH)
@@ -213,6 +265,7 @@ def _correlate_tile(
     sums = np.empty(cols + 2 * radius, np.float32)
     squares = np.empty(cols + 2 * radius, np.float32)
     line = np.empty(cols, np.float32)
+    products = np.empty((2 * radius + 1, cols), np.float32)
     total = np.empty((rows, cols), np.float32)
     weight = np.empty((rows, cols), np.float32)
     for k in range(depth):
@@ -229,10 +282,16 @@ def _correlate_tile(
         weight[:] = 0
         for p in range(pairs.shape[0]):
             a, b = pairs[p, 0], pairs[p, 1]
-            _add_pair(
-                moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
-                radius, noise, shadow_noise, brightness, power, mixed, sums, line, total, weight,
-            )  # fmt: skip
+            if radius == 1:
+                _add_pair_3x3(
+                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
+                    noise, shadow_noise, brightness, power, mixed, products, line, total, weight,
+                )  # fmt: skip
+            else:
+                _add_pair(
+                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
+                    radius, noise, shadow_noise, brightness, power, mixed, products, line, total, weight,
+                )  # fmt: skip
         for i in range(rows):
             _mean_over_pairs(total[i], weight[i], power, volume[i, k])
     for i in range(rows):

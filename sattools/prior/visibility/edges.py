@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, median_filter, minimu
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
-from sattools.prior.neighbours import doubtful_walls
+from sattools.prior.neighbours import doubtful_walls, mean_around
 
 STEP_M = 2.0  # smallest height step that is a wall
 FLAT_M = 1.5  # height range of 3 x 3 cells that are surely off the step
@@ -22,7 +22,6 @@ STAY = 0.3  # likeness (-1 ... 1) that it takes to change sides
 RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
 FOOT = (-0.3, -0.1)  # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
-FOOT_CELLS = 300.0  # rims all over the area that count as much as those around
 OUTWARD = 0.65  # likeness by which walls that are not upright start outside the edge of their roof
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
 OUTSIDE = 0.2  # cosine between the way down a wall and that towards a view which sees the foot of the wall
@@ -133,10 +132,7 @@ def leaning(rims: np.ndarray, foot: np.ndarray, scale: float) -> np.ndarray:
     """
     if not rims.any():
         return np.zeros(foot.shape)
-    cells = 2 * math.pi * scale * scale
-    total = gaussian_filter(np.where(rims, foot, 0.0), scale, mode="constant") * cells
-    count = gaussian_filter(rims.astype(np.float64), scale, mode="constant") * cells
-    mean = (total + FOOT_CELLS * float(foot[rims].mean())) / (count + FOOT_CELLS)
+    mean = mean_around(foot, rims, scale)
     return np.clip((mean - FOOT[0]) / (FOOT[1] - FOOT[0]), 0.0, 1.0)
 
 
@@ -147,26 +143,45 @@ def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.nda
 
 
 @njit(cache=True)
-def _level(height, off_step, row, col, low, high, around):
-    """Weighted mean of the sure heights in [low, high) around a cell, NaN if there are too few."""
-    rows, cols = height.shape
-    total = 0.0
-    weight = 0.0
-    for i in range(max(0, row - around.reach), min(rows, row + around.reach + 1)):
-        for j in range(max(0, col - around.reach), min(cols, col + around.reach + 1)):
-            z = height[i, j]
-            if off_step[i, j] and low <= z < high:
-                w = math.exp(-((i - row) ** 2 + (j - col) ** 2) / (2 * around.fall * around.fall))
-                total += w * z
-                weight += w
-    return total / weight if weight > around.fewest_cells else np.nan
+def _bell(reach, fall):
+    """Weights ``[2 reach + 1, 2 reach + 1]`` that fall with the distance from the middle."""
+    weights = np.empty((2 * reach + 1, 2 * reach + 1))
+    for i in range(-reach, reach + 1):
+        for j in range(-reach, reach + 1):
+            weights[i + reach, j + reach] = math.exp(-(i * i + j * j) / (2 * fall * fall))
+    return weights
 
 
 @njit(cache=True)
-def _gather(height, off_step, row, col, below, above, where, side, weight, around):
-    """Note the sure cells of either side around a cell: offsets, side (1 = high), weight; returns their number."""
+def _levels(height, off_step, row, col, middle, weights, fewest):
+    """Weighted means of the sure heights below and above around a cell, NaN if there are too few."""
     rows, cols = height.shape
-    count, look = 0, around.look
+    reach = len(weights) // 2
+    low = high = low_weight = high_weight = 0.0
+    for i in range(max(0, row - reach), min(rows, row + reach + 1)):
+        for j in range(max(0, col - reach), min(cols, col + reach + 1)):
+            z = height[i, j]
+            w = weights[i - row + reach, j - col + reach] if off_step[i, j] else 0.0
+            if z < middle:
+                low += w * z
+                low_weight += w
+            else:
+                high += w * z
+                high_weight += w
+    return low / low_weight if low_weight > fewest else np.nan, high / high_weight if high_weight > fewest else np.nan
+
+
+@njit(cache=True)
+def _gather(height, off_step, row, col, below, above, stride, falls, where, weight, count, total):
+    """Note the sure cells of either side (0 = low, 1 = high) around a cell.
+
+    where: ``[2, N]`` offsets in a flat image with rows of ``stride`` pixels; weight: ``[2, N]``; count, total: ``[2]``
+    their numbers and sums of weights. falls: ``[2, n, n]`` weights of either side around the cell.
+    """
+    rows, cols = height.shape
+    look = falls.shape[1] // 2
+    count[:] = 0
+    total[:] = 0.0
     for i in range(-look, look + 1):
         for j in range(-look + (i + look) % 2, look + 1, 2):
             r, c = row + i, col + j
@@ -175,18 +190,34 @@ def _gather(height, off_step, row, col, below, above, where, side, weight, aroun
             high = abs(height[r, c] - above) <= SAME_M
             if not high and abs(height[r, c] - below) > SAME_M:
                 continue
-            fall = around.high_fall if high else around.low_fall
-            where[count, 0], where[count, 1] = i, j
-            side[count] = 1 if high else 0
-            weight[count] = math.exp(-(i * i + j * j) / (2 * fall * fall))
-            count += 1
-    return count
+            side = 1 if high else 0
+            where[side, count[side]] = i * stride + j
+            weight[side, count[side]] = falls[side, i + look, j + look]
+            total[side] += falls[side, i + look, j + look]
+            count[side] += 1
 
 
 @njit(cache=True)
-def _likeness(
-    image, mask, hit, parallax, z, z_ref, row, col, tolerance, where, side, weight, count, noise, fewest
-):  # fmt: skip
+def _appearance(pixels, at, where, weight, count, total):
+    """Mean and variance of the pixels of one side; the second sums of odd ones keep the processor busy."""
+    mean = squares = odd_mean = odd_squares = 0.0
+    for n in range(0, count - 1, 2):
+        x, y = pixels[np.uint64(at + where[n])], pixels[np.uint64(at + where[n + 1])]
+        one, other = weight[n] * x, weight[n + 1] * y
+        mean += one
+        squares += one * x
+        odd_mean += other
+        odd_squares += other * y
+    if count % 2:
+        x = pixels[np.uint64(at + where[count - 1])]
+        mean += weight[count - 1] * x
+        squares += weight[count - 1] * x * x
+    mean = (mean + odd_mean) / total
+    return mean, max((squares + odd_squares) / total - mean * mean, 0.0)
+
+
+@njit(cache=True)
+def _likeness(image, mask, hit, parallax, z, z_ref, row, col, tolerance, where, weight, count, total, noise):
     """How surely a pixel belongs to the high side in one view, -1 ... 1; NaN where the view cannot tell.
 
     row, col: frame position of the cell at z_ref; z: the height in question; tolerance: depth at which it still shows.
@@ -196,25 +227,10 @@ def _likeness(
     a, b = round(r), round(c)
     if hit[a, b] > z + tolerance or mask[a, b] == 0:
         return np.nan
-    low = low_squares = low_weight = 0.0
-    high = high_squares = high_weight = 0.0
-    for n in range(count):
-        x = image[a + where[n, 0], b + where[n, 1]]
-        w = weight[n]
-        if side[n]:
-            high += w * x
-            high_squares += w * x * x
-            high_weight += w
-        else:
-            low += w * x
-            low_squares += w * x * x
-            low_weight += w
-    if low_weight < fewest or high_weight < fewest:
-        return np.nan
-    low /= low_weight
-    high /= high_weight
-    spread = max(low_squares / low_weight - low * low, 0.0) + max(high_squares / high_weight - high * high, 0.0)
-    variance = noise * noise + 0.5 * spread
+    pixels, at = image.reshape(-1), a * image.shape[1] + b
+    low, low_spread = _appearance(pixels, at, where[0], weight[0], count[0], total[0])
+    high, high_spread = _appearance(pixels, at, where[1], weight[1], count[1], total[1])
+    variance = noise * noise + 0.5 * (low_spread + high_spread)
     if (high - low) ** 2 < CONTRAST * CONTRAST * variance:
         return np.nan
     iy, ix = math.floor(r), math.floor(c)
@@ -257,10 +273,11 @@ def compare_sides(
     rows, cols = height.shape
     views = images.shape[0]
     most = (2 * around.look + 1) * (around.look + 1)
+    nearby = _bell(around.reach, around.fall)
+    falls = np.stack((_bell(around.look, around.low_fall), _bell(around.look, around.high_fall)))
     for row in range(first_row, end_row):
-        where = np.empty((most, 2), np.int64)
-        side = np.empty(most, np.int64)
-        weight = np.empty(most)
+        where, weight = np.empty((2, most), np.int64), np.empty((2, most))
+        count, total = np.empty(2, np.int64), np.empty(2)
         for col in range(cols):
             below[row, col] = above[row, col] = foot[row, col] = np.nan
             roof[row, col] = 0.0
@@ -271,18 +288,19 @@ def compare_sides(
             if high - low < STEP_M:
                 continue
             middle = 0.5 * (low + high)
-            bottom = _level(height, off_step, row, col, -np.inf, middle, around)
-            top = _level(height, off_step, row, col, middle, np.inf, around)
+            bottom, top = _levels(height, off_step, row, col, middle, nearby, around.fewest_cells)
             if not top - bottom >= STEP_M:
                 continue
             below[row, col], above[row, col] = bottom, top
-            cells = _gather(height, off_step, row, col, bottom, top, where, side, weight, around)
+            _gather(height, off_step, row, col, bottom, top, images.shape[2], falls, where, weight, count, total)
+            if total.min() < around.fewest_looks:
+                continue
             at_roof = at_foot = 0.0
             roof_views = foot_views = 0
             for v in range(views):
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], parallax[v], top, z_ref, row + margin, col + margin,
-                    tolerance, where, side, weight, cells, noise, around.fewest_looks,
+                    tolerance, where, weight, count, total, noise,
                 )  # fmt: skip
                 if like == like:
                     at_roof += like
@@ -291,7 +309,7 @@ def compare_sides(
                     continue
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], parallax[v], bottom, z_ref, row + margin, col + margin,
-                    tolerance, where, side, weight, cells, noise, around.fewest_looks,
+                    tolerance, where, weight, count, total, noise,
                 )  # fmt: skip
                 if like == like:
                     at_foot += like

@@ -13,6 +13,7 @@ from sattools.scene.regrid import split_cells
 
 UNKNOWN = -1e9  # first hit of a ray, height of a shade, radiance of shadow when nothing is known: seen, lit, not dark
 SURELY_SHADED_M = 2.0  # depth below the edge of a shadow at which a point surely lies in it
+ASKED_BELOW_M = 20.0  # below the height range, as far as any point is asked whether it lies in shadow
 DARK_SHARE = 30  # per cent of the pixels in shadow that are darker than its level: some see things that stick out
 FEWEST = 60  # cells that make a statistic
 NOISE_SHARE = 20  # per cent of the windows in shadow that show noise and no texture
@@ -79,9 +80,10 @@ def compute_visibility(
     new = all_visible(frame)
     wide = np.pad(eroded, frame.margin, mode="edge")
     first_hit_heights(wide, frame.parallax, frame.z_ref, z_range[1] + 1.0, z_range[0] - 1.0, new.first_hit_height)
+    top, bottom = float(eroded.max()), z_range[0] - ASKED_BELOW_M
     for sun, shadow in zip(frame.suns, new.shadow_height, strict=True):
         if sun is not None:
-            shadow_heights(eroded, np.array(sun), frame.cell, float(eroded.max()), shadow)
+            shadow_heights(eroded, np.array(sun), frame.cell, top, bottom, shadow)
             lit = shadow < eroded
             shadow[lit] = np.minimum(shadow[lit], eroded[lit] - np.float32(tolerance))
     return replace(new, dark=dark)
@@ -98,18 +100,14 @@ def at_surface(
         surface: ``[H, W]`` heights [m].
         tolerance: depth below the visible surface that still counts as seen [m].
     """
-    rows, cols = (np.arange(n, dtype=np.float64) + frame.margin for n in frame.shape)
-    rows, lowest = rows[:, None], surface + tolerance
+    from sattools.prior.visibility.kernels import look_at
+
     value = np.empty((len(frame.images), *frame.shape), np.float32)
     seen = np.empty(value.shape, bool)
-    last = np.array(frame.images.shape[1:]) - 1
-    dz = surface - frame.z_ref
-    for v, per_metre in enumerate(frame.parallax):
-        r = np.clip(np.rint(rows + per_metre[0] * dz), 0, last[0])
-        c = np.clip(np.rint(cols + per_metre[1] * dz), 0, last[1])
-        place = (r * (last[1] + 1) + c).astype(np.intp)
-        value[v] = frame.images[v].ravel()[place]
-        seen[v] = (frame.masks[v].ravel()[place] > 0) & (first_hit_height[v].ravel()[place] <= lowest)
+    look_at(
+        frame.images, frame.masks, frame.parallax, frame.z_ref, frame.margin, first_hit_height, surface,
+        tolerance, value, seen,
+    )  # fmt: skip
     return value, seen
 
 
