@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
     """Move an exported scene onto a reference DEM or ground control points: DSM, maps, model and cameras together.
 
-    The shift and what is left go to the history and to stderr; the files from before stay where they are.
+    The shift and what is left go to the history, to align/N/transform.json (a 4 x 4 matrix; residuals of control
+    points) and to stderr; the files from before stay where they are.
     """
     options = build(AlignOptions, values)
 
@@ -32,9 +33,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         figures = align(scene, options, progress, overwrite)
         s = figures["shift"]
+        tilt = f"tilted by {1e3 * s['tilt_east']:+.3f} and {1e3 * s['tilt_north']:+.3f} mm/m along east and north, "
         click.echo(
-            f"scene {scene.id}: moved by {s['east']:+.2f} m east, {s['north']:+.2f} m north, {s['up']:+.2f} m up; "
-            f"NMAD {s['before']:.2f} before, {s['after']:.2f} after",
+            f"scene {scene.id}: moved by {s['east']:+.2f} m east, {s['north']:+.2f} m north, {s['up']:+.2f} m up, "
+            f"{tilt if s['tilt_east'] or s['tilt_north'] else ''}NMAD {s['before']:.2f} before, {s['after']:.2f} after",
             err=True,
         )
         return figures
