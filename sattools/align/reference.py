@@ -89,7 +89,7 @@ def read_control_points(path: Path, crs: str) -> list[ControlPoint]:
 
 def holds_points(path: Path) -> bool:
     """Whether a file is a table or a vector file, and no raster."""
-    return path.suffix.lower() == ".csv" or is_vector(path)
+    return path.suffix.lower() == ".csv" or (path.is_file() and is_vector(path))
 
 
 def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, bool]:

@@ -27,6 +27,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     points) and to stderr; the files from before stay where they are.
     """
     options = build(AlignOptions, values)
+    if options.to is None and not print_config:
+        raise click.UsageError("Missing option '--to', a raster of heights or ground control points.")
 
     def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.align.stage import align

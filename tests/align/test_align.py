@@ -407,4 +407,16 @@ def test_a_shift_that_is_too_large_is_refused(exported: Scene, tmp_path: Path) -
     result = run("align", "--to", reference, "--tilt", "--method", "z", exported.output("scene.json"))
     assert result.exit_code == 1
     assert "found --tilt with --method z, expected --method icp" in result.stderr
-    assert run("align", exported.output("scene.json")).exit_code == 1
+
+
+def test_a_missing_reference_is_told_before_work_and_in_a_dry_run(exported: Scene, tmp_path: Path) -> None:
+    result = run("align", exported.output("scene.json"))
+    assert result.exit_code == 2
+    assert "Missing option '--to'" in result.stderr
+    for more in ((), ("--dry-run",)):
+        result = run("align", "--to", tmp_path / "nowhere.tif", *more, exported.output("scene.json"))
+        assert result.exit_code == 1
+        assert "nowhere.tif: no such file, expected one for --to" in result.stderr
+    result = run("align", "--to", tmp_path, exported.output("scene.json"))
+    assert result.exit_code == 1
+    assert "found a folder, expected" in result.stderr
