@@ -30,7 +30,7 @@ ALGORITHMS = {
             *MATERIAL,
         ),
     ),
-    "align": ("Align with a reference", "References", ()),
+    "align": ("Align with a reference", "References", ("dsm",)),
     "compare": ("Compare with a reference", "References", ("difference",)),
     "simulate": ("Simulate scene", "Simulation", ()),
 }
@@ -41,7 +41,7 @@ PLAIN = {
     "prior": ("resolution", "memory"),
     "fit": ("preset", "resolution", "brdf", "shadow", "tile", "budget", "reference"),
     "export": ("vertical", "products", "contours", "fill"),
-    "align": ("to", "method"),
+    "align": ("to", "method", "tilt"),
     "compare": ("dsm", "classes", "register", "region"),
     "simulate": ("terrain", "size", "views", "dates", "id", "out"),
 }

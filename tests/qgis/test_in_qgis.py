@@ -89,6 +89,10 @@ def test_prepare_fit_export_compare_give_what_the_command_line_gives(
     assert code == 0, said
     assert filecmp.cmp(maps["DSM"], tmp_path / "cli" / "TOWN" / "export" / "dsm.tif", shallow=False)
     assert scores["MAE"] == figures["mae"]
+    code, moved, said = process(environment, "align", SCENE=document, TO=truth)
+    assert code == 0, said
+    assert Path(moved["DSM"]) == tmp_path / "qgis" / "TOWN" / "align" / "1" / "dsm.tif"
+    assert Path(moved["DSM"]).is_file()
 
 
 def in_python(environment: Any, program: str, **more: str) -> str:
