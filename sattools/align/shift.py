@@ -41,6 +41,14 @@ class Shift:
         """Whether there is a tilt."""
         return (self.tilt_east, self.tilt_north) != (0.0, 0.0)
 
+    def text(self, unit: str) -> str:
+        """What has been moved by how much, and what is left, in words; ``unit`` is that of `before` and `after`."""
+        tilt = f", tilted by {1e3 * self.tilt_east:+.3f} and {1e3 * self.tilt_north:+.3f} mm/m along east and north"
+        return (
+            f"moved by {self.east:+.2f} m east, {self.north:+.2f} m north, {self.up:+.2f} m up"
+            f"{tilt if self.tilted else ''}; NMAD {self.before:.2f} {unit} before, {self.after:.2f} {unit} after"
+        )
+
     def rise(self, grid: Grid) -> np.ndarray:
         """What is added to the heights of a grid's cells, before the grid moves ``[H, W]`` [m]."""
         along_x, along_y = self.tilt_east * (grid.x() - self.x), self.tilt_north * (grid.y() - self.y)

@@ -121,8 +121,8 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     transform = {"crs": grid.crs, "matrix": shift.matrix().tolist(), "method": options.method, **asdict(shift), **about}
     write_text(scene.output(f"{folder}/{TRANSFORM}"), json.dumps(transform, indent=1) + "\n")
     progress(1.0, "aligned")
-    notes = {name: text for name, text in about.items() if name == "notes"}
-    figures = {"shift": asdict(shift), "transform": f"{folder}/{TRANSFORM}", **notes}
+    notes = [shift.text("px" if "residuals" in about else "m"), *about.get("notes", [])]
+    figures = {"shift": asdict(shift), "transform": f"{folder}/{TRANSFORM}", "notes": notes}
     return {**figures, "dropped": sorted(dropped), MADE: _recorded(scene, records)}
 
 

@@ -34,13 +34,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         from sattools.align.stage import align
 
         figures = align(scene, options, progress, overwrite)
-        s = figures["shift"]
-        tilt = f"tilted by {1e3 * s['tilt_east']:+.3f} and {1e3 * s['tilt_north']:+.3f} mm/m along east and north, "
-        click.echo(
-            f"scene {scene.id}: moved by {s['east']:+.2f} m east, {s['north']:+.2f} m north, {s['up']:+.2f} m up, "
-            f"{tilt if s['tilt_east'] or s['tilt_north'] else ''}NMAD {s['before']:.2f} before, {s['after']:.2f} after",
-            err=True,
-        )
+        click.echo(f"scene {scene.id}: {figures['notes'][0]}", err=True)
         return figures
 
     run_scenes(Run("align", options, dry_run, print_config, overwrite), scenes, work, plan="move onto the reference")

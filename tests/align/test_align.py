@@ -293,7 +293,8 @@ def test_a_tilt_moves_surface_model_and_cameras_together(exported: Scene, tmp_pa
     write_cog(tmp_path / "dem.tif", reference, grid.moved(*SHIFT[:2]))
     result = run("align", "--to", tmp_path / "dem.tif", "--tilt", document)
     assert result.exit_code == 0, result.stderr
-    assert "mm/m along east and north" in result.stderr
+    assert "mm/m along east and north; NMAD" in result.stderr
+    assert "mm/m along east and north; NMAD" in run("info", document).stdout
     scene = Scene.from_file(document)
     shift = Shift(**scene.history[-1]["shift"])
     assert (shift.east, shift.north, shift.up) == pytest.approx(SHIFT, abs=0.3)
@@ -366,6 +367,12 @@ def test_control_points_in_a_geopackage(exported: Scene, tmp_path: Path) -> None
     written = json.loads(scene.path("align/1/transform.json").read_text())["residuals"]
     assert [r["name"] for r in written] == [p.name for p in points]
     assert np.abs([r["after_px"] for r in written]).max() < 0.01 < np.abs([r["before_px"] for r in written]).max()
+    # the page has the shift and the points, and the command as it may be called again
+    assert run("report", exported.output("scene.json")).exit_code == 0
+    page = exported.path("report.html").read_text()
+    assert "Moved by +3.00 m east, -2.00 m north, +5.00 m up; NMAD" in page
+    assert page.count("<td>p") == len(points)
+    assert f"sattools align --to {tmp_path / 'points.gpkg'}</pre>" in page
 
 
 def test_areas_are_no_control_points(exported: Scene, tmp_path: Path) -> None:
