@@ -82,7 +82,7 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     if "dsm" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
     check_current(scene, "export")
-    reference = Path(location(options.to))
+    reference = location(options.to)
     progress(0.0, "registering")
     grid = scene.require_grid()
     shift, about = _shift(scene, reference, options)
