@@ -10,6 +10,7 @@ from sattools.scene.grid import Grid
 
 FAR_CELLS = 1.5  # pairs further apart than that sideways lie at a border or a hole
 OUTLIER = 3.0  # deviations beyond which something was built or felled
+PART = 0.25  # of a cell, within which walls that large cells have made slopes of still say how far to go
 
 
 class Planes:
@@ -51,7 +52,7 @@ class Planes:
         if distance.size:
             middle = np.median(distance)
             spread = 1.4826 * np.median(np.abs(distance - middle))
-            same = np.abs(distance - middle) <= OUTLIER * spread + 1e-6
+            same = np.abs(distance - middle) <= max(OUTLIER * spread, PART * self.cell_size)
             normal, points, distance = normal[same], points[same], distance[same]
         reach = max(float(np.abs(self.points[:, :2]).max(initial=0.0)), self.cell_size)  # makes the unknowns alike
         design = np.column_stack([normal, normal[:, 2:] * points[:, :2] / reach])[:, : 5 if tilt else 3]

@@ -142,6 +142,15 @@ def test_walls_alone_say_how_far_a_town_is_off() -> None:
     assert not found.tilted
 
 
+def test_a_towns_walls_count_where_large_cells_have_made_slopes_of_them() -> None:
+    grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
+    large = Grid(CRS, 436000.0, 3355400.0, 3.0, 20, 20)
+    means = town((3, -2)).reshape(20, 6, 20, 6).mean(axis=(1, 3))
+    found = shift_to_dem(town(), grid, means, large)
+    # half a cell and more, of which the flats beside the walls know nothing
+    assert (found.east, found.north) == pytest.approx((-1.0, -1.5), abs=0.3)
+
+
 def test_slopes_that_lead_away_are_refused() -> None:
     grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
     with pytest.raises(InputError, match=r"its slopes lead away from it .* --method icp"):
