@@ -27,6 +27,9 @@ MOST_PAIRS = 50_000  # of points and planes in a step
 MOST_POINTS = 1_000_000  # of closest points; larger areas are looked at with larger cells
 CONVERGED_CELLS = 0.005
 LEAST_CELLS = 30
+STEPS_POINTS = 50  # weights change with every step
+LEAST_SPREAD_PX = 0.1  # of control points: nobody points more exactly
+WRONG, LEAST_WRONG_PX = 5.0, 1.0  # times the median, and at least: control points beyond are mistakes
 STEP_M = 0.5  # half the step of numerical derivatives
 WORST_CONDITION = 1e6  # of the normal equations: beyond, one direction is not determined
 
@@ -181,8 +184,20 @@ def point_residuals(
     return np.asarray(measured - np.array(places, dtype=np.float64).reshape(-1, 2))
 
 
+def wrong_points(residuals: np.ndarray) -> np.ndarray:
+    """Which control points ``[N]`` bool do not fit the others: mistaken in the image or in the list.
+
+    Args:
+        residuals: ``[N, 2]`` of `point_residuals` [px].
+    """
+    length = np.hypot(*residuals.T)
+    return np.asarray(length > max(WRONG * float(np.median(length)), LEAST_WRONG_PX))
+
+
 def shift_to_points(points: Sequence[ControlPoint], cameras: Mapping[str, RPC], crs: str) -> Shift:
     """The shift of all cameras under which control points fall where the images show them, by least squares.
+
+    Points that do not fit the others lose their weight, so that one mistake among six moves nothing.
 
     Args:
         points: ground and image places.
@@ -203,20 +218,23 @@ def shift_to_points(points: Sequence[ControlPoint], cameras: Mapping[str, RPC], 
         return point_residuals(points, cameras, crs, moved)
 
     first = left(shift)
-    for _ in range(STEPS):
-        residual = left(shift).ravel()
+    for _ in range(STEPS_POINTS):
+        residual = left(shift)
         if not np.isfinite(residual).all():
             raise InputError("control point: found one that its camera cannot see, expected points on its ground")
         # d(residual)/d(shift) by central differences: cameras are smooth over a metre
         columns = [(left(shift + STEP_M * e) - left(shift - STEP_M * e)).ravel() / (2 * STEP_M) for e in np.eye(3)]
         design = np.stack(columns, axis=1)
-        if len(residual) < 3 or np.linalg.cond(design.T @ design) > WORST_CONDITION:
+        if design.size < 9 or np.linalg.cond(design.T @ design) > WORST_CONDITION:
             east, north, up = _least_known(design)
             raise InputError(
                 f"control points: found places that leave a direction open (east {east:.2f}, north {north:.2f}, up "
                 f"{up:.2f}), expected them in two images or more"
             )
-        step = -np.linalg.lstsq(design, residual, rcond=None)[0]
+        length = np.hypot(*residual.T)
+        weight = 1 / (1 + (length / (2 * max(float(np.median(length)), LEAST_SPREAD_PX))) ** 2)
+        root = np.repeat(np.sqrt(weight), 2)
+        step = -np.linalg.lstsq(root[:, None] * design, root * residual.ravel(), rcond=None)[0]
         shift = shift + step
         if np.abs(step).max() < 1e-4:
             break
@@ -238,4 +256,4 @@ def _around(large: Grid, grid: Grid) -> Grid:
     return large.part(*large.window(grid))
 
 
-__all__ = ["ControlPoint", "point_residuals", "shift_to_dem", "shift_to_points"]
+__all__ = ["ControlPoint", "point_residuals", "shift_to_dem", "shift_to_points", "wrong_points"]

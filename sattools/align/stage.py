@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.align.estimate import point_residuals, shift_to_dem, shift_to_points
+from sattools.align.estimate import point_residuals, shift_to_dem, shift_to_points, wrong_points
 from sattools.align.options import AlignOptions
 from sattools.align.reference import heights_around, holds_points, read_control_points
 from sattools.align.shift import Shift
@@ -152,7 +152,14 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
             {"name": p.name, "item": p.item, "before_px": b.round(3).tolist(), "after_px": a.round(3).tolist()}
             for p, b, a in zip(points, before, after, strict=True)
         ]
-        return shift, {"residuals": residuals}
+        wrong = [
+            f"control point {p.name} in {p.item} is {np.hypot(*r):.1f} px off and was given next to no weight"
+            for p, r, bad in zip(points, after, wrong_points(after), strict=True)
+            if bad
+        ]
+        for message in wrong:
+            log.warning("%s: %s", scene.id, message)
+        return shift, {"residuals": residuals, "notes": wrong}
     dsm = scene.path(scene.products["dsm"])
     heights, own = read_raster(dsm)
     height = heights[0].astype(np.float32)

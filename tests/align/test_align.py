@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +211,25 @@ def test_control_points_give_all_three_directions(town_source: Scene) -> None:
     found = shift_to_points(control_points(town_source), cameras(town_source), town_source.require_grid().crs)
     assert (found.east, found.north, found.up) == pytest.approx(SHIFT, abs=1e-3)
     assert found.after < 1e-3 < found.before
+
+
+def test_one_mistaken_control_point_moves_nothing_and_is_named(exported: Scene, tmp_path: Path) -> None:
+    points = control_points(exported, 7)
+    wrong = replace(points[3], column=points[3].column + 40.0, row=points[3].row - 25.0)
+    rng = np.random.default_rng(0)
+    measured = [
+        replace(p, column=p.column + rng.normal(0, 0.2), row=p.row + rng.normal(0, 0.2))
+        for p in [*points[:3], wrong, *points[4:]]
+    ]
+    found = shift_to_points(measured, cameras(exported), CRS)
+    assert (found.east, found.north, found.up) == pytest.approx(SHIFT, abs=0.5)
+    rows = ["name,x,y,z,item,column,row"]
+    rows += [f"{p.name},{p.x},{p.y},{p.z},{p.item},{p.column},{p.row}" for p in measured]
+    (tmp_path / "points.csv").write_text("\n".join(rows))
+    result = run("align", "--to", tmp_path / "points.csv", exported.output("scene.json"))
+    assert result.exit_code == 0, result.stderr
+    assert re.search(rf"control point p3 in {wrong.item} is 4\d\.\d px off", result.stderr)
+    assert result.stderr.count("px off") == 1
 
 
 def test_control_points_in_one_image_leave_a_direction_open(town_source: Scene) -> None:
