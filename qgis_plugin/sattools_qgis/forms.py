@@ -30,8 +30,9 @@ ALGORITHMS = {
             *MATERIAL,
         ),
     ),
-    "align": ("Align with a reference", "References", ()),
+    "align": ("Align with a reference", "References", ("dsm",)),
     "compare": ("Compare with a reference", "References", ("difference",)),
+    "change": ("Compare two dates", "References", ("changes", "height_change", "significance")),
     "simulate": ("Simulate scene", "Simulation", ()),
 }
 # options that show at once, in this order; all others fold away as advanced
@@ -41,8 +42,9 @@ PLAIN = {
     "prior": ("resolution", "memory"),
     "fit": ("preset", "resolution", "brdf", "shadow", "tile", "budget", "reference"),
     "export": ("vertical", "products", "contours", "fill"),
-    "align": ("to", "method"),
+    "align": ("to", "method", "tilt"),
     "compare": ("dsm", "classes", "register", "region"),
+    "change": ("polygons", "register", "min-height", "min-area", "out"),
     "simulate": ("terrain", "size", "views", "dates", "id", "out"),
 }
 # a source makes a scene below --out, all others work on the scene document that they are given

@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from sattools.align.determined import open_direction
+from sattools.align.icp import Planes
+from sattools.align.shift import Shift
 from sattools.camera.ground import project
 from sattools.camera.rpc import RPC
+from sattools.compare.metrics import nmad
 from sattools.compare.registration import register, search_margin
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import reproject_map
 
 STEPS = 20
+WORSE = 1.1  # times what whole cells leave: steps that end there have led away
+STEPS_ICP = 60  # pairs of closest points change from step to step, so that it takes more
+MOST_PAIRS = 50_000  # of points and planes in a step
+MOST_POINTS = 1_000_000  # of closest points; larger areas are looked at with larger cells
 CONVERGED_CELLS = 0.005
 LEAST_CELLS = 30
+STEPS_POINTS = 50  # weights change with every step
+LEAST_SPREAD_PX = 0.1  # of control points: nobody points more exactly
+WRONG, LEAST_WRONG_PX = 5.0, 1.0  # times the median, and at least: control points beyond are mistakes
 STEP_M = 0.5  # half the step of numerical derivatives
 WORST_CONDITION = 1e6  # of the normal equations: beyond, one direction is not determined
-
-
-@dataclass(frozen=True)
-class Shift:
-    """What has to be added to places on the ground, and what is left then.
-
-    Attributes:
-        east, north, up: [m].
-        before, after: 1.4826 times the median absolute deviation (NMAD) of what is left without and with it [m],
-            or [px] of control points.
-        count: cells or coordinates that it rests on.
-    """
-
-    east: float
-    north: float
-    up: float
-    before: float
-    after: float
-    count: int
 
 
 @dataclass(frozen=True)
@@ -66,51 +59,145 @@ def shift_to_dem(
     grid: Grid,
     reference: np.ndarray,
     reference_grid: Grid,
-    method: Literal["nuth-kaab", "z"] = "nuth-kaab",
+    method: Literal["icp", "nuth-kaab", "z"] = "icp",
+    tilt: bool = False,
 ) -> Shift:
     """The shift that brings a surface onto a reference, whose cells may be larger or smaller.
 
     Both are averaged to the larger cells. The surface's grid is moved and averaged anew until nothing is left to move,
-    so that no interpolation of the large cells enters. Whole cells by correlation, then Nuth and Kaab (2011); the
-    height by the median, which what has been built or felled in between does not move.
+    so that no interpolation of the large cells enters. Whole cells by correlation, then pairs of points and planes or
+    Nuth and Kaab (2011); the height by the median, which what has been built or felled in between does not move.
 
     Args:
         height: ``[H, W]`` [m]; NaN = unknown.
         grid: of the surface.
         reference: ``[h, w]`` [m]; NaN = unknown.
         reference_grid: of the reference.
-        method: all three directions or height only.
+        method: all three directions, or height only.
+        tilt: with ``icp``, a tilt as well.
 
     Raises:
-        InputError: too few cells in common, or no slopes.
+        InputError: too few cells in common, slopes that leave a direction open, or steps that led away.
     """
     coarse = reference_grid.cell_size > grid.cell_size
     target = _around(reference_grid, grid) if coarse else grid
+    if method == "icp":
+        while target.width * target.height > MOST_POINTS:
+            target = target.resized(2 * target.cell_size)
     onto = reproject_map(reference, reference_grid, target)
     if np.isfinite(onto).sum() < LEAST_CELLS:
         raise InputError(f"reference: found {int(np.isfinite(onto).sum())} cells there, expected {LEAST_CELLS} or more")
-    east = north = 0.0
+    west, south, east, north = grid.bounds
+    shift = Shift(0.0, 0.0, 0.0, 0.0, 0.0, 0, x=(west + east) / 2, y=(south + north) / 2)
     first = onto - reproject_map(height, grid, target)
-    if method == "nuth-kaab":
+    if method != "z":
         margin = search_margin(target.shape)
         wide = reproject_map(height, grid, target.widened(margin))
-        east, north, _ = register(wide, onto, "ncc", margin).metres(target.cell_size)
-        for _ in range(STEPS):
-            here = reproject_map(height, grid.moved(east, north), target)
-            step_east, step_north, _ = register(here, onto, "nuth-kaab").metres(target.cell_size)
-            east, north = east + step_east, north + step_north
-            if np.hypot(step_east, step_north) < CONVERGED_CELLS * target.cell_size:
-                break
-    left = onto - reproject_map(height, grid.moved(east, north), target)
+        east, north, up = register(wide, onto, "ncc", margin).metres(target.cell_size)
+        shift = replace(shift, east=east, north=north, up=up)
+        here = reproject_map(height, grid.moved(east, north), target)
+        if (along := open_direction(here, onto, target.cell_size, tilt)) is not None:
+            raise InputError(
+                f"reference: found no slopes like the surface's along {along}, expected some: they leave open how far "
+                "it is to be moved there; --method z moves in height only"
+            )
+        if method == "icp":
+            shift = _by_planes(height, grid, onto, target, shift, tilt)
+        else:
+            shift = _by_slopes(height, grid, onto, target, shift)
+    moved = (height + (shift.rise(grid) - shift.up)).astype(np.float32)
+    left = onto - reproject_map(moved, grid.moved(shift.east, shift.north), target)
     left = left[np.isfinite(left)]
     if len(left) < LEAST_CELLS:
         raise InputError(f"reference: found {len(left)} cells in common, expected {LEAST_CELLS} or more")
-    up = float(np.median(left))
-    return Shift(east, north, up, _nmad(first), _nmad(left), len(left))
+    return replace(
+        shift, up=float(np.median(left)), before=nmad(first[np.isfinite(first)]), after=nmad(left), count=len(left)
+    )
+
+
+def _by_slopes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift) -> Shift:
+    """Steps east and north of Nuth and Kaab (2011) from a start; see `shift_to_dem`."""
+
+    def apart(east: float, north: float) -> float:
+        """Mean deviation from the median [m], in which walls that are out of place count."""
+        left = onto - reproject_map(height, grid.moved(east, north), target)
+        left = left[np.isfinite(left)]
+        return float(np.abs(left - np.median(left)).mean()) if left.size else math.inf
+
+    east, north = start.east, start.north
+    for _ in range(STEPS):
+        here = reproject_map(height, grid.moved(east, north), target)
+        step_east, step_north, _ = register(here, onto, "nuth-kaab").metres(target.cell_size)
+        east, north = east + step_east, north + step_north
+        if np.hypot(step_east, step_north) < CONVERGED_CELLS * target.cell_size:
+            break
+    if (found := apart(east, north)) > WORSE * (whole := apart(start.east, start.north)):
+        raise InputError(
+            f"reference: found that its slopes lead away from it (mean deviation {found:.2f} m, without them "
+            f"{whole:.2f} m), expected open ground: --method icp knows walls, too"
+        )
+    return replace(start, east=east, north=north)
+
+
+def _by_planes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift, tilt: bool) -> Shift:
+    """Steps in all directions by iterated closest points from a start; see `shift_to_dem`."""
+    planes, shift = Planes(onto, target), start
+    x, y = np.meshgrid(target.x(), target.y())
+    for _ in range(STEPS_ICP):
+        moved = (height + shift.rise(grid)).astype(np.float32)
+        here = reproject_map(moved, grid.moved(shift.east, shift.north), target)
+        known = np.flatnonzero(np.isfinite(here))
+        some = known[:: max(1, len(known) // MOST_PAIRS)]
+        found, pairs = planes.step(np.stack([x.flat[some], y.flat[some], here.flat[some]], axis=1), tilt)
+        east, north, up, along_x, along_y = found.tolist()
+        if not pairs:
+            raise InputError(
+                "reference: found too few cells near the surface's, expected a reference of the same place"
+            )
+        # the planes' middle is not the shift's
+        middle_x, middle_y = planes.middle[:2].tolist()
+        up += along_x * (shift.x + shift.east - middle_x) + along_y * (shift.y + shift.north - middle_y)
+        shift = replace(
+            shift, east=shift.east + east, north=shift.north + north, up=shift.up + up,
+            tilt_east=shift.tilt_east + along_x, tilt_north=shift.tilt_north + along_y,
+        )  # fmt: skip
+        reach = max(target.width, target.height) * target.cell_size / 2
+        if max(np.hypot(east, north), np.hypot(along_x, along_y) * reach) < CONVERGED_CELLS * target.cell_size:
+            break
+    return shift
+
+
+def point_residuals(
+    points: Sequence[ControlPoint], cameras: Mapping[str, RPC], crs: str, moved: np.ndarray | None = None
+) -> np.ndarray:
+    """Measured minus projected places ``[N, 2]`` [px]; NaN where a camera cannot see a point.
+
+    Args:
+        points: ground and image places.
+        cameras: RPC by id of the image.
+        crs: of the points' x and y.
+        moved: (east, north, up) by which all cameras are moved [m]; None = not.
+    """
+    back = np.zeros(3) if moved is None else moved  # cameras moved by s see at p what they saw at p - s
+    places = [project(cameras[p.item], crs, *(np.array([p.x, p.y, p.z]) - back)) for p in points]
+    measured = np.array([(p.column, p.row) for p in points], dtype=np.float64)
+    return np.asarray(measured - np.array(places, dtype=np.float64).reshape(-1, 2))
+
+
+def wrong_points(residuals: np.ndarray) -> np.ndarray:
+    """Which control points ``[N]`` bool do not fit the others: mistaken in the image or in the list.
+
+    Args:
+        residuals: ``[N, 2]`` of `point_residuals` [px].
+    """
+    length = np.hypot(*residuals.T)
+    return np.asarray(length > max(WRONG * float(np.median(length)), LEAST_WRONG_PX))
 
 
 def shift_to_points(points: Sequence[ControlPoint], cameras: Mapping[str, RPC], crs: str) -> Shift:
     """The shift of all cameras under which control points fall where the images show them, by least squares.
+
+    Points that do not fit the others lose their weight, so that one mistake among six moves nothing.
 
     Args:
         points: ground and image places.
@@ -126,30 +213,40 @@ def shift_to_points(points: Sequence[ControlPoint], cameras: Mapping[str, RPC], 
             f"control point: found image {unknown[0]!r}, expected one of {', '.join(sorted(cameras))[:200]}"
         )
     shift = np.zeros(3)
-    measured = np.array([(p.column, p.row) for p in points], dtype=np.float64)
 
     def left(moved: np.ndarray) -> np.ndarray:
-        """Measured minus projected ``[N, 2]`` [px]; cameras moved by s see at p what they saw at p - s."""
-        places = [project(cameras[p.item], crs, *(np.array([p.x, p.y, p.z]) - moved)) for p in points]
-        return measured - np.array(places, dtype=np.float64).reshape(-1, 2)
+        return point_residuals(points, cameras, crs, moved)
 
     first = left(shift)
-    for _ in range(STEPS):
-        residual = left(shift).ravel()
+    for _ in range(STEPS_POINTS):
+        residual = left(shift)
         if not np.isfinite(residual).all():
             raise InputError("control point: found one that its camera cannot see, expected points on its ground")
         # d(residual)/d(shift) by central differences: cameras are smooth over a metre
         columns = [(left(shift + STEP_M * e) - left(shift - STEP_M * e)).ravel() / (2 * STEP_M) for e in np.eye(3)]
         design = np.stack(columns, axis=1)
-        if len(residual) < 3 or np.linalg.cond(design.T @ design) > WORST_CONDITION:
-            raise InputError("control points: found places that leave a direction open, expected them in two images")
-        step = -np.linalg.lstsq(design, residual, rcond=None)[0]
+        if design.size < 9 or np.linalg.cond(design.T @ design) > WORST_CONDITION:
+            east, north, up = _least_known(design)
+            raise InputError(
+                f"control points: found places that leave a direction open (east {east:.2f}, north {north:.2f}, up "
+                f"{up:.2f}), expected them in two images or more"
+            )
+        length = np.hypot(*residual.T)
+        weight = 1 / (1 + (length / (2 * max(float(np.median(length)), LEAST_SPREAD_PX))) ** 2)
+        root = np.repeat(np.sqrt(weight), 2)
+        step = -np.linalg.lstsq(root[:, None] * design, root * residual.ravel(), rcond=None)[0]
         shift = shift + step
         if np.abs(step).max() < 1e-4:
             break
     last = left(shift)
     east, north, up = (float(v) for v in shift)
-    return Shift(east, north, up, _nmad(first), _nmad(last), last.size)
+    return Shift(east, north, up, nmad(first), nmad(last), last.size)
+
+
+def _least_known(design: np.ndarray) -> np.ndarray:
+    """The unit vector (east, north, up) of the shift that changes residuals least, pointing up."""
+    axis = np.linalg.eigh(design.T @ design)[1][:, 0]
+    return np.asarray(axis * (-1.0 if axis[2] < 0 else 1.0)) + 0.0
 
 
 def _around(large: Grid, grid: Grid) -> Grid:
@@ -159,9 +256,4 @@ def _around(large: Grid, grid: Grid) -> Grid:
     return large.part(*large.window(grid))
 
 
-def _nmad(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(1.4826 * np.median(np.abs(known - np.median(known)))) if known.size else float("nan")
-
-
-__all__ = ["ControlPoint", "Shift", "shift_to_dem", "shift_to_points"]
+__all__ = ["ControlPoint", "point_residuals", "shift_to_dem", "shift_to_points", "wrong_points"]

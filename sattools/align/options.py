@@ -14,14 +14,17 @@ class AlignOptions:
 
     to: str | None = option(
         None,
-        "Reference: a raster of heights (in the DSM's vertical datum), or a CSV of ground control points with the "
+        "Reference: a raster of heights (in the DSM's vertical datum), or ground control points: a CSV with the "
         "columns x, y (in the scene's CRS) or lon, lat; z; item, column, row (place in an image, 0 = centre of the "
-        "first pixel).",
+        "first pixel), or points of a GeoPackage or GeoJSON with these columns (z may be the geometry's).",
         path="file",
     )
-    method: Literal["nuth-kaab", "z"] = option(
-        "nuth-kaab", "For rasters: in all three directions by slopes (Nuth and Kaab), or in height only."
+    method: Literal["icp", "nuth-kaab", "z"] = option(
+        "icp",
+        "For rasters: in all three directions by iterated closest points and planes, or by slopes (Nuth and Kaab), "
+        "which is for open ground; or in height only.",
     )
+    tilt: bool = option(False, "With icp: the plane that heights are off by, too.")
     max_shift: float = option(100.0, "A shift larger than that is refused [m].", minimum=0.0, maximum=1e4)
 
 

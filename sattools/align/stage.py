@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import json
+import logging
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sattools.align.estimate import ControlPoint, Shift, shift_to_dem, shift_to_points
+from sattools.align.estimate import point_residuals, shift_to_dem, shift_to_points, wrong_points
 from sattools.align.options import AlignOptions
+from sattools.align.reference import heights_around, holds_points, read_control_points
+from sattools.align.shift import Shift
 from sattools.camera.ground import from_geographic, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.compare.truth import known_heights
 from sattools.errors import InputError, SceneError
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.names import FILES
 from sattools.export.validity import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
+from sattools.scene.datums import difference as datums_differ
 from sattools.scene.dependencies import MADE, STAGES, check_current, drop, files_of, latest, names_of, record
-from sattools.scene.files import check_outputs
-from sattools.scene.jsonio import JsonObject, read_text
+from sattools.scene.files import check_outputs, write_text
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
 from sattools.scene.opening import opened
-from sattools.scene.raster import raster_vertical, read_raster, write_cog
+from sattools.scene.raster import heights_above, raster_vertical, read_raster, write_cog
 
+log = logging.getLogger(__name__)
 HEIGHTS = ("dsm", "dtm", "prior_dsm")
 CAMERAS = {"rpc": "_RPC.TXT", "colours_rpc": "_COLOURS_RPC.TXT"}  # of an item: asset -> end of its file's name
 ON_THE_GROUND = ("shadow", "s_net", "tau", "beta")  # assets of images that are maps of the ground
 MADE_OF_MAPS = sorted(
     {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
 )
-COLUMNS = ("z", "item", "column", "row")
+TRANSFORM = "transform.json"
+MAX_TILT = 0.02  # beyond, normals would have to turn, and no satellite's camera is off like that [m/m]
+STEP_DEG = 1e-3  # of the derivative of places on the ground
 
 
 @dataclass(frozen=True)
@@ -43,12 +48,12 @@ class Move:
     Attributes:
         source: file.
         href: of the moved one.
-        up: what is added to its numbers [m].
+        heights: its numbers are heights, which rise.
     """
 
     source: Path
     href: str
-    up: float
+    heights: bool
 
 
 def align(scene: Scene, options: AlignOptions, progress: Progress = silent, overwrite: bool = False) -> JsonObject:
@@ -71,25 +76,24 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
         InputError: the reference cannot be used, or the shift is too large.
     """
     if options.to is None:
-        raise InputError("align: found no --to, expected a raster of heights or a CSV of control points")
+        raise InputError("align: found no --to, expected a raster of heights or ground control points")
+    if options.tilt and options.method != "icp":
+        raise InputError(f"align: found --tilt with --method {options.method}, expected --method icp")
     if "dsm" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
     check_current(scene, "export")
-    reference = Path(location(options.to))
+    reference = location(options.to)
     progress(0.0, "registering")
     grid = scene.require_grid()
-    shift = _shift(scene, reference, options)
-    if not np.hypot(np.hypot(shift.east, shift.north), shift.up) <= options.max_shift:
-        raise InputError(
-            f"{reference}: found a shift of {shift.east:.1f}, {shift.north:.1f}, {shift.up:.1f} m, expected at most "
-            f"{options.max_shift:g} m (--max-shift); are the vertical datums the same?"
-        )
+    shift, about = _shift(scene, reference, options)
+    _check(shift, reference, options)
     progress(0.3, "moving")
     records = {stage: latest(scene, stage) for stage in STAGES}
     dropped = drop(scene, "compare")
     folder = f"align/{1 + sum(entry.get('command') == 'align' for entry in scene.history)}"
-    moves, cameras = _moves(scene, folder, shift), _moved_cameras(scene, grid, shift)
-    outputs = [move.href for move in moves.values()] + [f"{folder}/{name}" for name in (*cameras, "model.safetensors")]
+    moves, cameras = _moves(scene, folder), _moved_cameras(scene, grid, shift)
+    named = [f"{folder}/{name}" for name in (*cameras, "model.safetensors", TRANSFORM)]
+    outputs = [move.href for move in moves.values()] + named
     check_outputs([scene.path(href) for href in outputs], [*files_of(scene), reference], overwrite)
     dropped += _move_model(scene, f"{folder}/model.safetensors", shift)
     for (item_id, name), move in moves.items():
@@ -112,97 +116,116 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     scene.grid = grid.moved(shift.east, shift.north)
     if scene.height_range_m:
         low, high = scene.height_range_m
-        scene.height_range_m = (low + shift.up, high + shift.up)
+        rise = shift.rise(grid)
+        scene.height_range_m = (low + float(rise.min()), high + float(rise.max()))
+    transform = {"crs": grid.crs, "matrix": shift.matrix().tolist(), "method": options.method, **asdict(shift), **about}
+    write_text(scene.output(f"{folder}/{TRANSFORM}"), json.dumps(transform, indent=1) + "\n")
     progress(1.0, "aligned")
-    return {"shift": asdict(shift), "dropped": sorted(dropped), MADE: _recorded(scene, records)}
+    notes = [shift.text("px" if "residuals" in about else "m"), *about.get("notes", [])]
+    figures = {"shift": asdict(shift), "transform": f"{folder}/{TRANSFORM}", "notes": notes}
+    return {**figures, "dropped": sorted(dropped), MADE: _recorded(scene, records)}
 
 
-def _shift(scene: Scene, reference: Path, options: AlignOptions) -> Shift:
-    if reference.suffix.lower() == ".csv":
+def _check(shift: Shift, reference: Path, options: AlignOptions) -> None:
+    if not np.hypot(shift.tilt_east, shift.tilt_north) <= MAX_TILT:
+        raise InputError(
+            f"{reference}: found a tilt of {shift.tilt_east:.3f} and {shift.tilt_north:.3f} m/m, expected at most "
+            f"{MAX_TILT:g}: are both of the same ground?"
+        )
+    if not np.hypot(np.hypot(shift.east, shift.north), shift.up) <= options.max_shift:
+        raise InputError(
+            f"{reference}: found a shift of {shift.east:.1f}, {shift.north:.1f}, {shift.up:.1f} m, expected at most "
+            f"{options.max_shift:g} m (--max-shift); are the vertical datums the same?"
+        )
+
+
+def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift, JsonObject]:
+    """The shift, and what else there is to say of it: residuals of control points, a warning about datums."""
+    grid = scene.require_grid()
+    if holds_points(reference):
         cameras = {i.id: RPC.from_file(scene.path(i.assets["rpc"].href)) for i in scene.items if "rpc" in i.assets}
-        crs = scene.require_grid().crs
-        return shift_to_points(read_control_points(reference, crs), cameras, crs)
-    heights, grid = read_raster(scene.path(scene.products["dsm"]))
+        points = read_control_points(reference, grid.crs)
+        shift = shift_to_points(points, cameras, grid.crs)
+        before = point_residuals(points, cameras, grid.crs)
+        after = point_residuals(points, cameras, grid.crs, np.array([shift.east, shift.north, shift.up]))
+        residuals = [
+            {"name": p.name, "item": p.item, "before_px": b.round(3).tolist(), "after_px": a.round(3).tolist()}
+            for p, b, a in zip(points, before, after, strict=True)
+        ]
+        wrong = [
+            f"control point {p.name} in {p.item} is {np.hypot(*r):.1f} px off and was given next to no weight"
+            for p, r, bad in zip(points, after, wrong_points(after), strict=True)
+            if bad
+        ]
+        for message in wrong:
+            log.warning("%s: %s", scene.id, message)
+        return shift, {"residuals": residuals, "notes": wrong}
+    dsm = scene.path(scene.products["dsm"])
+    heights, own = read_raster(dsm)
     height = heights[0].astype(np.float32)
     if "validity" in scene.products:
         validity, _ = read_raster(scene.path(scene.products["validity"]))
         height = np.where(validity[0] == MEASURED, height, np.float32(np.nan))
-    onto, onto_grid = read_raster(reference)
+    onto, onto_grid = heights_around(reference, own, options.max_shift)
+    text = datums_differ({"the DSM": heights_above(dsm), "the reference": heights_above(reference)})
+    if text is not None:
+        log.warning("%s: %s", scene.id, text)
     try:
-        return shift_to_dem(height, grid, known_heights(onto[0]), onto_grid, options.method)
+        shift = shift_to_dem(height, own, onto, onto_grid, options.method, options.tilt)
     except (InputError, SceneError) as error:
         raise InputError(f"{reference}: {error}") from None
+    return shift, {} if text is None else {"notes": [text]}
 
 
-def read_control_points(path: Path, crs: str) -> list[ControlPoint]:
-    """Control points of a CSV; see `AlignOptions.to` for its columns.
-
-    Args:
-        path: the file.
-        crs: of ``x`` and ``y``; ``lon``, ``lat`` are brought to it.
-
-    Raises:
-        InputError: unreadable, a column is missing, or a number is none.
-    """
-    points = []
-    try:
-        rows = list(csv.DictReader(io.StringIO(read_text(path))))
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read ({error}), expected a CSV of control points") from None
-    for number, row in enumerate(rows, 1):
-        place = ("x", "y") if row.get("x") else ("lon", "lat")
-        missing = [name for name in (*place, *COLUMNS) if not row.get(name)]
-        if missing:
-            raise InputError(f"{path}: found no {missing[0]} in row {number}, expected x, y or lon, lat and {COLUMNS}")
-        try:
-            x, y, z, column, line = (float(row[name]) for name in (*place, "z", "column", "row"))
-        except ValueError:
-            raise InputError(f"{path}: found a place that is no number in row {number}, expected numbers") from None
-        if not np.isfinite([x, y, z, column, line]).all():
-            raise InputError(f"{path}: found a place that is not finite in row {number}, expected numbers")
-        if place[0] == "lon":
-            x, y = (float(v) for v in from_geographic(crs, x, y))
-        points.append(ControlPoint(row.get("name") or str(number), x, y, z, row["item"], column, line))
-    if not points:
-        raise InputError(f"{path}: found no control point, expected some")
-    return points
-
-
-def _moves(scene: Scene, folder: str, shift: Shift) -> dict[tuple[str | None, str], Move]:
+def _moves(scene: Scene, folder: str) -> dict[tuple[str | None, str], Move]:
     """All maps of the ground that move, by image (None = of the scene) and name."""
     moves: dict[tuple[str | None, str], Move] = {}
     made = set().union(*(names_of(stage) for stage in STAGES.values()))  # a reference that the scene brings stays
     for name, href in scene.products.items():
         if name in made and Path(href).suffix == ".tif":
-            up = shift.up if name in HEIGHTS else 0.0
-            moves[None, name] = Move(scene.path(href), f"{folder}/{name}.tif", up)
+            moves[None, name] = Move(scene.path(href), f"{folder}/{name}.tif", name in HEIGHTS)
     for item in scene.items:
         for name in ON_THE_GROUND:
             if name in item.assets:
                 href = f"{folder}/{name}/{item.id}.tif"
-                moves[item.id, name] = Move(scene.path(item.assets[name].href), href, 0.0)
+                moves[item.id, name] = Move(scene.path(item.assets[name].href), href, False)
     return moves
 
 
 def _moved_cameras(scene: Scene, grid: Grid, shift: Shift) -> dict[str, RPC]:
-    """The cameras that see at p + shift what they saw at p, by the names of their files."""
+    """The cameras that see at the moved place what they saw before, by the names of their files."""
     west, south, east, north = grid.bounds
     x, y = (west + east) / 2, (south + north) / 2
     (lon0, lat0), (lon1, lat1) = to_geographic(grid.crs, x, y), to_geographic(grid.crs, x + shift.east, y + shift.north)
+
+    def moved(rpc: RPC) -> RPC:
+        if shift.tilted:
+            rpc = rpc.tilted(*to_geographic(grid.crs, shift.x, shift.y), _per_degree(grid.crs, shift))
+        return rpc.moved(float(lon1 - lon0), float(lat1 - lat0), shift.up)
+
     return {
-        f"{item.id}{end}": RPC.from_file(scene.path(item.assets[asset].href)).moved(
-            float(lon1 - lon0), float(lat1 - lat0), shift.up
-        )
+        f"{item.id}{end}": moved(RPC.from_file(scene.path(item.assets[asset].href)))
         for item in scene.items
         for asset, end in CAMERAS.items()
         if asset in item.assets
     }
 
 
+def _per_degree(crs: str, shift: Shift) -> tuple[float, float]:
+    """The tilt as a rise along longitude and latitude [m/degree]."""
+    lon, lat = to_geographic(crs, shift.x, shift.y)
+    lons, lats = lon + np.array([-1, 1, 0, 0]) * STEP_DEG, lat + np.array([0, 0, -1, 1]) * STEP_DEG
+    x, y = from_geographic(crs, lons, lats)
+    rise = shift.tilt_east * x + shift.tilt_north * y
+    return float(rise[1] - rise[0]) / (2 * STEP_DEG), float(rise[3] - rise[2]) / (2 * STEP_DEG)
+
+
 def _move_model(scene: Scene, href: str, shift: Shift) -> list[str]:
     """Write the moved model; names of the products that are dropped as they cannot be moved."""
     if "model" not in scene.products:
         return []
+    import torch
+
     from sattools.fit.model import FittedModel
 
     model = FittedModel.load(scene.path(scene.products["model"]))
@@ -211,7 +234,7 @@ def _move_model(scene: Scene, href: str, shift: Shift) -> list[str]:
     moved = replace(
         model,
         grid=model.grid.moved(shift.east, shift.north),
-        height=model.height + shift.up,
+        height=model.height + torch.from_numpy(shift.rise(model.grid)).to(model.height.dtype),
         z_ref=model.z_ref + shift.up,
     )
     moved.save(scene.output(href))
@@ -224,8 +247,8 @@ def _write_moved(scene: Scene, move: Move, shift: Shift) -> None:
     with opened(move.source) as data:
         tags = {name: text for name, text in data.tags().items() if name != "AREA_OR_POINT"}
         units, names, nodata = data.units[0], [text or "" for text in data.descriptions], data.nodata
-    if move.up:
-        array = (array + move.up).astype(array.dtype)
+    if move.heights:
+        array = (array + shift.rise(grid)).astype(array.dtype)
     there = grid.moved(shift.east, shift.north)
     vertical = raster_vertical(move.source)
     out = scene.output(move.href)
@@ -242,4 +265,4 @@ def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, 
     return made
 
 
-__all__ = ["align", "read_control_points"]
+__all__ = ["align"]

@@ -38,6 +38,11 @@ class BatchOptions:
         None, "Address of a running Dask scheduler, tcp://HOST:PORT, instead of this machine."
     )
     gpu: bool = option(False, "Every fit asks for one GPU (Dask resource GPU=1); on this machine one worker per GPU.")
+    join: bool = option(
+        False,
+        "Join the surfaces of all scenes of a configuration into one, joined/CONFIGURATION/dsm.tif, and say how far "
+        "neighbours are from each other; with a table [align] each is moved onto the reference before.",
+    )
     retries: int = option(2, "How often a task is started again whose worker was lost.", minimum=0, maximum=100)
 
 

@@ -21,7 +21,7 @@ from sattools.scene.schema import Anything, Items, Table, Text
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
 _DIGESTS = Table(other=Items(Anything(), 3, 3))
 # what a configuration may hold, in the order of the pipe
-COMMANDS = ("prep", "normalise", "prior", "fit", "export", "compare")
+COMMANDS = ("prep", "normalise", "prior", "fit", "export", "align", "compare")
 TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles.stage`
 OPTIONAL = ("normalise", "prior")  # run only where a configuration asks for them; `fit` does without or by itself
 
@@ -157,7 +157,7 @@ def run_task(
     """
     commands = []
     for name in COMMANDS[1:]:
-        if name in OPTIONAL and name not in configuration.tables:
+        if name in (*OPTIONAL, "align") and name not in configuration.tables:
             continue
         arguments = [name, "{scene}", "--overwrite"]
         if name == "compare":
@@ -290,6 +290,8 @@ def _reference_files(configuration: Configuration, truth: Path | None, scene: st
     for name in ("dsm", "classes", "points"):
         if given.get(name):
             yield Path(given[name])
+    if to := configuration.resolved.get("align", {}).get("to"):
+        yield Path(to)
     for pair in given.get("map") or ():
         yield Path(pair.partition("=")[2])
 

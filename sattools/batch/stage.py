@@ -10,6 +10,7 @@ from typing import Any
 
 from sattools.batch.cluster import Job, run, shares
 from sattools.batch.figure import draw
+from sattools.batch.join import join
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import (
     Configuration,
@@ -27,12 +28,12 @@ from sattools.batch.table import TABLES, Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.dependencies import files_of
-from sattools.scene.document import Scene
+from sattools.scene.document import Scene, check_id
 from sattools.scene.files import check_outputs, remove_orphans, write_text
 from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
-FIGURE, DIGESTS = "speed_error.png", "digests.json"
+FIGURE, DIGESTS, JOINED = "speed_error.png", "digests.json", "joined"
 
 
 @dataclass
@@ -46,6 +47,7 @@ class Batch:
         errors: (scene, configuration) -> why there is no result.
         shared: key of a task -> it, and the runs that need what it makes.
         tiled: key of a split -> the run that joins its tiles, and the run's configuration.
+        joined: configuration -> what `join` says of its scenes; None where none is done.
     """
 
     jobs: list[Job] = field(default_factory=list)
@@ -54,6 +56,7 @@ class Batch:
     errors: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
     shared: dict[str, tuple[Task, list[Job]]] = field(default_factory=dict)
     tiled: dict[str, tuple[Job, Configuration]] = field(default_factory=dict)
+    joined: dict[str, JsonObject | None] = field(default_factory=dict)
 
     def share(self, overwrite: bool) -> None:
         """Let runs of one scene that differ only later on start from one prior."""
@@ -188,7 +191,16 @@ def batch(
     rows = plan.table()
     write_tables(rows, out)
     draw(rows, out / FIGURE)
+    if options.join:
+        plan.joined = {c.name: _join(plan, c.name, out) for c in configurations}
     return plan
+
+
+def _join(plan: Batch, configuration: str, out: Path) -> JsonObject | None:
+    """Join what a configuration has made of all scenes; see `join`. None where it has made nothing."""
+    done = [plan.results[pair] for pair in plan.rows if pair[1] == configuration and pair in plan.results]
+    scenes = [Scene.from_file(result["scene_json"]) for result in done]
+    return join(scenes, out / JOINED / check_id(configuration, "configuration")) if scenes else None
 
 
 def make_plan(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sattools.camera.rpc_formats import read_rpc_fields
 from sattools.camera.rpc_names import SCALARS, VECTORS
-from sattools.camera.rpc_polynomials import derivative_coefficients, monomials
+from sattools.camera.rpc_polynomials import derivative_coefficients, monomials, with_sloped_height
 from sattools.errors import InputError
 from sattools.scene.files import write_text
 from sattools.scene.location import location
@@ -223,6 +223,20 @@ class RPC:
             lat_offset=self.lat_offset + float(dlat),
             alt_offset=self.alt_offset + float(dh),
         )
+
+    def tilted(self, lon: float, lat: float, slope: tuple[float, float]) -> RPC:
+        """The camera that sees at (p, h + slope · (p - (lon, lat))) what this one sees at (p, h); exact.
+
+        Args:
+            lon: of the point whose height stays [degrees].
+            lat: of the same [degrees].
+            slope: rise along longitude and latitude [m/degree].
+        """
+        along = slope[0] * self.lon_scale / self.alt_scale, slope[1] * self.lat_scale / self.alt_scale
+        (x,), (y,), _ = self._normalised(lon, lat, 0.0)[0]
+        down = (-along[0], -along[1])  # what is seen there lay lower before
+        terms = with_sloped_height(self._coefficients(), down, float(along[0] * x + along[1] * y))
+        return replace(self, col_num=terms[0], col_den=terms[1], row_num=terms[2], row_den=terms[3])
 
     def cropped(self, col0: float, row0: float) -> RPC:
         """The camera of a crop whose first pixel is pixel (col0, row0) of the full image."""

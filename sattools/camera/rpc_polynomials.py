@@ -29,6 +29,23 @@ def monomials(lon: Array, lat: Array, alt: Array) -> Array:
     return m
 
 
+def with_sloped_height(coefficients: Array, slope: tuple[float, float], at_origin: float) -> Array:
+    """The polynomials of (x, y, z + slope · (x, y) + at_origin) as polynomials of (x, y, z), which they are exactly.
+
+    Args:
+        coefficients: ``[..., 20]`` of `monomials`.
+        slope: of the height along normalised longitude and latitude, unitless.
+        at_origin: normalised height that is added where both are 0.
+
+    Returns:
+        ``[..., 20]``.
+    """
+    x, y, z = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 5)] * 3))  # any points that tell all 20 apart
+    before = monomials(x, y, z + slope[0] * x + slope[1] * y + at_origin)
+    change = np.linalg.lstsq(monomials(x, y, z).T, before.T, rcond=None)[0]
+    return np.asarray(coefficients @ change.T, np.float64)
+
+
 def derivative_coefficients(coefficients: Array) -> Array:
     """Derivatives of cubic polynomials, as coefficients ``[3, ..., 10]`` of the first ten monomials.
 
@@ -48,4 +65,4 @@ _BECOMES = np.array(
 _POWER = np.array([[1, 2, 1, 1, 2, 2, 1, 3, 1, 1], [1, 1, 2, 1, 2, 1, 2, 1, 3, 1], [1, 1, 1, 2, 1, 2, 2, 1, 1, 3]])
 
 
-__all__ = ["derivative_coefficients", "monomials"]
+__all__ = ["derivative_coefficients", "monomials", "with_sloped_height"]

@@ -68,7 +68,7 @@ def read_surface(source: str) -> Surface:
         InputError: neither can be read.
         SceneError: a scene without an exported DSM, or whose DSM is older than its fit.
     """
-    path = Path(location(source))
+    path = location(source)
     if path.suffix.lower() != ".json":
         array, grid = read_raster(path)
         return Surface(path.stem, known_heights(array[0]).astype(np.float32), None, None, None, grid, (path,))

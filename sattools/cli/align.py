@@ -23,20 +23,18 @@ if TYPE_CHECKING:
 def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:
     """Move an exported scene onto a reference DEM or ground control points: DSM, maps, model and cameras together.
 
-    The shift and what is left go to the history and to stderr; the files from before stay where they are.
+    The shift and what is left go to the history, to align/N/transform.json (a 4 x 4 matrix; residuals of control
+    points) and to stderr; the files from before stay where they are.
     """
     options = build(AlignOptions, values)
+    if options.to is None and not print_config:
+        raise click.UsageError("Missing option '--to', a raster of heights or ground control points.")
 
     def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.align.stage import align
 
         figures = align(scene, options, progress, overwrite)
-        s = figures["shift"]
-        click.echo(
-            f"scene {scene.id}: moved by {s['east']:+.2f} m east, {s['north']:+.2f} m north, {s['up']:+.2f} m up; "
-            f"NMAD {s['before']:.2f} before, {s['after']:.2f} after",
-            err=True,
-        )
+        click.echo(f"scene {scene.id}: {figures['notes'][0]}", err=True)
         return figures
 
     run_scenes(Run("align", options, dry_run, print_config, overwrite), scenes, work, plan="move onto the reference")

@@ -18,6 +18,7 @@ from sattools.progress import make_progress
 
 if TYPE_CHECKING:
     from sattools.batch.plan import Configuration
+    from sattools.scene.jsonio import JsonObject
 
 # options that say how a command runs, not what comes out of it
 _HOUSEKEEPING = {"scenes", "images", "overwrite", "dry_run", "print_config", "out", "dfc2019"}
@@ -31,7 +32,8 @@ _HOUSEKEEPING = {"scenes", "images", "overwrite", "dry_run", "print_config", "ou
     "configs",
     multiple=True,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="TOML file = one configuration, with tables [prep], [normalise], [prior], [fit], [export], [compare]; "
+    help="TOML file = one configuration, with tables [prep], [normalise], [prior], [fit], [export], [align], "
+    "[compare]; "
     "repeatable [default: the commands' defaults].",
 )
 @click.option("--overwrite", is_flag=True, help="Do again what an earlier run has finished.")
@@ -41,7 +43,8 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
 
     Scenes: documents on stdin, paths of scene.json, or areas of the contest (--dfc2019 ROOT --aoi JAX_004 --aoi ...).
     Writes table.csv, table.md, table.parquet (with pyarrow) and speed_error.png below --out. Called again it does
-    only what is not done or has changed. Prints the finished scenes.
+    only what is not done or has changed. Prints the finished scenes. A configuration with a table [align] moves every
+    scene onto the reference that it names; --join makes one surface of all scenes.
     """
     options = build(BatchOptions, values)
     configurations = [configuration(path) for path in configs] or [configuration(None)]
@@ -66,8 +69,20 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
         sys.exit(1)
     if root.obj["progress"] != "none" or not root.params.get("quiet"):
         click.echo(Path(options.out, "table.md").read_text(encoding="utf-8"), err=True, nl=False)
+        for name, made in done.joined.items():
+            if made is not None:
+                click.echo(f"{Path(options.out, 'joined', name)}: {_seams(made)}", err=True)
     if done.errors:
         sys.exit(3 if done.results else 1)
+
+
+def _seams(made: JsonObject) -> str:
+    """What is said of joined scenes on a screen."""
+    text = f"{len(made['scenes'])} scenes joined"
+    if not made["seams"]:
+        return f"{text}, none overlaps another"
+    worst = max(made["seams"], key=lambda one: abs(one["median_m"]))
+    return f"{text}; largest step {abs(worst['median_m']):.2f} m, between {worst['a']} and {worst['b']}"
 
 
 def configuration(path: Path | None) -> Configuration:

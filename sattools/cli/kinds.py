@@ -17,6 +17,8 @@ class Finite(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """See `click.ParamType.convert`."""
+        if isinstance(value, str) and "," in value and param is not None and param.nargs > 1:
+            self.fail(f"found {value[:40]!r}, expected {param.nargs} numbers with blanks between them.", param, ctx)
         number = float(click.FLOAT.convert(value, param, ctx))
         if not abs(number) <= LARGEST:  # neither NaN nor infinity is
             self.fail(f"found {str(value)[:40]}, expected a finite number of at most {LARGEST:g}.", param, ctx)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, make_progress
+from sattools.settings import specs
 
 if TYPE_CHECKING:  # the document pulls in numpy, which --help can do without
     from sattools.scene import Scene
@@ -66,6 +67,7 @@ def run_scenes(
         return
 
     def handle(scene: Scene) -> str:
+        check_inputs(run.options)
         if not scene.root.is_dir():
             raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
         if run.dry_run:
@@ -76,6 +78,22 @@ def run_scenes(
         return emit(scene, entry) if emit else _shown(scene, entry)
 
     each_scene(run.command, scenes, handle)
+
+
+def check_inputs(options: Any) -> None:
+    """Whether the files that options name are there, before any work and in a dry run; InputError where one is not.
+
+    Files on other machines and in archives are looked for when they are read.
+    """
+    from sattools.scene.location import is_remote
+
+    if not is_dataclass(options):
+        return
+    for spec in specs(type(options)):
+        given = (getattr(options, spec.name) or []) if spec.path == "file" else []
+        for name in given if isinstance(given, list) else [given]:
+            if not is_remote(name) and not Path(name).exists():
+                raise InputError(f"{name}: no such file, expected one for --{spec.name.replace('_', '-')}")
 
 
 def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], str]) -> None:
@@ -126,6 +144,7 @@ def run_source(
         print_config(run.command, run.options)
         return
     try:
+        check_inputs(run.options)
         if run.dry_run:
             check()
             click.echo(f"sattools {run.command}: would make {label}", err=True)

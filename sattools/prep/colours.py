@@ -23,7 +23,11 @@ from sattools.scene.files import write_text
 from sattools.scene.location import images_in
 
 # words of a name that say which sensor took an image, not which acquisition it is
-SENSORS = {"pan", "p", "p1bs", "p2as", "ms", "mul", "mss", "m", "m1bs", "m2as", "xs", "multi", "rgb", "colour", "color"}
+SENSORS = {
+    *("pan", "p", "p1bs", "p2as", "pan1", "pan2", "panchromatic"),
+    *("ms", "fs", "mul", "mux", "mss", "mss1", "mss2", "m", "m1bs", "m2as", "xs", "multi", "multispectral", "analytic"),
+    *("rgb", "colour", "color"),
+}
 SAME_TIME_S = 3.0
 MARGIN_PX = 8
 GRID = 7  # points along an axis at which two cameras are compared
@@ -32,7 +36,9 @@ GRID = 7  # points along an axis at which two cameras are compared
 def colour_files(folder: str) -> list[Path]:
     """The images in a folder, sorted. Raises InputError where there is none."""
     path = Path(folder)
-    found = images_in(path) if path.is_dir() else []
+    if not path.is_dir():
+        raise InputError(f"--colours: found no folder {path}, expected one of multispectral images")
+    found = images_in(path)
     if not found:
         raise InputError(f"--colours: found no images in {path}, expected a folder of multispectral images")
     return found
@@ -93,9 +99,12 @@ def load_colours(options_folder: str, metadata: Path | None, pans: Sequence[Sour
     """
     colours = [load_source(path, image_id(path), metadata) for path in colour_files(options_folder)]
     for colour in colours:
-        if colour.bands != colours[0].bands or colour.bands < 2:
+        if colour.bands < 2:
+            raise InputError(f"--colours: found one band in {colour.path}, expected a multispectral image")
+        if colour.bands != colours[0].bands:
             raise InputError(
-                f"{colour.path}: found {colour.bands} band(s), expected several, as many as {colours[0].path} has"
+                f"--colours: found {colour.bands} bands in {colour.path}, expected {colours[0].bands} as in "
+                f"{colours[0].path}"
             )
     return partners(pans, colours)
 

@@ -50,7 +50,11 @@ def check_sources(sources: Sequence[SourceImage]) -> None:
     if len(counts) > 1:
         usual = counts.most_common(1)[0][0]
         odd = next(s for s in sources if s.bands != usual)
-        raise InputError(f"{odd.path}: found {odd.bands} bands, expected {usual} as most of the other images have")
+        hint = " (multispectral images of panchromatic ones go into a folder of their own, `--colours FOLDER`)"
+        raise InputError(
+            f"{odd.path}: found {odd.bands} bands, expected {usual} as most of the other images have"
+            f"{hint if 1 in counts else ''}"
+        )
     types = Counter(s.dtype for s in sources)
     if len(types) > 1:
         usual_type = types.most_common(1)[0][0]

@@ -16,6 +16,7 @@ OPTIONS = {
     "prior": ("sattools.prior.options", "PriorOptions"),
     "fit": ("sattools.fit.options", "FitOptions"),
     "export": ("sattools.export.options", "ExportOptions"),
+    "align": ("sattools.align.options", "AlignOptions"),
     "compare": ("sattools.compare.options", "CompareOptions"),
 }
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.report import figures
+from sattools.report.alignment import alignment_section
 from sattools.report.commands import pipeline
 from sattools.report.errors import errors_section
 from sattools.report.links import products_section
@@ -68,7 +69,8 @@ def scene_page(scene: Scene) -> str:
     """HTML of everything that the scene has data for."""
     notes = _drop_stale(scene)
     makers: list[Callable[[Scene], Section]] = [
-        *(_images, _adjustment, _radiometry, _surface, errors_section, _maps, _training, products_section)
+        *(_images, _adjustment, _radiometry, _surface, alignment_section, errors_section, _maps, _training),
+        products_section,
     ]
     return render(f"Scene {scene.id}", [*notes, *(make(scene) for make in makers), _history(scene)])
 
@@ -252,7 +254,8 @@ def _history(scene: Scene) -> Section:
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
     section.parts.append(Code(pipeline(scene.history), text))
-    notes = [f"{entry['command']}: {note}" for entry in scene.history for note in entry.get("notes", [])]
+    told = [entry for entry in scene.history if entry["command"] != "align"]  # which has a section of its own
+    notes = [f"{entry['command']}: {note}" for entry in told for note in entry.get("notes", [])]
     section.parts.extend(notes)
     return section
 

@@ -19,6 +19,11 @@ def is_geojson(path: Path) -> bool:
     return _head(path).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
 
 
+def is_vector(path: Path) -> bool:
+    """Whether a file begins as one of `FORMATS`. Raises InputError where it cannot be read."""
+    return is_geojson(path) or _head(path).startswith(_MAGIC)
+
+
 def read_features(path: Path, expected: str) -> Any:
     """The features of a file's first layer, as a GeoDataFrame.
 
@@ -100,4 +105,4 @@ def _head(path: Path) -> bytes:
         raise InputError(f"{path}: found {reason(error)}, expected a readable {FORMATS}") from None
 
 
-__all__ = ["FORMATS", "geopackage", "is_geojson", "read_features", "read_polygons"]
+__all__ = ["FORMATS", "geopackage", "is_geojson", "is_vector", "read_features", "read_polygons"]

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import geopandas
 import numpy as np
 import pytest
+import rasterio
+import rasterio.warp
+from affine import Affine
 from click.testing import CliRunner, Result
+from scipy.ndimage import gaussian_filter
 
-from sattools.align.estimate import ControlPoint, Shift, shift_to_dem, shift_to_points
+from sattools.align.determined import open_direction
+from sattools.align.estimate import ControlPoint, shift_to_dem, shift_to_points
+from sattools.align.shift import Shift
 from sattools.align.stage import Move, _write_moved
-from sattools.camera.ground import project
+from sattools.camera.ground import project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.cli import main
 from sattools.errors import InputError
@@ -44,14 +53,15 @@ def surface(grid: Grid, moved: tuple[float, float, float] = (0.0, 0.0, 0.0), fin
     return heights.reshape(grid.height, fine, grid.width, fine).mean(axis=(1, 3))
 
 
+@pytest.mark.parametrize("method", ["icp", "nuth-kaab"])
 @pytest.mark.parametrize("cell", [0.5, 1.0, 10.0])
-def test_a_shift_is_found_to_a_third_of_a_metre_whatever_the_references_cells(cell: float) -> None:
+def test_a_shift_is_found_to_a_third_of_a_metre_whatever_the_references_cells(cell: float, method: Any) -> None:
     rng = np.random.default_rng(0)
     count = round(400 / cell)
     other = Grid(crs=CRS, left=436000.0, top=3355400.0, cell_size=cell, width=count, height=count)
     height = surface(GRID) + rng.normal(0, 0.5, GRID.shape).astype(np.float32)
     height[100:150, 200:230] += 15.0  # a building that the reference does not know
-    found = shift_to_dem(height, GRID, surface(other, SHIFT, fine=10 if cell == 10 else 1), other)
+    found = shift_to_dem(height, GRID, surface(other, SHIFT, fine=10 if cell == 10 else 1), other, method)
     assert (found.east, found.north, found.up) == pytest.approx(SHIFT, abs=0.3)
     assert found.after < found.before
 
@@ -62,15 +72,120 @@ def test_height_alone_is_moved_if_asked_for() -> None:
     assert found.up == pytest.approx(5.0, abs=1e-4)
 
 
-def test_a_flat_reference_says_nothing_about_east_and_north() -> None:
-    with pytest.raises(InputError, match="sloping cells"):
-        shift_to_dem(surface(GRID), GRID, np.zeros(GRID.shape, np.float32), GRID)
+def tilted(height: Any, grid: Grid, along: tuple[float, float]) -> Any:
+    x, y = np.meshgrid(grid.x() - 436200.0, grid.y() - 3355200.0)
+    return (height + along[0] * x + along[1] * y).astype(np.float32)
+
+
+@pytest.mark.parametrize("cell", [0.5, 1.0, 10.0])
+@pytest.mark.parametrize("along", [(0.0, 0.0), (2e-3, -5e-3)])
+def test_closest_points_find_a_shift_and_a_tilt(cell: float, along: tuple[float, float]) -> None:
+    rng = np.random.default_rng(0)
+    count = round(400 / cell)
+    other = Grid(crs=CRS, left=436000.0, top=3355400.0, cell_size=cell, width=count, height=count)
+    height = surface(GRID) + rng.normal(0, 0.5, GRID.shape).astype(np.float32)
+    height[100:150, 200:230] += 15.0  # a building that the reference does not know
+    reference = tilted(surface(other, SHIFT, fine=10 if cell == 10 else 1), other, along)
+    found = shift_to_dem(height, GRID, reference, other, tilt=True)
+    # at the middle of the surface, which has been moved there
+    there = SHIFT[2] + along[0] * SHIFT[0] + along[1] * SHIFT[1]
+    assert (found.east, found.north, found.up) == pytest.approx((*SHIFT[:2], there), abs=0.3)
+    # over half the area's width that is 2 cm
+    assert (found.tilt_east, found.tilt_north) == pytest.approx(along, abs=1e-4 if cell < 10 else 1e-3)
+    assert found.after < 0.75 * found.before
+    if any(along):  # slopes alone leave the tilt
+        assert found.after < shift_to_dem(height, GRID, reference, other).after
+
+
+def test_the_matrix_says_the_same_as_shift_and_tilt() -> None:
+    shift = Shift(3.0, -2.0, 5.0, 1.0, 0.1, 9, 2e-3, -1e-3, 436200.0, 3355200.0)
+    place = np.array([436010.0, 3355390.0, 7.0, 1.0])
+    grid = Grid(CRS, place[0] - 0.5, place[1] + 0.5, 1.0, 1, 1)
+    moved = shift.matrix() @ place
+    assert moved[:2] == pytest.approx((436013.0, 3355388.0))
+    assert moved[2] == pytest.approx(7.0 + shift.rise(grid)[0, 0])
+
+
+FLAT = np.zeros(GRID.shape, np.float32)
+EAST, NORTH = np.meshgrid(GRID.x() - 436000.0, GRID.y() - 3355000.0)
+
+
+@pytest.mark.parametrize("method", ["nuth-kaab", "icp"])
+@pytest.mark.parametrize(
+    ("ground", "along"),
+    [
+        (FLAT, "all directions"),
+        (0.1 * EAST, "all directions"),  # one slope everywhere: a shift is a change of height
+        (5 * np.sin(EAST / 20), "north and south"),  # dunes
+        (5 * np.sin(NORTH / 20), "east and west"),
+        (5 * np.sin((EAST + NORTH) / 20), "north-west and south-east"),
+    ],
+)
+def test_ground_that_leaves_a_direction_open_is_refused_by_name(method: Any, ground: Any, along: str) -> None:
+    rng = np.random.default_rng(0)
+    height, reference = (ground + rng.normal(0, 0.1, GRID.shape) for _ in range(2))
+    with pytest.raises(InputError, match=f"along {along}"):
+        shift_to_dem(height.astype(np.float32), GRID, reference.astype(np.float32), GRID, method)
+
+
+def town(moved: tuple[int, int] = (0, 0)) -> Any:
+    """Houses with flat roofs on flat ground, 60 m wide, moved by cells of half a metre [m]."""
+    rng = np.random.default_rng(3)
+    heights = np.zeros((120, 120), np.float32)
+    for row, col, roof in zip(rng.integers(5, 95, 9), rng.integers(5, 95, 9), rng.uniform(4, 15, 9), strict=True):
+        heights[row + moved[0] : row + moved[0] + 18, col + moved[1] : col + moved[1] + 14] = roof
+    return heights + np.random.default_rng(sum(moved)).normal(0, 0.15, heights.shape).astype(np.float32)
+
+
+def test_walls_alone_say_how_far_a_town_is_off() -> None:
+    grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
+    found = shift_to_dem(town(), grid, town((3, -2)) + np.float32(2), grid)
+    assert (found.east, found.north, found.up) == pytest.approx((-1.0, -1.5, 2.0), abs=0.05)
+    assert not found.tilted
+
+
+def test_a_towns_walls_count_where_large_cells_have_made_slopes_of_them() -> None:
+    grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
+    large = Grid(CRS, 436000.0, 3355400.0, 3.0, 20, 20)
+    means = town((3, -2)).reshape(20, 6, 20, 6).mean(axis=(1, 3))
+    found = shift_to_dem(town(), grid, means, large)
+    # half a cell and more, of which the flats beside the walls know nothing
+    assert (found.east, found.north) == pytest.approx((-1.0, -1.5), abs=0.3)
+
+
+def test_slopes_that_lead_away_are_refused() -> None:
+    grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
+    with pytest.raises(InputError, match=r"its slopes lead away from it .* --method icp"):
+        shift_to_dem(town(), grid, town((3, -2)), grid, "nuth-kaab")
+
+
+def test_a_dome_tells_no_tilt_from_a_shift() -> None:
+    dome = ((EAST - 200) ** 2 + (NORTH - 200) ** 2) / 1000
+    assert open_direction(dome, dome, 1.0) is None
+    assert open_direction(dome, dome, 1.0, tilt=True) == "all directions"
+
+
+def test_other_ground_is_no_reference() -> None:
+    rng = np.random.default_rng(0)
+    one, other = (10 * gaussian_filter(rng.normal(size=GRID.shape), 4).astype(np.float32) for _ in range(2))
+    with pytest.raises(InputError, match="no slopes like the surface's"):
+        shift_to_dem(one, GRID, other, GRID)
 
 
 def test_a_moved_camera_sees_the_same_at_the_moved_place(town_source: Scene) -> None:
     rpc = RPC.from_file(town_source.path(town_source.items[0].assets["rpc"].href))
     moved = rpc.moved(3e-5, -2e-5, 5.0)
     assert moved.projection(-81.66 + 3e-5, 30.35 - 2e-5, 10.0) == pytest.approx(rpc.projection(-81.66, 30.35, 5.0))
+
+
+def test_a_tilted_camera_sees_the_same_at_the_raised_place(town_source: Scene) -> None:
+    rpc = RPC.from_file(town_source.path(town_source.items[0].assets["rpc"].href))
+    slope = (150.0, -80.0)  # metres a degree
+    rng = np.random.default_rng(0)
+    lon, lat, h = -81.66 + rng.uniform(-5e-3, 5e-3, 50), 30.35 + rng.uniform(-5e-3, 5e-3, 50), rng.uniform(-30, 30, 50)
+    raised = h + slope[0] * (lon + 81.66) + slope[1] * (lat - 30.35)
+    seen = rpc.tilted(-81.66, 30.35, slope).projection(lon, lat, raised)
+    np.testing.assert_allclose(seen, rpc.projection(lon, lat, h), atol=1e-6)
 
 
 def control_points(scene: Scene, count: int = 6) -> list[ControlPoint]:
@@ -96,6 +211,25 @@ def test_control_points_give_all_three_directions(town_source: Scene) -> None:
     found = shift_to_points(control_points(town_source), cameras(town_source), town_source.require_grid().crs)
     assert (found.east, found.north, found.up) == pytest.approx(SHIFT, abs=1e-3)
     assert found.after < 1e-3 < found.before
+
+
+def test_one_mistaken_control_point_moves_nothing_and_is_named(exported: Scene, tmp_path: Path) -> None:
+    points = control_points(exported, 7)
+    wrong = replace(points[3], column=points[3].column + 40.0, row=points[3].row - 25.0)
+    rng = np.random.default_rng(0)
+    measured = [
+        replace(p, column=p.column + rng.normal(0, 0.2), row=p.row + rng.normal(0, 0.2))
+        for p in [*points[:3], wrong, *points[4:]]
+    ]
+    found = shift_to_points(measured, cameras(exported), CRS)
+    assert (found.east, found.north, found.up) == pytest.approx(SHIFT, abs=0.5)
+    rows = ["name,x,y,z,item,column,row"]
+    rows += [f"{p.name},{p.x},{p.y},{p.z},{p.item},{p.column},{p.row}" for p in measured]
+    (tmp_path / "points.csv").write_text("\n".join(rows))
+    result = run("align", "--to", tmp_path / "points.csv", exported.output("scene.json"))
+    assert result.exit_code == 0, result.stderr
+    assert re.search(rf"control point p3 in {wrong.item} is 4\d\.\d px off", result.stderr)
+    assert result.stderr.count("px off") == 1
 
 
 def test_control_points_in_one_image_leave_a_direction_open(town_source: Scene) -> None:
@@ -162,7 +296,7 @@ def test_surface_maps_model_and_cameras_move_together(exported: Scene, tmp_path:
 def test_heights_above_a_geoid_stay_so_when_they_are_moved(tmp_path: Path) -> None:
     grid = Grid("EPSG:32617", 436000.0, 3355000.0, 1.0, 20, 20)
     write_cog(tmp_path / "dsm.tif", np.zeros(grid.shape, np.float32), grid, units="m", vertical="EPSG:5773")
-    move = Move(tmp_path / "dsm.tif", "moved.tif", 5.0)
+    move = Move(tmp_path / "dsm.tif", "moved.tif", heights=True)
     _write_moved(Scene("A", tmp_path, [], grid), move, Shift(3.0, -2.0, 5.0, 0.1, 0.1, 100))
     assert raster_vertical(tmp_path / "moved.tif") == "EPSG:5773"
     heights, moved = read_raster(tmp_path / "moved.tif")
@@ -177,6 +311,106 @@ def test_control_points_in_a_file(exported: Scene, tmp_path: Path) -> None:
     result = run("align", "--to", tmp_path / "points.csv", exported.output("scene.json"))
     assert result.exit_code == 0, result.stderr
     assert "moved by +3.00 m east, -2.00 m north, +5.00 m up" in result.stderr
+
+
+def test_a_tilt_moves_surface_model_and_cameras_together(exported: Scene, tmp_path: Path) -> None:
+    document = exported.output("scene.json")
+    before, grid = read_raster(exported.path(exported.products["dsm"]))
+    score = compared(document)
+    x, y = np.meshgrid(grid.x() - grid.x().mean(), grid.y() - grid.y().mean())
+    along = (4e-3, -6e-3)
+    reference = (before[0] + SHIFT[2] + along[0] * x + along[1] * y).astype(np.float32)
+    write_cog(tmp_path / "dem.tif", reference, grid.moved(*SHIFT[:2]))
+    result = run("align", "--to", tmp_path / "dem.tif", "--tilt", document)
+    assert result.exit_code == 0, result.stderr
+    assert "mm/m along east and north; NMAD" in result.stderr
+    assert "mm/m along east and north; NMAD" in run("info", document).stdout
+    scene = Scene.from_file(document)
+    shift = Shift(**scene.history[-1]["shift"])
+    assert (shift.east, shift.north, shift.up) == pytest.approx(SHIFT, abs=0.3)
+    assert (shift.tilt_east, shift.tilt_north) == pytest.approx(along, abs=1e-3)
+    moved, _ = read_raster(scene.path(scene.products["dsm"]))
+    np.testing.assert_allclose(moved[0], before[0] + shift.rise(grid), atol=1e-4)
+    assert np.nanmedian(np.abs(moved[0] - reference)) < 0.1
+    old, new = cameras(exported), cameras(scene)
+    px, py = np.array([grid.left + 5, grid.left + 50]), np.array([grid.top - 50, grid.top - 10])
+    rise = shift.up + shift.tilt_east * (px - shift.x) + shift.tilt_north * (py - shift.y)
+    for name, camera in old.items():
+        there = project(new[name], CRS, px + shift.east, py + shift.north, 3.0 + rise)
+        np.testing.assert_allclose(there, project(camera, CRS, px, py, 3.0), atol=1e-3)
+    matrix = np.array(json.loads(scene.path(scene.history[-1]["transform"]).read_text())["matrix"])
+    np.testing.assert_allclose(matrix, shift.matrix())
+    # the truth has not moved: registered to it in height and place, the tilt is what is left of the difference
+    assert run("export", "--overwrite", document).exit_code == 0
+    again, _ = read_raster(Scene.from_file(document).path("export/dsm.tif"))
+    np.testing.assert_allclose(again, moved, atol=1e-3)
+    assert compared(document) == pytest.approx(score, abs=0.2)
+
+
+def compared(document: Path) -> float:
+    assert run("compare", "--overwrite", document).exit_code == 0
+    return float(json.loads((document.parent / "compare/errors.json").read_text())["mae"])
+
+
+def test_a_reference_in_degrees_with_oblong_cells_is_taken(exported: Scene, tmp_path: Path) -> None:
+    heights, grid = read_raster(reference_of(exported, tmp_path / "dem.tif"))
+    shape = (120, 120)
+    lon0, lat0 = to_geographic(CRS, grid.left - 40, grid.top + 40)
+    degrees = Affine(1.5e-5, 0, lon0, 0, -1e-5, lat0)
+    out = np.full(shape, -9999, np.float32)
+    rasterio.warp.reproject(
+        heights[0], out, src_transform=grid.transform, src_crs=CRS, src_nodata=np.nan, dst_transform=degrees,
+        dst_crs="EPSG:4326", dst_nodata=-9999, resampling=rasterio.warp.Resampling.bilinear,
+    )  # fmt: skip
+    profile = {"driver": "GTiff", "width": shape[1], "height": shape[0], "count": 1, "dtype": "float32"}
+    with rasterio.open(tmp_path / "deg.tif", "w", **profile, crs="EPSG:4326", transform=degrees, nodata=-9999) as file:
+        file.write(out, 1)
+    result = run("align", "--to", tmp_path / "deg.tif", exported.output("scene.json"))
+    assert result.exit_code == 0, result.stderr
+    found = Scene.from_file(exported.output("scene.json")).history[-1]["shift"]
+    assert [found[n] for n in ("east", "north", "up")] == pytest.approx(SHIFT, abs=0.5)
+
+
+def test_references_elsewhere_and_of_another_datum_are_told(exported: Scene, tmp_path: Path) -> None:
+    heights, grid = read_raster(reference_of(exported, tmp_path / "dem.tif"))
+    write_cog(tmp_path / "far.tif", heights, grid.moved(5000, 0))
+    result = run("align", "--to", tmp_path / "far.tif", exported.output("scene.json"))
+    assert result.exit_code == 1
+    assert "far.tif: found no heights within 100 m of the scene" in result.stderr
+    write_cog(tmp_path / "geoid.tif", heights, grid, vertical="EPSG:5773")
+    result = run("align", "--to", tmp_path / "geoid.tif", exported.output("scene.json"))
+    assert "heights are above different things" in result.stderr
+
+
+def test_control_points_in_a_geopackage(exported: Scene, tmp_path: Path) -> None:
+    points = control_points(exported)
+    places = geopandas.points_from_xy([p.x for p in points], [p.y for p in points], [p.z for p in points], crs=CRS)
+    columns = {"name": "name", "item": "item", "column": "column", "row": "row"}
+    frame = geopandas.GeoDataFrame(
+        {title: [getattr(p, name) for p in points] for title, name in columns.items()}, geometry=places
+    )
+    frame.to_crs("EPSG:4326").to_file(tmp_path / "points.gpkg", engine="pyogrio")
+    result = run("align", "--to", tmp_path / "points.gpkg", exported.output("scene.json"))
+    assert result.exit_code == 0, result.stderr
+    assert "moved by +3.00 m east, -2.00 m north, +5.00 m up" in result.stderr
+    scene = Scene.from_file(exported.output("scene.json"))
+    written = json.loads(scene.path("align/1/transform.json").read_text())["residuals"]
+    assert [r["name"] for r in written] == [p.name for p in points]
+    assert np.abs([r["after_px"] for r in written]).max() < 0.01 < np.abs([r["before_px"] for r in written]).max()
+    # the page has the shift and the points, and the command as it may be called again
+    assert run("report", exported.output("scene.json")).exit_code == 0
+    page = exported.path("report.html").read_text()
+    assert "Moved by +3.00 m east, -2.00 m north, +5.00 m up; NMAD" in page
+    assert page.count("<td>p") == len(points)
+    assert f"sattools align --to {tmp_path / 'points.gpkg'}</pre>" in page
+
+
+def test_areas_are_no_control_points(exported: Scene, tmp_path: Path) -> None:
+    square = geopandas.GeoSeries.from_wkt(["POLYGON((0 0, 1 0, 1 1, 0 0))"], crs=CRS)
+    geopandas.GeoDataFrame(geometry=square).to_file(tmp_path / "a.gpkg", engine="pyogrio")
+    result = run("align", "--to", tmp_path / "a.gpkg", exported.output("scene.json"))
+    assert result.exit_code == 1
+    assert "a.gpkg: found Polygon, expected points" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -207,4 +441,19 @@ def test_a_shift_that_is_too_large_is_refused(exported: Scene, tmp_path: Path) -
     result = run("align", "--to", reference, "--max-shift", "2", exported.output("scene.json"))
     assert result.exit_code == 1
     assert "vertical datums" in result.stderr
-    assert run("align", exported.output("scene.json")).exit_code == 1
+    result = run("align", "--to", reference, "--tilt", "--method", "z", exported.output("scene.json"))
+    assert result.exit_code == 1
+    assert "found --tilt with --method z, expected --method icp" in result.stderr
+
+
+def test_a_missing_reference_is_told_before_work_and_in_a_dry_run(exported: Scene, tmp_path: Path) -> None:
+    result = run("align", exported.output("scene.json"))
+    assert result.exit_code == 2
+    assert "Missing option '--to'" in result.stderr
+    for more in ((), ("--dry-run",)):
+        result = run("align", "--to", tmp_path / "nowhere.tif", *more, exported.output("scene.json"))
+        assert result.exit_code == 1
+        assert "nowhere.tif: no such file, expected one for --to" in result.stderr
+    result = run("align", "--to", tmp_path, exported.output("scene.json"))
+    assert result.exit_code == 1
+    assert "found a folder, expected" in result.stderr

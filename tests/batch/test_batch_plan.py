@@ -189,3 +189,17 @@ def test_all_points_lie_within_the_figure_and_its_title_counts_what_was_scored()
     [axes] = speed_error_figure(rows).axes
     assert axes.get_title() == "1 of 2 scenes scored"
     assert (axes.get_xlim(), axes.get_ylim()) == (pytest.approx((0, 230)), pytest.approx((0, 1.38)))
+
+
+def test_a_table_align_moves_every_scene_and_its_reference_counts(town_source: Any, tmp_path: Path) -> None:
+    grid = town_source.require_grid()
+    write_cog(tmp_path / "dem.tif", np.zeros(grid.shape, np.float32), grid)
+    tables = {"align": {"to": str(tmp_path / "dem.tif")}}
+    plain, aligned = DEFAULT, Configuration("aligned", tables, tables)
+    plan = make_plan(BatchOptions(out=str(tmp_path / "out")), [town_source], [plain, aligned])
+    named = {job.task.configuration: [command[0] for command in job.task.commands] for job in plan.jobs}
+    assert "align" not in named["default"]
+    assert named["aligned"][named["aligned"].index("export") + 1] == "align"
+    before = keys(tmp_path, town_source, aligned)
+    write_cog(tmp_path / "dem.tif", np.ones(grid.shape, np.float32), grid)
+    assert keys(tmp_path, town_source, aligned) != before

@@ -186,3 +186,33 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
         json.loads((run / f"fit/tiles/{name}/scene.json").read_text())["sattools"]["history"][-1]["seconds"]
         for name in names
     )
+
+
+def test_scenes_are_aligned_and_joined(folder: Any) -> None:
+    """Both scenes show the same area; B is brought onto a reference that stands 3 m higher, and so is A."""
+    from sattools.scene import Scene
+    from sattools.scene.raster import read_raster, write_cog
+
+    scene = Scene.from_file(folder / "A/scene.json")
+    heights, grid = read_raster(scene.path(scene.products["truth_dsm"]))
+    write_cog(folder / "dem.tif", heights + 3, grid.moved(1.0, -2.0))
+    (folder / "onto.toml").write_text('[fit]\nepochs = [2]\n[align]\nto = "dem.tif"\n')
+    call = ("A/scene.json", "B/scene.json", "--config", "onto.toml", "--out", "joint", "--workers", "1", "--join")
+    running = start(folder, *call)
+    out, said = running.communicate(timeout=HANGING_S)
+    assert running.returncode == 0, said
+    assert "2 scenes joined; largest step 0.00 m, between A and B" in said
+    shifts = [json.loads(line)["sattools"]["history"] for line in out.splitlines()]
+    for history in shifts:
+        (entry,) = [entry for entry in history if entry["command"] == "align"]
+        assert entry["shift"]["up"] == pytest.approx(3.0, abs=0.5)
+        assert (entry["shift"]["east"], entry["shift"]["north"]) == pytest.approx((1.0, -2.0), abs=0.5)
+    joined, there = read_raster(folder / "joint/joined/onto/dsm.tif")
+    known = joined[0][abs(joined[0]) < 1000]
+    assert known.size > 0.5 * there.width * there.height
+    assert json.loads((folder / "joint/joined/onto/seams.json").read_text())["scenes"] == ["A", "B"]
+    # joined anew from what is done
+    again = start(folder, *call)
+    _, said = again.communicate(timeout=HANGING_S)
+    assert again.returncode == 0, said
+    assert len((folder / "joint/runs/onto/A/attempts.jsonl").read_text().splitlines()) == 1

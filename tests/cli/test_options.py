@@ -100,3 +100,10 @@ def test_a_choice_under_its_former_name_works_and_says_its_present_one() -> None
     assert 'part = "mosaic"' in result.stdout
     assert "--part join is now called --part mosaic" in result.stderr
     assert "join" not in CliRunner().invoke(main, ["fit", "--help-all"]).stdout.split("--part")[1].split("--budget")[0]
+
+
+@pytest.mark.parametrize(("call", "count"), [(("export", "--sun", "150,40"), 2), (("prep", "--bounds", "1,2,3,4"), 4)])
+def test_numbers_that_belong_together_stand_apart(call: Any, count: int) -> None:
+    result = run(*call, "a", "b", "c")
+    assert result.exit_code == 2
+    assert f"found '{call[-1]}', expected {count} numbers with blanks between them" in result.stderr

@@ -122,6 +122,29 @@ def test_partners_are_found_by_name_and_else_by_time() -> None:
     assert partners(pans, [named[1]])[1] is None
 
 
+@pytest.mark.parametrize(
+    ("pan", "colours"),
+    [
+        ("14OCT15155630-P1BS-500647759080_01_P001", "14OCT15155630-M1BS-500647759080_01_P001"),  # WorldView
+        ("IMG_01_PNEO3_PAN", "IMG_01_PNEO3_MS-FS"),  # Pleiades Neo
+        ("GF2_PMS1_E113.9_N30.1_L1A000-PAN1", "GF2_PMS1_E113.9_N30.1_L1A000-MSS1"),  # Gaofen
+        ("20200501_s4_0012_panchromatic", "20200501_s4_0012_analytic"),  # SkySat
+    ],
+)
+def test_vendors_names_of_the_two_sensors_are_known(pan: str, colours: str) -> None:
+    other, own = source(colours.replace("01", "02", 1).replace("000", "009")), source(colours)
+    assert partners([source(pan)], [other, own]) == [own]
+
+
+def test_both_sensors_given_as_images_are_told_where_the_second_belongs(prepared: Any, tmp_path: Path) -> None:
+    root, _ = prepared
+    images = [*sorted((root / "images").glob("*.tif")), root / "colours/TOWN_001_MS.tif"]
+    done = CliRunner().invoke(main, ["prep", *map(str, images), "--out", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "TOWN_001_MS.tif: found 3 bands, expected 1 as most of the other images have (multispectral" in done.stderr
+    assert "--colours FOLDER" in done.stderr
+
+
 def test_images_of_other_acquisitions_are_refused_in_one_line() -> None:
     pans = [source("A_PAN_1", 0.0)]
     with pytest.raises(InputError, match="found no image with the name or the time of A_PAN_1"):
@@ -146,7 +169,7 @@ def test_images_of_one_band_are_no_colours(tmp_path: Path, prepared: Any) -> Non
         main, ["prep", *images, "--colours", str(root / "images"), "--out", str(tmp_path / "o"), "--id", "S"]
     )
     assert done.exit_code == 1
-    assert "found 1 band(s), expected several" in done.stderr
+    assert "--colours: found one band in " in done.stderr
     assert not list((tmp_path).rglob("*.tif"))
 
 

@@ -13,6 +13,8 @@ import psutil
 import pytest
 from patience import HANGING_S
 
+from sattools.scene.raster import read_raster, write_cog
+
 QGIS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.qgis, pytest.mark.skipif(QGIS is None, reason="QGIS is not installed")]
@@ -89,6 +91,38 @@ def test_prepare_fit_export_compare_give_what_the_command_line_gives(
     assert code == 0, said
     assert filecmp.cmp(maps["DSM"], tmp_path / "cli" / "TOWN" / "export" / "dsm.tif", shallow=False)
     assert scores["MAE"] == figures["mae"]
+    code, moved, said = process(environment, "align", SCENE=document, TO=truth)
+    assert code == 0, said
+    assert Path(moved["DSM"]) == tmp_path / "qgis" / "TOWN" / "align" / "1" / "dsm.tif"
+    assert Path(moved["DSM"]).is_file()
+
+
+def test_two_dates_are_compared_beside_the_earlier_one(environment: Any, city: Any, tmp_path: Path) -> None:
+    heights, grid = read_raster(city / "truth" / "TOWN_DSM.tif")
+    (tmp_path / "a").mkdir()
+    write_cog(tmp_path / "a" / "before.tif", heights, grid)
+    later = heights.copy()
+    later[0, 10:30, 10:30] += 9
+    write_cog(tmp_path / "after.tif", later, grid)
+    code, results, said = process(
+        environment, "change", BEFORE=str(tmp_path / "a/before.tif"), AFTER=str(tmp_path / "after.tif")
+    )
+    assert code == 0, said
+    assert results["REGIONS"] == 1
+    assert Path(results["HEIGHT_CHANGE"]) == tmp_path / "a" / "change" / "height_change.tif"
+    for name in ("HEIGHT_CHANGE", "SIGNIFICANCE", "CHANGES"):
+        assert Path(results[name]).is_file()
+    said = in_python(
+        environment,
+        "from sattools_qgis.processing.styles import dress\n"
+        f"layer = QgsRasterLayer({results['HEIGHT_CHANGE']!r}, 'height_change'); dress(layer, 'height_change')\n"
+        "print('ends', layer.renderer().classificationMin(), layer.renderer().classificationMax())\n"
+        f"layer = QgsVectorLayer({results['CHANGES']!r}, 'changes', 'ogr'); dress(layer, 'changes')\n"
+        "print('regions', layer.featureCount(), layer.renderer().type())\n"
+        "layer = None",
+    )
+    assert "ends -5.0 5.0" in said
+    assert "regions 1 singleSymbol" in said
 
 
 def in_python(environment: Any, program: str, **more: str) -> str:

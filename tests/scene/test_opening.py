@@ -126,6 +126,22 @@ def test_descriptions_of_other_files_are_no_images_whatever_their_name(
     assert asked() == []
 
 
+def test_references_may_be_addresses_and_are_read_without_a_word(make_town: Any, server: Any, tmp_path: Path) -> None:
+    address, asked = server
+    scene = make_town()
+    scene.products["dsm"] = scene.products["truth_dsm"]
+    scene.write()
+    document, reference = scene.output("scene.json"), f"{address}/{scene.products['truth_dsm']}"
+    for call in (("align", document, "--to"), ("change", scene.path(scene.products["dsm"]))):
+        done = run(*call, reference, *(("--out", tmp_path / "c") if call[0] == "change" else ()))
+        assert done.exit_code == 0, done.stderr
+        assert not [line for line in done.stderr.splitlines() if line.startswith("sattools")]
+    assert [float(v) for v in (scene.grid.left, scene.grid.top)] == pytest.approx(
+        [Scene.from_file(document).grid.left, Scene.from_file(document).grid.top], abs=0.05
+    )
+    assert asked()
+
+
 def test_a_sidecar_sends_no_requests(tmp_path: Path, server: Any, town_source: Any) -> None:
     address, asked = server
     image = tmp_path / "image.tif"

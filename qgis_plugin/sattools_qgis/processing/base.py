@@ -16,7 +16,7 @@ from qgis.PyQt.QtGui import QIcon
 from ..runner import Cancelled, CommandFailed, run
 from .styles import styler
 
-VECTORS = ("footprints", "tie_points", "contours")  # products that are no rasters
+VECTORS = ("footprints", "tie_points", "contours", "changes")  # products that are no rasters
 
 
 class Base(QgsProcessingAlgorithm):

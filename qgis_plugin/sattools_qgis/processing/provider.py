@@ -12,6 +12,7 @@ from qgis.PyQt.QtGui import QIcon
 from ..forms import ALGORITHMS
 from ..runner import INSTALL, CommandFailed, find_executable, usage_of
 from .algorithm import CommandAlgorithm
+from .change import ChangeAlgorithm
 from .extras import SETTING, ReportAlgorithm, SetUpAlgorithm
 from .run_all import RunAllAlgorithm
 
@@ -75,7 +76,8 @@ class SattoolsProvider(QgsProcessingProvider):
             self._complain(f"sattools {self.usage['version']} is newer than this plugin: update the plugin")
         for name in ALGORITHMS:
             if name in self.usage["commands"]:
-                self.addAlgorithm(CommandAlgorithm(name, self.usage["commands"][name], path))
+                make = ChangeAlgorithm if name == "change" else CommandAlgorithm
+                self.addAlgorithm(make(name, self.usage["commands"][name], path))
         self.addAlgorithm(RunAllAlgorithm(self.usage, path))
         self.addAlgorithm(ReportAlgorithm(path))
 

@@ -53,10 +53,11 @@ LINES = {
         {"style": "no", "outline_color": "#ff7f0e", "outline_width": "0.4"}
     ),
     "tie_points": lambda: QgsMarkerSymbol.createSimple({"color": "#e7298a", "size": "1.2", "outline_style": "no"}),
+    "changes": lambda: QgsFillSymbol.createSimple({"style": "no", "outline_color": "#000000", "outline_width": "0.5"}),
     "contours": lambda: QgsLineSymbol.createSimple({"color": "#5c4033", "width": "0.15"}),
 }
 GROUND = ((0, "#d9d9d9", "unseen"), (1, "#1a9850", "seen"), (2, "#fdae61", "interpolated"), (3, "#f7f7f7", "outside"))
-DIFFERENCE_M = 5.0  # end of the blue-red ramp
+SIGNED = {"difference": 5.0, "height_change": 5.0, "significance": 5.0}  # end of the blue-red ramp [m or deviations]
 CUT = (0.02, 0.98)  # shares of the cells between which a ramp spans
 SAMPLE = 250_000  # cells are enough for that
 
@@ -80,13 +81,13 @@ def dress(layer: Any, name: Any) -> None:
     """Give a layer its product's look; unknown products keep QGIS's own."""
     if name in LINES:
         layer.setRenderer(QgsSingleSymbolRenderer(LINES[name]()))
-    elif name == "difference":
+    elif name in SIGNED:
         middle = [QgsGradientStop(0.5, QColor("#f7f7f7"))]
         colour(
             layer,
             QgsGradientColorRamp(QColor("#2166ac"), QColor("#b2182b"), False, middle),
-            -DIFFERENCE_M,
-            DIFFERENCE_M,
+            -SIGNED[name],
+            SIGNED[name],
         )
     elif name in ("validity", "dtm_validity"):
         shades = VALIDITY if name == "validity" else GROUND

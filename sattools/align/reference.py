@@ -1,0 +1,162 @@
+"""What a scene is moved onto, read from files: heights around it, control points."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
+from rasterio.vrt import WarpedVRT
+from rasterio.warp import transform as transform_points
+
+from sattools.align.estimate import ControlPoint
+from sattools.camera.ground import from_geographic
+from sattools.compare.truth import known_heights
+from sattools.errors import InputError
+from sattools.scene.datums import horizontal
+from sattools.scene.grid import Grid
+from sattools.scene.jsonio import read_text
+from sattools.scene.memory import check_memory
+from sattools.scene.opening import opened
+from sattools.scene.vectors import is_vector, read_features
+
+COLUMNS = ("z", "item", "column", "row")
+SPARE_CELLS = 4  # of the reference around what is asked for
+
+
+def heights_around(path: Path, grid: Grid, reach: float) -> tuple[np.ndarray, Grid]:
+    """The heights of a raster around a grid, in its CRS, on square cells about as large as the raster's own.
+
+    Only that part is read. Rasters in degrees, as of most free elevation models, and with cells that are not square
+    are taken, too.
+
+    Args:
+        path: raster in any CRS; its first band are heights [m].
+        grid: of the surface.
+        reach: how far around it [m].
+
+    Returns:
+        ``[H, W]`` float32 [m], NaN = unknown, and its grid.
+
+    Raises:
+        InputError: unreadable, without a CRS, or elsewhere.
+    """
+    with opened(path) as data:
+        if data.crs is None:
+            raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
+        crs = horizontal(data.crs)
+        unknown = data.nodata
+        if unknown is None and np.issubdtype(np.dtype(data.dtypes[0]), np.floating):
+            unknown = np.nan
+        try:
+            around, own = _part(data.transform, crs, grid, reach)
+            check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
+            with WarpedVRT(
+                data, src_crs=crs, crs=around.crs, transform=around.transform, width=around.width,
+                height=around.height, resampling=Resampling.nearest if own else Resampling.bilinear,
+                src_nodata=unknown, nodata=np.nan, dtype="float32",
+            ) as warped:  # fmt: skip
+                heights = known_heights(warped.read(1))
+        except RasterioError as error:
+            text = " ".join(str(error).split())[:120]
+            raise InputError(f"{path}: cannot be read around the scene ({text}), expected heights there") from None
+    if not np.isfinite(heights).any():
+        raise InputError(f"{path}: found no heights within {reach:g} m of the scene, expected a reference of its place")
+    return heights, around
+
+
+def read_control_points(path: Path, crs: str) -> list[ControlPoint]:
+    """Control points of a CSV or a vector file; see `AlignOptions.to` for the columns.
+
+    Args:
+        path: the file.
+        crs: of ``x`` and ``y``; ``lon``, ``lat`` and the places of vector files are brought to it.
+
+    Raises:
+        InputError: unreadable, a column is missing, or a number is none.
+    """
+    rows = _csv_rows(path, crs) if path.suffix.lower() == ".csv" else _vector_rows(path, crs)
+    points = [_point(path, number, row) for number, row in enumerate(rows, 1)]
+    if not points:
+        raise InputError(f"{path}: found no control point, expected some")
+    return points
+
+
+def holds_points(path: Path) -> bool:
+    """Whether a file is a table or a vector file, and no raster."""
+    return path.suffix.lower() == ".csv" or (path.is_file() and is_vector(path))
+
+
+def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, bool]:
+    """The grid to read on, and whether it is on the raster's own cells, where these are square and of the same CRS."""
+    west, south, east, north = grid.bounds
+    (x,), (y,) = transform_points(grid.crs, crs, [(west + east) / 2], [(south + north) / 2])
+    xs, ys = transform_points(crs, grid.crs, [x, x + transform.a, x], [y, y, y + transform.e])
+    # the square of the area that a cell has there
+    cell = float(np.sqrt(np.hypot(xs[1] - xs[0], ys[1] - ys[0]) * np.hypot(xs[2] - xs[0], ys[2] - ys[0])))
+    reach += SPARE_CELLS * cell
+    box = (west - reach, south - reach, east + reach, north + reach)
+    square = abs(transform.a + transform.e) <= 1e-6 * abs(transform.a) and transform.b == transform.d == 0
+    if crs != grid.crs or not square:
+        return Grid.from_bounds(grid.crs, box, cell), False
+    columns = [round((side - transform.c) / transform.a) for side in (box[0], box[2])]
+    rows = [round((transform.f - side) / transform.a) for side in (box[3], box[1])]
+    whole = Grid(crs, transform.c, transform.f, transform.a, 1, 1)
+    return whole.part(slice(*rows), slice(*columns)), True
+
+
+def _csv_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
+    try:
+        rows = list(csv.DictReader(io.StringIO(read_text(path))))
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read ({error}), expected a CSV of control points") from None
+    return [_on_ground(row, crs) for row in rows]
+
+
+def _on_ground(row: Mapping[str, Any], crs: str) -> Mapping[str, Any]:
+    """A row with x and y; what is no place stays as it is, to be told of."""
+    if row.get("x"):
+        return row
+    try:
+        x, y = (float(v) for v in from_geographic(crs, float(row["lon"]), float(row["lat"])))
+    except (KeyError, TypeError, ValueError):
+        return {**row, "x": row.get("lon"), "y": row.get("lat")}
+    return {**row, "x": x, "y": y}
+
+
+def _vector_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
+    frame = read_features(path, "control points")
+    if getattr(frame, "crs", None) is None:
+        raise InputError(f"{path}: found no coordinate reference system, expected one")
+    wrong = [shape for shape in frame.geometry if shape is None or shape.geom_type != "Point" or shape.is_empty]
+    if wrong:
+        kind = "no place" if wrong[0] is None else wrong[0].geom_type
+        raise InputError(f"{path}: found {kind}, expected points")
+    places = frame.to_crs(crs).geometry
+    rows = []
+    for place, values in zip(places, frame.drop(columns=frame.geometry.name).to_dict("records"), strict=True):
+        own = {"z": place.z} if place.has_z else {}
+        rows.append({**own, **values, "x": place.x, "y": place.y})
+    return rows
+
+
+def _point(path: Path, number: int, row: Mapping[str, Any]) -> ControlPoint:
+    missing = [name for name in ("x", "y", *COLUMNS) if row.get(name) in (None, "")]
+    if missing:
+        wanted = "x, y or lon, lat (or points of a vector file), " + ", ".join(COLUMNS)
+        raise InputError(f"{path}: found no {missing[0]} in row {number}, expected {wanted}")
+    try:
+        x, y, z, column, line = (float(row[name]) for name in ("x", "y", "z", "column", "row"))
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: found a place that is no number in row {number}, expected numbers") from None
+    if not np.isfinite([x, y, z, column, line]).all():
+        raise InputError(f"{path}: found a place that is not finite in row {number}, expected numbers")
+    return ControlPoint(str(row.get("name") or number), x, y, z, str(row["item"]), column, line)
+
+
+__all__ = ["heights_around", "holds_points", "read_control_points"]
