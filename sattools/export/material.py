@@ -12,7 +12,8 @@ from torch import Tensor
 
 from sattools.export.context import Exported
 from sattools.fit.illumination import LEAST_KNOWN
-from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor
 from sattools.fit.materials.scene import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
 from sattools.fit.materials.uncertainty import SLOPE_STD
 from sattools.fit.model import FittedModel

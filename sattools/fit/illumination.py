@@ -15,7 +15,8 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.materials.parameters import SHAPE, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import SHAPE
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.options import FitOptions
 from sattools.scene import Grid, Item, Scene

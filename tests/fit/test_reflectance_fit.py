@@ -25,7 +25,8 @@ from sattools.fit.materials.inversion import (
     solve_amplitudes,
     start_endmembers,
 )
-from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.materials.selection import choose_model, extreme_views
 from sattools.fit.materials.uncertainty import known_share, shape_correlation

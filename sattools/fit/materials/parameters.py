@@ -94,24 +94,6 @@ def diffuse(kind: Kind, amplitude: Tensor) -> Tensor:
     return (1 - root) / (1 + root)
 
 
-def surface_normals(height: Tensor, cell_size: float) -> Tensor:
-    """Unit normals ``[H, W, 3]`` (east, north, up) of a height map ``[H, W]``, row 0 = north; Sobel differences.
-
-    The averaging across the direction of the difference keeps noise of single cells out.
-    """
-    padded = torch.nn.functional.pad(height[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
-    # a mirrored slope beyond the edge instead of a halved one
-    padded[0, :], padded[-1, :] = 2 * padded[1, :] - padded[2, :], 2 * padded[-2, :] - padded[-3, :]
-    padded = padded.clone()
-    padded[:, 0], padded[:, -1] = 2 * padded[:, 1] - padded[:, 2], 2 * padded[:, -2] - padded[:, -3]
-    down = padded[:-2] + 2 * padded[1:-1] + padded[2:]
-    east = (down[:, 2:] - down[:, :-2]) / (8 * cell_size)
-    along = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
-    north = (along[:-2] - along[2:]) / (8 * cell_size)
-    normal = torch.stack([-east, -north, torch.ones_like(east)], dim=-1)
-    return normal / normal.norm(dim=-1, keepdim=True)
-
-
 __all__ = [
     "AMPLITUDE",
     "SHAPE",
@@ -119,5 +101,4 @@ __all__ = [
     "Parameter",
     "diffuse",
     "radiance_factor",
-    "surface_normals",
 ]
