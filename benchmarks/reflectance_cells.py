@@ -35,8 +35,9 @@ def invert_cells(s, start: Tensor, amplitude: Tensor, grid: tuple[int, int], rea
         grid: its rows and columns.
         reach: the prior is the neighbours' mean over so many cells; 0 = the usual values.
     """
+    from sattools.fit.materials.blur import blurred
     from sattools.fit.materials.inversion import ROBUST, STEP, noise_of, start_endmembers
-    from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, blurred, radiance_factor
+    from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor
 
     prior_sigma = start.new_tensor([p.prior_sigma for p in SHAPE["hapke"]])
     prior_mean = start_endmembers("hapke", 1, start).expand_as(start)

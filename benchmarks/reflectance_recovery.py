@@ -58,7 +58,7 @@ def measure(scene, options, held_out: str) -> dict[str, object]:
     row: dict[str, object] = {
         "fit_s": round(time.perf_counter() - start, 1), "fit_cpu_s": round(time.process_time() - cpu, 1)
     }  # fmt: skip
-    export(scene, ExportOptions(view=[held_out]))
+    export(scene, ExportOptions(view=[held_out], undetermined="prior"))
     dsm, truth = (read_raster(scene.path(scene.products[n]))[0][0] for n in ("dsm", "truth_dsm"))
     row["dsm_mae"] = float(np.abs(dsm - truth).mean())
     row |= {k: v for k, v in compare_views(scene).items() if k in ("psnr", "ssim", "lpips", "avg")}

@@ -30,7 +30,7 @@ for method in Lam RPV Hpk Hpk0; do
     rm -rf "${out:?}/$method"
     cp -r "$out/NATURAL" "$out/$method"
     sattools fit "${options[@]}" --resolution 2 "$out/$method/scene.json" |
-        sattools export --view NATURAL_003 >"$out/$method.json"
+        sattools export --view NATURAL_003 --undetermined prior >"$out/$method.json"
     fits+=(--fit "$method=$out/$method/scene.json")
 done
 maps=()

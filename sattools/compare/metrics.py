@@ -126,6 +126,9 @@ def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) 
     return {**errors, "n": n, "completeness": n / total if total else None}
 
 
+MAP_FIGURES = ("rmse", "nrmse", "correlation", "nrmse_constant", "nrmse_scaled", "scale", "n")  # of `map_errors`
+
+
 def map_errors(predicted: np.ndarray, reference: np.ndarray) -> dict[str, float | int | None]:
     """Errors of a parameter map (albedo, w, b, c, theta, ...) over cells finite in both; arrays of one shape.
 

@@ -16,7 +16,7 @@ from rasterio.errors import RasterioError
 from rasterio.warp import transform_bounds
 
 from sattools.compare.images import compare_views
-from sattools.compare.metrics import clip_to_reference, fill_holes, height_errors, map_errors
+from sattools.compare.metrics import MAP_FIGURES, clip_to_reference, fill_holes, height_errors, map_errors
 from sattools.compare.options import CompareOptions
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.registration import Registration, register, search_margin, shifted
@@ -183,7 +183,8 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
     scored = score(options, scene, progress)
     figures, result = scored.figures, scored.surface
     for name, (found, reference) in scored.maps.items():
-        scatter_picture(found, reference, name, scene.output(_scatter_href(name)))
+        if scored.figures["parameters"][name]["n"]:
+            scatter_picture(found, reference, name, scene.output(_scatter_href(name)))
     progress(0.8, "difference map")
     write_difference(result, outputs[DIFFERENCE], outputs[PICTURE])
     write_text(outputs[ERRORS], to_json(figures, indent=1) + "\n")
@@ -297,6 +298,8 @@ def _compare_map(
     # a map lies where its surface lies: it moves with the DSM
     east, north, _ = result.registration.metres(result.grid.cell_size)
     carried = reproject_map(predicted, predicted_grid, grid.moved(-east, -north))
+    if not np.isfinite(predicted).any():  # nothing was determined, so nothing is claimed, and nothing can be wrong
+        return dict.fromkeys(MAP_FIGURES) | {"n": 0}, (carried, array)
     return map_errors(carried, array.astype(np.float32)), (carried, array)
 
 
@@ -364,6 +367,9 @@ def table(figures: Mapping[str, Any]) -> str:
         if errors["n"]:
             lines.append(f"  {name:9s} MAE {errors['mae']:.3f} m   median {errors['median']:.3f} m   n {errors['n']}")
     for name, errors in figures.get("parameters", {}).items():
+        if not errors["n"]:
+            lines.append(f"  {name:9s} no cell was determined: nothing to score")
+            continue
         lines.append(
             f"  {name:9s} NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
             f"one factor {_text(errors['nrmse_scaled'])})   correlation {_text(errors['correlation'])}"

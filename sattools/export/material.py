@@ -12,7 +12,8 @@ from torch import Tensor
 
 from sattools.export.context import Exported
 from sattools.fit.illumination import LEAST_KNOWN
-from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor
 from sattools.fit.materials.scene import STANDARD_SUN_DEG, ReflectiveScene, standard_reflectance
 from sattools.fit.materials.uncertainty import SLOPE_STD
 from sattools.fit.model import FittedModel
@@ -71,8 +72,14 @@ def material_names(model: FittedModel) -> list[str]:
     return [*names, *stds, "normal", "normal_std", "reflectance"]
 
 
-def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
-    """Write `material_maps` or `network_maps` below ``export/`` and name them as products; angles in degrees."""
+def write_material(exported: Exported, maps: Mapping[str, np.ndarray], undetermined: bool = False) -> None:
+    """Write `material_maps` or `network_maps` below ``export/`` and name them as products; angles in degrees.
+
+    Args:
+        exported: where to.
+        maps: ``[B, H, W]`` by name.
+        undetermined: keep shape parameters where the images did not determine them; else they are no-data there.
+    """
     scene, model, grid = exported.scene, exported.model, exported.model.grid
     assert model.brdf != "lambert"
     tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": model.brdf}
@@ -88,8 +95,13 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray]) -> None:
         if name.endswith("_std"):
             own["METHOD"] = "curvature of the fit; materials told apart wrongly are not in it"
         if name in shapes and "identifiable" in maps:
-            known = float((maps["identifiable"][shapes.index(name)] >= LEAST_KNOWN).mean())
-            own["DETERMINED"] = f"{known:.2f} of the cells, see identifiable.tif; elsewhere this is mostly the prior"
+            known = maps["identifiable"][shapes.index(name)] >= LEAST_KNOWN
+            share = f"{float(known.mean()):.2f} of the cells, see identifiable.tif; "
+            if undetermined:
+                own["DETERMINED"] = share + "elsewhere this is mostly the prior"
+            else:
+                own["DETERMINED"] = share + "no data elsewhere, where it would be mostly the prior"
+                array = np.where(known, array, np.float32(np.nan))
         if stem == "normal" and array.shape[0] == 3:
             bands = ["normal east", "normal north", "normal up"]
         elif name == "identifiable":

@@ -24,6 +24,11 @@ class ExportOptions:
     fill: bool = option(
         False, "Keep the heights and maps of ground that fewer than two images reach; product validity marks them."
     )
+    undetermined: Literal["nodata", "prior"] = option(
+        "nodata",
+        "Cells whose b, c, theta (k, asymmetry, rhoc) the images did not determine (product identifiable below 0.5): "
+        "no data, or the value that the fit took, which is mostly its prior.",
+    )
     products: list[str] = option(
         [],
         "What else to write, repeated or with commas between: laz and ply (point clouds), contours, dtm "

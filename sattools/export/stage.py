@@ -148,7 +148,7 @@ def _views(exported: Exported, options: ExportOptions, progress: Progress) -> No
         raise InputError(f"{path}: found a model without what its kind needs ({reason})") from error
     if isinstance(surface, ReflectiveScene):
         progress(0.0, "reflectance")
-        write_material(exported, material_maps(surface, exported.model.extra))
+        write_material(exported, material_maps(surface, exported.model.extra), options.undetermined == "prior")
     elif exported.model.brdf != "lambert":
         write_material(exported, network_maps(exported.model))
     for k, name in enumerate(options.view):

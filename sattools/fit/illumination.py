@@ -15,7 +15,8 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.materials.parameters import SHAPE, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import SHAPE
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.options import FitOptions
 from sattools.scene import Grid, Item, Scene
@@ -157,7 +158,7 @@ def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) 
         )
         if span < NARROW_PHASE_DEG:
             text += f": a span of {span:.0f} degrees does not show a phase function; its shape is the prior's"
-        elif brdf == "hapke":
+        elif brdf == "hapke" and zeniths[-1] - zeniths[0] < NARROW_PHASE_DEG:
             text += ": b and c are known along one line only, the prior says where on it; theta comes from the slopes"
         notes.append(text)
     if kind == "relative":

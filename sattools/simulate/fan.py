@@ -1,4 +1,4 @@
-"""One pass over natural ground: a fan of views along the track under a fixed sun."""
+"""Passes over natural ground: fans of views along the track, each under one sun."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from sattools.camera.ground import grid_direction, to_geographic
+from sattools.camera.sun import sun_position
+from sattools.errors import InputError
 from sattools.progress import Progress
 from sattools.scene.document import Item, Scene
 from sattools.scene.grid import Grid
@@ -25,6 +27,7 @@ HEADING_DEG = 190.0  # of a descending orbit over the tropics
 ROLL_DEG = 2.0  # across the track
 START = datetime(2020, 1, 21, 7, 30, tzinfo=UTC)  # where the sun asked for never stands over the place
 SECONDS_BETWEEN = 9.0
+LOWEST_SUN_DEG = 10.0  # of a pass that takes place
 READ_NOISE_DN = 2.0
 SHOT_NOISE_DN = 0.02  # variance per digital number: signal to noise about 120 at a reflectance of 0.1
 SAMPLES = 4  # rays along each edge of a pixel: ground has texture down to half a pixel, which fewer would alias
@@ -73,6 +76,8 @@ def plan_fan(
 ) -> list[SimulatedView]:
     """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle.
 
+    With several passes they take turns: the k-th view is of the pass k modulo their number.
+
     Args:
         options: of the simulation.
         grid: ground grid.
@@ -88,7 +93,7 @@ def plan_fan(
     ahead, across = (np.array([f(heading + turn) for f in (np.sin, np.cos)]) for turn in (0.0, np.pi / 2))
     order = np.argsort(np.abs(pitches), kind="stable")
     train = set(order[: options.train].tolist())
-    start = moment(lon, lat, options.sun_azimuth, options.sun_elevation)
+    passes = pass_suns(options, lon, lat)
     views = []
     for k, pitch in enumerate(np.radians(pitches)):
         # a sensor that looks ahead stands behind
@@ -103,15 +108,41 @@ def plan_fan(
         camera, shape = framed(camera, corners)
         rpc, error = fit_rpc(camera, grid.crs, (x, y, z))
         angle, radius = rng.uniform(0, 2 * np.pi), options.bias_px * np.sqrt(rng.uniform())
+        start, sun = passes[k % len(passes)]
         views.append(
             SimulatedView(
                 f"{options.id}_{k + 1:03d}", start + timedelta(seconds=SECONDS_BETWEEN * k),
-                (options.sun_azimuth, options.sun_elevation), sensor, camera, rpc, error, shape,
+                sun, sensor, camera, rpc, error, shape,
                 Radiometry(np.ones(3), np.zeros(3)),
                 (float(radius * np.cos(angle)), float(radius * np.sin(angle))), "train" if k in train else "test", 12,
             )
         )  # fmt: skip
     return views
+
+
+def pass_suns(options: SimulateOptions, lon: float, lat: float) -> list[tuple[datetime, tuple[float, float]]]:
+    """Start and sun (azimuth from north, elevation; degrees) of every pass: one time of day, days spread over a year.
+
+    Args:
+        options: of the simulation.
+        lon: longitude [degrees].
+        lat: latitude [degrees].
+
+    Raises:
+        InputError: the sun is down at that time on one of the days.
+    """
+    first = moment(lon, lat, options.sun_azimuth, options.sun_elevation)
+    found = [(first, (options.sun_azimuth, options.sun_elevation))]
+    for k in range(1, options.passes):
+        day = first + timedelta(days=round(k * 365.25 / options.passes))
+        sun = sun_position(day, lon, lat)
+        if sun[1] < LOWEST_SUN_DEG:
+            raise InputError(
+                f"--passes: found a sun {sun[1]:.1f} degrees high on {day:%Y-%m-%d %H:%M} UTC, expected at least "
+                f"{LOWEST_SUN_DEG:g}; give another --sun-azimuth, --sun-elevation or place"
+            )
+        found.append((day, sun))
+    return found
 
 
 def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime:

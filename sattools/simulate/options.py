@@ -75,6 +75,13 @@ class SimulateOptions:
     slope: float = option(15.0, "Mean slope of the fractal relief of natural ground [degrees].", minimum=0, maximum=60)
     sun_azimuth: float = option(135.0, "Sun over natural ground, from north [degrees].", minimum=0, maximum=360)
     sun_elevation: float = option(48.0, "Sun over natural ground, above the horizon [degrees].", minimum=2, maximum=90)
+    passes: int = option(
+        1,
+        "Passes over natural ground at one time of day, spread over the year; the views take turns. The first has the "
+        "sun given, the others the sun of their days.",
+        minimum=1,
+        maximum=12,
+    )
     sky: float = option(
         0.0,
         "Sky light on natural ground: irradiance of level ground in green over that of the sun across its beam (red "
@@ -96,6 +103,8 @@ class SimulateOptions:
                 setattr(self, name, value)
         if self.pan and self.terrain == "natural":
             raise InputError("--pan: found natural ground, expected a city")
+        if self.passes > 1 and self.terrain != "natural":
+            raise InputError(f"--passes: found --terrain {self.terrain}, expected natural (a city has --dates)")
         if self.terrain == "natural":
             self.bits = 12
         elif self.bits == 12:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.compare.brdf import Place, directions, errors, place_in, place_of, unit_vector
+from sattools.compare.metrics import MAP_FIGURES
 from sattools.errors import InputError
 from sattools.reflectance import hapke
 from sattools.scene import Asset, Grid, Item, Scene
@@ -101,6 +102,17 @@ def test_tables_and_figures_of_all_fits(call: Any, tmp_path: Path) -> None:
     assert "| Hpk | theta | theta | 0.250 |" in (tmp_path / "eval/evaluation.md").read_text()
     after = {path: path.read_bytes() for path in tmp_path.glob("[abc]/**/*") if path.is_file()}
     assert after == before  # scenes are only read
+
+
+def test_a_fit_that_claims_no_c_has_no_figures_of_it(call: Any, tmp_path: Path) -> None:
+    write_cog(tmp_path / "a/export/c.tif", image((np.nan,)), GRID)
+    result = call("--points", str(tmp_path / "points.csv"))
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["fits"]["Hpk"]["parameters"]["c"] == {"product": "c", **dict.fromkeys(MAP_FIGURES), "n": 0}
+    assert "Hpk" not in found["brdf"]["errors"]["scree"]  # no BRF without c
+    rows = list(csv.DictReader((tmp_path / "eval/maps.csv").read_text().splitlines()))
+    assert [row["nrmse"] for row in rows if (row["fit"], row["map"]) == ("Hpk", "c")] == [""]
 
 
 def test_a_second_call_replaces_nothing_unasked(call: Any) -> None:

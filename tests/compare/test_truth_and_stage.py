@@ -218,6 +218,23 @@ def scene(tmp_path: Path) -> Any:
     return scene
 
 
+def test_a_map_that_claims_nothing_has_nothing_to_score(scene: Any) -> None:
+    truth = scene.root / "truth"
+    write_cog(scene.output("c.tif"), np.full(GRID.shape, np.nan, np.float32), GRID)
+    scene.products["c"] = "c.tif"
+    options = CompareOptions(
+        dsm=str(truth / "SIM_1_DSM.tif"), register="none",
+        map=[f"c={scene.root}/theta.tif", f"theta={scene.root}/theta.tif"],
+    )  # fmt: skip
+    figures = compare(options, scene)
+    assert figures["parameters"]["c"]["n"] == 0
+    assert figures["parameters"]["c"]["nrmse"] is None
+    assert figures["parameters"]["theta"]["n"] > 0
+    assert "c         no cell was determined" in table(figures)
+    assert not (scene.root / "compare/scatter_c.png").exists()
+    assert (scene.root / "compare/scatter_theta.png").exists()
+
+
 def test_a_scene_is_scored_and_the_difference_map_written(scene: Any) -> None:
     truth = scene.root / "truth"
     options = CompareOptions(

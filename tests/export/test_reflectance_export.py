@@ -1,15 +1,20 @@
 """Maps, held-out views and relighting of a fitted reflectance model."""
 
 import tomllib
+from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.compare.images import compare_views
 from sattools.errors import SceneError
+from sattools.export.context import Exported
+from sattools.export.material import material_maps, write_material
 from sattools.export.novel import render_item
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
@@ -26,7 +31,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     options = SimulateOptions(terrain="natural", id="HILL", size=160.0, views=9, units=2, seed=5, off_nadir=30.0)
     scene = simulate(options, tmp_path_factory.mktemp("hill") / "HILL")
     fit(scene, FitOptions(brdf="hapke", resolution=2.0, epochs=[8]))
-    export(scene, ExportOptions(view=["HILL_001", "HILL_005"], sun=(250.0, 35.0)))
+    export(scene, ExportOptions(view=["HILL_001", "HILL_005"], sun=(250.0, 35.0), undetermined="prior"))
     return scene
 
 
@@ -50,6 +55,36 @@ def test_every_parameter_has_a_map_and_its_uncertainty_in_the_right_units(fitted
     with rasterio.open(fitted.path(fitted.products["reflectance"])) as data:
         assert "15 degrees from the vertical" in data.tags()["GEOMETRY"]
         assert data.tags()["SCALE"].startswith("absolute")
+
+
+def test_what_the_images_did_not_determine_is_no_data_unless_asked_for(fitted: Scene, tmp_path: Path) -> None:
+    import rasterio
+
+    names = ("b", "c", "theta")
+    kept = {name: product(fitted, name)[0] for name in ("w", *names)}
+    copytree(fitted.root, tmp_path / "copy")
+    model = FittedModel.load(fitted.path(fitted.products["model"]))
+    # b is known in the west alone, c nowhere, theta everywhere, whatever the images said
+    share = torch.zeros(*model.grid.shape, 3)
+    share[:, : model.grid.width // 2, 0], share[..., 2] = 0.9, 0.6
+    other = Scene.from_json(fitted.to_json())
+    other.root = tmp_path / "copy"
+    model.extra["identifiable"].copy_(share)
+    exported = Exported(other, model, np.ones(model.grid.shape, bool))
+    maps = material_maps(model.surface(), model.extra)
+    write_material(exported, maps)
+    found = {name: product(other, name)[0] for name in ("w", *names)}
+    assert np.isnan(found["c"]).all()
+    assert np.isfinite(found["theta"]).all()
+    west = np.arange(model.grid.width) < model.grid.width // 2
+    assert (np.isfinite(found["b"]) == west).all()
+    np.testing.assert_array_equal(found["b"][:, west], kept["b"][:, west])
+    np.testing.assert_array_equal(found["w"], kept["w"])  # the amplitude is always there
+    with rasterio.open(other.path(other.products["b"])) as data:
+        assert "no data elsewhere" in data.tags()["DETERMINED"]
+    write_material(exported, maps, undetermined=True)
+    np.testing.assert_array_equal(product(other, "c")[0], kept["c"])
+    assert ExportOptions().undetermined == "nodata"
 
 
 def test_a_held_out_view_comes_out_in_its_own_geometry_without_any_gain(fitted: Any) -> None:

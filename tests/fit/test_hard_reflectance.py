@@ -38,7 +38,7 @@ def check(scene: Scene, options: FitOptions = FIT) -> tuple[dict[str, np.ndarray
     tensors, _ = load(scene.path(scene.products["model"]))
     for name, tensor in tensors.items():
         assert torch.isfinite(tensor).all(), name
-    export(scene, ExportOptions(view=[scene.items[0].id]))
+    export(scene, ExportOptions(view=[scene.items[0].id], undetermined="prior"))
     maps = {k: read_raster(scene.path(scene.products[k]))[0] for k in ("w", "b", "c", "theta", "normal", "reflectance")}
     maps |= {f"{k}_std": read_raster(scene.path(scene.products[f"{k}_std"]))[0] for k in ("w", "b", "c", "theta")}
     for name, array in maps.items():

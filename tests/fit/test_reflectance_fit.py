@@ -14,6 +14,7 @@ from sattools.errors import SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import LEAST_KNOWN, light_scale, phase_angles, radiance_kind, views_left_out
 from sattools.fit.materials.blocks import blocks_of
+from sattools.fit.materials.blur import blurred
 from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import (
     Samples,
@@ -24,7 +25,8 @@ from sattools.fit.materials.inversion import (
     solve_amplitudes,
     start_endmembers,
 )
-from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, blurred, radiance_factor, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, radiance_factor
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.materials.selection import choose_model, extreme_views
 from sattools.fit.materials.uncertainty import known_share, shape_correlation

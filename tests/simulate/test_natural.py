@@ -1,5 +1,6 @@
 """Natural scenes: an independent reflectance in the tracer, and what the scene says of itself."""
 
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from scipy.ndimage import map_coordinates
 
 from sattools.camera import RPC
 from sattools.camera.ground import project
+from sattools.camera.sun import sun_position
 from sattools.cli import main
 from sattools.errors import InputError
 from sattools.reflectance import hapke, rpv
@@ -18,7 +20,7 @@ from sattools.scene import Scene
 from sattools.scene.raster import read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV, radiance_factor
-from sattools.simulate.fan import spread
+from sattools.simulate.fan import pass_suns, spread
 
 SMALL = {"terrain": "natural", "size": 64.0, "views": 5, "train": 3, "units": 3, "seed": 1}
 
@@ -144,3 +146,25 @@ def test_an_even_sky_adds_its_share_to_level_white_ground(tmp_path: Path) -> Non
         )
         expected = 1 + 0.1 * np.array([0.75, 1.0, 1.3]) / np.sin(np.radians(48.0))
         assert (after.mean((1, 2)) / before.mean((1, 2))).tolist() == pytest.approx(expected.tolist(), rel=2e-3)
+
+
+def test_passes_are_dates_of_one_hour_with_the_suns_of_their_days(tmp_path: Path) -> None:
+    options = SimulateOptions(**{**SMALL, "views": 6, "passes": 3, "sun_azimuth": 135.0, "sun_elevation": 48.0})
+    items = simulate(options, tmp_path).items
+    suns = [(item.properties["view:sun_azimuth"], item.properties["view:sun_elevation"]) for item in items]
+    assert suns[0] == (135.0, 48.0)
+    assert suns[:3] == suns[3:]
+    assert len(set(suns)) == 3
+    times = [datetime.fromisoformat(str(item.properties["datetime"])) for item in items]
+    assert len({time.date() for time in times}) == 3
+    for (azimuth, elevation), item, time in zip(suns, items, times, strict=True):
+        there = sun_position(time, -81.66, 30.35)
+        assert there == pytest.approx((azimuth, elevation), abs=1.0), item.id
+
+
+def test_passes_need_natural_ground_and_a_sun_above_the_horizon() -> None:
+    with pytest.raises(InputError, match="--passes: found --terrain city"):
+        SimulateOptions(passes=2)
+    low = SimulateOptions(**{**SMALL, "passes": 2, "sun_azimuth": 180.0, "sun_elevation": 55.0})
+    with pytest.raises(InputError, match="--passes: found a sun"):
+        pass_suns(low, 10.0, 58.0)

@@ -55,10 +55,10 @@ def cluster_endmembers(
 
 def _log_density(x: np.ndarray, centre: np.ndarray, spread: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Log of weight times normal density ``[N, K]``, diagonal covariances ``spread**2``."""
-    d = (x[:, None] - centre) / spread
-    return np.asarray(
-        np.log(weight) - 0.5 * (d * d).sum(-1) - np.log(spread).sum(-1) - 0.5 * x.shape[1] * np.log(2 * np.pi)
-    )
+    # the square written out: two products of matrices instead of an array of all differences
+    precision = 1 / spread**2
+    d2 = x**2 @ precision.T - 2 * (x @ (centre * precision).T) + (centre**2 * precision).sum(-1)
+    return np.asarray(np.log(weight) - 0.5 * d2 - np.log(spread).sum(-1) - 0.5 * x.shape[1] * np.log(2 * np.pi))
 
 
 def _log_posterior(x: np.ndarray, centre: np.ndarray, spread: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ def _mixture(x: np.ndarray, k: int, rng: np.random.Generator) -> tuple[np.ndarra
         mass = share.sum(axis=0) + 1e-9
         weight = mass / mass.sum()
         centre = share.T @ x / mass[:, None]
-        variance = np.stack([(share[:, j, None] * (x - centre[j]) ** 2).sum(0) / mass[j] for j in range(k)])
+        variance = share.T @ x**2 / mass[:, None] - centre**2
         # no narrower than what one material scatters
         spread = np.sqrt(np.maximum(variance, 1.0))
     joint = _log_density(x, centre, spread, weight)

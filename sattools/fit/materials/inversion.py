@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind, diffuse, radiance_factor
+from sattools.reflectance.hapke_bands import hapke_slopes
 
 STEP = 1e-3  # of the finite differences in the unbounded form
 GAP_SHARE = 0.02  # error of the model and the geometry, as share of the signal
@@ -97,7 +98,40 @@ def predict(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> Te
 
 
 def with_slope(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor]:
-    """`predict` and its derivative with the amplitudes: as further bands, which share what depends on directions.
+    """`predict` and its derivative with the unbounded amplitudes, both ``[V, N, C]``.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        amplitude: ``[N, C]`` unbounded.
+        endmembers: ``[K, 3]`` unbounded shape parameters.
+    """
+    if _compiled(kind, s):
+        value, slopes = _slopes(kind, s, amplitude, endmembers, shapes=False)
+        return value, slopes[..., 0]
+    # as further bands, which share what depends on directions
+    here, moved = predict(kind, s, torch.cat([amplitude, amplitude + STEP], -1), endmembers).chunk(2, -1)
+    return here, (moved - here) / STEP
+
+
+def with_slopes(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor]:
+    """`predict` ``[V, N, C]`` and its derivatives ``[V, N, C, 4]`` with the amplitudes and the three shapes.
+
+    All unbounded; a shape changes in all endmembers together: cells differ by their abundances.
+
+    Args:
+        kind: reflectance model.
+        s: the samples.
+        amplitude: ``[N, C]`` unbounded.
+        endmembers: ``[K, 3]`` unbounded shape parameters.
+    """
+    if _compiled(kind, s):
+        return _slopes(kind, s, amplitude, endmembers, shapes=True)
+    return differences(kind, s, amplitude, endmembers)
+
+
+def differences(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor]:
+    """`with_slopes` by finite differences, for any model and device: the twin of the compiled one.
 
     Args:
         kind: reflectance model.
@@ -106,7 +140,35 @@ def with_slope(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) ->
         endmembers: ``[K, 3]`` unbounded shape parameters.
     """
     here, moved = predict(kind, s, torch.cat([amplitude, amplitude + STEP], -1), endmembers).chunk(2, -1)
-    return here, (moved - here) / STEP
+    columns = [(moved - here) / STEP]
+    for p in range(endmembers.shape[1]):
+        other = endmembers.clone()
+        other[:, p] += STEP
+        columns.append((predict(kind, s, amplitude, other) - here) / STEP)
+    return here, torch.stack(columns, -1)
+
+
+def _compiled(kind: Kind, s: Samples) -> bool:
+    """Whether derivatives come with the values."""
+    return kind == "hapke" and s.normal.device.type == "cpu"
+
+
+def _slopes(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, shapes: bool) -> tuple[Tensor, Tensor]:
+    """`with_slopes` by the compiled model; without ``shapes`` with the amplitudes alone ``[V, N, C, 1]``."""
+    limits = AMPLITUDE[kind]
+    value, shape = limits.bounded(amplitude), shape_of(kind, s.abundances, endmembers)
+    pairs = zip(s.suns, s.views, strict=True)
+    found = [hapke_slopes(s.normal, sun, view, value, shape, shapes=shapes) for sun, view in pairs]
+    here, slopes = (torch.stack(parts) for parts in zip(*found, strict=True))
+    slopes[..., 0] *= limits.slope(amplitude)
+    if shapes:
+        for k, p in enumerate(SHAPE[kind]):
+            slopes[..., 1 + k] *= p.slope(s.abundances @ endmembers[:, k])[:, None]
+    if s.sky is not None:
+        glow = diffuse(kind, value)
+        here += s.share * s.sky * glow
+        slopes[..., 0] += s.share * s.sky * (diffuse(kind, limits.bounded(amplitude + STEP)) - glow) / STEP
+    return here, slopes
 
 
 def noise_of(s: Samples) -> Tensor:
@@ -194,20 +256,14 @@ def _system(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, indep
     """See `_System`; without the endmembers' prior."""
     count = endmembers.numel()
     sigma = noise_of(s)
-    here, slope = with_slope(kind, s, amplitude, endmembers)
+    here, slopes = with_slopes(kind, s, amplitude, endmembers)
     residual = (s.seen - here) / sigma
     weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
     centre = material_mean(s.abundances, amplitude)
     cost = float((weight * residual**2).sum()) * independent
     cost += float((amplitude_precision(centre) * (amplitude - centre) ** 2).sum()) * independent
-    j_amplitude = slope / sigma  # [V, N, C]
-    # a change of one shape parameter of all endmembers together: cells differ by their abundances
-    columns = []
-    for p in range(endmembers.shape[1]):
-        moved = endmembers.clone()
-        moved[:, p] += STEP
-        columns.append((predict(kind, s, amplitude, moved) - here) / STEP / sigma)
-    j_shape = torch.stack(columns, -1)  # [V, N, C, 3]
+    slopes = slopes / sigma[..., None]
+    j_amplitude, j_shape = slopes[..., 0], slopes[..., 1:]  # [V, N, C], [V, N, C, 3]
     a = (weight * j_amplitude**2).sum(0) + amplitude_precision(centre)  # [N, C]
     cross = (weight[..., None] * j_amplitude[..., None] * j_shape).sum(0)  # [N, C, 3]
     full = torch.einsum("vncp,vncq->npq", weight[..., None] * j_shape, j_shape)
@@ -264,10 +320,12 @@ def invert(
 __all__ = [
     "Samples",
     "Solution",
+    "differences",
     "invert",
     "material_mean",
     "predict",
     "shape_of",
     "solve_amplitudes",
     "start_endmembers",
+    "with_slopes",
 ]

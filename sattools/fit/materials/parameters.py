@@ -7,7 +7,6 @@ maps.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +14,7 @@ import torch
 from torch import Tensor
 
 from sattools.reflectance import hapke, rpv
+from sattools.reflectance.hapke_bands import hapke_light
 
 Kind = Literal["rpv", "hapke"]
 
@@ -68,6 +68,8 @@ def radiance_factor(
 ) -> Tensor:
     """BRF * cos i = pi L / E ``[..., C]``, E the sun's irradiance across its beam.
 
+    Hapke's model on processors is a kernel that works out once what bands share.
+
     Args:
         kind: model.
         normal: ``[..., 3]`` unit vectors.
@@ -76,6 +78,8 @@ def radiance_factor(
         amplitude: ``[..., C]``.
         shape: three ``[...]``.
     """
+    if kind == "hapke" and normal.device.type == "cpu":
+        return hapke_light(normal, sun, view, amplitude, shape)
     facet = normal[..., None, :]
     parts = [p[..., None] for p in shape]
     model = hapke if kind == "hapke" else rpv
@@ -90,42 +94,11 @@ def diffuse(kind: Kind, amplitude: Tensor) -> Tensor:
     return (1 - root) / (1 + root)
 
 
-def surface_normals(height: Tensor, cell_size: float) -> Tensor:
-    """Unit normals ``[H, W, 3]`` (east, north, up) of a height map ``[H, W]``, row 0 = north; Sobel differences.
-
-    The averaging across the direction of the difference keeps noise of single cells out.
-    """
-    padded = torch.nn.functional.pad(height[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
-    # a mirrored slope beyond the edge instead of a halved one
-    padded[0, :], padded[-1, :] = 2 * padded[1, :] - padded[2, :], 2 * padded[-2, :] - padded[-3, :]
-    padded = padded.clone()
-    padded[:, 0], padded[:, -1] = 2 * padded[:, 1] - padded[:, 2], 2 * padded[:, -2] - padded[:, -3]
-    down = padded[:-2] + 2 * padded[1:-1] + padded[2:]
-    east = (down[:, 2:] - down[:, :-2]) / (8 * cell_size)
-    along = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
-    north = (along[:-2] - along[2:]) / (8 * cell_size)
-    normal = torch.stack([-east, -north, torch.ones_like(east)], dim=-1)
-    return normal / normal.norm(dim=-1, keepdim=True)
-
-
-def blurred(maps: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur of maps ``[..., H, W]``, sigma in cells; beyond the edge the nearest cell goes on."""
-    radius = max(1, math.ceil(3 * sigma))
-    taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1, dtype=maps.dtype, device=maps.device) / sigma) ** 2)
-    taps = taps / taps.sum()
-    rows, cols = maps.shape[-2:]
-    flat = torch.nn.functional.pad(maps.reshape(-1, 1, rows, cols), (radius,) * 4, mode="replicate")
-    flat = torch.nn.functional.conv2d(flat, taps.reshape(1, 1, -1, 1))
-    return torch.nn.functional.conv2d(flat, taps.reshape(1, 1, 1, -1)).reshape(maps.shape)
-
-
 __all__ = [
     "AMPLITUDE",
     "SHAPE",
     "Kind",
     "Parameter",
-    "blurred",
     "diffuse",
     "radiance_factor",
-    "surface_normals",
 ]

@@ -10,6 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from sattools.fit.materials.blur import blurred
 from sattools.fit.materials.inversion import (
     Samples,
     Solution,
@@ -18,7 +19,8 @@ from sattools.fit.materials.inversion import (
     shape_of,
     solve_amplitudes,
 )
-from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, radiance_factor, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse, radiance_factor
 from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
 from sattools.fit.materials.uncertainty import known_share, parameter_std, shape_correlation
 from sattools.fit.surface.scene import SurfaceScene

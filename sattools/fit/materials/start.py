@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from sattools.fit.materials.blur import blurred
 from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import start_endmembers
-from sattools.fit.materials.parameters import AMPLITUDE, Kind, blurred, diffuse, surface_normals
+from sattools.fit.materials.normals import surface_normals
+from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse
 from sattools.fit.materials.scene import LIT, NORMAL_CELLS, ReflectiveScene, Sky
 from sattools.fit.materials.sky import deep_shade
 from sattools.fit.surface.scene import SurfaceScene

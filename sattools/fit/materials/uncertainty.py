@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from sattools.fit.materials.inversion import STEP, Samples, Solution, noise_of, predict
+from sattools.fit.materials.inversion import Samples, Solution, noise_of, predict, with_slopes
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind
 
 SLOPE_STD = 0.06  # of the surface's slopes, metres per metre: about 3.5 degrees
@@ -35,9 +35,9 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
     """
     endmembers = solution.endmembers
     sigma = noise_of(s)
-    here = predict(kind, s, amplitude, endmembers)
+    here, slopes = with_slopes(kind, s, amplitude, endmembers)
     residual = (s.seen - here) / sigma
-    j_amplitude = (predict(kind, s, amplitude + STEP, endmembers) - here) / STEP / sigma
+    j_amplitude = slopes[..., 0] / sigma
     weight = s.weight[..., None]
     a = (weight * j_amplitude**2).sum(0) + 1e-3
 
@@ -57,12 +57,7 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
     covariance = solution.covariance.to(endmembers) * factor * factor[:, None]
     blocks = covariance.reshape(endmembers.shape[0], 3, endmembers.shape[0], 3)
     own = torch.einsum("nk,kplq,nl->npq", s.abundances, blocks, s.abundances)  # [N, 3, 3]
-    follow = []
-    for p in range(3):
-        moved = endmembers.clone()
-        moved[:, p] += STEP
-        follow.append(answer(predict(kind, s, amplitude, moved) - here) / STEP)
-    j = torch.stack(follow, -1)  # [N, C, 3]
+    j = torch.stack([answer(slopes[..., 1 + p]) for p in range(3)], -1)  # [N, C, 3]
     variance = variance + torch.einsum("ncp,npq,ncq->nc", j, own, j)
     value, slope = AMPLITUDE[kind].bounded(amplitude), AMPLITUDE[kind].slope(amplitude)
     variance = variance + (TEXTURE_STD * value / slope) ** 2
