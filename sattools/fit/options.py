@@ -76,8 +76,9 @@ class FitOptions(RayOptions):
     )
     epochs: list[int] = option(
         [],
-        "Passes over all views per stage, coarse to fine (the last is repeated; default: 5 from a prior, 8 with a "
-        "reflectance model, 16 from a flat start or where shadows or transients are learned).",
+        "Passes over all views per stage, coarse to fine (the last is repeated; default: 5 from a prior, 8 of "
+        "calibrated images or with a reflectance model, 16 from a flat start or where shadows or transients are "
+        "learned).",
         minimum=1,
         maximum=100_000,
     )

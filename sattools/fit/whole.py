@@ -17,6 +17,7 @@ from sattools.fit.rays.start import Beginning
 from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.schedule import schedule
+from sattools.fit.surface.trainer import StageSettings
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
 from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
@@ -126,14 +127,19 @@ def _fit_surface(
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
     z_ref = reference_height(prior, z_range)
     shortest = min(grid.shape) * grid.cell_size
-    stages = schedule(options, grid.cell_size, z_range, prior is not None, shortest)
+
+    def stages_of(options: FitOptions) -> list[StageSettings]:
+        relative = radiance == "relative"
+        return schedule(options, grid.cell_size, z_range, prior is not None, shortest, relative=relative)
+
+    stages = stages_of(options)
     job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance, lasting=lasting)
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
         notes += choice.notes
         options = job.options = replace(options, brdf=choice.model)
-        job.stages = schedule(options, grid.cell_size, z_range, prior is not None, shortest)
+        job.stages = stages_of(options)
     surface, finest, more = job.run(progress)
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}

@@ -115,11 +115,13 @@ def test_the_surface_has_twice_the_cell_of_the_scene_and_a_prior_spares_the_coar
 
 
 def test_a_matched_surface_needs_fewer_passes_unless_more_is_sought() -> None:
-    def passes(with_prior: bool = True, **given: Any) -> list[int]:
-        return [s.epochs for s in schedule(FitOptions(**given), 0.5, (0.0, 1.0), with_prior)]
+    def passes(with_prior: bool = True, relative: bool = False, **given: Any) -> list[int]:
+        return [s.epochs for s in schedule(FitOptions(**given), 0.5, (0.0, 1.0), with_prior, relative=relative)]
 
-    assert passes() == [5]
-    assert passes(with_prior=False) == [16, 16, 16]
+    assert passes() == [8]
+    assert passes(relative=True) == [5]
+    assert passes(relative=True, brdf="rpv") == [2, 6]
+    assert passes(with_prior=False) == passes(with_prior=False, relative=True) == [16, 16, 16]
     assert passes(shadow="learned") == passes(shadow="auto") == passes(transient="on") == [16]
     assert passes(brdf="auto") == [8]
     assert passes(brdf="hapke") == [2, 6]  # a quarter of them without the model
