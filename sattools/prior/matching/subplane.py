@@ -102,11 +102,17 @@ def local_planes(surface, same_m, smooth, first_row, end_row):
 
 
 @njit(cache=True)
-def _add_votes(here, there, agreement, same_m, votes):
-    """Add the agreement ``[D, W]`` of neighbours on the same surface to the votes ``[D, W]`` of a row."""
+def _add_votes(here, there, agreement, same_m, same, votes):
+    """Add the agreement ``[D, W]`` of neighbours on the same surface to the votes ``[D, W]`` of a row.
+
+    same: ``[W]`` scratch, filled with 1 where they are, else 0.
+    """
+    for col in range(same.shape[0]):
+        same[col] = np.float32(1) if abs(there[col] - here[col]) <= same_m else np.float32(0)
     for k in range(votes.shape[0]):
-        for col in range(votes.shape[1]):
-            votes[k, col] += agreement[k, col] if abs(there[col] - here[col]) <= same_m else np.float32(0)
+        row, sums = agreement[k], votes[k]
+        for col in range(same.shape[0]):
+            sums[col] += row[col] * same[col]
 
 
 @spread(lambda volume, *_: len(volume))
@@ -126,15 +132,16 @@ def best_nearby(volume, surface, offsets, same_m, refined, first_row, end_row):
     rows, depth, cols = volume.shape
     step = offsets[1] - offsets[0]
     for row in range(first_row, end_row):
-        votes = np.zeros((depth, cols))
+        votes, same = np.zeros((depth, cols), np.float32), np.empty(cols, np.float32)
         for i in range(max(0, row - REACH), min(rows, row + REACH + 1)):
             for right in range(-REACH, REACH + 1):
                 first, last = _overlap(cols, right)
                 if first < last:
                     there = slice(first + right, last + right)
                     _add_votes(
-                        surface[row, first:last], surface[i, there], volume[i, :, there], same_m, votes[:, first:last]
-                    )
+                        surface[row, first:last], surface[i, there], volume[i, :, there], same_m, same[first:last],
+                        votes[:, first:last],
+                    )  # fmt: skip
         for col in range(cols):
             best = depth // 2  # stays where nothing speaks for another height
             for k in range(depth):
