@@ -149,6 +149,7 @@ def _model_of(
         network=options.network if options.field == "mlp" else None,
         radiance=trainer.radiance,
         brdf=options.brdf,
+        bands=options.bands,
         s_net=maps.images.get("s_net") if options.shadow == "learned" else None,
         tau=maps.images.get("tau") if options.transient == "on" else None,
         beta=maps.images.get("beta") if options.beta else None,
