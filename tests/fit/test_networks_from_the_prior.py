@@ -16,12 +16,12 @@ from sattools.field.mlp import MlpField
 from sattools.field.networks import NETWORKS
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
-from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.stage import _duration
-from sattools.fit.rays.start import depth_std_m, restored_field
+from sattools.fit.rays.start import restored_field
 from sattools.fit.rays.trainer import BETA_MIN
 from sattools.fit.stage import fit
 from sattools.fit.trace import Trace

@@ -87,7 +87,7 @@ def fit_rays(
     views = views_on(sources, grid, z_ref, z_range)
     first = prior if start is None or prior is None else start.guide(prior)
     prior_here = None if first is None else filled_prior(first, grid)
-    rays = ray_set(views, grid, z_range, prior_here).to(device)
+    rays = ray_set(views, grid, z_range, prior_here, normals=options.brdf != "lambert").to(device)
     absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
     if absolute:  # the images have one scale already
