@@ -32,7 +32,9 @@ class FitOptions(RayOptions):
         minimum=0,
     )
     shadow_start: Literal["geometric", "lit"] = option(
-        "geometric", "Learned shadows of the surface field begin as the prior's surface casts them, or with all lit."
+        "geometric",
+        "Learned shadows begin as the start surface casts them, a network's light in shade as that of the surface; or "
+        "with all lit, and a network's light as noise.",
     )
     transient: Literal["on", "off", "auto"] = option(
         "off", "A darkening of each image's own, for moving objects; auto = where images hold such."

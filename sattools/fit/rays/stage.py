@@ -6,7 +6,7 @@ import functools
 import logging
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -27,6 +27,7 @@ from sattools.fit.rays.start import (
     base_surface,
     box_over,
     filled_prior,
+    known_light,
     make_field,
     ray_set,
 )
@@ -102,6 +103,9 @@ def fit_rays(
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
         if coloured:
             base, gain, offset = coloured.coloured(base, grid), coloured.light.gain, coloured.light.offset
+            if options.field == "mlp" and options.shadow != "none" and options.shadow_start == "geometric":
+                learned = options.shadow == "learned"
+                base = replace(base, light=known_light(views, base, coloured.light.ambient, learned=learned))
         base = base.to(device)
     with device:  # whatever is made from here on, is made there
         there = None if prior_here is None else prior_here.to(device)

@@ -13,7 +13,7 @@ from sattools.field.mlp import MlpField
 from sattools.field.networks import NETWORKS
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Box, Field
-from sattools.field.surface_base import SurfaceBase
+from sattools.field.surface_base import KnownLight, SurfaceBase
 from sattools.field.voxel import VoxelField
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.materials.scene import ReflectiveScene
@@ -67,6 +67,27 @@ def base_surface(
         weight += counts
     colour = torch.from_numpy(total / np.maximum(weight, 1e-6)).float().clamp(0, 1)
     return SurfaceBase(box_over(grid, z_range), height, colour, PRIOR_SOFTNESS)
+
+
+def known_light(views: Sequence[View], base: SurfaceBase, ambient: Tensor, *, learned: bool) -> KnownLight | None:
+    """How a base is lit under the suns of views, None where no sun is known.
+
+    Args:
+        views: of the training.
+        base: the surface, on the views' grid.
+        ambient: ``[V, C]`` light of the views in shade, as a share of the light in the sun.
+        learned: whether a network learns the sun's visibility, and begins with the shadows that the surface casts.
+    """
+    by_sun: dict[tuple[float, float, float], list[Tensor]] = {}
+    for view, share in zip(views, ambient, strict=True):
+        if view.sun is not None:
+            by_sun.setdefault(view.sun, []).append(share)
+    if not by_sun:
+        return None
+    shade = torch.stack([torch.stack(shares).mean(dim=0) for shares in by_sun.values()])
+    cell = (base.box.high[0] - base.box.low[0]) / base.height.shape[1]
+    visible = torch.stack([sun_visibility(base.height, cell, sun) for sun in by_sun]) if learned else None
+    return KnownLight(torch.tensor(list(by_sun), dtype=torch.float32), shade.float(), visible)
 
 
 @dataclass(frozen=True)
@@ -240,6 +261,7 @@ __all__ = [
     "base_surface",
     "box_over",
     "filled_prior",
+    "known_light",
     "make_field",
     "ray_set",
     "restored_field",
