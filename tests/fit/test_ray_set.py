@@ -1,4 +1,8 @@
-"""Rays of many views, held without what they share."""
+"""Rays of many views, held without what they share, and the time that reading their field off takes."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,7 +10,9 @@ import torch
 
 from sattools.camera.view_direction import ViewDirection
 from sattools.fit.depth_prior import DepthPrior, depth_std_m
+from sattools.fit.rays import stage
 from sattools.fit.rays.start import ray_set
+from sattools.fit.trace import Trace
 from sattools.scene import Grid
 from sattools.views import View
 
@@ -78,3 +84,18 @@ def test_a_ray_takes_few_bytes_where_no_normals_are_asked_for() -> None:
     )
     for one in ("place", "target", "view", "depth", "confidence", "path"):
         assert torch.equal(getattr(with_normals, one), getattr(without, one)), one
+
+
+def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Or a field's first fit after an installation would leave its budget to a reading that takes a second."""
+    clock, read = {"now": 0.0}, []
+
+    def fake(trainer: Any, grid: Grid, z_range: Any) -> None:
+        clock["now"] += 0.1 * grid.height + (0.0 if read else 100.0)
+        read.append(grid.height)
+
+    monkeypatch.setattr(stage, "read_maps", fake)
+    monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
+    job = stage._RayJob(tmp_path / "checkpoint", "", None, GRID, Z_RANGE, Trace())
+    assert job._reading_s == pytest.approx(0.1 * GRID.height)
+    assert max(read) <= stage.ROWS_TRIED
