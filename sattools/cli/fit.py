@@ -22,7 +22,7 @@ class FitCommand(GroupedCommand):
     groups: ClassVar = {
         "Surface": ("preset", "field", "resolution", "coarsest", "epochs", "softness", "smooth", "height_rate",
                     "prior_weight", "pose"),
-        "Images": ("views", "holdout", "reference"),
+        "Images": ("bands", "views", "holdout", "reference"),
         "Light": ("loss", "robust", "shadow", "shadow_weight", "shadow_start", "transient"),
         "Reflectance": ("brdf", "brdf_at", "pretrain", "normals", "materials", "material_smooth", "sky", "sky_share"),
         "Network": ("start", "network", "width", "rays", "samples", "guided", "steps", "rate", "depth_weight", "beta",

@@ -9,6 +9,7 @@ import numpy as np
 
 from sattools.compare.metrics import image_errors
 from sattools.errors import SceneError
+from sattools.radiometry.bands import BANDS_MEMBER, chosen_bands
 from sattools.scene.document import Item, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.pixels import image_part
@@ -29,8 +30,10 @@ def compare_views(scene: Scene, weights: Sequence[str] = ()) -> JsonObject:
     views: dict[str, dict[str, float | None]] = {}
     for item in scene.items:
         if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
-            rendered = read_image(scene.path(item.assets["rendered"].href))
-            radiance = _radiance(scene, item)
+            shown = item.assets["rendered"]
+            rendered, radiance = read_image(scene.path(shown.href)), _radiance(scene, item)
+            fitted = chosen_bands(item, shown.extra.get(BANDS_MEMBER, []), len(radiance))
+            radiance = radiance[[number - 1 for number in fitted]]
             role = "test" if item.held_out else "train"
             views[item.id] = {"role": role, **image_errors(rendered, radiance, weights=weights)}  # type: ignore[dict-item]
     if not views:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sattools.fit.model import FittedModel, Sun
+from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Scene
+from sattools.scene.jsonio import JsonObject
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,7 @@ class Exported:
         Returns:
             ``["albedo red", ...]``, or numbers from 1; ``{"WAVELENGTHS_UM": "0.66 ..."}`` or nothing.
         """
-        assets = (item.assets.get("radiance") for item in self.scene.items if item.id in self.model.items)
-        bands = next((asset.extra.get("eo:bands") for asset in assets if asset is not None), None) or []
+        bands = _bands_of(self.scene, self.model)
         if len(bands) != count:
             return [f"{name} {b + 1}" for b in range(count)], {}
         words = [str(band.get("common_name", band.get("name"))) for band in bands]
@@ -47,6 +48,15 @@ class Exported:
         known = all(isinstance(length, int | float) for length in lengths)
         tags = {"WAVELENGTHS_UM": " ".join(f"{length:g}" for length in lengths)} if known else {}
         return [f"{name} {word}" for word in words], tags
+
+
+def _bands_of(scene: Scene, model: FittedModel) -> list[JsonObject]:
+    """STAC `eo:bands` of a model's bands, where `normalise` knew those of the images."""
+    for item in scene.items:
+        asset = item.assets.get("radiance") if item.id in model.items else None
+        if asset is not None and (bands := asset.extra.get("eo:bands")):
+            return [bands[number - 1] for number in chosen_bands(item, model.bands, len(bands))]
+    return []
 
 
 def shadow_suns(model: FittedModel) -> list[tuple[str, Sun]]:

@@ -42,7 +42,7 @@ def field_picture(
         view, target=np.zeros((*grid.shape, bands), np.float32), mask=np.ones(grid.shape, np.uint8)
     )  # fmt: skip
     found = DepthPrior(model.height, torch.ones_like(model.height), grid)
-    rays = ray_set([everywhere], grid, z_range, found)
+    rays = ray_set([everywhere], grid, z_range, found, normals=model.brdf != "lambert")
     gain, offset = torch.ones(1, bands), torch.zeros(1, bands)
     ambient, embedding = model.ambient.mean(0, keepdim=True), model.extra["embedding"].mean(0, keepdim=True)
     if known is not None:

@@ -18,11 +18,12 @@ from sattools.fit.illumination import light_scale
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.surface.scene import SurfaceScene
+from sattools.radiometry.bands import BANDS_MEMBER
 from sattools.render import ParallelRays, sun_visibility
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.raster import write_cog, write_image_like
-from sattools.views import View, load_sources, views_on
+from sattools.views import View, load_sources, views_on, with_bands
 
 RELIT = "export/relit.tif"
 _STRIDE = 16  # pixels
@@ -106,7 +107,7 @@ def render_item(
     items = [item for item in scene.items if item.id == item_id]
     if not items:
         raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
-    (source,) = load_sources(scene, items)
+    (source,) = with_bands(load_sources(scene, items), items, model.bands)
     z_range = scene.require_height_range()
     z_ref = model.z_ref
     (view,) = views_on([source], grid, z_ref, z_range)
@@ -201,7 +202,8 @@ def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angl
     for name, array in files.items():
         href = view_href(name, item_id)
         write_image_like(scene.output(href), array, scene.path(like.href))
-        item.assets[name] = Asset(href, GEOTIFF_TYPE)
+        spectral = name != "rendered_height" and exported.model.bands
+        item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: exported.model.bands} if spectral else {})
 
 
 def write_relit(exported: Exported, surface: SurfaceScene, sun_angles: tuple[float, float]) -> None:

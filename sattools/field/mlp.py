@@ -14,6 +14,8 @@ from sattools.field.networks import EMBEDDING, Head, Network
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
 
+AMBIENT_HEADS = ("sky", "ambient")  # light in shade, by the sun
+TAU_START = 4.0  # logit of what is let through where nothing is known to move: 0.98
 SHAPES = ("b", "c", "k", "theta", "rhoc")  # heads for shape parameters of reflectance models
 W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.2)
 
@@ -76,10 +78,18 @@ class MlpField:
         if base is not None:
             shapes = [name for name in network.heads if name in SHAPES] if base.shape is not None else []
             self.known = ["albedo", *shapes]
+            self.lit: list[str] = []  # and those that are added to the base's light
+            if base.light is not None:
+                self.lit = [name for name in network.heads if name in AMBIENT_HEADS]
+                self.lit += ["sun"] if base.light.visible is not None and "sun" in network.heads else []
             with torch.no_grad():
-                for layer in (self.sigma, *(self.head_layers[name][-1] for name in self.known)):
+                for layer in (self.sigma, *(self.head_layers[name][-1] for name in (*self.known, *self.lit))):
                     layer.weight.zero_()
                     layer.bias.zero_()
+                if "transient" in self.head_layers and base.light is not None:
+                    last = self.head_layers["transient"][-1]
+                    last.weight[0].zero_()
+                    last.bias[0] = TAU_START
 
     def _layer(self, inputs: int, outputs: int, random: torch.Generator, first: bool = False) -> nn.Linear:
         """First weights, of a SIREN or as torch has them.
@@ -121,9 +131,16 @@ class MlpField:
         """See `Field.look`: colours and visibility."""
         begun: dict[str, Tensor] = {}
         if self.base is not None:
-            sizes = [self.bands] + [1] * (len(self.known) - 1)
-            features, *values = features.split([features.shape[-1] - sum(sizes), *sizes], dim=-1)
+            light = self.base.light
+            suns = 0 if light is None or light.visible is None else len(light.suns)
+            sizes = [self.bands] + [1] * (len(self.known) - 1) + [suns]
+            features, *values, visible = features.split([features.shape[-1] - sum(sizes), *sizes], dim=-1)
             begun = dict(zip(self.known, values, strict=True))
+            if light is not None and sun is not None:
+                shares = light.shares(sun)
+                begun |= dict.fromkeys((n for n in self.lit if n != "sun"), shares @ light.ambient)
+                if "sun" in self.lit:
+                    begun["sun"] = (shares * visible).sum(dim=-1, keepdim=True)
         given = {"features": features, "sun": sun, "embedding": embedding}
         outputs: dict[str, Tensor] = {}
         for name, head in self.network.heads.items():

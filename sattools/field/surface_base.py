@@ -14,6 +14,33 @@ LEAST_OPTICAL = 1e-4  # of the network's unit of density, far above the surface
 COLOUR_LIMITS = (0.02, 0.98)  # of a head's range, where a sigmoid still has a gradient
 
 
+SUN_SHARPNESS = 300.0  # suns 5 degrees apart are told from each other, 1 degree apart are the same
+
+
+@dataclass(frozen=True)
+class KnownLight:
+    """How a surface is lit under the suns of the images, as what is added to a network's answers.
+
+    Attributes:
+        suns: ``[K, 3]`` unit vectors.
+        ambient: ``[K, C]`` light in shade, as a share of the light in the sun.
+        visible: ``[K, H, W]`` visibility of the sun in [0, 1] on the surface's grid; None where it is not learned.
+    """
+
+    suns: Tensor
+    ambient: Tensor
+    visible: Tensor | None = None
+
+    def to(self, device: torch.device) -> KnownLight:
+        """The same on a device."""
+        visible = None if self.visible is None else self.visible.to(device)
+        return KnownLight(self.suns.to(device), self.ambient.to(device), visible)
+
+    def shares(self, sun: Tensor) -> Tensor:
+        """Parts ``[N, K]`` that the known suns have in what is known of suns ``[N, 3]``: the nearest, by its cosine."""
+        return torch.softmax(SUN_SHARPNESS * sun @ self.suns.T, dim=-1)
+
+
 @dataclass(frozen=True)
 class SurfaceBase:
     """Density and colour of a surface, as what is added to a network's answers before their activations.
@@ -27,6 +54,7 @@ class SurfaceBase:
         colour: ``[H, W, C]`` in [0, 1].
         softness: s [m].
         shape: ``[H, W, P]`` shape parameters of a reflectance model, in the order of the network's heads, or none.
+        light: how it is lit, or None where a network has to learn that by itself.
     """
 
     box: Box
@@ -34,15 +62,19 @@ class SurfaceBase:
     colour: Tensor
     softness: float
     shape: Tensor | None = None
+    light: KnownLight | None = None
 
     def to(self, device: torch.device) -> SurfaceBase:
         """The same on a device."""
         shape = None if self.shape is None else self.shape.to(device)
-        return replace(self, height=self.height.to(device), colour=self.colour.to(device), shape=shape)
+        light = None if self.light is None else self.light.to(device)
+        return replace(self, height=self.height.to(device), colour=self.colour.to(device), shape=shape, light=light)
 
     def at(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Density ``[N]`` per metre, colour and shape parameters ``[N, C + P]`` at points ``[N, 3]`` [m]."""
+        """Density ``[N]`` per metre, colour, shape parameters and visibilities ``[N, C + P + K]`` at ``[N, 3]`` [m]."""
         maps = [self.height[..., None], self.colour] + ([] if self.shape is None else [self.shape])
+        if self.light is not None and self.light.visible is not None:
+            maps.append(self.light.visible.permute(1, 2, 0))
         height, *colour = self._read(torch.cat(maps, dim=-1), points)
         density = torch.sigmoid((height - points[:, 2]) / self.softness) / self.softness
         return density, torch.stack(colour, dim=-1)
@@ -58,14 +90,20 @@ class SurfaceBase:
         return read[0, :, 0]
 
     def tensors(self) -> dict[str, Tensor]:
-        """What `restored` needs beside the box: heights and softness [m], colours, shape parameters."""
+        """What `restored` needs beside the box: heights and softness [m], colours, shape parameters, light."""
         found = {"height": self.height, "colour": self.colour, "softness": self.height.new_tensor(self.softness)}
-        return found if self.shape is None else {**found, "shape": self.shape}
+        more = {"shape": self.shape}
+        if self.light is not None:
+            more |= {"suns": self.light.suns, "ambient": self.light.ambient, "visible": self.light.visible}
+        return found | {name: tensor for name, tensor in more.items() if tensor is not None}
 
     @classmethod
     def restored(cls, tensors: dict[str, Tensor], box: Box) -> SurfaceBase:
         """Inverse of `tensors`: heights and softness [m], colours."""
-        return cls(box, tensors["height"], tensors["colour"], float(tensors["softness"]), tensors.get("shape"))
+        light = None
+        if "suns" in tensors:
+            light = KnownLight(tensors["suns"], tensors["ambient"], tensors.get("visible"))
+        return cls(box, tensors["height"], tensors["colour"], float(tensors["softness"]), tensors.get("shape"), light)
 
 
 def before_softplus(density: Tensor) -> Tensor:
@@ -85,4 +123,4 @@ def before_sigmoid(value: Tensor, low: float, high: float) -> Tensor:
     return torch.logit(((value - low) / (high - low)).clamp(*COLOUR_LIMITS))
 
 
-__all__ = ["SurfaceBase", "before_sigmoid", "before_softplus"]
+__all__ = ["KnownLight", "SurfaceBase", "before_sigmoid", "before_softplus"]

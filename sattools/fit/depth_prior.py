@@ -12,6 +12,8 @@ from sattools.scene import Grid
 from sattools.scene.regrid import resize_map
 
 GROUND_SHARE = 0.3  # of the height range: where the ground usually lies
+# how far off a prior's height may be, from the surest to the least sure [m]
+BEST_STD_M, WORST_STD_M = 0.5, 4.0
 
 
 @dataclass(frozen=True)
@@ -55,9 +57,14 @@ class DepthPrior:
         return float(np.nanmedian(self.height.numpy()))
 
 
+def depth_std_m(confidence: Tensor) -> Tensor:
+    """Standard deviation of a prior's heights with a confidence in [0, 1], any shape [m]."""
+    return BEST_STD_M + (WORST_STD_M - BEST_STD_M) * (1 - confidence) ** 2
+
+
 def reference_height(prior: DepthPrior | None, z_range: tuple[float, float]) -> float:
     """Height [m] at which the views are resampled: the prior's median, or a guess of the ground within the range."""
     return prior.median_height() if prior else z_range[0] + GROUND_SHARE * (z_range[1] - z_range[0])
 
 
-__all__ = ["DepthPrior", "reference_height"]
+__all__ = ["DepthPrior", "depth_std_m", "reference_height"]

@@ -42,6 +42,7 @@ _DESCRIPTION = Table(
         "brdf": Text(("lambert", "rpv", "hapke")),
         "field": Text(),
         "network": Maybe(Text()),
+        "bands": Items(Text()),
     },
     ("grid", "items", "suns", "shadow"),
 )
@@ -69,6 +70,7 @@ class FittedModel:
         brdf: reflectance model.
         field: what was fitted.
         network: of ``field="mlp"``.
+        bands: of the images that were fitted, as the user named them; none = all.
         s_net: ``[V, H, W]`` learned sun visibility, or None.
         tau: ``[V, H, W]`` transmission of transient objects, or None.
         beta: ``[V, H, W]`` learned uncertainty of the image's radiance, in its unit, or None.
@@ -95,6 +97,7 @@ class FittedModel:
     brdf: Literal["lambert", "rpv", "hapke"] = "lambert"
     field: str = "surface"
     network: str | None = None
+    bands: list[str] = dataclasses.field(default_factory=list)
     s_net: Tensor | None = None
     tau: Tensor | None = None
     beta: Tensor | None = None

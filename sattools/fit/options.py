@@ -32,7 +32,9 @@ class FitOptions(RayOptions):
         minimum=0,
     )
     shadow_start: Literal["geometric", "lit"] = option(
-        "geometric", "Learned shadows of the surface field begin as the prior's surface casts them, or with all lit."
+        "geometric",
+        "Learned shadows begin as the start surface casts them, a network's light in shade as that of the surface; or "
+        "with all lit, and a network's light as noise.",
     )
     transient: Literal["on", "off", "auto"] = option(
         "off", "A darkening of each image's own, for moving objects; auto = where images hold such."
@@ -62,6 +64,11 @@ class FitOptions(RayOptions):
     )
     materials: int = option(8, "Most endmembers that share b, c, theta (k, asymmetry, rhoc).", minimum=1, maximum=32)
     material_smooth: float = option(0.02, "Weight of the smoothness of w (rho0) within a material.", minimum=0)
+    bands: list[str] = option(
+        [],
+        "Band of the images to fit, by its number from 1 or its name (repeatable, in order; default: all). The "
+        "prior is matched on all of them.",
+    )
     views: str = option("all", "Images to train on: all, or nearest-nadir:N of the training images.")
     resolution: float | None = option(
         None,

@@ -29,11 +29,14 @@ that `fit` makes of the prior, with its albedo (or w, b, c, theta; rho0, k, thet
 With `--start prior` it begins with the prior's surface and the mean image; without shadows and reflectance model its
 colours always do. Both are added to its answers before their activations, the answers begin at zero, and 8 free samples
 and 16 around that surface with a smaller rate replace the papers' 64 to 128; `--start noise` has the papers' numbers.
+Learned shadows begin as that surface casts them, skies and ambient light as its light in shade, transients at rest
+(`--shadow-start lit`: as the papers have them, untrained); between the images' suns, the nearest count.
 A sample stands for the part of the ray nearer to it than to its neighbours. The reflectance models are evaluated once a
-ray (`--brdf-at sample`: at every sample, as the papers have it), on the prior's normals instead of a head's, times
-cos(incidence) / cos(sun zenith), and without a Lambertian phase where they begin with a fit's parameters. Further,
-every image has a gain and an offset per band whatever the network (the papers leave them out or normalise the images
-beforehand), rays start at the scene's height range, and a surface is read where the transmittance crosses one half.
+ray (`--brdf-at sample`: at every sample, as the papers have it), on the normals of the surface it starts from, instead
+of a head's that follows a matched surface's, times cos(incidence) / cos(sun zenith), and without a Lambertian phase
+where they begin with a fit's parameters. Further, every image has a gain and an offset per band whatever the network
+(the papers leave them out or normalise the images beforehand), rays start at the scene's height range, and a surface is
+read where the transmittance crosses one half.
 One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
 """
 _NERF: dict[str, Any] = {"field": "mlp", "loss": "mse", "robust": 0.0, "pose": False}

@@ -24,7 +24,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
 from sattools.scene.jsonio import JsonObject
-from sattools.views import Source, load_sources
+from sattools.views import Source, load_sources, with_bands
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         setup = set_up(scene, options)
         sources = load_sources(scene, setup.items)
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
+        sources = with_bands(sources, setup.items, options.bands)  # the prior matches whatever the images show
         told = subprogress(progress, 0.2 if prior else 0.0, 1.0)
         if options.field == "surface":
             fitted = _fit_surface(scene, setup, sources, prior, told)
@@ -168,6 +169,7 @@ def _fit_surface(
         transient=options.transient,
         radiance=radiance,
         brdf=options.brdf,
+        bands=options.bands,
         s_net=maps.get("s_net"),
         tau=maps.get("tau"),
         extra=extra,

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from sattools.errors import SceneError
+from sattools.scene.document import Item
 from sattools.scene.jsonio import JsonObject
+
+BANDS_MEMBER = "sattools:fitted_bands"  # of an asset that shows some bands of its item only: as the user named them
 
 
 @dataclass(frozen=True)
@@ -105,4 +109,48 @@ def eo_bands(platform: str | None, names: Sequence[str], chosen: Sequence[int]) 
     return entries
 
 
-__all__ = ["PLATFORM_BANDS", "WORLDVIEW_BANDS", "WORLDVIEW_FOUR", "Band", "eo_bands", "names_of"]
+def chosen_bands(item: Item, wanted: Sequence[str], count: int) -> list[int]:
+    """Numbers from 1 of the bands of an item's radiance that are wanted, in that order; all where none is named.
+
+    Args:
+        item: its `eo:bands` tell the names, else the order of its platform's products.
+        wanted: numbers from 1, names of the vendor (``N``) or common ones of STAC (``nir08``), whatever their case.
+        count: bands of the radiance.
+
+    Raises:
+        SceneError: a band that the item does not have, or one named twice.
+    """
+    if not wanted:
+        return list(range(1, count + 1))
+    asset = item.assets.get("radiance") or item.assets.get("image")
+    said = (asset.extra.get("eo:bands") if asset else None) or []
+    if len(said) != count:
+        platform = item.properties.get("platform")
+        said = eo_bands(platform, names_of(platform, count), range(1, count + 1))
+    numbers = {str(k + 1): k + 1 for k in range(count)}
+    for kind in ("common_name", "name"):
+        numbers |= {str(band[kind]).casefold(): k + 1 for k, band in enumerate(said) if band.get(kind)}
+    chosen = []
+    for word in wanted:
+        number = numbers.get(word.strip().casefold())
+        if number is None:
+            known = ", ".join(str(band["name"]) for band in said)
+            raise SceneError(
+                f"--bands: found {word!r}, expected a number up to {count} or a name that {item.id} has ({known})"
+            )
+        chosen.append(number)
+    if len(set(chosen)) < len(chosen):
+        raise SceneError(f"--bands: found bands {chosen} of {item.id}, expected each of them once")
+    return chosen
+
+
+__all__ = [
+    "BANDS_MEMBER",
+    "PLATFORM_BANDS",
+    "WORLDVIEW_BANDS",
+    "WORLDVIEW_FOUR",
+    "Band",
+    "chosen_bands",
+    "eo_bands",
+    "names_of",
+]

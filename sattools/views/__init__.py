@@ -1,6 +1,14 @@
 """Images of a scene resampled to its ground grid."""
 
-from sattools.views.load import BALANCE_PROPERTY, RadiometricBalance, Source, check_seen, load_sources, views_on
+from sattools.views.load import (
+    BALANCE_PROPERTY,
+    RadiometricBalance,
+    Source,
+    check_seen,
+    load_sources,
+    views_on,
+    with_bands,
+)
 from sattools.views.resample import View, line_of_sight, make_view, match_colours, read_at, shown_on
 
 __all__ = [
@@ -16,4 +24,5 @@ __all__ = [
     "read_at",
     "shown_on",
     "views_on",
+    "with_bands",
 ]

@@ -6,13 +6,14 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sattools.camera.ground import ground_sample_distance, project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
+from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.pixels import image_part
@@ -48,6 +49,17 @@ class Source:
     sun: tuple[float, float] | None
     linear: bool = True
     balance: RadiometricBalance | None = None
+
+
+def with_bands(sources: Sequence[Source], items: Sequence[Item], wanted: Sequence[str]) -> list[Source]:
+    """Sources of these items with the ``wanted`` bands of their radiance alone; see `chosen_bands`."""
+    if not wanted:
+        return list(sources)
+    found = []
+    for source, item in zip(sources, items, strict=True):
+        numbers = chosen_bands(item, wanted, source.radiance.shape[0])
+        found.append(replace(source, radiance=source.radiance[[number - 1 for number in numbers]]))
+    return found
 
 
 def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
@@ -161,4 +173,4 @@ def check_seen(item_id: str, mask: np.ndarray) -> None:
         )
 
 
-__all__ = ["BALANCE_PROPERTY", "RadiometricBalance", "Source", "check_seen", "load_sources", "views_on"]
+__all__ = ["BALANCE_PROPERTY", "RadiometricBalance", "Source", "check_seen", "load_sources", "views_on", "with_bands"]

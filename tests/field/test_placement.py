@@ -87,7 +87,8 @@ def trainer_on_meta(options: FitOptions) -> RayTrainer:
     one, three = torch.full((count,), 0.5), torch.full((count, 3), 0.5)
     suns = torch.tensor([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [torch.nan] * 3])
     sights = torch.tensor([[0.0, 0.0, 1.0]]).expand(views, 3)
-    rays = RaySet(three, three, three, torch.arange(count) % views, one, one, one, three, suns, sights, 20.0).to(META)
+    path, view = torch.tensor([[0.0, 0.0, -20.0]]).expand(views, 3), torch.arange(count) % views
+    rays = RaySet(three[:, :2], three, view, one, one, three, path, suns, sights, 20.0).to(META)
     with META:
         surface = torch.zeros(8, 8), torch.zeros(8, 8, 3)
         start = SurfaceBase(BOX, *surface, 0.5) if options.field != "voxel" and options.start != "noise" else None

@@ -15,17 +15,18 @@ from sattools.export.stage import export
 from sattools.field.mlp import MlpField
 from sattools.field.networks import NETWORKS
 from sattools.field.protocol import Box
-from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
-from sattools.fit.depth_prior import DepthPrior
+from sattools.field.surface_base import KnownLight, SurfaceBase, before_sigmoid, before_softplus
+from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.stage import _duration
-from sattools.fit.rays.start import depth_std_m, restored_field
+from sattools.fit.rays.start import restored_field
 from sattools.fit.rays.trainer import BETA_MIN
 from sattools.fit.stage import fit
 from sattools.fit.trace import Trace
 from sattools.prior.files import read_prior
+from sattools.render import sun_visibility
 
 PAPERS = [name for name in PRESETS if name != "fast"]
 TINY = {"width": 16, "rays": 64, "steps": 12, "resolution": 2.0}
@@ -61,6 +62,62 @@ def test_an_untrained_network_is_the_surface_it_starts_from(name: Any) -> None:
         [min(0.8, 0.98 * NETWORKS[name].heads["albedo"].high), 0.3, 0.1], abs=1e-4
     )
     assert albedo[1].tolist()[0] == pytest.approx(0.1, abs=1e-4)
+
+
+SUNS = torch.nn.functional.normalize(torch.tensor([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8]]), dim=1)
+
+
+def lit_base() -> SurfaceBase:
+    """The slope, of which the first sun lights the west and the second nothing; shade is bluer under the second."""
+    visible = torch.zeros(2, 8, 8)
+    visible[0, :, :4] = 1.0
+    return dataclasses.replace(
+        slope_base(), light=KnownLight(SUNS, torch.tensor([[0.05, 0.08, 0.1], [0.1, 0.12, 0.16]]), visible)
+    )
+
+
+@pytest.mark.parametrize(("name", "shade"), [("satnerf", "sky"), ("eonerf-learned-shadow", "ambient")])
+def test_an_untrained_network_is_lit_as_the_surface_it_starts_from(name: Any, shade: str) -> None:
+    base = lit_base()
+    field = MlpField(NETWORKS[name], BOX, 3, width=16, base=base)
+    points = torch.tensor([[2.5, -1.5, 7.0], [5.5, -6.5, 10.0]])
+    _, features = field.density(points)
+    for sun, seen, colour in ((SUNS[0], [0.98, 0.02], [0.05, 0.08, 0.1]), (SUNS[1], [0.02, 0.02], [0.1, 0.12, 0.16])):
+        answers = field.look(features, sun.expand(2, 3), torch.zeros(2, 4))
+        assert answers["sun"][:, 0].tolist() == pytest.approx(seen, abs=1e-3)
+        assert answers[shade][0].tolist() == pytest.approx(colour, abs=1e-3)
+        if "tau" in answers:  # nothing moves until it is seen to
+            assert bool((answers["tau"] > 0.97).all())
+    # between two suns both count, an unknown one stays unknown
+    between = torch.nn.functional.normalize(SUNS.sum(dim=0), dim=0).expand(2, 3)
+    assert field.look(features, between, torch.zeros(2, 4))["sun"][0].tolist() == pytest.approx([0.5], abs=1e-3)
+    unknown = torch.full((2, 3), torch.nan)
+    assert torch.isnan(field.look(features, unknown, torch.zeros(2, 4))["sun"]).all()
+
+
+def test_light_is_kept_with_the_surface() -> None:
+    base = lit_base()
+    again = SurfaceBase.restored(base.tensors(), BOX)
+    assert again.light is not None
+    assert base.light is not None
+    for name in ("suns", "ambient", "visible"):
+        assert torch.equal(getattr(again.light, name), getattr(base.light, name)), name
+    assert SurfaceBase.restored(slope_base().tensors(), BOX).light is None
+
+
+def test_learned_shadows_of_a_network_begin_as_the_surface_casts_them(make_town: Any) -> None:
+    """And are no better than noise where they begin as the papers have it."""
+    agreement = {}
+    for begun in ("geometric", "lit"):
+        scene = make_town(begun)
+        fit(scene, resolve("satnerf", {**TINY, "steps": 3, "shadow_start": begun}))
+        model = FittedModel.load(scene.path("fit/model.safetensors"))
+        assert model.s_net is not None
+        cast = torch.stack([sun_visibility(model.height, model.grid.cell_size, sun) for sun in model.suns if sun])
+        found = model.s_net[[k for k, sun in enumerate(model.suns) if sun]]
+        agreement[begun] = float(np.corrcoef(cast.ravel(), found.ravel())[0, 1])
+    assert agreement["geometric"] > 0.8
+    assert agreement["lit"] < 0.5
 
 
 def test_all_of_a_network_learns_although_its_last_layers_begin_at_zero() -> None:

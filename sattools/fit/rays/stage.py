@@ -6,7 +6,7 @@ import functools
 import logging
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -27,6 +27,7 @@ from sattools.fit.rays.start import (
     base_surface,
     box_over,
     filled_prior,
+    known_light,
     make_field,
     ray_set,
 )
@@ -87,7 +88,7 @@ def fit_rays(
     views = views_on(sources, grid, z_ref, z_range)
     first = prior if start is None or prior is None else start.guide(prior)
     prior_here = None if first is None else filled_prior(first, grid)
-    rays = ray_set(views, grid, z_range, prior_here).to(device)
+    rays = ray_set(views, grid, z_range, prior_here, normals=options.brdf != "lambert").to(device)
     absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
     if absolute:  # the images have one scale already
@@ -102,6 +103,9 @@ def fit_rays(
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
         if coloured:
             base, gain, offset = coloured.coloured(base, grid), coloured.light.gain, coloured.light.offset
+            if options.field == "mlp" and options.shadow != "none" and options.shadow_start == "geometric":
+                learned = options.shadow == "learned"
+                base = replace(base, light=known_light(views, base, coloured.light.ambient, learned=learned))
         base = base.to(device)
     with device:  # whatever is made from here on, is made there
         there = None if prior_here is None else prior_here.to(device)
@@ -149,6 +153,7 @@ def _model_of(
         network=options.network if options.field == "mlp" else None,
         radiance=trainer.radiance,
         brdf=options.brdf,
+        bands=options.bands,
         s_net=maps.images.get("s_net") if options.shadow == "learned" else None,
         tau=maps.images.get("tau") if options.transient == "on" else None,
         beta=maps.images.get("beta") if options.beta else None,
@@ -263,10 +268,11 @@ class _RayJob:
 
     @functools.cached_property
     def _reading_s(self) -> float:
-        """Seconds that reading the field off takes, by its first rows."""
+        """Seconds that reading the field off takes, by its first rows: read twice, as the first time compiles."""
         rows = min(ROWS_TRIED, self.grid.height)
-        begun = time.perf_counter()
-        read_maps(self.trainer, self.grid.part(slice(0, rows), slice(0, self.grid.width)), self.z_range)
+        for part in (1, rows):
+            begun = time.perf_counter()
+            read_maps(self.trainer, self.grid.part(slice(0, part), slice(0, self.grid.width)), self.z_range)
         return (time.perf_counter() - begun) * self.grid.height / rows
 
     def _plan_within(self, options: FitOptions, first: float) -> None:

@@ -13,13 +13,13 @@ from sattools.field.mlp import MlpField
 from sattools.field.networks import NETWORKS
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Box, Field
-from sattools.field.surface_base import SurfaceBase
+from sattools.field.surface_base import KnownLight, SurfaceBase
 from sattools.field.voxel import VoxelField
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays.trainer import RaySet, concatenated
+from sattools.fit.rays.trainer import RaySet
 from sattools.render import ParallelRays, Quadrature, plate_slopes, render, sun_visibility
 from sattools.scene import Grid
 from sattools.scene.regrid import sample_map
@@ -27,15 +27,8 @@ from sattools.views import View, shown_on
 
 VOXEL_PLANES_M = 1.0
 PRIOR_SOFTNESS = 0.5  # [m]
-# how far off a prior's height may be, from the surest to the least sure [m]
-BEST_STD_M, WORST_STD_M = 0.5, 4.0
 AMBIENT = 0.2
 LEAST_LIGHT = 0.05  # weight of an image that shows a place in shade
-
-
-def depth_std_m(confidence: Tensor) -> Tensor:
-    """Standard deviation of a prior's heights with a confidence in [0, 1], any shape [m]."""
-    return BEST_STD_M + (WORST_STD_M - BEST_STD_M) * (1 - confidence) ** 2
 
 
 def box_over(grid: Grid, z_range: tuple[float, float]) -> Box:
@@ -74,6 +67,27 @@ def base_surface(
         weight += counts
     colour = torch.from_numpy(total / np.maximum(weight, 1e-6)).float().clamp(0, 1)
     return SurfaceBase(box_over(grid, z_range), height, colour, PRIOR_SOFTNESS)
+
+
+def known_light(views: Sequence[View], base: SurfaceBase, ambient: Tensor, *, learned: bool) -> KnownLight | None:
+    """How a base is lit under the suns of views, None where no sun is known.
+
+    Args:
+        views: of the training.
+        base: the surface, on the views' grid.
+        ambient: ``[V, C]`` light of the views in shade, as a share of the light in the sun.
+        learned: whether a network learns the sun's visibility, and begins with the shadows that the surface casts.
+    """
+    by_sun: dict[tuple[float, float, float], list[Tensor]] = {}
+    for view, share in zip(views, ambient, strict=True):
+        if view.sun is not None:
+            by_sun.setdefault(view.sun, []).append(share)
+    if not by_sun:
+        return None
+    shade = torch.stack([torch.stack(shares).mean(dim=0) for shares in by_sun.values()])
+    cell = (base.box.high[0] - base.box.low[0]) / base.height.shape[1]
+    visible = torch.stack([sun_visibility(base.height, cell, sun) for sun in by_sun]) if learned else None
+    return KnownLight(torch.tensor(list(by_sun), dtype=torch.float32), shade.float(), visible)
 
 
 @dataclass(frozen=True)
@@ -118,7 +132,9 @@ def filled_prior(prior: DepthPrior, grid: Grid) -> DepthPrior:
     return DepthPrior(height, torch.where(known, here.confidence.nan_to_num(0.0), 0.0).clamp(0, 1), grid)
 
 
-def ray_set(views: list[View], grid: Grid, z_range: tuple[float, float], prior: DepthPrior | None) -> RaySet:
+def ray_set(
+    views: list[View], grid: Grid, z_range: tuple[float, float], prior: DepthPrior | None, *, normals: bool = True
+) -> RaySet:
     """Every valid cell of every view as a ray through the height range, with the prior's depth along it.
 
     Args:
@@ -126,34 +142,35 @@ def ray_set(views: list[View], grid: Grid, z_range: tuple[float, float], prior: 
         grid: ground grid.
         z_range: lowest and highest height [m].
         prior: depth supervision, or None.
+        normals: of the prior's surface, too.
     """
     low, high = z_range
     rows, cols = grid.shape
     x = ((torch.arange(cols) + 0.5) * grid.cell_size).expand(rows, cols)
     y = (-(torch.arange(rows) + 0.5) * grid.cell_size)[:, None].expand(rows, cols)
     suns = torch.tensor([v.sun or (torch.nan,) * 3 for v in views], dtype=torch.float32)
-    view_vectors = torch.tensor([(*v.slope, 1.0) for v in views], dtype=torch.float32)
-    view_vectors = view_vectors / view_vectors.norm(dim=1, keepdim=True)
-    spread = 1 / (high - low)
-    parts = []
-    for j, view in enumerate(views):
-        slope = torch.tensor(view.slope)
-        z = torch.tensor([high, low])
-        ends = [
-            torch.stack([x + slope[0] * (h - view.z_ref), y + slope[1] * (h - view.z_ref), h.expand(rows, cols)], -1)
-            for h in z
-        ]
-        depth, confidence, normal = _prior_along(view, grid, z_range, prior)
-        seen = torch.from_numpy(view.mask) > 0
-        parts.append(
-            RaySet(
-                ends[0][seen], (ends[1] - ends[0])[seen], torch.from_numpy(view.target)[seen],
-                torch.full((int(seen.sum()),), j), depth[seen], confidence[seen],
-                spread * depth_std_m(confidence[seen]), normal[seen], suns, view_vectors,
-                high,
-            )
-        )  # fmt: skip
-    return concatenated(parts)
+    slopes = torch.tensor([(*v.slope, 1.0) for v in views], dtype=torch.float32)
+    seen = [torch.from_numpy(view.mask) > 0 for view in views]
+    count = sum(int(one.sum()) for one in seen)
+    # filled view by view: parts beside their whole would need twice the memory
+    target = torch.empty(count, views[0].target.shape[-1])
+    place, depth, confidence = torch.empty(count, 2), torch.empty(count), torch.empty(count)
+    number, normal = torch.empty(count, dtype=torch.int16), torch.empty(count, 3) if normals else None
+    first = 0
+    for j, (view, one) in enumerate(zip(views, seen, strict=True)):
+        part = slice(first, first + int(one.sum()))
+        first = part.stop
+        rise = high - view.z_ref
+        place[part] = torch.stack([x + view.slope.east * rise, y + view.slope.north * rise], dim=-1)[one]
+        target[part], number[part] = torch.from_numpy(view.target)[one], j
+        share, sure, upright = _prior_along(view, grid, z_range, prior)
+        depth[part], confidence[part] = share[one], sure[one]
+        if normal is not None:
+            normal[part] = upright[one]
+    return RaySet(
+        place, target, number, depth, confidence, normal, (low - high) * slopes, suns,
+        slopes / slopes.norm(dim=1, keepdim=True), high, bool((confidence > 0).any()),
+    )  # fmt: skip
 
 
 def _prior_along(
@@ -243,8 +260,8 @@ __all__ = [
     "Beginning",
     "base_surface",
     "box_over",
-    "depth_std_m",
     "filled_prior",
+    "known_light",
     "make_field",
     "ray_set",
     "restored_field",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
 from sattools.fit.adam import Adam
+from sattools.fit.depth_prior import depth_std_m
 from sattools.fit.illumination import Radiance
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
@@ -31,30 +32,41 @@ ADAM_EPSILON = 1e-8  # torch's own
 
 @dataclass
 class RaySet:
-    """All pixels of all views as rays.
+    """All pixels of all views as rays; millions, so that what a view's rays share is held once.
 
     Attributes:
-        start, path: ``[P, 3]`` see `RayBatch`; target ``[P, C]``; view ``[P]`` number of the view.
+        place: ``[P, 2]`` (east, north) where a ray is at the highest height [m].
+        target: ``[P, C]`` radiance; view: ``[P]`` int16, number of the view.
         depth: ``[P]`` share of the path at which the prior's surface lies; confidence ``[P]`` in [0, 1], 0 = none.
-        depth_std: ``[P]`` how far off that may be, as share of the path.
-        normal: ``[P, 3]`` of the prior's surface there.
-        suns: ``[V, 3]`` unit vectors, nan where unknown; sights: ``[V, 3]`` unit vectors to the sensor.
-        top: height of the starts [m].
+        normal: ``[P, 3]`` of the prior's surface there; None where no reflectance model asks for it.
+        path: ``[V, 3]`` from the highest height to the lowest [m].
+        suns: ``[V, 3]`` unit vectors, nan where unknown.
+        view_vectors: ``[V, 3]`` unit vectors to the sensor.
+        top: highest height [m].
         with_depth: whether any confidence is above 0.
     """
 
-    start: Tensor
-    path: Tensor
+    place: Tensor
     target: Tensor
     view: Tensor
     depth: Tensor
     confidence: Tensor
-    depth_std: Tensor
-    normal: Tensor
+    normal: Tensor | None
+    path: Tensor
     suns: Tensor
     view_vectors: Tensor
     top: float
     with_depth: bool = True
+
+    def batch(self, chosen: Tensor) -> RayBatch:
+        """Rays of these numbers ``[R]`` [m]."""
+        place = self.place[chosen]
+        start = torch.cat([place, torch.full_like(place[:, :1], self.top)], dim=1)
+        return RayBatch(start, self.path[self.view[chosen].long()])
+
+    def depth_std(self, chosen: Tensor) -> Tensor:
+        """How far off the prior's depth may be ``[R]``, as share of the path."""
+        return depth_std_m(self.confidence[chosen]) / -self.path[0, 2]
 
     def to(self, device: torch.device) -> RaySet:
         """The same on a device."""
@@ -189,7 +201,7 @@ class RayTrainer:
         if options.depth_weight > 0 and rays.with_depth:
             depths = (seen.depth, rays.depth[chosen])
             extra = extra + options.depth_weight * depth_loss(
-                seen.weights, seen.t, *depths, confidence, rays.depth_std[chosen]
+                seen.weights, seen.t, *depths, confidence, rays.depth_std(chosen)
             )
         return loss, extra + self.field.penalty()
 
@@ -203,12 +215,12 @@ class RayTrainer:
             random: where along the rays to look; None = evenly.
         """
         options, rays = self.options, self.rays
-        view = rays.view[chosen]
-        batch = RayBatch(rays.start[chosen], rays.path[chosen])
+        view = rays.view[chosen].long()
+        batch = rays.batch(chosen)
         length = batch.path.norm(dim=1)
         t = stratified(len(chosen), options.samples, random)
         if options.guided:
-            near = guided(rays.depth[chosen], rays.depth_std[chosen], options.guided, random)
+            near = guided(rays.depth[chosen], rays.depth_std(chosen), options.guided, random)
             t = torch.cat([t, near], dim=1).sort(dim=1).values
         points = batch.points(t)
         sigma, features = self.field.density(points.reshape(-1, 3))
@@ -229,7 +241,9 @@ class RayTrainer:
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
         s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
-        geometry = rays.normal[chosen], sun, rays.view_vectors[view]
+        # no albedo depends on it, whatever it is, where there is none
+        normal = torch.zeros_like(sun) if rays.normal is None else rays.normal[chosen]
+        geometry = normal, sun, rays.view_vectors[view]
         if options.brdf_at == "sample":
             normal, to_sun, sight = (v[:, None] for v in geometry)
             albedo = (weights[..., None] * self._reflected(look, normal, to_sun, sight, share)).sum(dim=1)
@@ -382,11 +396,4 @@ def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confide
     return (confidence * (2 * (depth - prior)) ** 2 * matters).mean()
 
 
-def concatenated(parts: Sequence[RaySet]) -> RaySet:
-    """Rays of several views as one set; suns and sights are taken from the first, which knows them all."""
-    names = ("start", "path", "target", "view", "depth", "confidence", "depth_std", "normal")
-    joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
-    return replace(parts[0], **joined, with_depth=bool((joined["confidence"] > 0).any()))
-
-
-__all__ = ["Prediction", "RaySet", "RayTrainer", "beta_loss", "concatenated", "depth_loss", "solar_correction"]
+__all__ = ["Prediction", "RaySet", "RayTrainer", "beta_loss", "depth_loss", "solar_correction"]

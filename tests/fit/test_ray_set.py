@@ -1,0 +1,101 @@
+"""Rays of many views, held without what they share, and the time that reading their field off takes."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from sattools.camera.view_direction import ViewDirection
+from sattools.fit.depth_prior import DepthPrior, depth_std_m
+from sattools.fit.rays import stage
+from sattools.fit.rays.start import ray_set
+from sattools.fit.trace import Trace
+from sattools.scene import Grid
+from sattools.views import View
+
+GRID = Grid("EPSG:32633", 0.0, 0.0, 1.0, 12, 10)
+Z_RANGE, Z_REF = (-5.0, 25.0), 3.0
+SLOPES = (ViewDirection(0.4, -0.2), ViewDirection(-0.1, 0.3), ViewDirection(0.0, 0.0))
+
+
+def views() -> list[View]:
+    """Three views of random pixels, a quarter of which are masked; the last has no sun."""
+    rng = np.random.default_rng(0)
+    shape = GRID.shape
+    return [
+        View(
+            str(k), rng.random((*shape, 3), np.float32), (rng.random(shape) > 0.25).astype(np.uint8), slope, Z_REF,
+            None if k == 2 else (0.0, 0.6, 0.8), 0.0,
+        )
+        for k, slope in enumerate(SLOPES)
+    ]  # fmt: skip
+
+
+def level_prior(height: float = 7.0) -> DepthPrior:
+    return DepthPrior(torch.full(GRID.shape, height), torch.full(GRID.shape, 0.5), GRID)
+
+
+def test_every_seen_pixel_is_a_ray_through_its_cell_on_the_reference_plane() -> None:
+    given = views()
+    rays = ray_set(given, GRID, Z_RANGE, level_prior())
+    everything = torch.arange(len(rays.target))
+    batch = rays.batch(everything)
+    share = (Z_RANGE[1] - Z_REF) / (Z_RANGE[1] - Z_RANGE[0])
+    at = batch.points(torch.full((len(everything), 1), share))[:, 0].numpy()
+    first = 0
+    for k, view in enumerate(given):
+        row, col = np.nonzero(view.mask)
+        part = slice(first, first + len(row))
+        first = part.stop
+        expected = np.stack([col + 0.5, -(row + 0.5), np.full(len(row), Z_REF)], axis=1)
+        assert at[part] == pytest.approx(expected, abs=1e-4)
+        assert np.array_equal(rays.target[part].numpy(), view.target[view.mask > 0])
+        assert set(rays.view[part].tolist()) == {k}
+        # along the line of sight, from the highest height to the lowest
+        fall = Z_RANGE[1] - Z_RANGE[0]
+        assert batch.path[part][0].tolist() == pytest.approx([-fall * view.slope.east, -fall * view.slope.north, -fall])
+    assert first == len(everything)
+    assert torch.isnan(rays.suns[2]).all()
+
+
+def test_the_priors_surface_lies_at_its_depth_within_its_standard_deviation() -> None:
+    rays = ray_set(views(), GRID, Z_RANGE, level_prior())
+    inside = rays.confidence > 0
+    assert rays.with_depth
+    assert inside.any()
+    chosen = torch.nonzero(inside)[:, 0]
+    height = rays.batch(chosen).points(rays.depth[chosen][:, None])[:, 0, 2]
+    assert (height - 7.0).abs().median() < 0.2
+    std = rays.depth_std(chosen) * (Z_RANGE[1] - Z_RANGE[0])
+    assert std == pytest.approx(depth_std_m(rays.confidence[chosen]).numpy(), rel=1e-4)
+
+
+def test_a_ray_takes_few_bytes_where_no_normals_are_asked_for() -> None:
+    with_normals, without = (ray_set(views(), GRID, Z_RANGE, level_prior(), normals=asked) for asked in (True, False))
+    assert with_normals.normal is not None
+    assert without.normal is None
+    held = (without.place, without.target, without.view, without.depth, without.confidence)
+    # two numbers for the place, three colours, depth, confidence, and the number of the view
+    assert sum(t.numel() * t.element_size() for t in held) == len(without.target) * (2 + 3 + 1 + 1) * 4 + 2 * len(
+        without.target
+    )
+    for one in ("place", "target", "view", "depth", "confidence", "path"):
+        assert torch.equal(getattr(with_normals, one), getattr(without, one)), one
+
+
+def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Or a field's first fit after an installation would leave its budget to a reading that takes a second."""
+    clock, read = {"now": 0.0}, []
+
+    def fake(trainer: Any, grid: Grid, z_range: Any) -> None:
+        clock["now"] += 0.1 * grid.height + (0.0 if read else 100.0)
+        read.append(grid.height)
+
+    monkeypatch.setattr(stage, "read_maps", fake)
+    monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
+    job = stage._RayJob(tmp_path / "checkpoint", "", None, GRID, Z_RANGE, Trace())
+    assert job._reading_s == pytest.approx(0.1 * GRID.height)
+    assert max(read) <= stage.ROWS_TRIED
