@@ -12,7 +12,7 @@ from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matching.kernels import correlate
 from sattools.prior.matching.match import _prepared, _rough_passes, for_slopes, match
-from sattools.prior.matching.sweep import BLOCK, ROBUST_PAIRS, _blocks, pair_weights
+from sattools.prior.matching.sweep import BLOCK, ROBUST_PAIRS, MatchTask, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import filled
 from sattools.progress import silent
@@ -193,10 +193,14 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monk
     assert min(seen) >= 0
 
 
-def test_few_pairs_count_only_what_is_surely_seen() -> None:
-    options = PriorOptions()
-    assert pair_weights(ROBUST_PAIRS - 1, options) == (1, 0.0, 0.0)
-    assert pair_weights(ROBUST_PAIRS, options) == pytest.approx((3, 0.05, 0.1))
+def test_few_pairs_count_only_what_is_surely_seen(house: Any) -> None:
+    _, frame = house
+
+    def weights(pairs: int) -> tuple[float, ...]:
+        return pair_weights(MatchTask(frame, np.zeros((pairs, 2), np.int64), RANGE, 1.0, PriorOptions()))
+
+    assert weights(ROBUST_PAIRS - 1) == (1, 0.0, 0.0)
+    assert weights(ROBUST_PAIRS) == pytest.approx((3, 0.05, 0.1))
 
 
 def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:

@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter, minimum_filter
 
 from sattools.prior.frame import Frame
 from sattools.prior.matching.subplane import refine_subplane
-from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, ROBUST_PAIRS, MatchTask, narrow, sweep_blocks
+from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled
@@ -171,7 +171,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
     rough = replace(task, frame=frame, step=2 * task.step)
     visibility = all_visible(frame)
     before = ceiling = None
-    radius = options.erode * (1.0 if len(task.pairs) >= ROBUST_PAIRS else FEW_ERODE) / frame.cell
+    radius = options.erode * (1.0 if task.robust else FEW_ERODE) / frame.cell
     for k in range(passes):
         progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
         height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling)

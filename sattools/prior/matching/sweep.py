@@ -90,6 +90,11 @@ class MatchTask:
     step: float
     options: PriorOptions
 
+    @property
+    def robust(self) -> bool:
+        """Whether so many pairs decide that what one of them says by chance does not."""
+        return len(self.pairs) >= ROBUST_PAIRS
+
 
 def sweep_blocks(
     task: MatchTask,
@@ -199,10 +204,9 @@ def sweep(
     from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 
     options = task.options
-    few = len(task.pairs) < ROBUST_PAIRS
-    reach = math.ceil((FAR_REACH_M if few else REACH_M) / task.frame.cell)
+    reach = math.ceil((REACH_M if task.robust else FAR_REACH_M) / task.frame.cell)
     active = active_planes(heights, guide, task.frame.shape, reach, max(KEEP_PLANES * task.step, NEAR_M))
-    if few:
+    if not task.robust:
         active = np.logical_or.accumulate(active, -1) & np.logical_or.accumulate(active[..., ::-1], -1)[..., ::-1]
     volume = agreement(task, visibility, heights, active=active)
     if ceiling is not None:
@@ -249,20 +253,20 @@ def agreement(
         frame.images, frame.masks, frame.parallax, heights, base, frame.z_ref, visibility.first_hit_height,
         visibility.shadow_height, visibility.dark, options.tolerance, task.pairs, options.window, options.noise,
         shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
-        *pair_weights(len(task.pairs), options), active, volume,
+        *pair_weights(task), active, volume,
     )  # fmt: skip
     return volume
 
 
-def pair_weights(pairs: int, options: PriorOptions) -> tuple[int, np.float32, np.float32]:
-    """Half the exponent of the mean over so many pairs, weight of hidden views, and of pairs in different light.
+def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
+    """Half the exponent of the mean over the pairs, weight of hidden views, and of pairs in different light.
 
     Many pairs outvote what the surface of an earlier pass got wrong; among few, the one that agrees best by chance or
     the hidden one would decide, so there the mean is a root mean square of what is surely seen.
     """
-    if pairs < ROBUST_PAIRS:
+    if not task.robust:
         return 1, np.float32(0), np.float32(0)
-    return 3, np.float32(options.weak), np.float32(options.mixed)
+    return 3, np.float32(task.options.weak), np.float32(task.options.mixed)
 
 
 def scarcity(pairs: int) -> float:
