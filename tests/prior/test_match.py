@@ -196,7 +196,7 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monk
 def test_few_pairs_count_only_what_is_surely_seen(house: Any) -> None:
     _, frame = house
 
-    def weights(pairs: int) -> tuple[float, ...]:
+    def weights(pairs: int) -> tuple[Any, ...]:
         return pair_weights(MatchTask(frame, np.zeros((pairs, 2), np.int64), RANGE, 1.0, PriorOptions()))
 
     assert weights(ROBUST_PAIRS - 1) == (1, 0.0, 0.0)
