@@ -9,6 +9,8 @@ TORCH_ARGS ?=
 # bytecode is made of what is imported when it is imported: of all the packages it would be 0.27 GB more
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --no-compile
+# files of tests are spread over the cores; a file's tests stay together, as they share what they prepare
+TEST_ARGS ?= --numprocesses logical --maxprocesses 4 --dist loadfile
 
 .DEFAULT_GOAL := help
 QGIS_PROFILE ?= $(HOME)/.local/share/QGIS/QGIS3/profiles/default
@@ -25,7 +27,7 @@ install: $(VENV)/.installed ## make .venv and install sattools into it
 dev: $(VENV)/.installed-dev ## the same with the tools for tests
 
 test: lint ## check style and types, then run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(TEST_ARGS)
 
 lint: dev ## check style, types and spelling
 	$(BIN)/ruff check
