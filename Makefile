@@ -22,9 +22,9 @@ help: ## list the targets
 demo: install ## simulate a city, reconstruct it, score it; results in ./demo
 	bash examples/quickstart.sh demo
 
-install: $(VENV)/.installed ## make .venv and install sattools into it
+install: $(VENV)/.installed $(VENV)/.tried ## make .venv and install sattools into it
 
-dev: $(VENV)/.installed-dev ## the same with the tools for tests
+dev: $(VENV)/.installed-dev $(VENV)/.tried ## the same with the tools for tests
 
 test: lint ## check style and types, then run the tests
 	$(BIN)/python -m pytest $(TEST_ARGS)
@@ -71,3 +71,8 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.torch
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.torch
 	$(INSTALL) -e ".[dev]"
 	touch $@ $(VENV)/.installed
+
+# a small scene through every step: it works, and kernels are compiled now and not by the first run
+$(VENV)/.tried: | $(VENV)/.installed
+	$(BIN)/sattools doctor --try
+	touch $@
