@@ -3,9 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Pinned, and installed before anything that depends on it: pip would otherwise be free to pick another build of torch.
-# On Linux the one on PyPI brings CUDA (gigabytes); TORCH_ARGS="--index-url ..." takes it from PyTorch's CPU index instead.
+# On Linux the one on PyPI brings CUDA (gigabytes). PyTorch's own index has 2.13.0+cpu, which pip prefers as the later
+# version; where that index cannot be reached, pip says so and takes what others have. TORCH_ARGS= asks for PyPI's alone.
 TORCH ?= torch==2.13.0
-TORCH_ARGS ?=
+TORCH_ARGS ?= --extra-index-url https://download.pytorch.org/whl/cpu
 # bytecode is made of what is imported when it is imported: of all the packages it would be 0.27 GB more
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --no-compile
@@ -64,6 +65,7 @@ $(VENV)/.torch:
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.torch
 	$(INSTALL) -e .
+	$(BIN)/sattools doctor --slim
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.torch

@@ -22,7 +22,7 @@ FLOORS = [
     {"prep", "prior", "fit", "export", "compare", "simulate"},
     {"align", "batch", "change"},
     {"report"},
-    {"doctor"},
+    {"doctor", "slim"},
     {"api", "cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
