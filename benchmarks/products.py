@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,14 @@ CELL = 10.0
 
 
 def made(out: Path, name: str, options: list[str], products: list[str]) -> Scene:
-    """A simulated scene, exported."""
+    """A simulated scene, exported; as it is where it is there."""
+    document = out / name / "scene.json"
+    if document.exists() and "dsm" in Scene.from_file(document).products:
+        return Scene.from_file(document)
     text = sattools("simulate", "--id", name, "--out", str(out), *options, "--overwrite")
     for stage, more in (("prior", []), ("fit", []), ("export", products)):
         text = sattools(stage, *more, "--overwrite", text=text)
-    return Scene.from_file(out / name / "scene.json")
+    return Scene.from_file(document)
 
 
 def moved(array: np.ndarray, grid: Grid) -> tuple[np.ndarray, Grid]:
@@ -45,11 +49,13 @@ def moved(array: np.ndarray, grid: Grid) -> tuple[np.ndarray, Grid]:
 def align(out: Path, seed: int) -> dict[str, Any]:
     scene = made(out, "ALIGN", ["--terrain", "natural", "--views", "9", "--seed", str(seed)], [])
     truth, grid = read_raster(scene.path(scene.products["truth_dsm"]))
-    west, south, east, north = grid.bounds
-    coarse = Grid.from_bounds(grid.crs, (west, south, east, north), CELL)
-    write_cog(out / "reference.tif", *moved(resize_map(truth[:1], grid, coarse)[0], coarse))
+    columns, rows = (int(count * grid.cell_size / CELL) for count in (grid.width, grid.height))
+    coarse = Grid(grid.crs, grid.left, grid.top, CELL, columns, rows)
+    write_cog(out / "reference.tif", *moved(resize_map(truth[0], grid, coarse), coarse))
     write_cog(out / "truth.tif", *moved(truth[0], grid))
-    document = str(out / "ALIGN" / "scene.json")
+    shutil.rmtree(out / "moved", ignore_errors=True)  # `align` changes the scene
+    shutil.copytree(scene.root, out / "moved")
+    document = str(out / "moved" / "scene.json")
     own = str(scene.path(scene.products["truth_dsm"]))
     before = json.loads(sattools("compare", document, "--dsm", own, "--overwrite"))
     sattools("align", document, "--to", str(out / "reference.tif"), "--overwrite")
