@@ -2,6 +2,6 @@
 FROM python:3.12-slim
 COPY pyproject.toml README.md LICENSE install.sh /opt/sattools/
 COPY sattools /opt/sattools/sattools
-RUN bash /opt/sattools/install.sh products,batch,notebook
+RUN bash /opt/sattools/install.sh products,batch,notebook && sattools doctor --slim
 WORKDIR /data
 ENTRYPOINT ["sattools"]

@@ -3,9 +3,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # Pinned, and installed before anything that depends on it: pip would otherwise be free to pick another build of torch.
-# On Linux the one on PyPI brings CUDA (gigabytes); TORCH_ARGS="--index-url ..." takes it from PyTorch's CPU index instead.
+# On Linux the one on PyPI brings CUDA (gigabytes). PyTorch's own index has 2.13.0+cpu, which pip prefers as the later
+# version; it is asked first whether it answers, as pip would try it five times for every package. TORCH_INDEX= leaves it out.
 TORCH ?= torch==2.13.0
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 TORCH_ARGS ?=
+ANSWERS := from sys import argv; from urllib.request import urlopen; urlopen(argv[1] + "/torch/", timeout=9)
 # bytecode is made of what is imported when it is imported: of all the packages it would be 0.27 GB more
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --no-compile
@@ -61,11 +64,14 @@ clean: ## remove .venv, caches and the demo
 $(VENV)/.torch:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "sattools needs Python 3.11 or newer")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(INSTALL) $(TORCH_ARGS) "$(TORCH)"
+	@index="$(TORCH_INDEX)"; if [ -n "$$index" ] && ! $(BIN)/python -c '$(ANSWERS)' "$$index" 2>/dev/null; then \
+		echo "$$index does not answer: PyTorch comes from where pip looks otherwise" >&2; index=; fi; \
+		$(INSTALL) $${index:+--extra-index-url "$$index"} $(TORCH_ARGS) "$(TORCH)"
 	touch $@
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.torch
 	$(INSTALL) -e .
+	$(BIN)/sattools doctor --slim
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.torch

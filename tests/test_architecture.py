@@ -15,6 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # where ALSO says so.
 FLOORS = [
     {"callable_module", "compiled", "errors", "progress", "settings"},
+    {"runlog"},
     {"scene"},
     {"camera", "radiometry", "reflectance"},
     {"field", "views"},
@@ -22,7 +23,7 @@ FLOORS = [
     {"prep", "prior", "fit", "export", "compare", "simulate"},
     {"align", "batch", "change"},
     {"report"},
-    {"doctor"},
+    {"doctor", "slim"},
     {"api", "cli"},
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}

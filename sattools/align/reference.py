@@ -23,7 +23,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
-from sattools.scene.vectors import is_vector, read_features
+from sattools.scene.vectors import in_crs, is_vector, read_features
 
 COLUMNS = ("z", "item", "column", "row")
 SPARE_CELLS = 4  # of the reference around what is asked for
@@ -130,18 +130,18 @@ def _on_ground(row: Mapping[str, Any], crs: str) -> Mapping[str, Any]:
 
 
 def _vector_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
-    frame = read_features(path, "control points")
-    if getattr(frame, "crs", None) is None:
+    found = read_features(path, "control points")
+    if found.crs is None:
         raise InputError(f"{path}: found no coordinate reference system, expected one")
-    wrong = [shape for shape in frame.geometry if shape is None or shape.geom_type != "Point" or shape.is_empty]
+    wrong = [shape for shape in found.geometries if shape is None or shape.geom_type != "Point" or shape.is_empty]
     if wrong:
         kind = "no place" if wrong[0] is None else wrong[0].geom_type
         raise InputError(f"{path}: found {kind}, expected points")
-    places = frame.to_crs(crs).geometry
     rows = []
-    for place, values in zip(places, frame.drop(columns=frame.geometry.name).to_dict("records"), strict=True):
-        own = {"z": place.z} if place.has_z else {}
-        rows.append({**own, **values, "x": place.x, "y": place.y})
+    places = in_crs(found.geometries, found.crs, crs)
+    for own, place, values in zip(found.geometries, places, found.rows(), strict=True):
+        height = {"z": own.z} if own.has_z else {}
+        rows.append({**height, **values, "x": place.x, "y": place.y})
     return rows
 
 

@@ -92,14 +92,15 @@ def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
     write_text(written[0], to_csv(rows))
     write_text(written[1], to_markdown(rows))
     if importlib.util.find_spec("pyarrow"):
-        import pandas
+        import pyarrow
+        from pyarrow.parquet import write_table
 
         # a column has its type even where no row has a value
-        kinds = {name: "object" if name in TEXTS else "float64" for name in COLUMNS}
-        frame = pandas.DataFrame(rows, columns=list(COLUMNS)).astype(kinds)
+        kinds = {name: pyarrow.string() if name in TEXTS else pyarrow.float64() for name in COLUMNS}
+        columns = {name: pyarrow.array([row.get(name) for row in rows], kind) for name, kind in kinds.items()}
         written.append(out / TABLES[2])
         stream = io.BytesIO()
-        frame.to_parquet(stream, engine="pyarrow", index=False)
+        write_table(pyarrow.table(columns), stream)
         write_bytes(written[-1], stream.getbuffer())
     return written
 

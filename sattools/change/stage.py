@@ -26,7 +26,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
 from sattools.scene.raster import heights_above, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
-from sattools.scene.vectors import geopackage, read_polygons
+from sattools.scene.vectors import Features, geopackage, read_polygons
 
 log = logging.getLogger(__name__)
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
@@ -248,7 +248,6 @@ def _per_polygon(path: Path, grid: Grid, heights: HeightChange) -> list[JsonObje
 
 def _geopackage(labels: np.ndarray, regions: list[Region], grid: Grid) -> bytes:
     """GeoPackage of the regions, with their figures."""
-    import geopandas
     from rasterio.features import shapes
     from shapely.geometry import MultiPolygon, shape
 
@@ -257,9 +256,9 @@ def _geopackage(labels: np.ndarray, regions: list[Region], grid: Grid) -> bytes:
         pieces.setdefault(int(value), []).append(shape(geometry))
     rows = [{**asdict(r), "kind": "risen" if r.mean_m > 0 else "sunk"} for r in regions]
     outlines = [MultiPolygon(pieces[region.label]) for region in regions]
-    columns = {name: [row[name] for row in rows] for name in (rows[0] if rows else ("label", "kind"))}
-    frame = geopandas.GeoDataFrame(columns, geometry=outlines, crs=grid.crs)
-    return geopackage(frame, "changes")
+    names = rows[0] if rows else ("label", "kind")
+    columns = {name: np.array([row[name] for row in rows], object if name == "kind" else None) for name in names}
+    return geopackage(Features(outlines, columns, grid.crs), "changes", "MultiPolygon")
 
 
 __all__ = ["Surface", "change", "read_surface"]

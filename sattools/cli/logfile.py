@@ -7,18 +7,10 @@ import shlex
 import sys
 from pathlib import Path
 
-from sattools.errors import SattoolsError, printable
+from sattools.errors import SattoolsError
+from sattools.runlog import FORMAT, PlainFormatter
 
 log = logging.getLogger("sattools.run")
-
-
-class PlainFormatter(logging.Formatter):
-    """Messages without control characters, in one line each."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """See `logging.Formatter.format`."""
-        text = printable(super().format(record))
-        return text if record.exc_info else text.replace("\n", " ")
 
 
 class LogFile(logging.FileHandler):
@@ -42,7 +34,7 @@ def open_log(path: str) -> None:
         handler = LogFile(target, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a log file") from None
-    handler.setFormatter(PlainFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(PlainFormatter(FORMAT))
     root.addHandler(handler)
     logging.getLogger("sattools").setLevel(logging.DEBUG)
     log.info("sattools %s: %s", __version__, shlex.join(sys.argv))

@@ -73,7 +73,8 @@ def run_options() -> list[click.Option]:
         click.Option(
             ["--log-file"],
             type=click.Path(dir_okay=False),
-            help="Add everything that happens to this file, with times, whatever the screen shows.",
+            help="Add everything that happens to this file, with times, whatever the screen shows; the commands that "
+            "change a scene have such a log in its folder in any case, sattools.log.",
         ),
     ]
 

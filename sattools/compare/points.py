@@ -82,20 +82,19 @@ def _number(text: str | None) -> float | None:
 
 
 def _read_vector(path: Path) -> list[Point]:
-    frame = read_features(path, "sample points in a CSV or vector file")
-    if "geometry" not in frame or frame.geometry.isna().any() or frame.geometry.is_empty.any():
+    found = read_features(path, "sample points in a CSV or vector file")
+    if any(shape is None or shape.is_empty for shape in found.geometries):
         raise InputError(f"{path}: found features without a place, expected points")
-    if not (frame.geometry.geom_type == "Point").all():
-        raise InputError(f"{path}: found {sorted(set(frame.geometry.geom_type))}, expected points")
-    names = frame["name"] if "name" in frame else [str(k + 1) for k in range(len(frame))]
-    numeric = frame.select_dtypes("number").columns
-    crs = frame.crs.to_string() if frame.crs else None
+    kinds = {shape.geom_type for shape in found.geometries}
+    if kinds - {"Point"}:
+        raise InputError(f"{path}: found {sorted(kinds)}, expected points")
+    numeric = found.numeric()
     return [
         Point(
-            str(name), float(row.geometry.x), float(row.geometry.y), crs,
+            str(row.get("name", number)), float(place.x), float(place.y), found.crs,
             {c: float(row[c]) for c in numeric if np.isfinite(row[c])},
         )
-        for name, (_, row) in zip(names, frame.iterrows(), strict=True)
+        for number, (place, row) in enumerate(zip(found.geometries, found.rows(), strict=True), 1)
     ]  # fmt: skip
 
 

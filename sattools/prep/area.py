@@ -13,7 +13,7 @@ from sattools.errors import InputError
 from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
-from sattools.scene.vectors import is_geojson, read_polygons
+from sattools.scene.vectors import is_geojson, read_layer, read_polygons
 
 _SAME_M = 1.0
 
@@ -55,19 +55,16 @@ def _bounds_of(points: np.ndarray, named: str, crs: str, path: Path) -> Bounds:
 
 def _from_afar(path: RemotePath, crs: str) -> Bounds:
     """What GDAL's GeoJSON driver, and no other, reads from another machine or an archive."""
-    import geopandas
+    import shapely
 
-    try:
-        frame = geopandas.read_file(f"GeoJSON:{path}", engine="pyogrio")
-    except Exception as error:  # GDAL's drivers raise a dozen kinds
-        text = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: cannot be read ({text}), expected GeoJSON with the area of interest") from None
-    frame = frame[frame.geometry.notna() & ~frame.geometry.is_empty] if "geometry" in frame else frame[:0]
-    if not len(frame):
-        raise InputError(f"{path}: found no polygon, expected GeoJSON with the area of interest")
-    west, south, east, north = (float(v) for v in frame.total_bounds)
+    wanted = "GeoJSON with the area of interest"
+    found = read_layer(f"GeoJSON:{path}", str(path), wanted)
+    shapes = [shape for shape in found.geometries if shape is not None and not shape.is_empty]
+    if not shapes:
+        raise InputError(f"{path}: found no polygon, expected {wanted}")
+    west, south, east, north = (float(v) for v in shapely.total_bounds(shapes))
     corners = np.array([(west, south), (east, south), (east, north), (west, north)])
-    return _bounds_of(corners, frame.crs.to_string() if frame.crs else "", crs, path)
+    return _bounds_of(corners, found.crs or "", crs, path)
 
 
 def wanted_area(aoi: Path | None, masks: Sequence[Path], crs: str) -> Callable[[Bounds], Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
-from sattools.scene.vectors import read_polygons
+from sattools.scene.vectors import in_crs, read_polygons
 
 AREA = "area.geojson"  # href of the product "area"
 
@@ -24,10 +25,11 @@ def write_area(scene: Scene, area: Any) -> None:
         scene: gets the product.
         area: shapely geometry in the CRS of the scene's grid.
     """
-    import geopandas
+    from shapely.geometry import mapping
 
-    degrees = geopandas.GeoSeries([area], crs=scene.require_grid().crs).to_crs("EPSG:4326")
-    write_text(scene.output(AREA), degrees.to_json(drop_id=True) + "\n")
+    (degrees,) = in_crs([area], scene.require_grid().crs, "EPSG:4326")
+    feature = {"type": "Feature", "properties": {}, "geometry": mapping(degrees)}
+    write_text(scene.output(AREA), json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n")
     scene.products["area"] = AREA
 
 

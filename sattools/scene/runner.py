@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from sattools import __version__
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
+from sattools.runlog import RunLog
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
 from sattools.scene.jsonio import JsonObject
@@ -59,7 +60,8 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
     """
     if not scene.root.is_dir():
         raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
-    with locked(scene.root):
+    with locked(scene.root), _log_of(step) as log:
+        log.place(scene.root)
         if scene.origin is not None:
             scene = Scene.from_file(scene.origin)
         there = _document_of(scene, step.overwrite)
@@ -67,7 +69,8 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
             scene.history = there.history
         start = _Clock.now()
         with all_or_nothing() if step.at_once else contextlib.nullcontext():
-            entry = _note(scene, step, start, work(scene, step.progress))
+            entry = _note(scene, step, start, work(scene, log.told(step.progress)))
+        log.done(entry)
         scene.origin = None  # from here on the scene knows more than that file
         return scene, entry
 
@@ -83,10 +86,21 @@ def run_first(
         inputs: see above.
     """
     start = _Clock.now()
-    with all_or_nothing(inputs, step.overwrite):
-        scene, extra = make(step.progress)
-        _note(scene, step, start, extra)
+    with _log_of(step) as log:
+        with all_or_nothing(inputs, step.overwrite):
+            scene, extra = make(log.told(step.progress))
+            entry = _note(scene, step, start, extra)
+        log.place(scene.root)
+        log.done(entry)
     return scene
+
+
+def _log_of(step: Step) -> RunLog:
+    return RunLog(step.command, _settings(step))
+
+
+def _settings(step: Step) -> JsonObject:
+    return _plain(as_dict(step.options)) if step.options is not None else {}
 
 
 def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
@@ -124,7 +138,7 @@ def _note(scene: Scene, step: Step, start: _Clock, extra: JsonObject | None) -> 
     end = _Clock.now()
     entry = {
         "command": step.command,
-        "options": _plain(as_dict(step.options)) if step.options is not None else {},
+        "options": _settings(step),
         "seconds": round(end.wall - start.wall, 3),
         "cpu_seconds": round(end.cpu - start.cpu, 3),
         # the kernel's high-water mark of the process, in KiB on Linux

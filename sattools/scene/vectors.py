@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.scene.jsonio import read_json, reason
@@ -12,6 +17,32 @@ from sattools.scene.jsonio import read_json, reason
 FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
 _MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
 _LONGEST = 200  # characters of what GDAL says, which repeats coordinates by the page
+
+
+@dataclass(frozen=True)
+class Features:
+    """What a layer holds.
+
+    Attributes:
+        geometries: shapely geometries, None = a feature without a place.
+        columns: values of all features by the column's name.
+        crs: as an authority's code or as WKT; None = the file names none.
+    """
+
+    geometries: Sequence[Any]
+    columns: Mapping[str, NDArray[Any]]
+    crs: str | None
+
+    def __len__(self) -> int:
+        return len(self.geometries)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The columns' values, feature by feature."""
+        return [{name: values[k] for name, values in self.columns.items()} for k in range(len(self))]
+
+    def numeric(self) -> list[str]:
+        """Names of the columns that hold numbers."""
+        return [name for name, values in self.columns.items() if np.issubdtype(values.dtype, np.number)]
 
 
 def is_geojson(path: Path) -> bool:
@@ -24,8 +55,8 @@ def is_vector(path: Path) -> bool:
     return is_geojson(path) or _head(path).startswith(_MAGIC)
 
 
-def read_features(path: Path, expected: str) -> Any:
-    """The features of a file's first layer, as a GeoDataFrame.
+def read_features(path: Path, expected: str) -> Features:
+    """The features of a file's first layer.
 
     Only files that begin as one of `FORMATS`: GDAL opens by content, and a VRT or WFS description under another name
     would make it read other files and hosts.
@@ -37,19 +68,36 @@ def read_features(path: Path, expected: str) -> Any:
     Raises:
         InputError: missing, of another format, or damaged.
     """
-    import geopandas
-
     if is_geojson(path):
         read_json(path, "GeoJSON")  # its depth and numbers
     elif not _head(path).startswith(_MAGIC):
         raise InputError(f"{path}: found another format, expected {expected}: {FORMATS}")
+    return read_layer(str(path), f"{path}", f"{expected}: {FORMATS}")
+
+
+def read_layer(name: str, path: str, expected: str) -> Features:
+    """The features of the first layer of what GDAL calls by a name; see `read_features` for files.
+
+    Args:
+        name: as GDAL understands it.
+        path: what people call it, for messages.
+        expected: what it should hold, for messages.
+
+    Raises:
+        InputError: GDAL cannot read it.
+    """
+    import shapely
+    from pyogrio.raw import read
+
     try:
         with warnings.catch_warnings():  # what GDAL repairs is missing afterwards, and that is told
             warnings.simplefilter("ignore", RuntimeWarning)
-            return geopandas.read_file(path, engine="pyogrio")
+            about, _, encoded, values = read(name)
+            shapes = [None] * len(values[0] if values else ()) if encoded is None else shapely.from_wkb(encoded)
     except Exception as error:  # GDAL's drivers raise a dozen kinds
         text = " ".join(str(error).split())[:_LONGEST]
-        raise InputError(f"{path}: cannot be read ({text}), expected {expected}: {FORMATS}") from None
+        raise InputError(f"{path}: cannot be read ({text}), expected {expected}") from None
+    return Features(list(shapes), dict(zip((str(field) for field in about["fields"]), values)), about["crs"])
 
 
 def read_polygons(path: Path, crs: str) -> list[Any]:
@@ -65,35 +113,60 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
     Raises:
         InputError: missing, of another format, without a CRS, or without polygons.
     """
-    frame = read_features(path, "polygons")
-    if getattr(frame, "crs", None) is None:
+    found = read_features(path, "polygons")
+    if found.crs is None:
         raise InputError(f"{path}: found no coordinate reference system, expected one")
     try:
-        frame = frame.to_crs(crs)
+        places = in_crs(found.geometries, found.crs, crs)
     except Exception as error:  # of pyproj, shapely and numpy
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
     kinds = ("Polygon", "MultiPolygon")
-    shapes = [
-        shape for shape in frame.geometry if shape is not None and shape.geom_type in kinds and not shape.is_empty
-    ]
+    shapes = [shape for shape in places if shape is not None and shape.geom_type in kinds and not shape.is_empty]
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
     return shapes
 
 
-def geopackage(frame: Any, layer: str) -> bytes:
-    """The bytes of a GeoPackage of a GeoDataFrame.
+def in_crs(geometries: Sequence[Any], source: str, crs: str) -> list[Any]:
+    """Geometries, without heights, brought from one CRS to another.
 
     Args:
-        frame: its features.
+        geometries: shapely ones; None stays None.
+        source: the CRS they are in.
+        crs: the CRS wanted.
+
+    Raises:
+        pyproj.exceptions.ProjError: one of the two is none.
+    """
+    import shapely
+    from pyproj import Transformer
+
+    transformer = Transformer.from_crs(source, crs, always_xy=True)
+    places = np.array([*geometries, None], object)[:-1]  # an array of objects, also of one kind or of none
+    return list(shapely.transform(places, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1]))))
+
+
+def geopackage(features: Features, layer: str, kind: str) -> bytes:
+    """The bytes of a GeoPackage.
+
+    Args:
+        features: what it holds.
         layer: name of the layer.
+        kind: of its geometries, such as ``MultiPolygon``.
     """
     import tempfile
 
+    import shapely
+    from pyogrio.raw import write
+
+    encoded = shapely.to_wkb(np.array([*features.geometries, None], object)[:-1])
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "layer.gpkg"
-        frame.to_file(target, layer=layer, driver="GPKG", engine="pyogrio")
+        write(
+            target, encoded, list(features.columns.values()), list(features.columns), layer=layer, driver="GPKG",
+            geometry_type=kind, crs=features.crs,
+        )  # fmt: skip
         return target.read_bytes()
 
 
@@ -105,4 +178,14 @@ def _head(path: Path) -> bytes:
         raise InputError(f"{path}: found {reason(error)}, expected a readable {FORMATS}") from None
 
 
-__all__ = ["FORMATS", "geopackage", "is_geojson", "is_vector", "read_features", "read_polygons"]
+__all__ = [
+    "FORMATS",
+    "Features",
+    "geopackage",
+    "in_crs",
+    "is_geojson",
+    "is_vector",
+    "read_features",
+    "read_layer",
+    "read_polygons",
+]

@@ -148,6 +148,18 @@ def test_psnr_of_a_known_noise_and_of_equal_images() -> None:
     assert psnr(worse + 0.01, image, valid) == pytest.approx(40.0)
 
 
+def test_ssim_is_that_of_scikit_image() -> None:
+    from skimage.metrics import structural_similarity
+
+    rng = np.random.default_rng(3)
+    image = rng.random((2, 20, 30))
+    other = image + rng.normal(0, 0.1, image.shape)
+    valid = rng.random((20, 30)) > 0.3
+    window = {"gaussian_weights": True, "use_sample_covariance": False, "full": True}
+    _, expected = structural_similarity(image, other, channel_axis=0, data_range=1.5, **window)
+    assert ssim(image, other, valid, peak=1.5) == pytest.approx(expected[:, valid].mean(), abs=1e-12)
+
+
 def test_ssim_is_one_for_equal_images_and_falls_with_noise() -> None:
     rng = np.random.default_rng(0)
     image = rng.random((3, 40, 40))

@@ -29,13 +29,18 @@ def cone(hole: bool = False, noise: float = 0.0) -> np.ndarray:
     return height.astype(np.float32)
 
 
+def lines_of(maps: Maps, interval: float) -> geopandas.GeoDataFrame:
+    lines = contour_lines(maps, interval, silent)
+    return geopandas.GeoDataFrame(dict(lines.columns), geometry=list(lines.geometries), crs=lines.crs)
+
+
 def maps_of(folder: Path, height: np.ndarray) -> Maps:
     write_cog(folder / "dsm.tif", height, GRID)
     return Maps.of({"dsm": folder / "dsm.tif"})
 
 
 def test_every_line_lies_where_the_hill_has_its_height(tmp_path: Path) -> None:
-    frame = contour_lines(maps_of(tmp_path, cone()), 1.0, silent)
+    frame = lines_of(maps_of(tmp_path, cone()), 1.0)
     assert frame.crs.to_epsg() == 32617
     # the hill's foot in the corners is 0.5 m high; the smoothed summit (19.5 m) has no line of 20 m
     assert sorted(set(frame.height)) == [float(h) for h in range(1, 20)]
@@ -50,7 +55,7 @@ def test_every_line_lies_where_the_hill_has_its_height(tmp_path: Path) -> None:
 
 
 def test_no_line_crosses_cells_without_a_height(tmp_path: Path) -> None:
-    frame = contour_lines(maps_of(tmp_path, cone(hole=True)), 0.5, silent)
+    frame = lines_of(maps_of(tmp_path, cone(hole=True)), 0.5)
     # the cells' centres are the last that have a height
     hole = box(436010.0, 3357980.0, 436025.0, 3357985.0)
     assert len(frame) > 20
@@ -60,7 +65,7 @@ def test_no_line_crosses_cells_without_a_height(tmp_path: Path) -> None:
 
 def test_lines_of_noisy_heights_are_smooth(tmp_path: Path) -> None:
     """Noise of 0.05 m is 0.1 m on the ground here; without smoothing lines would be a third longer than circles."""
-    frame = contour_lines(maps_of(tmp_path, cone(noise=0.05)), 2.0, silent)
+    frame = lines_of(maps_of(tmp_path, cone(noise=0.05)), 2.0)
     ring = frame[frame.height == 10.0].geometry
     assert len(ring) == 1
     assert ring.iloc[0].length == pytest.approx(2 * np.pi * 20.0, rel=0.03)
@@ -68,10 +73,10 @@ def test_lines_of_noisy_heights_are_smooth(tmp_path: Path) -> None:
 
 def test_blocks_leave_no_seam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     maps = maps_of(tmp_path, cone(noise=0.05))
-    whole = contour_lines(maps, 1.0, silent)
+    whole = lines_of(maps, 1.0)
     blocks = Maps.blocks
     monkeypatch.setattr(Maps, "blocks", lambda self, size=32: blocks(self, 32))
-    pieces = contour_lines(maps, 1.0, silent)
+    pieces = lines_of(maps, 1.0)
     assert len(pieces) == len(whole)
     assert sorted(pieces.height) == sorted(whole.height)
     assert pieces.geometry.length.sum() == pytest.approx(whole.geometry.length.sum(), rel=1e-3)

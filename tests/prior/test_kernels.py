@@ -4,13 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.ndimage import maximum_filter
 
 from sattools.prior import reference
-from sattools.prior.matching.boxes import TILE, TILE_COLS, active_boxes
-from sattools.prior.matching.kernels import correlate
+from sattools.prior.matching.kernels import TILE, TILE_COLS, correlate
 from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
-from sattools.prior.matching.sweep import PLANES
+from sattools.prior.matching.sweep import PLANES, active_planes
 from sattools.prior.visibility.kernels import TOGETHER, descend, first_hit_heights, look_at, shadow_heights
 
 SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
@@ -65,7 +63,7 @@ def run_correlate(
         tolerance,
         pairs,
         *order,
-        active_boxes(heights, None, (rows, cols), 0, 0.0) if active is None else active,
+        active_planes(heights, None, (rows, cols), 0, 0.0) if active is None else active,
         volume,
     )
     return by_cell(volume)
@@ -344,71 +342,30 @@ def test_shadow_heights_are_those_of_the_plain_twin(sun: Any) -> None:
         np.testing.assert_allclose(fast[~lower], slow[~lower], atol=1e-5)
 
 
-def boxes_of(heights: Any, surface: Any, reach: int, margin: float) -> Any:
-    """The twin of `active_boxes`, as cells: ``[D, H, W]`` bool."""
-    looked = np.zeros((len(heights), *surface.shape), bool)
-    for i, j in np.ndindex(-(-surface.shape[0] // TILE), -(-surface.shape[1] // TILE_COLS)):
-        tile = slice(i * TILE, (i + 1) * TILE), slice(j * TILE_COLS, (j + 1) * TILE_COLS)
-        for k, height in enumerate(heights):
-            asks = np.abs(surface - height) <= margin
-            near = maximum_filter(asks, 2 * reach + 1, mode="constant")[tile]
-            rows, cols = near.any(axis=1).nonzero()[0], near.any(axis=0).nonzero()[0]
-            if len(rows):
-                looked[k][tile][rows[0] : rows[-1] + 1, cols[0] // 8 * 8 : -(-(cols[-1] + 1) // 8) * 8] = True
-    return looked
-
-
-def cells_of(boxes: Any, shape: tuple[int, int]) -> Any:
-    """What `active_boxes` returns, as cells: ``[D, H, W]`` bool."""
-    looked = np.zeros((boxes.shape[2], *shape), bool)
-    for i, j, k in np.ndindex(*boxes.shape[:3]):
-        top, bottom, left, right = boxes[i, j, k] + np.array([TILE, TILE, TILE_COLS, TILE_COLS]) * [i, i, j, j]
-        looked[k, top:bottom, left:right] = True
-    return looked
-
-
-def test_away_from_a_known_surface_nothing_is_looked_at_and_the_rest_is_as_before() -> None:
+def test_planes_away_from_a_known_surface_are_left_out_and_the_others_are_as_before() -> None:
     rng = np.random.default_rng(5)
     rows, cols = TILE + 6, TILE_COLS + 5
     images = rng.normal(0, 0.1, (2, rows + 10, cols + 10)).astype(np.float32)
     masks, hit = np.ones(images.shape, np.uint8), np.full(images.shape, LOW, np.float32)
     case = (images, masks, np.array([(0.0, 0.0), (0.1, 0.3)]), hit, np.array([(0, 1)]), np.arange(6.0))
     surface = np.full((rows, cols), 1.0, np.float32)
-    surface[5:8, 40:50] = 4.0  # a roof
-    active = active_boxes(case[-1], surface, (rows, cols), reach=3, margin=1.0)
-    looked = cells_of(active, (rows, cols))
-    np.testing.assert_array_equal(looked, boxes_of(case[-1], surface, 3, 1.0))
-    assert looked[:2].all()
-    assert [looked[k].nonzero()[0][[0, -1]].tolist() for k in (3, 4, 5)] == [[2, 10]] * 3
-    assert looked[5].sum() == 9 * 24  # columns 32 to 55, as they come in eights
-    # on the ground's three planes, and on those of the roof where it stands, all is as it was
-    whole, part = (run_correlate(*case, active=given) for given in (None, active))
-    there = np.moveaxis(looked, 0, -1)
-    np.testing.assert_allclose(part[there], whole[there], atol=1e-6)  # sums over rows begin at another row
-    assert (part[~there] == 0).all()
-    assert (whole[~there] > 0).any()
-
-
-def test_boxes_enclose_all_cells_within_reach_of_any_surface() -> None:
-    rng = np.random.default_rng(8)
-    heights = np.arange(-3.0, 15.0)
-    for shape in ((TILE, TILE_COLS), (2 * TILE + 7, TILE_COLS + 11), (5, 9)):
-        surface = np.where(rng.random(shape) < 0.002, rng.integers(0, 12, shape), 0).astype(np.float32)
-        found = cells_of(active_boxes(heights, surface, shape, reach=4, margin=2.0), shape)
-        np.testing.assert_array_equal(found, boxes_of(heights, surface, 4, 2.0))
+    surface[:, -2:] = 4.0  # a roof in the last columns, which are in the second tile only
+    active = active_planes(case[-1], surface, (rows, cols), reach=3, margin=1.0)
+    np.testing.assert_array_equal(active[0], [[1, 1, 1, 0, 0, 0], [1, 1, 1, 1, 1, 1]])
+    whole, part = run_correlate(*case), run_correlate(*case, active=active)
+    np.testing.assert_array_equal(part[:, :TILE_COLS, :3], whole[:, :TILE_COLS, :3])
+    np.testing.assert_array_equal(part[:, TILE_COLS:], whole[:, TILE_COLS:])
+    assert (part[:, :TILE_COLS, 3:] == 0).all()
+    assert (whole[:, :TILE_COLS, 3:] > 0).any()
 
 
 def test_what_stands_beside_a_tile_may_reach_into_it() -> None:
     surface = np.zeros((TILE, 2 * TILE_COLS), np.float32)
     surface[:, TILE_COLS + 2 :] = 9.0
     heights = np.arange(-2.0, 12.0)
-    some = {
-        reach: cells_of(active_boxes(heights, surface, surface.shape, reach, 1.0), surface.shape)[..., :TILE_COLS]
-        for reach in (5, 1)
-    }
+    near = active_planes(heights, surface, surface.shape, reach=5, margin=1.0)[0, 0]
+    far = active_planes(heights, surface, surface.shape, reach=1, margin=1.0)[0, 0]
     # ground, roof, and nothing between the two
-    assert heights[some[5].any(axis=(1, 2))].tolist() == [-1.0, 0.0, 1.0, 8.0, 9.0, 10.0]
-    assert heights[some[1].any(axis=(1, 2))].tolist() == [-1.0, 0.0, 1.0]
-    whole = cells_of(active_boxes(heights, surface, surface.shape, 5, 1.0, whole=True), surface.shape)
-    assert heights[whole[..., :TILE_COLS].all(axis=(1, 2))].tolist() == list(range(-1, 11))
-    assert cells_of(active_boxes(heights, None, surface.shape, 5, 1.0), surface.shape).all()
+    assert heights[near].tolist() == [-1.0, 0.0, 1.0, 8.0, 9.0, 10.0]
+    assert heights[far].tolist() == [-1.0, 0.0, 1.0]
+    assert active_planes(heights, None, surface.shape, 5, 1.0).all()

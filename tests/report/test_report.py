@@ -165,6 +165,13 @@ def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     assert Page((scene.root / "page.html").read_text()).headings == ["Images", "Files"]  # the truth of the town
 
 
+def test_the_page_links_the_log(make_town: Any) -> None:
+    scene = make_town("TOWN")
+    (scene.root / "sattools.log").write_text("x")
+    assert run(scene.root).exit_code == 0
+    assert "sattools.log" in Page((scene.root / "report.html").read_text()).links
+
+
 def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
     (finished.root / "report.html").write_text("mine")
     refused = run(finished.root / "scene.json")

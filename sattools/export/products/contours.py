@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -14,10 +14,7 @@ from sattools.errors import InputError
 from sattools.export.products.maps import Maps
 from sattools.progress import Progress
 from sattools.scene.files import write_bytes
-from sattools.scene.vectors import geopackage
-
-if TYPE_CHECKING:
-    from geopandas import GeoDataFrame
+from sattools.scene.vectors import Features, geopackage
 
 SMOOTH = 1.0  # cells: sigma of the Gaussian that takes the cells' noise out of the lines
 _REACH = 4  # cells, of that Gaussian
@@ -27,7 +24,7 @@ _DIGITS = 4  # of coordinates [m]
 _MAJOR = 5  # every so many levels, as maps have it
 
 
-def contour_lines(maps: Maps, interval: float, progress: Progress) -> GeoDataFrame:
+def contour_lines(maps: Maps, interval: float, progress: Progress) -> Features:
     """Lines of equal height of the DSM, with columns `height` [m] and `major` (every fifth level).
 
     The heights are smoothed over a cell; no line crosses a cell without a height.
@@ -40,7 +37,6 @@ def contour_lines(maps: Maps, interval: float, progress: Progress) -> GeoDataFra
     Raises:
         InputError: an interval that would make tens of thousands of levels.
     """
-    import geopandas
     import shapely
 
     pieces: dict[int, list[Any]] = defaultdict(list)
@@ -57,8 +53,8 @@ def contour_lines(maps: Maps, interval: float, progress: Progress) -> GeoDataFra
             if not (line.is_closed and line.length < _SHORTEST * cell):
                 levels.append(level)
                 lines.append(line.simplify(0.1 * cell))
-    columns = {"height": [level * interval for level in levels], "major": [level % _MAJOR == 0 for level in levels]}
-    return geopandas.GeoDataFrame(columns, geometry=lines, crs=maps.grid.crs)
+    numbers = np.array(levels, dtype=np.int64)
+    return Features(lines, {"height": numbers * interval, "major": numbers % _MAJOR == 0}, maps.grid.crs)
 
 
 def write_contours(path: Path, maps: Maps, interval: float, progress: Progress) -> int:
@@ -70,9 +66,9 @@ def write_contours(path: Path, maps: Maps, interval: float, progress: Progress) 
         interval: between two levels [m].
         progress: told the share done.
     """
-    frame = contour_lines(maps, interval, progress)
-    write_bytes(path, geopackage(frame, "contours"))
-    return len(frame)
+    lines = contour_lines(maps, interval, progress)
+    write_bytes(path, geopackage(lines, "contours", "LineString"))
+    return len(lines)
 
 
 def _lines_of_block(maps: Maps, rows: slice, cols: slice, interval: float) -> dict[int, list[Any]]:

@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from sattools.compiled import FASTMATH, njit, spread
-from sattools.prior.matching.boxes import TILE, TILE_COLS
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
 SIXTH = np.float32(1 / 6)
+TILE, TILE_COLS = 24, 96  # cells
 
 
 @njit(cache=True, fastmath=FASTMATH)
@@ -256,38 +256,26 @@ def _correlate_tile(
     volume,
 ):  # fmt: skip
     """The part of `correlate` whose first cell is (r0, c0): ``volume`` is ``[rows, D, columns]``."""
-    views, depth, size = images.shape[0], volume.shape[1], 2 * radius + 1
-    most = volume.shape[0] * volume.shape[2]
-    most_moved = (volume.shape[0] + 2 * radius) * (volume.shape[2] + 2 * radius)
-    # boxes of any shape lie in these side by side, so that their rows follow on each other
-    all_moved = np.empty(views * most_moved, np.float32)
-    all_seen = np.empty(views * most, np.float32)
-    all_mean = np.empty(views * most, np.float32)
-    all_variance = np.empty(views * most, np.float32)
-    all_products = np.empty(size * volume.shape[2], np.float32)
-    all_total = np.empty(most, np.float32)
-    all_weight = np.empty(most, np.float32)
-    all_sums = np.empty(volume.shape[2] + 2 * radius, np.float32)
-    all_squares = np.empty(volume.shape[2] + 2 * radius, np.float32)
-    all_line = np.empty(volume.shape[2], np.float32)
+    views = images.shape[0]
+    rows, depth, cols = volume.shape
+    moved = np.empty((views, rows + 2 * radius, cols + 2 * radius), np.float32)
+    seen = np.empty((views, rows, cols), np.float32)
+    mean = np.empty((views, rows, cols), np.float32)
+    variance = np.empty((views, rows, cols), np.float32)
+    sums = np.empty(cols + 2 * radius, np.float32)
+    squares = np.empty(cols + 2 * radius, np.float32)
+    line = np.empty(cols, np.float32)
+    products = np.empty((2 * radius + 1, cols), np.float32)
+    total = np.empty((rows, cols), np.float32)
+    weight = np.empty((rows, cols), np.float32)
     for k in range(depth):
-        top, left = active[k, 0], active[k, 2]
-        rows, cols = active[k, 1] - top, active[k, 3] - left
-        volume[:, k] = 0
-        if rows <= 0 or cols <= 0:
+        if not active[k]:
+            volume[:, k] = 0
             continue
-        wide, cells = cols + 2 * radius, rows * cols
-        moved = all_moved[: views * (rows + 2 * radius) * wide].reshape(views, rows + 2 * radius, wide)
-        seen = all_seen[: views * cells].reshape(views, rows, cols)
-        mean = all_mean[: views * cells].reshape(views, rows, cols)
-        variance = all_variance[: views * cells].reshape(views, rows, cols)
-        products = all_products[: size * cols].reshape(size, cols)
-        total, weight = all_total[:cells].reshape(rows, cols), all_weight[:cells].reshape(rows, cols)
-        sums, squares, line = all_sums[:wide], all_squares[:wide], all_line[:cols]
         for v in range(views):
             _look(
                 images[v], masks[v], parallax[v], heights[k], base, z_ref, hit_heights[v], shadow_heights[v], tolerance,
-                radius, margin, weak, r0 + top, c0 + left, moved[v], seen[v],
+                radius, margin, weak, r0, c0, moved[v], seen[v],
             )  # fmt: skip
             _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
         total[:] = 0
@@ -305,9 +293,9 @@ def _correlate_tile(
                     radius, noise, shadow_noise, brightness, power, mixed, products, line, total, weight,
                 )  # fmt: skip
         for i in range(rows):
-            _mean_over_pairs(total[i], weight[i], power, volume[top + i, k, left : left + cols])
-    for i in range(volume.shape[0]):
-        _fill_unseen(volume[i], unseen, all_line)
+            _mean_over_pairs(total[i], weight[i], power, volume[i, k])
+    for i in range(rows):
+        _fill_unseen(volume[i], unseen, line)
 
 
 @spread(lambda *arguments: arguments[-2].shape[0] * arguments[-2].shape[1])
@@ -371,7 +359,8 @@ def correlate(
         weak: weight of a view from which the surface hides the point; above 0, a place that no image can contradict
             is worth what the images show there, not a constant.
         mixed: factor of the weight of pairs in different light.
-        active: ``[h, w, D, 4]``, see `active_boxes`; outside of them nothing agrees.
+        active: ``[h, w, D]`` bool, planes that are looked at in every tile of `TILE` x `TILE_COLS` cells; on the others
+            nothing agrees.
         volume: ``[H, D, W]`` float32, filled with agreements in [0, 1].
         first_tile: first tile, from `spread`.
         end_tile: the one after the last.
@@ -388,4 +377,4 @@ def correlate(
         )  # fmt: skip
 
 
-__all__ = ["correlate"]
+__all__ = ["TILE", "TILE_COLS", "correlate"]

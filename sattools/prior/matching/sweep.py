@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sattools.prior.frame import Frame
-from sattools.prior.matching.boxes import active_boxes
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, update_minima
 from sattools.prior.visibility.occlusion import Visibility, dark_noise
@@ -151,6 +150,38 @@ def sweep_blocks(
     return maps[0], maps[1], maps[2]
 
 
+def active_planes(
+    heights: np.ndarray, guide: np.ndarray | None, shape: tuple[int, int], reach: int, margin: float
+) -> np.ndarray:
+    """Planes that are looked at in every tile of the kernel: those near a surface that is known roughly.
+
+    Args:
+        heights: ``[D]`` of the planes, evenly spaced [m].
+        guide: ``[H, W]`` surface [m]; None = all planes everywhere.
+        shape: (rows, columns) of the grid.
+        reach: cells around a tile whose surface counts.
+        margin: distance from the surface up to which planes are looked at [m].
+
+    Returns:
+        ``[h, w, D]`` bool. Between a street and the roofs beside it there may be planes near neither.
+    """
+    from sattools.prior.matching.kernels import TILE, TILE_COLS
+
+    tiles = math.ceil(shape[0] / TILE), math.ceil(shape[1] / TILE_COLS)
+    active = np.ones((*tiles, len(heights)), bool)
+    if guide is None:
+        return active
+    step = heights[1] - heights[0]
+    first = np.clip(np.floor((guide - margin - heights[0]) / step), 0, len(heights) - 1).astype(np.intp)
+    end = np.clip(np.ceil((guide + margin - heights[0]) / step) + 1, 1, len(heights)).astype(np.intp)
+    for i, j in np.ndindex(tiles):
+        rows = slice(max(0, i * TILE - reach), (i + 1) * TILE + reach)
+        cols = slice(max(0, j * TILE_COLS - reach), (j + 1) * TILE_COLS + reach)
+        begun, ended = (np.bincount(at[rows, cols].ravel(), minlength=len(heights) + 1) for at in (first, end))
+        active[i, j] = np.cumsum(begun - ended)[:-1] > 0
+    return active
+
+
 def sweep(
     task: MatchTask,
     visibility: Visibility,
@@ -174,9 +205,9 @@ def sweep(
 
     options = task.options
     reach = math.ceil((REACH_M if task.robust else FAR_REACH_M) / task.frame.cell)
-    margin = max(KEEP_PLANES * task.step, NEAR_M)
-    # few pairs leave doubt about every height between those found
-    active = active_boxes(heights, guide, task.frame.shape, reach, margin, whole=not task.robust)
+    active = active_planes(heights, guide, task.frame.shape, reach, max(KEEP_PLANES * task.step, NEAR_M))
+    if not task.robust:
+        active = np.logical_or.accumulate(active, -1) & np.logical_or.accumulate(active[..., ::-1], -1)[..., ::-1]
     volume = agreement(task, visibility, heights, active=active)
     if ceiling is not None:
         volume[heights[:, None] > ceiling[:, None, :]] = 0
@@ -206,7 +237,7 @@ def agreement(
         visibility: what is occluded and shaded.
         heights: ``[D]`` float64 [m].
         base: surface to which the heights are relative, ``[H + 2 window, W + 2 window]`` [m]; empty = none.
-        active: where to look, see `active_boxes`; None = everywhere.
+        active: planes to look at, see `active_planes`; None = all.
 
     Returns:
         ``[H, D, W]`` float32, at most 1.
@@ -216,7 +247,7 @@ def agreement(
     frame, options = task.frame, task.options
     shadow_noise = dark_noise(frame, visibility.dark, options.brightness / 2, options.noise)
     if active is None:
-        active = active_boxes(heights, None, frame.shape, 0, 0.0)
+        active = active_planes(heights, None, frame.shape, 0, 0.0)
     volume = np.empty((frame.shape[0], len(heights), frame.shape[1]), np.float32)
     correlate(
         frame.images, frame.masks, frame.parallax, heights, base, frame.z_ref, visibility.first_hit_height,
