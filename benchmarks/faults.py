@@ -272,7 +272,9 @@ def contents(root: Path) -> dict[str, str]:
     for path in sorted(root.rglob("*")):
         name = str(path.relative_to(root))
         skip = (
-            name in ("quick.toml",) or "tmp-sattools" in name or path.suffix in (".jsonl", ".png", ".html", ".parquet")
+            name in ("quick.toml", "sattools.log")
+            or "tmp-sattools" in name
+            or path.suffix in (".jsonl", ".png", ".html", ".parquet")
         )
         if path.is_file() and not skip and not name.endswith(("log.txt", "digests.json", "table.csv", "table.md")):
             found[name] = hashlib.sha256(stable(path, root)).hexdigest()

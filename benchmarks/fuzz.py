@@ -317,6 +317,8 @@ def digests(root: Path) -> dict[str, str]:
     """Content of every file below a folder; a checkpoint may change, and a log may grow."""
     found = {}
     for path in root.rglob("*"):
+        if path.name == "sattools.log":  # it tells of runs that failed, too
+            continue
         if path.is_file() and "checkpoint" not in path.name and "/tiles/" not in str(path):
             found[str(path.relative_to(root))] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
