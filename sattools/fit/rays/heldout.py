@@ -30,7 +30,9 @@ def block_of(place: Tensor, view: Tensor) -> Tensor:
     """
     east, north = torch.floor(place / BLOCK_M).long().unbind(dim=1)
     mixed = (east * 73856093) ^ (north * 19349663) ^ (view.long() * 83492791)
-    return torch.remainder(mixed ^ (mixed >> 13), 2**31)
+    for _ in range(2):  # small numbers have small products
+        mixed = ((mixed ^ (mixed >> 15)) * 0x2C1B3C6D) & 0x7FFFFFFF
+    return mixed ^ (mixed >> 13)
 
 
 def verdict(trained: Tensor, start: Tensor, block: Tensor) -> tuple[bool, str]:
