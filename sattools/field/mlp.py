@@ -107,6 +107,15 @@ class MlpField:
             layer.bias.copy_((2 * torch.rand(outputs, generator=random, device="cpu") - 1) * bound)
         return layer
 
+    @torch.no_grad()
+    def begin_beta(self, beta: float) -> None:
+        """Let the head of the uncertainty, if there is one, answer this everywhere, in the images' unit."""
+        name, row = ("transient", 1) if "transient" in self.head_layers else ("beta", 0)
+        if name in self.head_layers:
+            last = self.head_layers[name][-1]
+            last.weight[row].zero_()
+            last.bias[row] = before_softplus(torch.tensor(beta))
+
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """See `Field.density` [1/m] at points [m]."""
         network = self.network
@@ -147,6 +156,10 @@ class MlpField:
             parts = [given[i] for i in head.inputs]
             if any(part is None for part in parts):
                 continue
+            if self.base is not None and "embedding" in head.inputs:
+                # what an image has of its own is no reason to move the surface: the logarithm of the uncertainty has
+                # the steepest gradient of all, and through the trunk, which the density reads too, all would sink
+                parts[0] = features.detach()
             raw = self._hidden(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
             if name in begun:
                 raw = raw + before_sigmoid(begun[name], head.low, head.high)
@@ -172,6 +185,12 @@ class MlpField:
     def penalty(self) -> float:
         """None."""
         return 0.0
+
+    def start_density(self) -> dict[str, Tensor]:
+        """See `Field.start_density`: a network that adds nothing to it."""
+        if self.base is None:
+            return {}
+        return {f"sigma.{part}": torch.zeros_like(t) for part, t in self.sigma.named_parameters()}
 
     def named_tensors(self) -> dict[str, Tensor]:
         """Weights and biases by name, unitless."""

@@ -54,14 +54,18 @@ class NeuralField:
         steps = self.heights.diff(dim=0).clamp_min(LEAST_STEP_M)
         self.optical = steps / base.softness  # depths of the parts where they are solid
         self.half = torch.log(math.log(2) / self.optical)
-        self.presence = START * torch.ones_like(self.half)
-        self.presence[0] -= self.half[0]  # solid, not just there
-        self.presence[1] *= -1
+        self.presence = self._first_presence()
         self.colour = before_sigmoid(colours, 0.0, 1.0).permute(0, 3, 1, 2).flatten(0, 1).contiguous()
         size = [(high - low) for low, high in zip(box.low, box.high, strict=True)][::-1]
         self.grids = [
             base.colour.new_zeros(self.bands, *(math.ceil(edge / cell) + 1 for edge in size)) for cell in SHADES_M
         ]
+
+    def _first_presence(self) -> Tensor:
+        presence = START * torch.ones_like(self.half)
+        presence[0] -= self.half[0]  # solid, not just there
+        presence[1] *= -1
+        return presence
 
     def density(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """See `Field.density` [1/m] at points [m]; features: the point [m] and the parts of the three heights."""
@@ -128,6 +132,10 @@ class NeuralField:
         lower, upper = torch.sigmoid(self.presence + self.half)
         changed = (1 - lower).mean() - torch.expm1(-upper * self.optical[1]).mean()
         return STAY * changed / 2 + EDGES * edges
+
+    def start_density(self) -> dict[str, Tensor]:
+        """See `Field.start_density`: every column at its own height."""
+        return {"presence": self._first_presence()}
 
     def named_tensors(self) -> dict[str, Tensor]:
         """Logits of shares and colours."""

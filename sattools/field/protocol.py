@@ -61,6 +61,10 @@ class Field(Protocol):
         """What the loss holds against the field itself, in its unitless terms."""
         ...
 
+    def start_density(self) -> dict[str, Tensor]:
+        """What its tensors, by name, are where its density is that of the surface it starts from; none without one."""
+        ...
+
     def named_tensors(self) -> dict[str, Tensor]:
         """Trainable tensors by name, in the field's own units or unbounded."""
         ...

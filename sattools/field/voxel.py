@@ -62,6 +62,10 @@ class VoxelField:
         across = self.logits.diff(dim=1).abs().mean() + self.logits.diff(dim=2).abs().mean()
         return SMOOTH * across + MONOTONE * relu(self.logits.diff(dim=0)).mean()
 
+    def start_density(self) -> dict[str, Tensor]:
+        """None: it starts far from a surface."""
+        return {}
+
     def named_tensors(self) -> dict[str, Tensor]:
         """Logits and albedo."""
         return {"logits": self.logits, "albedo": self.albedo}

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+LOW_SUN = 0.25  # sine of its elevation, 14 degrees
+
 
 @dataclass(frozen=True)
 class RayBatch:
@@ -23,6 +25,15 @@ class RayBatch:
     def points(self, t: Tensor) -> Tensor:
         """Points ``[R, S, 3]`` at shares ``[R, S]`` of the path."""
         return self.start[:, None] + t[..., None] * self.path[:, None]
+
+    @property
+    def rise(self) -> Tensor:
+        """Heights ``[R]`` that the paths cross [m].
+
+        Densities are integrated over these: over a slant length, a soft surface would be seen the higher the more
+        obliquely it is looked at, at 60 degrees by nine tenths of its softness.
+        """
+        return self.path[:, 2].abs()
 
 
 def stratified(rays: int, samples: int, random: torch.Generator | None) -> Tensor:
@@ -60,7 +71,7 @@ def guided(mean: Tensor, std: Tensor, samples: int, random: torch.Generator | No
     return (mean[:, None] + std[:, None] * normal).clamp(0, 1)
 
 
-def composite(sigma: Tensor, t: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+def composite(sigma: Tensor, t: Tensor, rise: Tensor) -> tuple[Tensor, Tensor]:
     """Weights T_i alpha_i ``[R, S]`` and transmittance before each sample ``[R, S]``.
 
     alpha_i = 1 - exp(-sigma_i delta_i), T_i = prod_{j < i} (1 - alpha_j). A sample stands for the part of the ray that
@@ -68,11 +79,11 @@ def composite(sigma: Tensor, t: Tensor, length: Tensor) -> tuple[Tensor, Tensor]
     soft surface seen by few samples moves by half their distance.)
 
     Args:
-        sigma: ``[R, S]`` density per metre.
+        sigma: ``[R, S]`` density per metre of height.
         t: ``[R, S]`` shares of the path, ascending.
-        length: ``[R]`` length of the path [m].
+        rise: ``[R]`` heights that the path crosses [m].
     """
-    optical = sigma * _ends(t).diff(dim=1) * length[:, None]
+    optical = sigma * _ends(t).diff(dim=1) * rise[:, None]
     before = torch.cat([torch.zeros_like(optical[:, :1]), optical.cumsum(dim=1)[:, :-1]], dim=1)
     transmittance = torch.exp(-before)
     return transmittance * -torch.expm1(-optical), transmittance
@@ -100,14 +111,17 @@ def _ends(t: Tensor) -> Tensor:
     return torch.cat([torch.zeros_like(t[:, :1]), middle, torch.ones_like(t[:, :1])], dim=1)
 
 
-def towards_sun(points: Tensor, sun: Tensor, top: float) -> RayBatch:
+def towards_sun(points: Tensor, sun: Tensor, top: float, skip: float = 0.0) -> RayBatch:
     """Rays from points ``[R, 3]`` along unit vectors to the sun ``[R, 3]`` up to the height ``top``.
 
     Args:
         points: ``[R, 3]`` [m].
         sun: ``[R, 3]`` unit vectors.
         top: height at which a ray ends [m].
+        skip: heights that a ray has crossed when it begins [m]; fewer where the sun is lower than `LOW_SUN`.
     """
+    if skip:
+        points = points + sun * (skip / sun[:, 2:].clamp_min(LOW_SUN))
     climb = (top - points[:, 2]).clamp_min(0.01) / sun[:, 2].clamp_min(0.05)
     return RayBatch(points, sun * climb[:, None])
 

@@ -30,7 +30,7 @@ def seen_from_above(field: Any, x: Any, y: float) -> tuple[torch.Tensor, torch.T
     path = torch.tensor([0.0, 0.0, BOX.low[2] - BOX.high[2]]).expand_as(start)
     t = stratified(len(x), 600, None)
     sigma, features = field.density(RayBatch(start, path).points(t).reshape(-1, 3))
-    weights, _ = composite(sigma.reshape(t.shape), t, path.norm(dim=1))
+    weights, _ = composite(sigma.reshape(t.shape), t, path[:, 2].abs())
     albedo = field.look(features, None, None)["albedo"].reshape(*t.shape, -1)
     height = BOX.high[2] + median_share(weights, t) * (BOX.low[2] - BOX.high[2])
     return height, (weights[..., None] * albedo).sum(dim=1)

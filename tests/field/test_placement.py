@@ -15,9 +15,10 @@ from sattools.field.voxel import VoxelField
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS
+from sattools.fit.rays.losses import beta_loss, depth_loss, solar_correction
 from sattools.fit.rays.maps import read_maps
 from sattools.fit.rays.start import make_field
-from sattools.fit.rays.trainer import RaySet, RayTrainer, beta_loss, depth_loss, solar_correction
+from sattools.fit.rays.trainer import RaySet, RayTrainer
 from sattools.render.volume import RayBatch, composite, guided, median_share, stratified, towards_sun
 from sattools.scene import Grid
 

@@ -19,7 +19,7 @@ from sattools.export.stage import export
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS, resolve
-from sattools.fit.rays.trainer import beta_loss, depth_loss, solar_correction
+from sattools.fit.rays.losses import beta_loss, depth_loss, solar_correction
 from sattools.fit.stage import fit
 from sattools.scene import Grid
 

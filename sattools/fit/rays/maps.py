@@ -127,7 +127,7 @@ def _seen(trainer: RayTrainer, batch: RayBatch, t: Tensor) -> Answers:
 
 def _weights(batch: RayBatch, t: Tensor, sigma: Tensor) -> Tensor:
     """Weights ``[R, S]`` of samples."""
-    return composite(sigma, t, batch.path.norm(dim=1))[0]
+    return composite(sigma, t, batch.rise)[0]
 
 
 def _merged(t: Tensor, answers: Answers, more: Tensor, others: Answers) -> tuple[Tensor, Answers]:

@@ -21,6 +21,7 @@ from sattools.fit.illumination import Radiance
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
+from sattools.fit.rays.judge import AT_ONCE, RAYS, begin_uncertainty, held_out_losses, judge_heights
 from sattools.fit.rays.maps import read_maps
 from sattools.fit.rays.start import (
     Beginning,
@@ -114,8 +115,10 @@ def fit_rays(
         trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
         if coloured:
             trainer.colour["ambient"].data.copy_(coloured.light.ambient)
+        begin_uncertainty(trainer)
         mark = fingerprint(scene, options, sources, prior)
         notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
+        notes += judge_heights(trainer)
         model = _model_of(trainer, base, views, grid, z_range)
     return Fitted(model.to(torch.device("cpu")), trace, notes)
 
@@ -273,7 +276,11 @@ class _RayJob:
         for part in (1, rows):
             begun = time.perf_counter()
             read_maps(self.trainer, self.grid.part(slice(0, part), slice(0, self.grid.width)), self.z_range)
-        return (time.perf_counter() - begun) * self.grid.height / rows
+        reading = (time.perf_counter() - begun) * self.grid.height / rows
+        begun = time.perf_counter()
+        if self.trainer.judged:
+            held_out_losses(self.trainer, torch.zeros(AT_ONCE, dtype=torch.long))
+        return reading + (time.perf_counter() - begun) * 2 * RAYS / AT_ONCE
 
     def _plan_within(self, options: FitOptions, first: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""

@@ -17,6 +17,8 @@ from sattools.fit.depth_prior import depth_std_m
 from sattools.fit.illumination import Radiance
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
+from sattools.fit.rays.heldout import held_out
+from sattools.fit.rays.losses import beta_loss, depth_loss, solar_correction
 from sattools.fit.surface.light import FIRST_EPOCH, WARM_UP_EPOCHS, shadow_regularisation, shadow_weight
 from sattools.reflectance import hapke, rpv
 from sattools.render.volume import RayBatch, composite, guided, stratified, towards_sun
@@ -25,7 +27,9 @@ BETA_MIN, BETA_EPOCH = 0.05, 3  # Sat-NeRF: beta = softplus + 0.05, from the thi
 DECAY = 0.9  # of the rate, per epoch
 COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
 SUN_SAMPLES = 24
-LIFT_M = 1.0  # sun rays start this much above the surface, or it would shade itself
+# sun rays begin this much higher than the surface, or its soft upper side (2 % of it) would shade it; along the ray, as
+# shadows of surfaces that are lifted are too short
+SKIP_M = 2.0
 HAPKE_B_MAX = 0.95
 ADAM_EPSILON = 1e-8  # torch's own
 
@@ -135,6 +139,8 @@ class RayTrainer:
     ) -> None:
         self.field, self.rays, self.options = field, rays, options
         self.radiance = radiance
+        self.judged = bool(field.start_density())  # whether some rays are held out
+        self.first_lit = 1 if self.judged else FIRST_EPOCH  # a surface to start from casts its shadows at once
         self.gauge = slice(1) if radiance == "relative" else slice(None)  # images whose gain and offset stay
         views = len(rays.suns)
         self.device = rays.target.device
@@ -166,13 +172,13 @@ class RayTrainer:
 
     def step(self, number: int) -> float:
         """One step; its photometric loss."""
-        options, rays = self.options, self.rays
+        options = self.options
         random = torch.Generator(self.device).manual_seed(options.seed * 1_000_003 + number)
         epoch = number // self.epoch_steps + 1
         for group in self.adam.param_groups:
             begun = number >= group["begin"] * self.steps
             group["lr"] = group["initial"] * DECAY ** (epoch - 1) if begun else 0.0
-        chosen = torch.randint(len(rays.target), (options.rays,), generator=random, device=self.device)
+        chosen = self._draw(random)
         self.adam.zero_grad(set_to_none=True)
         loss, extra = self.losses(chosen, epoch, number / self.steps, random)
         (loss + extra).backward()
@@ -185,6 +191,14 @@ class RayTrainer:
             self.colour["ambient"].clamp_(0.02, 1.0)
             self.colour["gain"].clamp_(0.05, 20.0)
         return float(loss.detach())
+
+    def _draw(self, random: torch.Generator) -> Tensor:
+        """Numbers ``[R]`` of the rays of a step: none that is held out, where a start is there to be judged against."""
+        count, rays = self.options.rays, self.rays
+        drawn = torch.randint(len(rays.target), ((1 + self.judged) * count,), generator=random, device=self.device)
+        if self.judged:
+            drawn = torch.cat([drawn[~held_out(rays.place[drawn], rays.view[drawn])], drawn])
+        return drawn[:count]
 
     def losses(
         self, chosen: Tensor, epoch: int, share: float, random: torch.Generator | None
@@ -217,14 +231,13 @@ class RayTrainer:
         options, rays = self.options, self.rays
         view = rays.view[chosen].long()
         batch = rays.batch(chosen)
-        length = batch.path.norm(dim=1)
         t = stratified(len(chosen), options.samples, random)
         if options.guided:
             near = guided(rays.depth[chosen], rays.depth_std(chosen), options.guided, random)
             t = torch.cat([t, near], dim=1).sort(dim=1).values
         points = batch.points(t)
         sigma, features = self.field.density(points.reshape(-1, 3))
-        weights, transmittance = composite(sigma.reshape(t.shape), t, length)
+        weights, transmittance = composite(sigma.reshape(t.shape), t, batch.rise)
         features = self.field.shown(features, transmittance.detach().flatten())
         sun = rays.suns[view]
         known = torch.isfinite(sun).all(dim=1)
@@ -237,7 +250,9 @@ class RayTrainer:
 
         look = self.field.look(features, per_sample(sun), per_sample(self.embedding[view]))
         look = {name: value.reshape(*t.shape, -1) for name, value in look.items()}
-        mean = {name: (weights[..., None] * value).sum(dim=1) for name, value in look.items()}
+        # fewer weights would make an uncertainty smaller
+        parts = {name: weights.detach() if name == "beta" else weights for name in look}
+        mean = {name: (parts[name][..., None] * value).sum(dim=1) for name, value in look.items()}
         depth = (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
         surface = batch.start + depth.detach()[:, None] * batch.path
         s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
@@ -280,14 +295,14 @@ class RayTrainer:
         if options.shadow == "learned" and "sun" in mean:
             s = mean["sun"]
             weight = shadow_weight(options)
-            if weight > 0 and epoch >= FIRST_EPOCH:
+            if weight > 0 and epoch >= self.first_lit:
                 with torch.no_grad():
                     cast = self._towards_sun(surface, sun, random)
                 only = epoch > FIRST_EPOCH + WARM_UP_EPOCHS
                 extra = extra + weight * shadow_regularisation(s[:, 0], cast[:, 0], only, counted=known)
             if options.solar_weight > 0:
                 extra = extra + options.solar_weight * self._solar_correction(surface, sun, random)
-        elif epoch >= FIRST_EPOCH:
+        elif epoch >= self.first_lit:
             s = self._towards_sun(surface, sun, random)
         else:
             return tau, extra
@@ -296,11 +311,10 @@ class RayTrainer:
 
     def _towards_sun(self, surface: Tensor, sun: Tensor, random: torch.Generator | None) -> Tensor:
         """Geometric visibility ``[R, 1]``: transmittance from the surface point to the highest height (EO-NeRF)."""
-        lifted = surface + surface.new_tensor([0.0, 0.0, LIFT_M])
-        batch = towards_sun(lifted, sun, self.rays.top)
+        batch = towards_sun(surface, sun, self.rays.top, SKIP_M)
         t = stratified(len(surface), SUN_SAMPLES, random)
         sigma, _ = self.field.density(batch.points(t).reshape(-1, 3))
-        weights, _ = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
+        weights, _ = composite(sigma.reshape(t.shape), t, batch.rise)
         return 1 - weights.sum(dim=1, keepdim=True)
 
     def _solar_correction(self, surface: Tensor, sun: Tensor, random: torch.Generator | None) -> Tensor:
@@ -311,7 +325,7 @@ class RayTrainer:
         sigma, features = self.field.density(batch.points(t).reshape(-1, 3))
         directions = sun[:, None].expand(-1, SUN_SAMPLES, -1).reshape(-1, 3)
         s = self.field.look(features, directions, None)["sun"].reshape(t.shape)
-        weights, transmittance = composite(sigma.reshape(t.shape), t, batch.path.norm(dim=1))
+        weights, transmittance = composite(sigma.reshape(t.shape), t, batch.rise)
         return solar_correction(weights.detach(), transmittance.detach(), s)
 
     def _reflected(
@@ -356,44 +370,4 @@ class RayTrainer:
                 self.adam.state[tensor] = {k: v if k == "step" else v.to(tensor.device) for k, v in saved.items()}
 
 
-def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
-    """mean[squared / (2 beta^2)] + mean[3 + log beta] / 2 (Sat-NeRF, eq. 7; Martin-Brualla et al. 2021).
-
-    Args:
-        squared: ``[R, C]`` squared residuals.
-        beta: ``[R, 1]`` uncertainty, at least 0.05, so that 3 + log beta is positive.
-    """
-    return (squared / (2 * beta**2)).mean() + (3 + torch.log(beta)).mean() / 2
-
-
-def solar_correction(weights: Tensor, transmittance: Tensor, s: Tensor) -> Tensor:
-    """Mean over rays of sum_i (T_i - s_i)^2 + 1 - sum_i w_i s_i, all ``[R, S]`` (S-NeRF and Sat-NeRF).
-
-    Args:
-        weights: ``[R, S]`` of the samples, sum at most 1.
-        transmittance: ``[R, S]`` along the sun's rays, in [0, 1].
-        s: ``[R, S]`` learned sun visibility, in [0, 1].
-    """
-    return ((transmittance - s) ** 2).sum(dim=1).mean() + (1 - (weights * s).sum(dim=1)).mean()
-
-
-def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confidence: Tensor, std: Tensor) -> Tensor:
-    """Confidence-weighted squared depth error where it matters (SparseSat-NeRF, section 3.3; Hapke-NeRF).
-
-    It matters where the ray disagrees with the prior by more than the prior's standard deviation, or where its own
-    spread is larger. Depths as shares of the path, of which the papers' unit is half.
-
-    Args:
-        weights: ``[R, S]`` of the samples, sum at most 1.
-        t: ``[R, S]`` shares of the path.
-        depth: ``[R]`` composited share of the path.
-        prior: ``[R]`` the prior's share of the path.
-        confidence: ``[R]`` in [0, 1].
-        std: ``[R]`` expected spread, as share of the path.
-    """
-    spread = ((weights * (t - depth[:, None]) ** 2).sum(dim=1)).clamp_min(0).sqrt()
-    matters = ((depth - prior).abs() > std) | (spread > std)
-    return (confidence * (2 * (depth - prior)) ** 2 * matters).mean()
-
-
-__all__ = ["Prediction", "RaySet", "RayTrainer", "beta_loss", "depth_loss", "solar_correction"]
+__all__ = ["Prediction", "RaySet", "RayTrainer"]
