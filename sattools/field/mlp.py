@@ -17,6 +17,7 @@ from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_soft
 AMBIENT_HEADS = ("sky", "ambient")  # light in shade, by the sun
 TAU_START = 4.0  # logit of what is let through where nothing is known to move: 0.98
 SHAPES = ("b", "c", "k", "theta", "rhoc")  # heads for shape parameters of reflectance models
+WIDE = 0.99  # end of the range of an amplitude that starts above the paper's
 W0 = 30.0  # frequency of the first sine layer (Sitzmann et al. 2020, section 3.2)
 
 
@@ -53,6 +54,10 @@ class MlpField:
     ) -> None:
         self.base, self.bands = base, bands
         self.network = replace(network, width=width or network.width)
+        if base is not None and base.shape is not None and float(base.colour.max()) > network.heads["albedo"].high:
+            # images of unknown scale have amplitudes above the paper's 0.8
+            albedo = replace(network.heads["albedo"], high=WIDE)
+            self.network = replace(self.network, heads={**network.heads, "albedo": albedo})
         self.box = box
         self.heads = frozenset(network.heads) - {"transient"}
         if "transient" in network.heads:

@@ -31,6 +31,12 @@ colours always do. Both are added to its answers before their activations, the a
 and 16 around that surface with a smaller rate replace the papers' 64 to 128; `--start noise` has the papers' numbers.
 Learned shadows begin as that surface casts them, skies and ambient light as its light in shade, transients at rest
 (`--shadow-start lit`: as the papers have them, untrained); between the images' suns, the nearest count.
+There, shadows count from the first step; the papers without any (`spsnerf`, `rpv-nerf`, `hapke-nerf`) have those that
+the heights cast (`--shadow none`: none), a surface's colours being those in the sun; w may reach 0.99 where the surface
+has more than the papers' 0.8, as images of unknown scale make it; transients and uncertainties learn from the trunk
+without changing it; one block of an image in ten is held out, and the field keeps its own heights only if they explain
+these rays better, by a hundredth and two standard errors.
+Densities are per metre of height, whatever the angle of a ray. Rays to the sun begin 2 m above the surface point.
 A sample stands for the part of the ray nearer to it than to its neighbours. The reflectance models are evaluated once a
 ray (`--brdf-at sample`: at every sample, as the papers have it), on the normals of the surface it starts from, instead
 of a head's that follows a matched surface's, times cos(incidence) / cos(sun zenith), and without a Lambertian phase
@@ -86,6 +92,8 @@ def with_preset(preset: str, start: str = "surface", field: str = "") -> JsonObj
     if start != "noise" and values.get("field") == "mlp":
         # a paper without dense depths keeps its losses: the prior is where its network starts, and no more
         values = {**values, **WARM, "depth_weight": values.get("depth_weight", 0.0)}
+    if start == "surface" and values.get("field") == "mlp" and values["shadow"] == "none":
+        values = {**values, "shadow": "geometric"}  # the surface's colours are those that it has in the sun
     if start == "surface" and "brdf" in values:
         values = {
             **values,

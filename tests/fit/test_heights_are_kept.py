@@ -168,7 +168,7 @@ def test_the_verdict_asks_for_more_than_chance() -> None:
 @pytest.mark.parametrize(("start", "kept"), [(HEIGHT, True), (HEIGHT - 1.0, False)])
 def test_a_field_keeps_its_heights_if_they_explain_held_out_rays(start: float, kept: bool) -> None:
     """A field 1 m above the plane that it started from is put back, unless the images are of that height."""
-    trainer = plane("spsnerf", start)
+    trainer = plane("spsnerf", start, shadow="none")
     with torch.no_grad():
         trainer.tensors["field.sigma.bias"].add_(5.0)
     assert heights_seen(trainer)[0] == pytest.approx(start + 1.0, abs=0.3)

@@ -96,6 +96,6 @@ def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest
 
     monkeypatch.setattr(stage, "read_maps", fake)
     monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
-    job = stage._RayJob(tmp_path / "checkpoint", "", None, GRID, Z_RANGE, Trace())
+    job = stage._RayJob(tmp_path / "checkpoint", "", SimpleNamespace(judged=False), GRID, Z_RANGE, Trace())
     assert job._reading_s == pytest.approx(0.1 * GRID.height)
     assert max(read) <= stage.ROWS_TRIED

@@ -72,6 +72,8 @@ def test_from_a_surface_few_samples_and_steps_do(preset: Any) -> None:
     assert options.start == "surface"
     assert (options.samples, options.guided, options.rays, options.steps) == (8, 16, 256, 2000)
     assert options.prior_weight > 0  # there must be a prior
+    assert options.shadow == ("learned" if preset in ("satnerf", "eonerf-learned-shadow") else "geometric")
+    assert resolve(preset, {"shadow": "none"}).shadow == "none"
     # losses stay the paper's: dense depths only where it has them
     assert (options.depth_weight > 0) == (preset in ("spsnerf", "rpv-nerf", "hapke-nerf"))
 
