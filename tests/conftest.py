@@ -1,8 +1,9 @@
 """Fixtures shared by all tests."""
 
+import logging
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -52,3 +53,12 @@ def make_town(town_source: Scene, tmp_path: Path) -> Callable[[str], Scene]:
         return scene
 
     return make
+
+
+@pytest.fixture(autouse=True)
+def _own_loudness() -> Iterator[None]:
+    """How much a test's command is asked to tell (`--quiet`) is not asked of the tests after it."""
+    own = logging.getLogger("sattools")
+    before = own.level
+    yield
+    own.setLevel(before)
