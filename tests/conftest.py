@@ -3,7 +3,7 @@
 import logging
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -56,9 +56,9 @@ def make_town(town_source: Scene, tmp_path: Path) -> Callable[[str], Scene]:
 
 
 @pytest.fixture(autouse=True)
-def _own_loudness() -> Iterator[None]:
-    """How much a test's command is asked to tell (`--quiet`) is not asked of the tests after it."""
-    own = logging.getLogger("sattools")
-    before = own.level
-    yield
-    own.setLevel(before)
+def _own_loudness() -> None:
+    """How much a command is asked to tell (`--quiet`) by another test, or by a fixture of many, is not asked of a test.
+
+    Undone before a test, not after: fixtures of a module run between the tests.
+    """
+    logging.getLogger("sattools").setLevel(logging.NOTSET)
