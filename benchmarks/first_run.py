@@ -1,7 +1,8 @@
 """CPU seconds of a first run beside later ones: `python benchmarks/first_run.py [--tried] [--runs 3]`.
 
 Simulate, prior, fit, export and compare on a city of 64 m with six images, each command a process of its own, on one
-thread. The first run finds no compiled kernels; with `--tried`, those that `sattools doctor --try` left at installation.
+thread. The first run finds no compiled kernels; with `--tried`, those that `sattools doctor --try` leaves when the
+suite is installed.
 """
 
 from __future__ import annotations
