@@ -11,6 +11,7 @@ import numpy as np
 
 from sattools.align.determined import open_direction
 from sattools.align.icp import Planes
+from sattools.align.means import LEAST_KNOWN, CellMeans, shift_by_means
 from sattools.align.shift import Shift
 from sattools.camera.ground import project
 from sattools.camera.rpc import RPC
@@ -26,12 +27,16 @@ STEPS_ICP = 60  # pairs of closest points change from step to step, so that it t
 MOST_PAIRS = 50_000  # of points and planes in a step
 MOST_POINTS = 1_000_000  # of closest points; larger areas are looked at with larger cells
 CONVERGED_CELLS = 0.005
+LARGE = 2.0  # times the surface's cells: from there on means over the reference's cells say more than planes
 LEAST_CELLS = 30
 STEPS_POINTS = 50  # weights change with every step
 LEAST_SPREAD_PX = 0.1  # of control points: nobody points more exactly
 WRONG, LEAST_WRONG_PX = 5.0, 1.0  # times the median, and at least: control points beyond are mistakes
 STEP_M = 0.5  # half the step of numerical derivatives
 WORST_CONDITION = 1e6  # of the normal equations: beyond, one direction is not determined
+
+
+Method = Literal["auto", "means", "icp", "nuth-kaab", "z"]
 
 
 @dataclass(frozen=True)
@@ -59,26 +64,32 @@ def shift_to_dem(
     grid: Grid,
     reference: np.ndarray,
     reference_grid: Grid,
-    method: Literal["icp", "nuth-kaab", "z"] = "icp",
+    method: Method = "auto",
+    *,
     tilt: bool = False,
+    error: np.ndarray | None = None,
 ) -> Shift:
     """The shift that brings a surface onto a reference, whose cells may be larger or smaller.
 
     Both are averaged to the larger cells. The surface's grid is moved and averaged anew until nothing is left to move,
-    so that no interpolation of the large cells enters. Whole cells by correlation, then pairs of points and planes or
-    Nuth and Kaab (2011); the height by the median, which what has been built or felled in between does not move.
+    so that no interpolation of the large cells enters. Whole cells by correlation, then means over the reference's
+    cells, pairs of points and planes, or Nuth and Kaab (2011); the height by the median, which what has been built or
+    felled in between does not move.
 
     Args:
         height: ``[H, W]`` [m]; NaN = unknown.
         grid: of the surface.
         reference: ``[h, w]`` [m]; NaN = unknown.
         reference_grid: of the reference.
-        method: all three directions, or height only.
-        tilt: with ``icp``, a tilt as well.
+        method: all three directions (``auto``: means where the reference's cells are much larger, else planes), or
+            height only.
+        tilt: with ``means`` and ``icp``, a tilt as well.
+        error: ``[H, W]`` how far the surface's cells may be off [m], by which ``means`` weighs them; None = all alike.
 
     Raises:
         InputError: too few cells in common, slopes that leave a direction open, or steps that led away.
     """
+    method = chosen(method, grid, reference_grid)
     coarse = reference_grid.cell_size > grid.cell_size
     target = _around(reference_grid, grid) if coarse else grid
     if method == "icp":
@@ -89,7 +100,7 @@ def shift_to_dem(
         raise InputError(f"reference: found {int(np.isfinite(onto).sum())} cells there, expected {LEAST_CELLS} or more")
     west, south, east, north = grid.bounds
     shift = Shift(0.0, 0.0, 0.0, 0.0, 0.0, 0, x=(west + east) / 2, y=(south + north) / 2)
-    first = onto - reproject_map(height, grid, target)
+    first = onto - _on(target, height, grid)
     if method != "z":
         margin = search_margin(target.shape)
         wide = reproject_map(height, grid, target.widened(margin))
@@ -101,18 +112,52 @@ def shift_to_dem(
                 f"reference: found no slopes like the surface's along {along}, expected some: they leave open how far "
                 "it is to be moved there; --method z moves in height only"
             )
-        if method == "icp":
+        if method == "means":
+            shift = shift_by_means(height, grid, onto, target, shift, error=error, tilt=tilt)
+        elif method == "icp":
             shift = _by_planes(height, grid, onto, target, shift, tilt)
         else:
             shift = _by_slopes(height, grid, onto, target, shift)
     moved = (height + (shift.rise(grid) - shift.up)).astype(np.float32)
-    left = onto - reproject_map(moved, grid.moved(shift.east, shift.north), target)
+    left = onto - _on(target, moved, grid.moved(shift.east, shift.north))
     left = left[np.isfinite(left)]
     if len(left) < LEAST_CELLS:
         raise InputError(f"reference: found {len(left)} cells in common, expected {LEAST_CELLS} or more")
     return replace(
         shift, up=float(np.median(left)), before=nmad(first[np.isfinite(first)]), after=nmad(left), count=len(left)
     )
+
+
+def chosen(method: Method, grid: Grid, reference_grid: Grid) -> Method:
+    """The method that ``auto`` stands for with these cells; any other as it is.
+
+    Args:
+        method: what was asked for.
+        grid: of the surface.
+        reference_grid: of the reference.
+
+    Raises:
+        InputError: means are asked for over cells that are no larger than the surface's.
+    """
+    large = reference_grid.crs == grid.crs and reference_grid.cell_size >= LARGE * grid.cell_size
+    if method == "auto":
+        return "means" if large else "icp"
+    if method == "means" and reference_grid.crs != grid.crs:
+        raise InputError(f"reference: found {reference_grid.crs[:80]}, expected {grid.crs[:80]} for --method means")
+    if method == "means" and not large:
+        raise InputError(
+            f"reference: found cells of {reference_grid.cell_size:g} m, expected {LARGE * grid.cell_size:g} m or more "
+            "for --method means; icp is for smaller ones"
+        )
+    return method
+
+
+def _on(target: Grid, height: np.ndarray, grid: Grid) -> np.ndarray:
+    """A surface ``[H, W]`` on another grid: means over its cells where they are much larger."""
+    if target.crs != grid.crs or target.cell_size < LARGE * grid.cell_size:
+        return reproject_map(height, grid, target)
+    mean, share = CellMeans([height], grid).over(target, 0.0, 0.0)[0]
+    return np.where(share >= LEAST_KNOWN, mean, np.nan)
 
 
 def _by_slopes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift) -> Shift:
@@ -256,4 +301,4 @@ def _around(large: Grid, grid: Grid) -> Grid:
     return large.part(*large.window(grid))
 
 
-__all__ = ["ControlPoint", "point_residuals", "shift_to_dem", "shift_to_points", "wrong_points"]
+__all__ = ["ControlPoint", "Method", "chosen", "point_residuals", "shift_to_dem", "shift_to_points", "wrong_points"]

@@ -19,12 +19,13 @@ class AlignOptions:
         "first pixel), or points of a GeoPackage or GeoJSON with these columns (z may be the geometry's).",
         path="file",
     )
-    method: Literal["icp", "nuth-kaab", "z"] = option(
-        "icp",
-        "For rasters: in all three directions by iterated closest points and planes, or by slopes (Nuth and Kaab), "
-        "which is for open ground; or in height only.",
+    method: Literal["auto", "means", "icp", "nuth-kaab", "z"] = option(
+        "auto",
+        "For rasters: in all three directions by means over the reference's cells, where these are at least twice as "
+        "large as the DSM's, by iterated closest points and planes, or by slopes (Nuth and Kaab), which is for open "
+        "ground; or in height only. auto: means where it can be, else icp.",
     )
-    tilt: bool = option(False, "With icp: the plane that heights are off by, too.")
+    tilt: bool = option(False, "With means and icp: the plane that heights are off by, too.")
     max_shift: float = option(100.0, "A shift larger than that is refused [m].", minimum=0.0, maximum=1e4)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.align.estimate import point_residuals, shift_to_dem, shift_to_points, wrong_points
+from sattools.align.estimate import chosen, point_residuals, shift_to_dem, shift_to_points, wrong_points
 from sattools.align.options import AlignOptions
 from sattools.align.reference import heights_around, holds_points, read_control_points
 from sattools.align.shift import Shift
@@ -77,8 +77,8 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     """
     if options.to is None:
         raise InputError("align: found no --to, expected a raster of heights or ground control points")
-    if options.tilt and options.method != "icp":
-        raise InputError(f"align: found --tilt with --method {options.method}, expected --method icp")
+    if options.tilt and options.method in ("nuth-kaab", "z"):
+        raise InputError(f"align: found --tilt with --method {options.method}, expected --method means or icp")
     if "dsm" not in scene.products:
         raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
     check_current(scene, "export")
@@ -171,10 +171,19 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
     if text is not None:
         log.warning("%s: %s", scene.id, text)
     try:
-        shift = shift_to_dem(height, own, onto, onto_grid, options.method, options.tilt)
+        method = chosen(options.method, own, onto_grid)
+        shift = shift_to_dem(height, own, onto, onto_grid, method, tilt=options.tilt, error=_errors(scene, own))
     except (InputError, SceneError) as error:
         raise InputError(f"{reference}: {error}") from None
-    return shift, {} if text is None else {"notes": [text]}
+    return shift, {"method": method, **({} if text is None else {"notes": [text]})}
+
+
+def _errors(scene: Scene, grid: Grid) -> np.ndarray | None:
+    """What 95 % of the DSM's errors are below ``[H, W]`` [m]; None where the scene does not say it on its cells."""
+    if "dsm_error95" not in scene.products:
+        return None
+    errors, own = read_raster(scene.path(scene.products["dsm_error95"]))
+    return errors[0].astype(np.float32) if own == grid else None
 
 
 def _moves(scene: Scene, folder: str) -> dict[tuple[str | None, str], Move]:
