@@ -27,7 +27,7 @@ def cpu_of(arguments: list[str], document: bytes, env: dict[str, str]) -> tuple[
 
 def one_run(folder: Path, env: dict[str, str]) -> dict[str, float]:
     """CPU seconds of every command on a new scene."""
-    truth = folder / "truth/CITY_DSM.tif"
+    truth = folder / "CITY/truth/CITY_DSM.tif"
     made = ["simulate", "--id", "CITY", "--out", str(folder), "--size", "64", "--views", "6"]
     steps = [made, ["prior"], ["fit"], ["export"], ["compare", "--dsm", str(truth)]]
     seconds, document = {}, b""
