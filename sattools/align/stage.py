@@ -170,11 +170,12 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
     text = datums_differ({"the DSM": heights_above(dsm), "the reference": heights_above(reference)})
     if text is not None:
         log.warning("%s: %s", scene.id, text)
+    error = _errors(scene, own)
     try:
         method = chosen(options.method, own, onto_grid)
-        shift = shift_to_dem(height, own, onto, onto_grid, method, tilt=options.tilt, error=_errors(scene, own))
-    except (InputError, SceneError) as error:
-        raise InputError(f"{reference}: {error}") from None
+        shift = shift_to_dem(height, own, onto, onto_grid, method, tilt=options.tilt, error=error)
+    except (InputError, SceneError) as wrong:
+        raise InputError(f"{reference}: {wrong}") from None
     return shift, {"method": method, **({} if text is None else {"notes": [text]})}
 
 
