@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sattools.errors import InputError, SceneError
+from sattools.scene.files import make_folder
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject, parse_json, read_text
 from sattools.scene.location import check_allowed, is_remote, location
@@ -289,7 +290,7 @@ class Scene:
             raise SceneError(f"{relative}: found an absolute output path, expected one below {self.root}")
         path = self._below_root(relative)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
         except OSError as error:
             raise SceneError(f"{path.parent}: cannot be made ({error.strerror}), expected a writable root") from error
         return path

@@ -32,6 +32,7 @@ _PIECE = 1 << 20
 _WHOLE = 256 << 20  # bytes up to which a digest is that of the whole file
 _SAMPLES = 128
 _temporary: set[Path] = set()  # of this process, for the case that an interrupt keeps a cleaning from its work
+_folders: list[tuple[int, Path]] = []  # made by the process of this number, parents first
 _held_back: contextvars.ContextVar[list[tuple[Path, Path]] | None] = contextvars.ContextVar("held_back", default=None)
 
 
@@ -95,10 +96,21 @@ def scratch(path: Path) -> Iterator[Path]:
 def _beside(path: Path) -> Path:
     """A name in a target's folder that no other process takes, and by which what a killed one left is known."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror}), expected a writable folder") from error
     return path.with_name(f".{path.name}.{_host()}-{os.getpid()}-{os.urandom(3).hex()}{_MARK}")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, for files to come; if none comes, it goes when the process ends.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    _folders.extend((os.getpid(), one) for one in reversed(missing))
 
 
 def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
@@ -293,6 +305,10 @@ def _discard_all() -> None:
         if f"-{os.getpid()}-" in temporary.name:  # not what a forked child knows of its parent's
             with suppress(OSError):
                 _discard(temporary)
+    for maker, folder in reversed(_folders):  # only now: a thread may be about to write into a folder that is empty
+        if maker == os.getpid():
+            with suppress(OSError):
+                folder.rmdir()  # refused unless nothing has come into it
 
 
 def _remove_orphans(path: Path) -> bool:
@@ -352,6 +368,7 @@ __all__ = [
     "check_outputs",
     "digest",
     "locked",
+    "make_folder",
     "remove_orphans",
     "scratch",
     "write_bytes",

@@ -85,8 +85,9 @@ def _why_not(path: Path, error: Exception, what: str) -> str:
 def _gdal(error: Exception, path: Path) -> str:
     """GDAL's reason in words of ours where they are known."""
     text = " ".join(str(error).split()).replace(f"{path}: ", "").replace(f"'{path}' ", "").replace(str(path), "it")
-    if "not recognized as" in text:
-        return "not of a format that is read: GeoTIFF, NITF, JPEG 2000, JPEG, PNG"
+    if "not recognized as" in text:  # which GDAL also says of what is missing in an archive
+        why = "not of a format that is read: GeoTIFF, NITF, JPEG 2000, JPEG, PNG"
+        return f"not there, or {why}" if isinstance(path, RemotePath) else why
     return text[:200]
 
 

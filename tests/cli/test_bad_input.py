@@ -101,6 +101,17 @@ def test_an_image_file_that_is_not_there(images: Any, out: Any) -> None:
     assert files(out) == []
 
 
+def test_an_archive_that_is_not_there_leaves_not_even_folders(out: Any) -> None:
+    names = [f"/vsizip/{out}.zip/{name}.tif" for name in ("a", "b")]
+    # in a process of its own: what it made it takes back when it ends
+    command = [sys.executable, "-m", "sattools", "prep", *names, "--id", "x", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "a.tif: cannot be opened (not there, or not of a format that is read" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not out.exists()
+
+
 def test_a_folder_instead_of_an_image(images: Any, out: Any) -> None:
     # it stands for its images, which are then given twice
     assert_refused(prep(*images, images[0].parent, "--out", out), "prep", "TOWN_001.tif", "expected unique file names")
