@@ -246,12 +246,15 @@ def test_durations_are_said_in_units_that_people_use(seconds: Any, text: Any) ->
     assert _duration(seconds) == text
 
 
-def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(make_town: Any, monkeypatch: Any) -> None:
+@pytest.mark.parametrize("preset", PAPERS)
+def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(
+    make_town: Any, monkeypatch: Any, preset: str
+) -> None:
     from sattools.fit.rays import stage as rays_stage
 
     monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
     monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
-    options = resolve("hapke-nerf", {**TINY, "steps": 40})
+    options = resolve(preset, {**TINY, "steps": 40})
     whole, broken = make_town("WHOLE"), make_town("BROKEN")
     fit(whole, options)
 
