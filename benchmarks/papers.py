@@ -28,7 +28,8 @@ from typing import Any
 from steps import averaged, reference
 
 PRESETS = ("satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf")
-FIELDS = ["surface", "neural", *PRESETS]
+SURFACES = {"surface": "lambert", "surface, rpv": "rpv", "surface, hapke": "hapke"}
+FIELDS = [*SURFACES, "neural", *PRESETS]
 ERRORS = ("MAE", "centred", "capped", "near, signed", "near", "away")
 COLUMNS = ["field", *ERRORS, "PSNR", "steps", "seconds", "CPU s", "M samples/CPU s", "peak GB"]
 AVERAGE_M = 1.0
@@ -41,7 +42,9 @@ def main() -> None:
     parser.add_argument("--size", type=float, default=64.0)
     parser.add_argument("--width", type=int, help="of the networks (default: the papers')")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--fields", nargs="*", default=FIELDS, help="surface, neural, voxel or a preset")
+    parser.add_argument(
+        "--fields", nargs="*", default=FIELDS, help="surface (also with rpv or hapke), neural, voxel, a preset"
+    )
     parser.add_argument("--scene", metavar="SCENE=REFERENCE[@REGION]", help="instead of a simulated city")
     parser.add_argument("--out", type=Path, help="all figures as JSON")
     options = parser.parse_args()
@@ -123,7 +126,7 @@ def run(given: tuple[str, str, str, Path, float, int | None, int]) -> dict[str, 
 
     scene = absolute_copy(Scene.from_file(path), folder)
     options = chosen(name, seconds, width)
-    if name == "surface":
+    if name in SURFACES:
         fit(scene, replace(options, epochs=[1]))  # compiles
     points = counted_points()
     told: list[tuple[int, str]] = []
@@ -153,8 +156,9 @@ def chosen(name: str, seconds: float, width: int | None) -> Any:
 
     if name in PRESETS:
         return resolve(name, {"budget": seconds, "width": width, "steps": 10**6})
-    own = {"steps": 10**6} if name != "surface" else {}
-    return resolve("fast", {"budget": seconds, "field": name, **own})
+    if name in SURFACES:
+        return resolve("fast", {"budget": seconds, "brdf": SURFACES[name]})
+    return resolve("fast", {"budget": seconds, "field": name, "steps": 10**6})
 
 
 def counted_points() -> Any:

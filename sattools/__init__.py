@@ -26,7 +26,7 @@ _HOMES = {
     "normalise": "sattools.api", "match": "sattools.api",
 }  # fmt: skip
 # packages that can be called, see `sattools.callable_module`
-_STAGES = ("fit", "export", "compare", "simulate")
+_STAGES = ("fit", "export", "align", "compare", "change", "simulate")
 
 
 def __getattr__(name: str) -> Any:
@@ -42,5 +42,6 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
-    "RPC", "Grid", "Scene", "__version__", "compare", "export", "fit", "match", "normalise", "prepare", "simulate",
+    "RPC", "Grid", "Scene", "__version__", "align", "change", "compare", "export", "fit", "match", "normalise",
+    "prepare", "simulate",
 ]  # fmt: skip

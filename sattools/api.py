@@ -8,7 +8,8 @@
 
 Every function takes a scene (a `Scene`, or the path of a `scene.json`) and the stage's options (its dataclass, or the
 options as a dict; None = the defaults), does what the command of that name does, history and files included, and
-returns the scene. ``progress=True`` shows a bar; any function of (share done, message) is told instead.
+returns the scene (`change`, which has two, its table). ``progress=True`` shows a bar; any function of (share done,
+message) is told instead.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from sattools.align.options import AlignOptions
+from sattools.change.options import ChangeOptions
 from sattools.compare.options import CompareOptions
 from sattools.errors import InputError
 from sattools.export.options import ExportOptions
@@ -26,6 +29,7 @@ from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, make_progress, silent
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Scene
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
 from sattools.settings import specs
 from sattools.simulate.options import SimulateOptions
@@ -199,6 +203,64 @@ def compare(
     return run_on(_scene(scene), step, lambda s, told: {"errors": stage(own, s, told, overwrite)})[0]
 
 
+def align(
+    scene: SceneLike,
+    options: AlignOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> Scene:
+    """Move an exported scene onto a reference, as by `sattools align`; what it found is in ``scene.history[-1]``.
+
+    Args:
+        scene: a scene or the path of its document.
+        options: or as a dict; ``to`` has to be given.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
+
+    Raises:
+        InputError: no reference is given, it cannot be read, or nothing is found that goes with it.
+        SceneError: a scene that is not exported.
+    """
+    from sattools.align.stage import align as stage
+
+    own = _options(AlignOptions, options)
+    if own.to is None:
+        raise InputError("AlignOptions: found no option 'to', expected a raster of heights or ground control points")
+    step = Step("align", own, overwrite, _progress(progress, "align"))
+    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+
+
+def change(
+    before: SceneLike,
+    after: SceneLike,
+    options: ChangeOptions | Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Told = None,
+) -> JsonObject:
+    """What has risen or sunk between two exported scenes or rasters of heights, as by `sattools change`.
+
+    Args:
+        before: a scene, the path of its document, or that of a raster of heights [m].
+        after: the same of the later date.
+        options: or as a dict; maps and polygons are written to its ``out``.
+        overwrite: replace outputs that are there.
+        progress: see `prepare`.
+
+    Returns:
+        The table: shift, scatter, regions with area [m2], mean [m], volume [m3] and p-value.
+
+    Raises:
+        InputError, SceneError: a surface that cannot be read, or two that have nothing in common.
+    """
+    from sattools.change.stage import change as stage
+
+    own = _options(ChangeOptions, options)
+    one, other = (str(s.path("scene.json") if isinstance(s, Scene) else s) for s in (before, after))
+    return stage(one, other, own, _progress(progress, "change"), overwrite)
+
+
 def _scene(scene: SceneLike) -> Scene:
     return scene if isinstance(scene, Scene) else Scene.from_file(scene)
 
@@ -222,4 +284,4 @@ def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
     return cls(**given)
 
 
-__all__ = ["compare", "export", "fit", "match", "normalise", "prepare", "simulate"]
+__all__ = ["align", "change", "compare", "export", "fit", "match", "normalise", "prepare", "simulate"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 import torch
 
 import sattools
@@ -25,7 +26,8 @@ def test_importing_the_suite_imports_nothing_heavy() -> None:
 
 
 def test_everything_that_is_promised_is_there() -> None:
-    for name in ("Scene", "Grid", "RPC", "prepare", "normalise", "match", "fit", "export", "compare", "simulate"):
+    stages = ("prepare", "normalise", "match", "fit", "export", "align", "compare", "change", "simulate")
+    for name in ("Scene", "Grid", "RPC", *stages):
         assert callable(getattr(sattools, name)), name
         assert name in dir(sattools)
         assert name in sattools.__all__
@@ -53,6 +55,25 @@ def test_python_does_what_the_commands_do(make_town: Any) -> None:
     with pytest.raises(OutputExistsError):
         sattools.fit(scene, QUICK)
     assert sattools.fit(scene, QUICK, overwrite=True).products.keys().isdisjoint({"dsm", "errors"})
+
+
+def test_a_scene_is_aligned_and_compared_with_what_it_was(make_town: Any, tmp_path: Path) -> None:
+    before = sattools.export(sattools.fit(make_town(), QUICK))
+    dsm = before.path(before.products["dsm"])
+    higher = tmp_path / "higher.tif"
+    with rasterio.open(dsm) as data:
+        profile, heights = data.profile, data.read()
+    with rasterio.open(higher, "w", **profile) as data:
+        data.write(heights + 2.0)
+    with pytest.raises(InputError, match="AlignOptions: found no option 'to'"):
+        sattools.align(before)
+    after = sattools.align(before, {"to": str(higher), "method": "z"})
+    assert after.history[-1]["command"] == "align"
+    assert after.history[-1]["shift"]["up"] == pytest.approx(2.0, abs=1e-3)  # heights are numbers of 32 bits
+    table = sattools.change(dsm, after, {"out": str(tmp_path / "change"), "register": "none"})
+    assert table["registration"] == "none"
+    with rasterio.open(tmp_path / "change/height_change.tif") as data:
+        assert np.nanmedian(data.read()) == pytest.approx(2.0, abs=1e-3)
 
 
 def test_images_become_a_scene(make_town: Any, tmp_path: Path) -> None:
