@@ -106,6 +106,7 @@ def _apply(root: click.Context) -> None:
     progress = values["progress"] or "auto"
     root.obj = {"progress": "none" if values["quiet"] and progress == "auto" else progress}
     set_threads(values["threads"])
+    bound_cache()
     if values["allow_remote"] and not root.meta.get("sattools.remote"):
         from sattools.scene.location import remote_allowed
 
@@ -134,6 +135,14 @@ def set_threads(threads: int | None) -> None:
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         if threads or name not in os.environ:
             os.environ[name] = count
+
+
+def bound_cache() -> None:
+    """Keep at most 64 MiB of the pixels that GDAL has read, unless the environment says otherwise.
+
+    It would keep a twentieth of the machine's memory by itself, so that memory grew with the area of a scene.
+    """
+    os.environ.setdefault("GDAL_CACHEMAX", "64")
 
 
 def entry() -> None:

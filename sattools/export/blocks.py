@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from sattools.render import sun_visibility
 from sattools.scene import Grid
 
-EDGE = 2048  # cells
-AT_ONCE = 6_000_000  # cells up to which a map is one block
+EDGE = 1024  # cells
+AT_ONCE = 1_500_000  # cells up to which a map is one block
 _POOL = 64  # cells of which the highest is kept
 _SPARE = 8  # cells around a block: slopes of its border cells, and the end of a ray
 

@@ -18,7 +18,7 @@ from sattools.fit.model import IMAGE_MAPS, FittedModel, check_height_limits
 from sattools.scene import Grid
 
 CELL_MAPS = ("height", "height_std", "albedo")
-IN_MEMORY = 256 << 20  # bytes up to which a model is read at once
+IN_MEMORY = 32 << 20  # bytes up to which a model is read at once
 _STRIP_CELLS = 1_000_000
 
 

@@ -31,10 +31,10 @@ from sattools.scene.raster import block_means, sensor_profile
 from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)
-LARGE_PX = 36_000_000  # of an image, beyond which none is read as a whole
+LARGE_PX = 9_000_000  # of an image, beyond which none is read as a whole
 LARGE_TOTAL_PX = 200_000_000  # of all images together
-REDUCED_PX = 12_000_000
-_STRIP_PX = 32_000_000
+REDUCED_PX = 5_000_000
+_STRIP_PX = 4_000_000
 
 
 @dataclass

@@ -26,7 +26,8 @@ from sattools.prep.layout import Bounds, common_bounds, crop_window, ground_poly
 from sattools.progress import Progress, subprogress
 
 WINDOWS = 12  # squares of the ground
-WINDOW_PX = 1500  # edge of one
+WINDOW_PX = 1500  # edge of one, at most
+WINDOWS_SHARE = 0.5  # of an image that they cover at most: more would cost as much as the whole image
 WINDOW_FEATURES = 2000  # per image and square
 _CANDIDATES = 7  # squares along an axis from which they are chosen
 _LEAST_PX = 200
@@ -120,7 +121,9 @@ def ground_squares(sources: Sequence[SourceImage], cameras: Sequence[RPC], crs: 
     if bounds is None:
         raise InputError("images: found no ground that two of them show, expected images that overlap")
     west, south, east, north = bounds
-    edge = WINDOW_PX * float(np.median([_pixel_m(s, rpc, height) for s, rpc in both]))
+    pixels = float(np.median([s.window[2] * s.window[3] for s in sources]))
+    edge_px = min(WINDOW_PX, math.sqrt(WINDOWS_SHARE * pixels / WINDOWS))
+    edge = edge_px * float(np.median([_pixel_m(s, rpc, height) for s, rpc in both]))
     t = (np.arange(_CANDIDATES) + 0.5) / _CANDIDATES
     centres = [(west + u * (east - west), south + v * (north - south)) for v in t for u in t]
     squares = [box(x - edge / 2, y - edge / 2, x + edge / 2, y + edge / 2) for x, y in centres]

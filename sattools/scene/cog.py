@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -22,9 +21,9 @@ from sattools.scene.datums import compound
 from sattools.scene.files import scratch, write_bytes, write_with
 from sattools.scene.grid import Grid
 
-IN_MEMORY = 64 << 20  # bytes up to which a map is put together in memory
+IN_MEMORY = 8 << 20  # bytes up to which a map is put together in memory
 TILE = 512  # cells along an edge: blocks that begin on multiples of it are written fastest
-_CACHE_MB = 64  # least for GDAL, which would take a twentieth of the machine's memory by itself
+_CACHE = 64 << 20  # bytes at least for GDAL
 _CACHED_ROWS = 4  # of tiles: with less, tiles of overviews are compressed again and again
 _ROWS = 512  # compared at a time
 
@@ -77,7 +76,7 @@ class CogWriter:
         }
         self._about = (units, dict(tags or {}), descriptions)
         row_of_tiles = bands * TILE * grid.width * self.dtype.itemsize
-        self._cache_mb = max(_CACHE_MB, math.ceil(_CACHED_ROWS * row_of_tiles / 2**20))
+        self._cache = max(_CACHE, _CACHED_ROWS * row_of_tiles)
         self._small = bands * grid.height * grid.width * self.dtype.itemsize <= IN_MEMORY
 
     def __enter__(self) -> CogWriter:
@@ -90,7 +89,7 @@ class CogWriter:
             else:
                 self._raw = self._stack.enter_context(scratch(self.path))
                 laid_out = {"tiled": True, "blockxsize": TILE, "blockysize": TILE, "bigtiff": "if_safer"}
-                with rasterio.Env(GDAL_CACHEMAX=self._cache_mb):
+                with rasterio.Env(GDAL_CACHEMAX=self._cache):
                     self._data = rasterio.open(self._raw, "w", **self._profile, **laid_out)
         except (RasterioError, OSError) as error:
             self._stack.close()
@@ -147,7 +146,7 @@ class CogWriter:
 
     def _finish_large(self) -> None:
         def optimise(target: Path) -> None:
-            with rasterio.Env(GDAL_CACHEMAX=self._cache_mb), rasterio.open(self._raw) as data:
+            with rasterio.Env(GDAL_CACHEMAX=self._cache), rasterio.open(self._raw) as data:
                 rasterio.shutil.copy(data, os.fspath(target), bigtiff="if_safer", **self._options())
 
         def check(target: Path) -> None:

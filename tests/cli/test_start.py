@@ -79,6 +79,19 @@ def test_images_are_filtered_by_as_many_threads_as_asked_for() -> None:
     assert done.stdout.split() == ["1"]
 
 
+def test_gdal_keeps_no_share_of_the_machine_of_what_it_has_read() -> None:
+    code = (
+        "import json, sys; from sattools.cli import main; main(['doctor', '--json'], standalone_mode=False); "
+        "from rasterio._env import get_gdal_config; print(get_gdal_config('GDAL_CACHEMAX'))"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "GDAL_CACHEMAX"}
+    for given, kept in (({}, 64 << 20), ({"GDAL_CACHEMAX": "300"}, 300 << 20)):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment | given, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split()[-1] == str(kept)
+
+
 def test_threads_are_settled_before_numerical_libraries_start() -> None:
     code = (
         "import os; from sattools.cli import set_threads; set_threads(1); "

@@ -57,11 +57,11 @@ def shifts(scene: Scene) -> np.ndarray:
 
 
 def test_small_images_are_read_as_they_are() -> None:
-    assert block_factor((5000, 5000), [(5000, 5000)] * 3) == 1
-    # 144 million pixels in blocks of 4 x 4 are 9 million
-    assert block_factor((12000, 12000), [(12000, 12000)] * 3) == 4
+    assert block_factor((3000, 3000), [(3000, 3000)] * 3) == 1
+    # 144 million pixels in blocks of 6 x 6 are 4 million
+    assert block_factor((12000, 12000), [(12000, 12000)] * 3) == 6
     # each is small, all together are not
-    assert block_factor((5000, 5000), [(5000, 5000)] * 20) == 2
+    assert block_factor((3000, 3000), [(3000, 3000)] * 30) == 2
 
 
 def test_a_reduced_image_has_the_means_of_its_blocks(folder: Path) -> None:
