@@ -34,7 +34,7 @@ ERROR95 = "export/dsm_error95.tif"
 # what the prior says of its heights -> its product, and the file on the cells of the surface: a fit that starts from
 # matching corrects its heights by less than a metre nearly everywhere
 OF_PRIOR = {"prior_probability": PROBABILITY, "prior_dsm_std": STD, "prior_dsm_error95": ERROR95}
-_PICTURE_CELLS = 3000  # along the longer edge of the picture
+_PICTURE_CELLS = 1500  # along the longer edge of the picture
 _SOFTWARE = {"SOFTWARE": "sattools"}
 _ABOUT_PRIOR: dict[str, dict[str, Any]] = {
     PROBABILITY: {"units": "1", "descriptions": ["probability of less than 1 m of error"]},
