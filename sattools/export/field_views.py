@@ -41,7 +41,7 @@ def field_picture(
     everywhere = replace(
         view, target=np.zeros((*grid.shape, bands), np.float32), mask=np.ones(grid.shape, np.uint8)
     )  # fmt: skip
-    found = DepthPrior(model.height, torch.ones_like(model.height), grid)
+    found = DepthPrior(model.height, torch.ones_like(model.height), grid, model.extra.get("normal"))
     rays = ray_set([everywhere], grid, z_range, found, normals=model.brdf != "lambert")
     gain, offset = torch.ones(1, bands), torch.zeros(1, bands)
     ambient, embedding = model.ambient.mean(0, keepdim=True), model.extra["embedding"].mean(0, keepdim=True)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from sattools.scene import Grid
-from sattools.scene.regrid import resize_map
+from sattools.scene.regrid import resize_map, sample_map
 
 GROUND_SHARE = 0.3  # of the height range: where the ground usually lies
 # how far off a prior's height may be, from the surest to the least sure [m]
@@ -23,12 +23,14 @@ class DepthPrior:
     Attributes:
         height: ``[H, W]`` ellipsoidal heights [m]; NaN = none.
         confidence: ``[H, W]`` in [0, 1].
-        grid: of both.
+        grid: of all.
+        normal: ``[H, W, 3]`` (east, north, up) of the surface that light falls on; None: that of the heights.
     """
 
     height: Tensor
     confidence: Tensor
     grid: Grid
+    normal: Tensor | None = None
 
     @classmethod
     def from_arrays(cls, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> DepthPrior:
@@ -46,11 +48,13 @@ class DepthPrior:
         height, confidence = (
             torch.from_numpy(resize_map(m.numpy(), self.grid, grid)) for m in (self.height, self.confidence)
         )
-        return DepthPrior(height, confidence, grid).to(device or torch.device("cpu"))
+        normal = None if self.normal is None else torch.from_numpy(sample_map(self.normal.numpy(), self.grid, grid))
+        return DepthPrior(height, confidence, grid, normal).to(device or torch.device("cpu"))
 
     def to(self, device: torch.device) -> DepthPrior:
         """The same on a device."""
-        return DepthPrior(self.height.to(device), self.confidence.to(device), self.grid)
+        normal = None if self.normal is None else self.normal.to(device)
+        return DepthPrior(self.height.to(device), self.confidence.to(device), self.grid, normal)
 
     def median_height(self) -> float:
         """Median of the known heights [m]."""

@@ -101,13 +101,11 @@ def _beginning(scene: Scene, setup: FitSetup, sources: list[Source], prior: Dept
     plain = FitOptions(seed=asked.seed, prior_weight=asked.prior_weight, pose=False)
     plain = calibrated(replace(plain, views=asked.views, holdout=asked.holdout), setup.radiance)
     plain = replace(plain, prior_weight=asked.prior_weight)  # which knows the radiance already
-    modelled = replace(plain, brdf=asked.brdf, normals="prior")
-    found: list[FittedModel] = []
-    for options in (plain, modelled) if asked.brdf in ("rpv", "hapke") else (plain,):
-        model = _fit_surface(scene, replace(setup, options=options), sources, prior, silent, lasting=False).model
-        assert isinstance(model, FittedModel)
-        found.append(model)
-    return Beginning(*found)
+    if asked.brdf in ("rpv", "hapke"):  # on the network's own cells: what it begins with is what was fitted
+        plain = replace(plain, brdf=asked.brdf, resolution=asked.resolution or prior.grid.cell_size)
+    model = _fit_surface(scene, replace(setup, options=plain), sources, prior, silent, lasting=False).model
+    assert isinstance(model, FittedModel)
+    return Beginning(model)
 
 
 def _fit_surface(

@@ -97,16 +97,16 @@ def fit_rays(
     if options.shadow == "auto" or options.transient == "auto":
         raise SceneError("--shadow auto, --transient auto: expected --field surface; name the model for other fields")
     # a field with neither shadows nor slopes has to begin with the mean image
-    coloured = start if start is not None and (options.shadow != "none" or start.material is not None) else None
+    coloured = start if start is not None and (options.shadow != "none" or start.reflective is not None) else None
     base = None
     if warm:
         assert prior_here is not None  # `check`
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
         if coloured:
-            base, gain, offset = coloured.coloured(base, grid), coloured.light.gain, coloured.light.offset
+            base, gain, offset = coloured.coloured(base, grid), coloured.surface.gain, coloured.surface.offset
             if options.field == "mlp" and options.shadow != "none" and options.shadow_start == "geometric":
                 learned = options.shadow == "learned"
-                base = replace(base, light=known_light(views, base, coloured.light.ambient, learned=learned))
+                base = replace(base, light=known_light(views, base, coloured.surface.ambient, learned=learned))
         base = base.to(device)
     with device:  # whatever is made from here on, is made there
         there = None if prior_here is None else prior_here.to(device)
@@ -114,12 +114,14 @@ def fit_rays(
         steps = STEPS.get(options.field, FieldSteps())
         trainer = RayTrainer(field, rays, options, gain, offset, steps, radiance=radiance)
         if coloured:
-            trainer.colour["ambient"].data.copy_(coloured.light.ambient)
+            trainer.colour["ambient"].data.copy_(coloured.surface.ambient)
         begin_uncertainty(trainer)
         mark = fingerprint(scene, options, sources, prior)
         notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
         notes += judge_heights(trainer)
         model = _model_of(trainer, base, views, grid, z_range)
+    if prior_here is not None and prior_here.normal is not None:
+        model = replace(model, extra={**model.extra, "normal": prior_here.normal})
     return Fitted(model.to(torch.device("cpu")), trace, notes)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -95,32 +96,30 @@ class Beginning:
     """What a field begins as, instead of the prior's surface and the mean image.
 
     Attributes:
-        surface: that `fit` makes of the prior.
-        material: another one with the reflectance model that the field has, or None.
+        surface: that `fit` makes of the prior, with the reflectance model that the field has.
     """
 
     surface: FittedModel
-    material: FittedModel | None = None
 
     def guide(self, prior: DepthPrior) -> DepthPrior:
-        """What rays are guided by: the surface's heights [m], the prior's confidence."""
-        return DepthPrior(self.surface.height, prior.on(self.surface.grid).confidence, self.surface.grid)
+        """What rays are guided by: the surface's heights [m] and normals, the prior's confidence."""
+        normal = None if self.reflective is None else self.reflective.normals().detach()
+        return DepthPrior(self.surface.height, prior.on(self.surface.grid).confidence, self.surface.grid, normal)
 
-    @property
-    def light(self) -> FittedModel:
-        """Where the images' gains, offsets and light in shade are from."""
-        return self.material or self.surface
+    @functools.cached_property
+    def reflective(self) -> ReflectiveScene | None:
+        """The surface with its reflectance model, None without."""
+        scene = self.surface.surface()
+        return scene if isinstance(scene, ReflectiveScene) else None
 
     def coloured(self, base: SurfaceBase, grid: Grid) -> SurfaceBase:
         """A base on a grid with these colours in [0, 1], or amplitudes, and shape parameters in their own units."""
-        if self.material is None:
+        if self.reflective is None:
             colour = sample_map(self.surface.albedo.numpy(), self.surface.grid, grid)
             return replace(base, colour=torch.from_numpy(colour).float().clamp(0, 1))
-        scene = self.material.surface()
-        assert isinstance(scene, ReflectiveScene)
-        amplitude, shape = scene.values()
+        amplitude, shape = self.reflective.values()
         found = torch.cat([amplitude, torch.stack(list(shape), dim=-1)], dim=-1).detach().cpu()
-        values = torch.from_numpy(sample_map(found.numpy(), self.material.grid, grid)).float()
+        values = torch.from_numpy(sample_map(found.numpy(), self.surface.grid, grid)).float()
         return replace(base, colour=values[..., :-3].contiguous(), shape=values[..., -3:].contiguous())
 
 
@@ -129,7 +128,7 @@ def filled_prior(prior: DepthPrior, grid: Grid) -> DepthPrior:
     here = prior.on(grid)
     known = torch.isfinite(here.height)
     height = torch.where(known, here.height, here.height[known].median())
-    return DepthPrior(height, torch.where(known, here.confidence.nan_to_num(0.0), 0.0).clamp(0, 1), grid)
+    return DepthPrior(height, torch.where(known, here.confidence.nan_to_num(0.0), 0.0).clamp(0, 1), grid, here.normal)
 
 
 def ray_set(
@@ -182,10 +181,12 @@ def _prior_along(
         upright = torch.tensor([0.0, 0.0, 1.0]).expand(*grid.shape, 3)
         return torch.full(grid.shape, 0.5), torch.zeros(grid.shape), upright
     height, confidence = prior.height, prior.confidence
-    # a wall is a step, not a slope: light that falls on a roof's rim is the roof's
-    along, down = (slope / grid.cell_size for slope in plate_slopes(height))
-    normal = torch.stack([-along, down, torch.ones_like(height)], dim=-1)  # rows run south
-    normal = normal / normal.norm(dim=-1, keepdim=True)
+    normal = prior.normal
+    if normal is None:
+        # a wall is a step, not a slope: light that falls on a roof's rim is the roof's
+        along, down = (slope / grid.cell_size for slope in plate_slopes(height))
+        normal = torch.stack([-along, down, torch.ones_like(height)], dim=-1)  # rows run south
+        normal = normal / normal.norm(dim=-1, keepdim=True)
     shown = torch.cat([height[..., None], confidence[..., None], normal], dim=-1).contiguous()
     soft = PRIOR_SOFTNESS
     quadrature = Quadrature(soft, soft / 1.5, high + 6 * soft, low - 10 * soft)
