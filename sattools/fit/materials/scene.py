@@ -19,9 +19,9 @@ from sattools.fit.materials.inversion import (
     shape_of,
     solve_amplitudes,
 )
-from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse, radiance_factor
 from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
+from sattools.fit.materials.steps import NORMAL_CELLS, smooth_heights, smooth_normals
 from sattools.fit.materials.uncertainty import known_share, parameter_std, shape_correlation
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
@@ -36,7 +36,6 @@ LIT = 0.95  # sun visibility from which a cell tells of its reflectance
 SAMPLES = 4000
 SATURATED = 0.999  # a number at full scale is a lower limit, not a value
 TEXTURE = 0.05  # deviation of the log amplitude, beyond small texture, that one material has anyway
-NORMAL_CELLS = 2.0  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 
 
 @dataclass
@@ -89,14 +88,11 @@ class ReflectiveScene(SurfaceScene):
         One surface must tell both: noisy bumps shade ground that the normals call lit, and the loss takes a patch in
         false shade for an outlier.
         """
-        return blurred(self.height, NORMAL_CELLS)
+        return smooth_heights(self.height, self.cell_size)[0]
 
     def normals(self) -> Tensor:
         """Unit vectors ``[H, W, 3]`` normal to the surface that the light is computed with."""
-        if self.frozen is not None:
-            return self.frozen
-        # heights are noisier than slopes may be; and texture must not be taken for the shading of small bumps
-        return surface_normals(blurred(self.height, NORMAL_CELLS), self.cell_size)
+        return smooth_normals(self.height, self.cell_size) if self.frozen is None else self.frozen
 
     def values(self) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
         """Amplitude ``[H, W, C]`` in [0, 1] and the three shape parameters ``[H, W]``, within their ranges."""
@@ -341,4 +337,4 @@ def restored(
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
 
 
-__all__ = ["LIT", "NORMAL_CELLS", "ReflectiveScene", "Sky", "restored", "standard_reflectance"]
+__all__ = ["LIT", "ReflectiveScene", "Sky", "restored", "standard_reflectance"]

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from sattools.fit.materials.blur import blurred
 from sattools.fit.materials.endmembers import cluster_endmembers
 from sattools.fit.materials.inversion import start_endmembers
 from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse
-from sattools.fit.materials.scene import LIT, NORMAL_CELLS, ReflectiveScene, Sky
+from sattools.fit.materials.scene import LIT, ReflectiveScene, Sky
 from sattools.fit.materials.sky import deep_shade
+from sattools.fit.materials.steps import normals_within, smooth_heights
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.views import View, shown_on
 
@@ -58,10 +58,12 @@ def reflective(
     height = scene.height.detach()
     suns = height.new_tensor([view.sun for view in views])
     view_vectors = height.new_tensor([view.slope.unit() for view in views])
-    casting = blurred(height, NORMAL_CELLS)
+    casting, steps = smooth_heights(height, cell_size)
     cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
     visibility = [cast[view.sun] for view in views if view.sun is not None]
-    normal = surface_normals(height, cell_size) if frozen is None else frozen
+    normal = frozen
+    if normal is None:
+        normal = surface_normals(height, cell_size) if steps is None else normals_within(casting, cell_size, steps)
     mean = torch.zeros_like(scene.albedo)
     total = torch.zeros_like(height)
     shaded: list[tuple[Tensor, Tensor]] = []

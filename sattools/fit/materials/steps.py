@@ -1,0 +1,202 @@
+"""Smooth heights and normals between steps: what lies beyond a wall says nothing of a roof's slope, or of its shadow.
+
+Heights are smoothed before light is computed with them. Across walls that would make slopes of several cells out of
+every step, on both sides of it: roofs and streets would be lit as hillsides, and what the light does not explain would
+go into the reflectance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sattools.compiled import njit, spread
+from sattools.fit.materials.blur import blurred, gaussian_taps
+from sattools.fit.materials.normals import surface_normals
+
+NORMAL_CELLS = 2.0  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
+STEP_SLOPE = 1.5  # metres of height per metre from which a rise between two cells is a step, and no slope ...
+STEP_M = 2.5  # ... if it is as high as that [m]: noise of small cells is none
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Where a height map has steps.
+
+    Attributes:
+        east: ``[H, W - 1]`` bool, between a cell and its eastern neighbour.
+        south: ``[H - 1, W]`` bool, between a cell and its southern neighbour.
+    """
+
+    east: Tensor
+    south: Tensor
+
+
+def smooth_heights(height: Tensor, cell_size: float) -> tuple[Tensor, Steps | None]:
+    """Heights ``[H, W]`` that light is computed with, smooth between the steps, and the steps.
+
+    Heights are noisier than slopes may be; and texture must not be taken for the shading of small bumps.
+    """
+    steps = find_steps(height, cell_size)
+    smooth = blurred(height, NORMAL_CELLS) if steps is None else blurred_within(height, NORMAL_CELLS, steps)
+    return smooth, steps
+
+
+def smooth_normals(height: Tensor, cell_size: float) -> Tensor:
+    """Unit normals ``[H, W, 3]`` of heights ``[H, W]`` [m], smooth between the steps."""
+    smooth, steps = smooth_heights(height, cell_size)
+    return surface_normals(smooth, cell_size) if steps is None else normals_within(smooth, cell_size, steps)
+
+
+@torch.no_grad()
+def find_steps(height: Tensor, cell_size: float) -> Steps | None:
+    """Steps of a height map ``[H, W]`` [m], or None if it has none.
+
+    Args:
+        height: row 0 = north.
+        cell_size: [m].
+    """
+    limit = max(STEP_SLOPE * cell_size, STEP_M)
+    steps = Steps((height[:, 1:] - height[:, :-1]).abs() > limit, (height[1:] - height[:-1]).abs() > limit)
+    return steps if bool(steps.east.any()) or bool(steps.south.any()) else None
+
+
+def blurred_within(height: Tensor, sigma: float, steps: Steps) -> Tensor:
+    """Gaussian blur of ``[H, W]``, sigma in cells, along rows and columns as far as the next step.
+
+    Beyond the edge the nearest cell goes on.
+    """
+    if height.device.type != "cpu":
+        return plain_blurred_within(height, sigma, steps)
+    taps = gaussian_taps(sigma, height)
+    down: Tensor = _Along.apply(height.T.contiguous(), steps.south.T.contiguous(), taps)
+    across: Tensor = _Along.apply(down.T.contiguous(), steps.east, taps)
+    return across
+
+
+def plain_blurred_within(height: Tensor, sigma: float, steps: Steps) -> Tensor:
+    """`blurred_within` by operations of torch, on any device: the readable twin."""
+    taps = gaussian_taps(sigma, height)
+    return _plain_along(_plain_along(height.T, steps.south.T, taps).T, steps.east, taps)
+
+
+def _plain_along(maps: Tensor, stop: Tensor, taps: Tensor) -> Tensor:
+    """Weighted means along rows, as far as the next step on both sides."""
+    radius, cols = len(taps) // 2, maps.shape[1]
+    wide = torch.nn.functional.pad(maps[None], (radius, radius), mode="replicate")[0]
+    passed = torch.nn.functional.pad(~stop, (radius, radius), value=True)  # `passed[:, radius + j]`: from j to j + 1
+    total, mass = taps[radius] * maps, torch.full_like(maps, float(taps[radius]))
+    for side in (1, -1):
+        reached = torch.ones_like(maps, dtype=torch.bool)
+        for k in range(1, radius + 1):
+            first = radius + (k - 1 if side == 1 else -k)
+            reached = reached & passed[:, first : first + cols]
+            weight = taps[radius + k] * reached
+            total = total + weight * wide[:, radius + side * k : radius + side * k + cols]
+            mass = mass + weight
+    return total / mass
+
+
+def normals_within(height: Tensor, cell_size: float, steps: Steps) -> Tensor:
+    """Unit normals ``[H, W, 3]`` (east, north, up) of smooth heights ``[H, W]`` [m], row 0 = north.
+
+    Slopes are means of the differences to both neighbours; to what lies beyond a step, or the edge, there is none.
+
+    Args:
+        height: smooth between the steps, see `blurred_within`.
+        cell_size: [m].
+        steps: of the heights before smoothing.
+    """
+    east = _slope(height, steps.east) / cell_size
+    south = _slope(height.T, steps.south.T).T / cell_size
+    normal = torch.stack([-east, south, torch.ones_like(east)], dim=-1)
+    return normal / normal.norm(dim=-1, keepdim=True)
+
+
+def _slope(height: Tensor, stop: Tensor) -> Tensor:
+    """Rise per cell along rows."""
+    known = (~stop).to(height)
+    rise = (height[:, 1:] - height[:, :-1]) * known
+    both, counted = (torch.nn.functional.pad(m, (1, 0)) + torch.nn.functional.pad(m, (0, 1)) for m in (rise, known))
+    return both / counted.clamp_min(1.0)
+
+
+class _Along(torch.autograd.Function):
+    """Weighted means along rows, as far as the next step on both sides."""
+
+    @staticmethod
+    def forward(ctx: Any, maps: Tensor, stop: Tensor, taps: Tensor) -> Tensor:
+        """Maps ``[H, W]``."""
+        ctx.given = stop.numpy(), taps.numpy()
+        out = torch.empty_like(maps)
+        _means(maps.detach().numpy(), *ctx.given, out.numpy())
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        """Of the maps."""
+        out = torch.zeros_like(grads[0], memory_format=torch.contiguous_format)
+        _means_back(grads[0].contiguous().numpy(), *ctx.given, out.numpy())
+        return out, None, None
+
+
+@njit(cache=True, nogil=True)
+def _reach(stop, col, radius):
+    """How many cells to the west and to the east of one in a row count, those beyond the edge included."""
+    west, east = 0, 0
+    while west < radius and (col - west < 1 or not stop[col - west - 1]):
+        west += 1
+    while east < radius and (col + east >= len(stop) or not stop[col + east]):
+        east += 1
+    return west, east
+
+
+@spread(lambda maps, *_: len(maps))
+@njit(cache=True, nogil=True)
+def _means(maps, stop, taps, out, first, end):
+    """Weighted means of some rows."""
+    cols, radius = maps.shape[1], len(taps) // 2
+    for row in range(first, end):
+        for col in range(cols):
+            west, east = _reach(stop[row], col, radius)
+            total, mass = 0.0, 0.0
+            for k in range(-west, east + 1):
+                weight = taps[radius + k]
+                total += weight * maps[row, min(max(col + k, 0), cols - 1)]
+                mass += weight
+            out[row, col] = total / mass
+
+
+@spread(lambda grad, *_: len(grad))
+@njit(cache=True, nogil=True)
+def _means_back(grad, stop, taps, out, first, end):
+    """Transposed `_means` of some rows, added to the result."""
+    cols, radius = grad.shape[1], len(taps) // 2
+    for row in range(first, end):
+        for col in range(cols):
+            west, east = _reach(stop[row], col, radius)
+            mass = 0.0
+            for k in range(-west, east + 1):
+                mass += taps[radius + k]
+            part = grad[row, col] / mass
+            for k in range(-west, east + 1):
+                out[row, min(max(col + k, 0), cols - 1)] += part * taps[radius + k]
+
+
+__all__ = [
+    "NORMAL_CELLS",
+    "STEP_M",
+    "STEP_SLOPE",
+    "Steps",
+    "blurred_within",
+    "find_steps",
+    "normals_within",
+    "plain_blurred_within",
+    "smooth_heights",
+    "smooth_normals",
+]
