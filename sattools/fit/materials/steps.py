@@ -20,7 +20,9 @@ from sattools.fit.materials.normals import surface_normals
 
 NORMAL_CELLS = 2.0  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 STEP_SLOPE = 1.5  # metres of height per metre from which a rise between two cells is a step, and no slope ...
-STEP_M = 2.5  # ... if it is as high as that [m]: noise of small cells is none
+STEP_M = 1.5  # ... if it is as high as that [m]: noise of small cells is none
+
+LEVEL = 0.5  # share of a step that the ground beside it may rise by from cell to cell
 
 
 @dataclass(frozen=True)
@@ -60,9 +62,20 @@ def find_steps(height: Tensor, cell_size: float) -> Steps | None:
         height: row 0 = north.
         cell_size: [m].
     """
-    limit = max(STEP_SLOPE * cell_size, STEP_M)
-    steps = Steps((height[:, 1:] - height[:, :-1]).abs() > limit, (height[1:] - height[:-1]).abs() > limit)
+    steps = Steps(_sudden(height, cell_size), _sudden(height.T, cell_size).T.contiguous())
     return steps if bool(steps.east.any()) or bool(steps.south.any()) else None
+
+
+def _sudden(height: Tensor, cell_size: float) -> Tensor:
+    """Where a row ``[H, W]`` rises or falls by more than a slope between two cells ``[H, W - 1]``.
+
+    A wall may take two cells, so that level ground or a roof is required on one of its sides only; a hillside goes on
+    as steeply on both.
+    """
+    rise = (height[:, 1:] - height[:, :-1]).abs()
+    beside = torch.nn.functional.pad(rise, (1, 1))  # nothing is known beyond the edge: level
+    level = torch.minimum(beside[:, :-2], beside[:, 2:])
+    return (rise > max(STEP_SLOPE * cell_size, STEP_M)) & (level < LEVEL * rise)
 
 
 def blurred_within(height: Tensor, sigma: float, steps: Steps) -> Tensor:
