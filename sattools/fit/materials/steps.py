@@ -23,6 +23,8 @@ STEP_SLOPE = 1.5  # metres of height per metre from which a rise between two cel
 STEP_M = 1.5  # ... if it is as high as that [m]: noise of small cells is none
 
 LEVEL = 0.5  # share of a step that the ground beside it may rise by from cell to cell
+# where less than half of the ground is more level than this slope, steep rises are hillsides, or blunders of the prior
+LEVEL_SLOPE = 0.25
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,14 @@ def smooth_normals(height: Tensor, cell_size: float) -> Tensor:
 
 @torch.no_grad()
 def find_steps(height: Tensor, cell_size: float) -> Steps | None:
-    """Steps of a height map ``[H, W]`` [m], or None if it has none.
+    """Steps of a height map ``[H, W]`` [m], or None if it has none or is of hills.
 
     Args:
         height: row 0 = north.
         cell_size: [m].
     """
+    if float(((height[:, 1:] - height[:, :-1]).abs() < LEVEL_SLOPE * cell_size).float().mean()) < 0.5:
+        return None
     steps = Steps(_sudden(height, cell_size), _sudden(height.T, cell_size).T.contiguous())
     return steps if bool(steps.east.any()) or bool(steps.south.any()) else None
 
