@@ -201,13 +201,21 @@ def test_haze_is_not_lifted_together_with_the_shadows() -> None:
 
 def test_bright_ground_without_anything_dark_is_not_all_haze() -> None:
     """A desert: its darkest shadows are as dark as its usual ones, so that half of these is taken at most."""
-    albedo = np.random.default_rng(0).uniform(0.39, 0.41, (1, 2000))
+    albedo = np.random.default_rng(0).uniform(0.39, 0.41, (2, 2000))
     lit = np.r_[np.ones(1000), np.zeros(1000)]
     samples = np.concatenate([np.where(lit == 1, 1.0, 0.3) * albedo, albedo, lit[None]])
-    found = without_haze([balance_of(samples, 1)], [samples])[0]
-    assert found.haze[0] == pytest.approx(0.06, abs=0.001)
-    shown = Shown(samples[:1].reshape(1, 40, 50), np.ones((40, 50)), lit.reshape(40, 50))
+    found = without_haze([balance_of(samples, 2)], [samples])[0]
+    assert found.haze == pytest.approx([0.06, 0.06], abs=0.001)
+    shown = Shown(samples[:2].reshape(2, 40, 50), np.ones((40, 50)), lit.reshape(40, 50))
     assert np.median(np.abs(found.albedo(shown).ravel() - albedo.ravel())) < 0.01
+
+
+def test_grey_images_have_no_colour_to_lose_to_haze() -> None:
+    albedo = np.random.default_rng(0).uniform(0.02, 0.5, (1, 2000))
+    lit = np.r_[np.ones(1000), np.zeros(1000)]
+    samples = np.concatenate([np.where(lit == 1, 1.0, 0.3) * albedo + 0.03, albedo + 0.03, lit[None]])
+    plain = balance_of(samples, 1)
+    assert without_haze([plain], [samples])[0] is plain
 
 
 def test_single_pixels_are_not_from_another_image(exported: Scene) -> None:

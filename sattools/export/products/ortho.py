@@ -281,13 +281,17 @@ def balance_of(samples: np.ndarray, bands: int) -> Balance:
 def without_haze(balances: Sequence[Balance], samples: Sequence[np.ndarray]) -> list[Balance]:
     """The same with the scene's haze, which is no less in shadows: only what is left of the light is less there.
 
-    The haze is what the darkest points show, as far as shadows have more than that.
+    The haze is what the darkest points show, as far as shadows have more than that. Images of one band have no colour
+    to lose, and are left alone: where the surface's shadows are not quite theirs, as in trees, more light would be
+    lifted that is none.
 
     Args:
         balances: of the images, without haze.
         samples: of the images, ``[2 C + 1, N]`` each, see `balance_of`.
     """
     darkest, shaded = [], []
+    if len(balances[0].gain) < 2:
+        return list(balances)
     for balance, points in zip(balances, samples, strict=True):
         bands = len(balance.gain)
         bright = (points[:bands] - balance.offset[:, None]) / balance.gain[:, None]
