@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -134,7 +135,11 @@ def fetch_geoids(say: Callable[[str], None]) -> None:
         folder = Path(get_user_data_dir())
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            TransformerGroup("EPSG:4979", code, always_xy=True).download_grids(str(folder), open_license=True)
+            with warnings.catch_warnings():
+                # pyproj warns that the best transformation is not available: that is why its grid is fetched
+                warnings.simplefilter("ignore", UserWarning)
+                group = TransformerGroup("EPSG:4979", code, always_xy=True)
+            group.download_grids(str(folder), open_license=True)
         except Exception as error:  # of urllib and of the system, many kinds
             text = " ".join(str(error).split())[:200]
             raise SattoolsError(

@@ -1,6 +1,7 @@
 """`sattools doctor` says what is there, what is not, and what to do about it."""
 
 import json
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -67,6 +68,28 @@ def test_geoid_grids_are_fetched_where_they_are_not_there(tmp_path: Path, monkey
     doctor.fetch_geoids(said.append)
     assert fetched == [("EPSG:4326+5773", str(tmp_path / "proj"))]
     assert said == [f"EGM96 geoid: {tmp_path}/proj/us_nga_egm96_15.tif", "EGM2008 geoid: there already"]
+
+
+def test_what_is_missing_before_it_is_fetched_is_no_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import pyproj.datadir
+    import pyproj.transformer
+
+    class Group:
+        def __init__(self, *_: str, always_xy: bool) -> None:
+            warnings.warn("Best transformation is not available due to missing Grid", UserWarning, stacklevel=2)
+
+        def download_grids(self, folder: str, open_license: bool) -> None:
+            """Nothing."""
+
+    monkeypatch.setattr(pyproj.transformer, "TransformerGroup", Group)
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path))
+    monkeypatch.setattr(datum, "has_grid", lambda name: False)
+    said: list[str] = []
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        doctor.fetch_geoids(said.append)
+    assert len(said) == 2
+    assert shown == []
 
 
 def test_no_network_is_one_line_with_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

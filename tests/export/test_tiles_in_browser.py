@@ -18,7 +18,7 @@ from patience import HANGING_S
 
 from sattools.camera.ground import to_geographic
 from sattools.export.products.maps import Maps
-from sattools.export.products.model3d import make_model, write_glb, write_tileset
+from sattools.export.products.model3d import Model3D, make_model, write_glb, write_tileset
 from sattools.scene import Grid
 from sattools.scene.raster import write_cog
 
@@ -62,22 +62,37 @@ def look(address: str, profile: Path) -> Any:
     return json.loads(html.unescape(title[1]))
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome on this machine")
-def test_a_tileset_is_drawn_in_its_place_and_its_colours(served: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
-    folder, address = served
-    height = np.full((1, *GRID.shape), 5.0, np.float32)
-    height[0, 10:25, 35:50] = 20.0  # a house in the north-east
-    albedo = np.zeros((3, *GRID.shape), np.float32)
+def tiles_of(height: np.ndarray, grid: Grid, folder: Path) -> Model3D:
+    """Heights ``[H, W]``, red in the north-east, blue in the south-west, else green, as 3D Tiles beside the viewer."""
+    rows, cols = grid.height // 2, grid.width // 2
+    albedo = np.zeros((3, *grid.shape), np.float32)
     albedo[1] = 0.5
-    albedo[:, :30, 30:] = np.array([1.0, 0.0, 0.0])[:, None, None]  # red in the north-east
-    albedo[:, 30:, :30] = np.array([0.0, 0.0, 1.0])[:, None, None]  # blue in the south-west
-    write_cog(folder / "dsm.tif", height, GRID)
-    write_cog(folder / "albedo.tif", albedo, GRID)
+    albedo[:, :rows, cols:] = np.array([1.0, 0.0, 0.0])[:, None, None]
+    albedo[:, rows:, :cols] = np.array([0.0, 0.0, 1.0])[:, None, None]
+    write_cog(folder / "dsm.tif", height[None], grid)
+    write_cog(folder / "albedo.tif", albedo, grid)
     maps = Maps.of({name: folder / f"{name}.tif" for name in ("dsm", "albedo")})
     model = make_model(maps, "WGS84 ellipsoid")
     write_glb(folder / "mesh.glb", model)
     write_tileset(folder / "tileset.json", "mesh.glb", model, "ellipsoid")
     shutil.copy(VIEWER, folder / "viewer.html")
+    return model
+
+
+def assert_coloured(seen: Any) -> None:
+    red, blue = seen["north_east"], seen["south_west"]
+    assert red[0] > 200
+    assert max(red[1:]) < 60
+    assert blue[2] > 200
+    assert max(blue[:2]) < 60
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome on this machine")
+def test_a_tileset_is_drawn_in_its_place_and_its_colours(served: Any, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder, address = served
+    height = np.full(GRID.shape, 5.0, np.float32)
+    height[10:25, 35:50] = 20.0  # a house in the north-east
+    model = tiles_of(height, GRID, folder)
 
     seen = look(address, tmp_path_factory.mktemp("profile"))
     assert "failed" not in seen, seen
@@ -86,8 +101,23 @@ def test_a_tileset_is_drawn_in_its_place_and_its_colours(served: Any, tmp_path_f
     lon, lat = to_geographic(GRID.crs, np.array([436030.0]), np.array([3357970.0]))
     assert (seen["lon"], seen["lat"]) == pytest.approx((float(lon[0]), float(lat[0])), abs=2e-7)  # 2 cm
     assert (seen["lowest"], seen["highest"]) == pytest.approx((5.0, 20.0), abs=0.01)
-    red, blue = seen["north_east"], seen["south_west"]
-    assert red[0] > 200
-    assert max(red[1:]) < 60
-    assert blue[2] > 200
-    assert max(blue[:2]) < 60
+    assert_coloured(seen)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome on this machine")
+def test_a_mesh_of_more_points_than_16_bits_count_and_a_call_takes_is_drawn(
+    served: Any, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The four cells at a corner differ in height, so that walls stand around each and no face can be spared."""
+    folder, address = served
+    grid = Grid("EPSG:32617", 436000.0, 3358000.0, 1.0, 200, 200)
+    row, col = np.indices(grid.shape)
+    model = tiles_of((5.0 + 10.0 * (row % 2) + 5.0 * (col % 2)).astype(np.float32), grid, folder)
+    assert len(model.mesh.vertices) > 130_000  # of which 65 535 can be counted in 16 bits
+
+    seen = look(address, tmp_path_factory.mktemp("profile"))
+    assert "failed" not in seen, seen
+    assert seen["error"] == 0
+    assert seen["faces"] == len(model.mesh.faces)
+    assert (seen["lowest"], seen["highest"]) == pytest.approx((5.0, 20.0), abs=0.01)
+    assert_coloured(seen)

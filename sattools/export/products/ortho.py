@@ -29,12 +29,18 @@ _FEATHER = 4.0  # pixels, from the edge of what an image sees or of its shadows,
 _SHADE = 0.05  # weight of a point in shadow over one in the sun
 _OBLIQUE = 8.0  # by how much squared tangents of the incidence angle count against an image
 _SHARP = 6.0  # exponent of the weights: the best image has nearly all
+_SHADED = 1.0  # the same where every image has shadow: lifted noise wants a mean of many
+_SUNNY = (0.03, 0.3)  # weights of the best image at which a point counts as in shadow, and as in the sun
+_SMOOTH = 1.0  # pixels: by how much weights are smoothed, lest single pixels be from other images
 _SURE = 0.98  # visible, lit
 _SAMPLES, _FEWEST = 40_000, 300  # points that a balance is made from
 _SAMPLE_BLOCKS = 9
 _BRIGHT = 99.5  # per cent of the samples that are no brighter than the brightest ground
 _DARKEST = 0.05  # light in shadow over that in the sun
 _DARK_GROUND = 0.02  # albedo
+_DARKEST_PIXELS = 0.05  # per cent of an image that is nearly without light
+_HAZY = 0.8  # haze over these
+_HAZIEST = 0.5  # haze over what shadows show
 
 
 @dataclass(frozen=True)
@@ -45,12 +51,14 @@ class Balance:
         gain, offset: in the sun.
         shade: light in shadow over that in the sun; NaN where nothing tells.
         brightest: albedo of the scene's brightest ground.
+        haze: part of the albedo that is the air's and is in shadows as well: the fit takes its first image as it is.
     """
 
     gain: np.ndarray
     offset: np.ndarray
     shade: np.ndarray
     brightest: np.ndarray
+    haze: np.ndarray
 
     def albedo(self, shown: Shown) -> np.ndarray:
         """The image's own albedo ``[C, h, w]``, shadows lifted.
@@ -64,7 +72,8 @@ class Balance:
     def _grey(self, shown: Shown) -> np.ndarray:
         at = (slice(None), None, None)
         bright = (shown.value - self.offset[at]) / self.gain[at]
-        lifted = bright / (shown.lit + (1 - shown.lit) * self.shade[at])
+        light = shown.lit + (1 - shown.lit) * self.shade[at]
+        lifted = (bright - self.haze[at]) / light + self.haze[at]
         return np.asarray(np.where((lifted <= self.brightest[at]).all(axis=0), lifted, bright))
 
 
@@ -128,28 +137,37 @@ def mosaic(patch: Patch, cameras: Sequence[Camera], balances: Sequence[Balance])
         balances: of the images.
     """
     bands = (cameras[0].colours.part.bands if cameras[0].colours else 0) or len(balances[0].gain)
-    total = np.zeros((bands, *patch.height.shape), np.float64)
-    weights = np.zeros(patch.height.shape)
+    # means where an image shows the sun, and where none does
+    means = {power: np.zeros((bands + 1, *patch.height.shape)) for power in (_SHARP, _SHADED)}
     best, source = np.zeros(patch.height.shape), np.zeros(patch.height.shape, np.uint16)
     for k, (camera, balance) in enumerate(zip(cameras, balances, strict=True)):
         shown = shown_at(camera, patch)
         if shown is None:
             continue
-        weight = weight_of(camera, shown)
-        total += weight * balance.albedo(shown)
-        weights += weight
+        weight, albedo = weight_of(camera, shown), balance.albedo(shown)
+        for power, sums in means.items():
+            share = weight**power
+            sums[:-1] += share * albedo
+            sums[-1] += share
         source[weight > best] = k + 1
         best = np.maximum(best, weight)
-    return np.where(weights > 0, total / np.maximum(weights, 1e-300), np.nan).astype(np.float32), source
+    sunny = np.interp(best, _SUNNY, (0.0, 1.0))
+    sharp, shaded = (means[power][:-1] / np.maximum(means[power][-1], 1e-300) for power in (_SHARP, _SHADED))
+    return np.where(source > 0, shaded + sunny * (sharp - shaded), np.nan).astype(np.float32), source
 
 
 def weight_of(camera: Camera, shown: Shown) -> np.ndarray:
-    """How much an image counts at every point ``[h, w]`` [1]; 0 where it does not see it."""
+    """How good an image is at every point ``[h, w]``, in [0, 1]; 0 where it does not see it."""
+    import cv2
+
     seen = shown.visible >= 0.5
     inner = _ramp(shown.visible >= _SURE)
     sunny = _SHADE + (1 - _SHADE) * _ramp(shown.lit >= _SURE)
     upright = 1.0 / (1.0 + _OBLIQUE * (camera.slope.east**2 + camera.slope.north**2))
-    return np.where(seen, (upright * np.maximum(inner, 0.02) * sunny) ** _SHARP, 0.0)
+    weight = np.where(seen, upright * np.maximum(inner, 0.02) * sunny, 0.0)
+    # of what the image sees alone: its edges are sharp
+    around = cv2.GaussianBlur(weight, (0, 0), _SMOOTH), cv2.GaussianBlur(seen.astype(np.float32), (0, 0), _SMOOTH)
+    return np.asarray(np.where(seen, around[0] / np.maximum(around[1], 1e-6), 0.0))
 
 
 def _ramp(mask: np.ndarray) -> np.ndarray:
@@ -228,7 +246,8 @@ class _Job:
                 samples.extend(_samples(camera, patch, albedo, _SAMPLES // len(some)))
         bands = len(self.maps.read("albedo", slice(0, 1), slice(0, 1)))
         empty = np.zeros((2 * bands + 1, 0))
-        return with_usual_shadows([balance_of(np.concatenate([empty, *samples], axis=1), bands) for samples in found])
+        points = [np.concatenate([empty, *samples], axis=1) for samples in found]
+        return with_usual_shadows(without_haze([balance_of(samples, bands) for samples in points], points))
 
 
 def _samples(camera: Camera, patch: Patch, albedo: np.ndarray, most: int) -> Iterator[np.ndarray]:
@@ -251,16 +270,50 @@ def balance_of(samples: np.ndarray, bands: int) -> Balance:
         samples: ``[2 C + 1, N]``, see `_samples`: radiance, albedo, 1 = in the sun.
         bands: their number C.
     """
-    values, albedo, sunny = samples[:bands], samples[bands : 2 * bands], samples[-1] > 0.5
+    albedo, sunny = samples[bands : 2 * bands], samples[-1] > 0.5
     gain, offset = _lines(samples[:, sunny], bands)
     unknown = ~np.isfinite(gain) | (gain <= 0)
     gain, offset = np.where(unknown, 1.0, gain), np.where(unknown, 0.0, offset)
-    shade = np.full(bands, np.nan)
-    if (~sunny).sum() >= _FEWEST:
-        light = (values - offset[:, None]) / (gain[:, None] * np.maximum(albedo, _DARK_GROUND))
-        shade = np.clip(np.median(light[:, ~sunny], axis=1), _DARKEST, 1.0)
     brightest = np.percentile(albedo, _BRIGHT, axis=1) if albedo.size else np.full(bands, np.inf)
-    return Balance(gain, offset, shade, brightest)
+    return _shaded(Balance(gain, offset, np.full(bands, np.nan), brightest, np.zeros(bands)), samples)
+
+
+def without_haze(balances: Sequence[Balance], samples: Sequence[np.ndarray]) -> list[Balance]:
+    """The same with the scene's haze, which is no less in shadows: only what is left of the light is less there.
+
+    The haze is what the darkest points show, as far as shadows have more than that. Images of one band have no colour
+    to lose, and are left alone: where the surface's shadows are not quite theirs, as in trees, more light would be
+    lifted that is none.
+
+    Args:
+        balances: of the images, without haze.
+        samples: of the images, ``[2 C + 1, N]`` each, see `balance_of`.
+    """
+    darkest, shaded = [], []
+    if len(balances[0].gain) < 2:
+        return list(balances)
+    for balance, points in zip(balances, samples, strict=True):
+        bands = len(balance.gain)
+        bright = (points[:bands] - balance.offset[:, None]) / balance.gain[:, None]
+        shadow = bright[:, points[-1] <= 0.5]
+        if shadow.shape[1] >= _FEWEST:
+            darkest.append(np.percentile(bright, _DARKEST_PIXELS, axis=1))
+            shaded.append(np.median(shadow, axis=1))
+    if not darkest:
+        return list(balances)
+    haze = np.clip(_HAZY * np.median(darkest, axis=0), 0.0, _HAZIEST * np.maximum(np.median(shaded, axis=0), 0.0))
+    return [_shaded(replace(b, haze=haze), points) for b, points in zip(balances, samples, strict=True)]
+
+
+def _shaded(balance: Balance, samples: np.ndarray) -> Balance:
+    """The same with the light in shadow that its samples in shadow have over that in the sun, where there are some."""
+    bands, shadow = len(balance.gain), samples[:, samples[-1] <= 0.5]
+    if shadow.shape[1] < _FEWEST:
+        return balance
+    haze = balance.haze[:, None]
+    light = (shadow[:bands] - balance.offset[:, None]) / balance.gain[:, None] - haze
+    light /= np.maximum(shadow[bands : 2 * bands] - haze, _DARK_GROUND)
+    return replace(balance, shade=np.clip(np.median(light, axis=1), _DARKEST, 1.0))
 
 
 def with_usual_shadows(balances: Sequence[Balance]) -> list[Balance]:
@@ -295,4 +348,4 @@ def _range(maps: Maps) -> tuple[float, float]:
     return (low, high) if low <= high else (0.0, 1.0)
 
 
-__all__ = ["Balance", "balance_of", "mosaic", "weight_of", "with_usual_shadows", "write_ortho"]
+__all__ = ["Balance", "balance_of", "mosaic", "weight_of", "with_usual_shadows", "without_haze", "write_ortho"]
