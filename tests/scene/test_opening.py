@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import warnings
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -270,3 +271,15 @@ def test_a_folder_stands_for_the_images_in_it(tmp_path: Path) -> None:
     assert [path.name for path in found[1:]] == ["a.tif", "b.TIF", "c.ntf"]
     with pytest.raises(InputError, match=r"more: found a folder without images, expected some \(\.tif"):
         image_locations([str(tmp_path / "more")])
+
+
+def test_images_in_their_own_geometry_are_opened_without_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "image.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=8, height=4, count=1, dtype="uint8") as data:
+        data.write(np.ones((1, 4, 8), np.uint8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with opened(path) as data:
+            assert data.read().sum() == 32
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(path):
+        pass  # which rasterio says otherwise
