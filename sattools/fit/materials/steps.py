@@ -21,7 +21,6 @@ from sattools.fit.materials.normals import surface_normals
 NORMAL_CELLS = 2.0  # deviation of the smoothing of the heights that normals are taken from; more flattens slopes
 STEP_SLOPE = 1.5  # metres of height per metre from which a rise between two cells is a step, and no slope ...
 STEP_M = 1.5  # ... if it is as high as that [m]: noise of small cells is none
-
 LEVEL = 0.5  # share of a step that the ground beside it may rise by from cell to cell
 # where less than half of the ground is more level than this slope, steep rises are hillsides, or blunders of the prior
 LEVEL_SLOPE = 0.25
@@ -163,14 +162,18 @@ class _Along(torch.autograd.Function):
 
 
 @njit(cache=True, nogil=True)
-def _reach(stop, col, radius):
-    """How many cells to the west and to the east of one in a row count, those beyond the edge included."""
+def _reach(stop, col, taps):
+    """How many cells to the west and to the east of one in a row count, those beyond the edge too, and their weight."""
+    radius = len(taps) // 2
     west, east = 0, 0
     while west < radius and (col - west < 1 or not stop[col - west - 1]):
         west += 1
     while east < radius and (col + east >= len(stop) or not stop[col + east]):
         east += 1
-    return west, east
+    mass = 0.0  # in double precision: single ones would tilt level roofs
+    for k in range(radius - west, radius + east + 1):
+        mass += taps[k]
+    return west, east, mass
 
 
 @spread(lambda maps, *_: len(maps))
@@ -180,12 +183,10 @@ def _means(maps, stop, taps, out, first, end):
     cols, radius = maps.shape[1], len(taps) // 2
     for row in range(first, end):
         for col in range(cols):
-            west, east = _reach(stop[row], col, radius)
-            total, mass = 0.0, 0.0
+            west, east, mass = _reach(stop[row], col, taps)
+            total = 0.0
             for k in range(-west, east + 1):
-                weight = taps[radius + k]
-                total += weight * maps[row, min(max(col + k, 0), cols - 1)]
-                mass += weight
+                total += taps[radius + k] * maps[row, min(max(col + k, 0), cols - 1)]
             out[row, col] = total / mass
 
 
@@ -196,10 +197,7 @@ def _means_back(grad, stop, taps, out, first, end):
     cols, radius = grad.shape[1], len(taps) // 2
     for row in range(first, end):
         for col in range(cols):
-            west, east = _reach(stop[row], col, radius)
-            mass = 0.0
-            for k in range(-west, east + 1):
-                mass += taps[radius + k]
+            west, east, mass = _reach(stop[row], col, taps)
             part = grad[row, col] / mass
             for k in range(-west, east + 1):
                 out[row, min(max(col + k, 0), cols - 1)] += part * taps[radius + k]
