@@ -15,17 +15,17 @@ import numpy as np
 from sattools.compiled import FASTMATH, njit, spread
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
-SIXTH = np.float32(1 / 6)
 TILE, TILE_COLS = 24, 96  # cells
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _translate(image, row0, col0, row_shift, col_shift, out):
-    """out(i, j) = image(row0 + i + row_shift, col0 + j + col_shift), bilinear."""
+def _translate(image, row0, col0, row_shift, col_shift, scale, out):
+    """out(i, j) = scale image(row0 + i + row_shift, col0 + j + col_shift), bilinear."""
     rows, cols = out.shape
     iy, ix = math.floor(row_shift), math.floor(col_shift)
     fy, fx = np.float32(row_shift - iy), np.float32(col_shift - ix)
-    gy, gx = np.float32(1) - fy, np.float32(1) - fx
+    gy, gx = scale * (np.float32(1) - fy), np.float32(1) - fx
+    fy *= scale
     a, b, c, d = gy * gx, gy * fx, fy * gx, fy * fx
     for i in range(rows):
         upper = image[row0 + iy + i, col0 + ix : col0 + ix + cols + 1]
@@ -36,8 +36,8 @@ def _translate(image, row0, col0, row_shift, col_shift, out):
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _follow(image, surface, row0, col0, parallax, dz, out):
-    """out(i, j) = image(row0 + i + parallax[0] z, col0 + j + parallax[1] z), bilinear, at z = surface(i, j) + dz."""
+def _follow(image, surface, row0, col0, parallax, dz, scale, out):
+    """out(i, j) = scale image(row0 + i + parallax[0] z, col0 + j + parallax[1] z), bilinear, z = surface(i, j) + dz."""
     rows, cols = out.shape
     for i in range(rows):
         for j in range(cols):
@@ -47,159 +47,151 @@ def _follow(image, surface, row0, col0, parallax, dz, out):
             fy, fx = np.float32(r - iy), np.float32(c - ix)
             upper = image[iy, ix] + fx * (image[iy, ix + 1] - image[iy, ix])
             lower = image[iy + 1, ix] + fx * (image[iy + 1, ix + 1] - image[iy + 1, ix])
-            out[i, j] = upper + fy * (lower - upper)
+            out[i, j] = scale * (upper + fy * (lower - upper))
+
+
+# A tile's maps lie in memory as one line, its rows one after the other, each with the columns by which windows reach
+# beyond it: what is done to a row is done to all of them in one loop, without a beginning and an end for every row.
+# What the last columns of a row hold in the results is of no use, and nothing is seen there.
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _window_sum(columns, radius, out):
-    """out(j) = sum of columns(j .. j + 2 radius); the shorter array sets the length."""
-    cols = out.shape[0]
-    if radius == 1:  # the default, in one pass instead of three
-        for j in range(cols):
-            out[j] = columns[j] + columns[j + 1] + columns[j + 2]
+def _window_sums(values, radius, stride, line, out):
+    """Sums over all windows: out(i, j) = sum of values(i .. i + 2 radius, j .. j + 2 radius); ``line``: scratch."""
+    size = 2 * radius + 1
+    wide, count = len(values) - 2 * radius, len(out) - 2 * radius
+    if radius == 1:  # the default, in one pass each instead of three
+        for n in range(wide):
+            line[n] = values[n] + values[n + 1] + values[n + 2]
+        second, third = line[stride:], line[2 * stride :]
+        for n in range(count):
+            out[n] = line[n] + second[n] + third[n]
         return
-    for j in range(cols):
-        out[j] = columns[j]
-    for k in range(1, 2 * radius + 1):
-        for j in range(cols):
-            out[j] += columns[j + k]
+    line[:wide] = 0
+    out[:count] = 0
+    for k in range(size):
+        for n in range(wide):
+            line[n] += values[n + k]
+    for k in range(size):
+        below = line[k * stride :]
+        for n in range(count):
+            out[n] += below[n]
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _moments(moved, radius, mean, variance, sums, squares, line):
-    """Mean and variance of every window."""
-    rows, cols = mean.shape
-    norm = np.float32(1.0 / (2 * radius + 1) ** 2)
-    sums[:] = 0
-    squares[:] = 0
-    for i in range(2 * radius):
-        for j in range(sums.shape[0]):
-            sums[j] += moved[i, j]
-            squares[j] += moved[i, j] * moved[i, j]
-    for i in range(rows):
-        enter = moved[i + 2 * radius]
-        for j in range(sums.shape[0]):
-            sums[j] += enter[j]
-            squares[j] += enter[j] * enter[j]
-        _window_sum(sums, radius, mean[i])
-        _window_sum(squares, radius, line)
-        leave = moved[i]
-        for j in range(cols):
-            m = mean[i, j] * norm
-            mean[i, j] = m
-            variance[i, j] = max(line[j] * norm - m * m, np.float32(0))
-        for j in range(sums.shape[0]):
-            sums[j] -= leave[j]
-            squares[j] -= leave[j] * leave[j]
+def _product_sums(a, b, radius, stride, line, out):
+    """The same of the products of two tiles."""
+    size = 2 * radius + 1
+    wide, count = len(a) - 2 * radius, len(out) - 2 * radius
+    if radius == 1:
+        for n in range(wide):
+            line[n] = a[n] * b[n] + a[n + 1] * b[n + 1] + a[n + 2] * b[n + 2]
+        second, third = line[stride:], line[2 * stride :]
+        for n in range(count):
+            out[n] = line[n] + second[n] + third[n]
+        return
+    line[:wide] = 0
+    out[:count] = 0
+    for k in range(size):
+        for n in range(wide):
+            line[n] += a[n + k] * b[n + k]
+    for k in range(size):
+        below = line[k * stride :]
+        for n in range(count):
+            out[n] += below[n]
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _take_row(a, b, radius, products, sums):
-    """Take a row's products, summed over the windows' columns, into the sums over their rows, for those held so far."""
-    for j in range(sums.shape[0]):
-        sums[j] -= products[j]
-        products[j] = a[j] * b[j]
-    for k in range(1, 2 * radius + 1):
-        for j in range(sums.shape[0]):
-            products[j] += a[j + k] * b[j + k]
-    for j in range(sums.shape[0]):
-        sums[j] += products[j]
+def _moments(moved, seen, darkest, radius, stride, noise, squares, line, mean, variance, gloom):
+    """Of every window sqrt(2) times the mean, the variance and half of noise^2, and whether it is as dark as shadows.
+
+    moved: as scaled by `_scale`; seen: negative in shadow; darkest: brightness up to which it may be a shadow's;
+    squares, line: scratch.
+    """
+    norm, half = np.float32(1.0 / (2 * radius + 1)), np.float32(0.5)
+    floor = np.float32(0.5 * noise * noise)
+    limit = np.float32(math.sqrt(2.0) * darkest)
+    for n in range(len(moved)):
+        squares[n] = moved[n] * moved[n]
+    _window_sums(moved, radius, stride, line, mean)
+    _window_sums(squares, radius, stride, line, variance)
+    for n in range(len(mean) - 2 * radius):
+        m = mean[n] * norm
+        mean[n] = m
+        variance[n] = max(variance[n] - m * m, np.float32(0)) * half + floor
+        gloom[n] = np.float32(1) if (seen[n] < 0) & (m < limit) else np.float32(0)
 
 
 @njit(inline="always")
-def _agreed(product, ma, mb, va, vb, dark, veil, lit_floor, dark_floor, steep, power):
-    """A power of the agreement of two windows, from the mean of their product and their moments; see `correlate`."""
-    # every constant in single precision: one in double makes the whole line double
-    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
-    floor = dark_floor if dark else lit_floor
-    shared = max(two * (product - ma * mb) + floor, zero)
-    apart = ma - mb - (veil if dark else zero)
-    score = shared / ((va + vb + floor) * (one + apart * apart * steep))
-    square = score * score
-    return square if power == 1 else square * square * square
+def _scale(radius):
+    """Factor of the images with which a window's sum of products is twice the mean product."""
+    return np.float32(math.sqrt(2.0) / (2 * radius + 1))
 
 
 @njit(cache=True, fastmath=FASTMATH)
 def _add_pair(
-    a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, dark_a, dark_b,
-    radius, noise, shadow_noise, brightness, power, mixed, products, sums, total, weight,
+    product, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, gloom_a, gloom_b,
+    lit_floor, dark_floor, veil, steep, power, mixed, total, weight,
 ):  # fmt: skip
     """Add a power of a pair's agreement to ``total`` and the pair's weight to ``weight``.
 
-    seen_a, seen_b: weight of the view there, negative in shadow: 1 = seen, 0 = beyond the image. A pair has the product
-    of its views' weights, times ``mixed`` where one shows the point in the sun and the other in shadow. ``power``: 1 =
-    second, 3 = sixth. Where both are in shadow and as dark as
-    shadows (dark_a, dark_b) are, brightness counts from there, and structure only above the noise of the dark.
-    products: ``[2 radius + 1, columns]`` of the last rows, see `_take_row`; sums: over the windows.
+    product: twice the windows' mean products; the other maps see `_moments`. seen_a, seen_b: weight of the view there,
+    negative in shadow: 1 = seen, 0 = beyond the image. A pair has the product of its views' weights, times ``mixed``
+    where one shows the point in the sun and the other in shadow. Where both are in shadow and as dark as shadows are
+    (gloom_a, gloom_b), brightness counts from there (``veil``, the difference of their shadows), and structure only
+    above the noise of the dark, ``dark_floor`` more than ``lit_floor``. power: 1 = second, 3 = sixth.
     """
-    rows, cols = total.shape
-    size = 2 * radius + 1
-    norm = np.float32(1.0 / size**2)
-    lit_floor, dark_floor = np.float32(noise * noise), np.float32(shadow_noise * shadow_noise)
-    darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
-    veil = dark_a - dark_b
-    steep = np.float32(1.0 / (brightness * brightness))
-    sums[:] = 0
-    products[:] = 0
-    for i in range(size - 1):
-        _take_row(a[i], b[i], radius, products[i], sums)
-    for i in range(rows):
-        xa, xb, oldest = a[i + size - 1], b[i + size - 1], products[(i + size - 1) % size]
-        ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
-        sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
-        _take_row(xa, xb, radius, oldest, sums)
-        for j in range(cols):
-            both = sa[j] * sb[j]
-            both = max(both, -mixed * both)
-            dark = (sa[j] < 0) & (sb[j] < 0) & (ma[j] < darkest_a) & (mb[j] < darkest_b)
-            ti[j] += both * _agreed(
-                sums[j] * norm, ma[j], mb[j], va[j], vb[j], dark, veil, lit_floor, dark_floor, steep, power
-            )  # fmt: skip
-            wi[j] += both
+    # every constant in single precision: one in double makes the whole line double
+    zero, one = np.float32(0), np.float32(1)
+    for n in range(len(total)):
+        both = seen_a[n] * seen_b[n]
+        both = max(both, -mixed * both)
+        dark = gloom_a[n] * gloom_b[n]
+        more = dark * dark_floor
+        shared = max(product[n] - mean_a[n] * mean_b[n] + (more + lit_floor), zero)
+        apart = mean_a[n] - mean_b[n] - dark * veil
+        score = shared / ((variance_a[n] + variance_b[n] + more) * (one + apart * apart * steep))
+        square = score * score
+        total[n] += both * (square if power == 1 else square * square * square)
+        weight[n] += both
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _add_pair_3x3(
-    a, b, mean_a, mean_b, variance_a, variance_b, seen_a, seen_b, dark_a, dark_b,
-    noise, shadow_noise, brightness, power, mixed, products, sums, total, weight,
-):  # fmt: skip
-    """The same as `_add_pair` for windows of 3 x 3, the default: in one loop it takes three quarters of the time."""
-    rows, cols = total.shape
-    norm = np.float32(1.0 / 9.0)
-    lit_floor, dark_floor = np.float32(noise * noise), np.float32(shadow_noise * shadow_noise)
-    darkest_a, darkest_b = dark_a + np.float32(brightness), dark_b + np.float32(brightness)
-    veil = dark_a - dark_b
-    steep = np.float32(1.0 / (brightness * brightness))
-    sums[:] = 0
-    products[:] = 0
-    for i in range(2):
-        _take_row(a[i], b[i], 1, products[i], sums)
-    for i in range(rows):
-        xa, xb, oldest = a[i + 2], b[i + 2], products[(i + 2) % 3]
-        ma, mb, va, vb = mean_a[i], mean_b[i], variance_a[i], variance_b[i]
-        sa, sb, ti, wi = seen_a[i], seen_b[i], total[i], weight[i]
-        for j in range(cols):
-            product = xa[j] * xb[j] + xa[j + 1] * xb[j + 1] + xa[j + 2] * xb[j + 2]
-            inside = sums[j] + (product - oldest[j])
-            sums[j] = inside
-            oldest[j] = product
-            both = sa[j] * sb[j]
-            both = max(both, -mixed * both)
-            dark = (sa[j] < 0) & (sb[j] < 0) & (ma[j] < darkest_a) & (mb[j] < darkest_b)
-            ti[j] += both * _agreed(
-                inside * norm, ma[j], mb[j], va[j], vb[j], dark, veil, lit_floor, dark_floor, steep, power
-            )  # fmt: skip
-            wi[j] += both
+def _cube_roots(values, guess):
+    """Cube roots of a row in place, to single precision; 0 below 1e-30.
+
+    A first ``guess`` from a third of the exponent is within 4 %, and every step of Halley's cubes what it is off. The
+    library's power function, which takes one number at a time, took a tenth of the matching's time.
+    """
+    third, magic, least = np.float32(1 / 3), np.int32(709958130), np.float32(1e-30)
+    bits, first = values.view(np.int32), guess.view(np.int32)
+    for j in range(values.shape[0]):
+        first[j] = np.int32(np.float32(bits[j]) * third) + magic
+    for j in range(values.shape[0]):
+        x, y = values[j], guess[j]
+        cube = y * y * y
+        y *= (cube + x + x) / (cube + cube + x)
+        cube = y * y * y
+        y *= (cube + x + x) / (cube + cube + x)
+        values[j] = y if x > least else np.float32(0)
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _mean_over_pairs(total, weight, power, agreement):
-    """Power mean of a row's pairs; -1 where no pair sees the place."""
-    for j in range(agreement.shape[0]):
-        mean = total[j] / weight[j] if weight[j] > 0 else np.float32(-1)
-        if weight[j] > 0:
-            mean = math.sqrt(mean) if power == 1 else mean**SIXTH
-        agreement[j] = mean
+def _mean_over_pairs(total, weight, power, best, line):
+    """Turn a row's sums over the pairs into their power mean, -1 where no pair sees the place; note the ``best``.
+
+    Returns: whether there is such a place.
+    """
+    hidden = False
+    for j in range(total.shape[0]):
+        total[j] = math.sqrt(total[j] / weight[j]) if weight[j] > 0 else np.float32(0)
+    if power == 3:
+        _cube_roots(total, line)
+    for j in range(total.shape[0]):
+        best[j] = max(best[j], total[j])
+        total[j] = total[j] if weight[j] > 0 else np.float32(-1)
+        hidden |= not weight[j] > 0
+    return hidden
 
 
 @njit(cache=True, fastmath=FASTMATH)
@@ -208,10 +200,6 @@ def _fill_unseen(row, unseen, best):
 
     A hidden height must stay possible, but not beat what is seen to agree, however poorly.
     """
-    best[:] = 0
-    for k in range(row.shape[0]):
-        for j in range(row.shape[1]):
-            best[j] = max(best[j], row[k, j])
     for k in range(row.shape[0]):
         for j in range(row.shape[1]):
             row[k, j] = min(unseen, GUARD * best[j]) if row[k, j] < 0 else row[k, j]
@@ -222,12 +210,15 @@ def _look(
     image, mask, parallax, z, base, z_ref, hit_height, shadow_height, tolerance, radius, margin, weak, r0, c0,
     moved, seen,
 ):  # fmt: skip
-    """What a view shows of a tile at a height (or a height above a surface), and how well it sees it."""
-    rows, cols = seen.shape
-    dz = z - z_ref
+    """What a view shows of a tile at a height (or a height above a surface), and how well it sees it.
+
+    moved: ``[rows + 2 radius, cols + 2 radius]``; seen: ``[rows, cols + 2 radius]``, whose last columns are left alone.
+    """
+    rows, cols = len(seen), seen.shape[1] - 2 * radius
+    dz, scale = z - z_ref, _scale(radius)
     if len(base):
         part = base[r0 : r0 + rows + 2 * radius, c0 : c0 + cols + 2 * radius]
-        _follow(image, part, margin + r0 - radius, margin + c0 - radius, parallax, dz, moved)
+        _follow(image, part, margin + r0 - radius, margin + c0 - radius, parallax, dz, scale, moved)
         for i in range(rows):
             for j in range(cols):
                 there = part[i + radius, j + radius] + z
@@ -238,14 +229,14 @@ def _look(
                 seen[i, j] = lit * np.float32(mask[nr, nc]) * (np.float32(1) if near else weak)
         return
     dr, dc = parallax[0] * dz, parallax[1] * dz
-    _translate(image, margin + r0 - radius, margin + c0 - radius, dr, dc, moved)
-    lowest_hit = np.float32(z + tolerance)
+    _translate(image, margin + r0 - radius, margin + c0 - radius, dr, dc, scale, moved)
+    lowest_hit, lowest_lit = np.float32(z + tolerance), np.float32(z)
     nr, nc = margin + r0 + round(dr), margin + c0 + round(dc)
     for i in range(rows):
         valid, hit = mask[nr + i, nc : nc + cols], hit_height[nr + i, nc : nc + cols]
         shadow, target = shadow_height[r0 + i, c0 : c0 + cols], seen[i]
         for j in range(cols):
-            lit = np.float32(1) if z >= shadow[j] else np.float32(-1)
+            lit = np.float32(1) if lowest_lit >= shadow[j] else np.float32(-1)
             target[j] = lit * np.float32(valid[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
 
 
@@ -258,16 +249,18 @@ def _correlate_tile(
     """The part of `correlate` whose first cell is (r0, c0): ``volume`` is ``[rows, D, columns]``."""
     views = images.shape[0]
     rows, depth, cols = volume.shape
-    moved = np.empty((views, rows + 2 * radius, cols + 2 * radius), np.float32)
-    seen = np.empty((views, rows, cols), np.float32)
-    mean = np.empty((views, rows, cols), np.float32)
-    variance = np.empty((views, rows, cols), np.float32)
-    sums = np.empty(cols + 2 * radius, np.float32)
-    squares = np.empty(cols + 2 * radius, np.float32)
-    line = np.empty(cols, np.float32)
-    products = np.empty((2 * radius + 1, cols), np.float32)
-    total = np.empty((rows, cols), np.float32)
-    weight = np.empty((rows, cols), np.float32)
+    stride = cols + 2 * radius
+    moved = np.empty((views, (rows + 2 * radius) * stride), np.float32)
+    mean, variance = np.zeros((views, rows * stride), np.float32), np.ones((views, rows * stride), np.float32)
+    seen, gloom = np.zeros((views, rows * stride), np.float32), np.zeros((views, rows * stride), np.float32)
+    squares, line = np.empty(moved.shape[1], np.float32), np.empty(moved.shape[1], np.float32)
+    product = np.zeros(rows * stride, np.float32)
+    total, weight = np.empty(rows * stride, np.float32), np.empty(rows * stride, np.float32)
+    totals, weights = total.reshape(rows, stride), weight.reshape(rows, stride)
+    best, hidden = np.zeros((rows, cols), np.float32), np.zeros(rows, np.bool_)
+    lit_floor = np.float32(noise * noise)
+    dark_floor = np.float32(shadow_noise * shadow_noise) - lit_floor
+    steep = np.float32(0.5 / (brightness * brightness))
     for k in range(depth):
         if not active[k]:
             volume[:, k] = 0
@@ -275,27 +268,30 @@ def _correlate_tile(
         for v in range(views):
             _look(
                 images[v], masks[v], parallax[v], heights[k], base, z_ref, hit_heights[v], shadow_heights[v], tolerance,
-                radius, margin, weak, r0, c0, moved[v], seen[v],
+                radius, margin, weak, r0, c0, moved[v].reshape(rows + 2 * radius, stride),
+                seen[v].reshape(rows, stride),
             )  # fmt: skip
-            _moments(moved[v], radius, mean[v], variance[v], sums, squares, line)
+            _moments(
+                moved[v], seen[v], dark[v] + brightness, radius, stride, noise, squares, line, mean[v], variance[v],
+                gloom[v],
+            )  # fmt: skip
         total[:] = 0
         weight[:] = 0
         for p in range(pairs.shape[0]):
             a, b = pairs[p, 0], pairs[p, 1]
-            if radius == 1:
-                _add_pair_3x3(
-                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
-                    noise, shadow_noise, brightness, power, mixed, products, line, total, weight,
-                )  # fmt: skip
-            else:
-                _add_pair(
-                    moved[a], moved[b], mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], dark[a], dark[b],
-                    radius, noise, shadow_noise, brightness, power, mixed, products, line, total, weight,
-                )  # fmt: skip
+            veil = np.float32(math.sqrt(2.0)) * (dark[a] - dark[b])
+            _product_sums(moved[a], moved[b], radius, stride, line, product)
+            _add_pair(
+                product, mean[a], mean[b], variance[a], variance[b], seen[a], seen[b], gloom[a], gloom[b],
+                lit_floor, dark_floor, veil, steep, power, mixed, total, weight,
+            )  # fmt: skip
         for i in range(rows):
-            _mean_over_pairs(total[i], weight[i], power, volume[i, k])
+            row = totals[i, :cols]
+            hidden[i] |= _mean_over_pairs(row, weights[i, :cols], power, best[i], line[:cols])
+            volume[i, k] = row
     for i in range(rows):
-        _fill_unseen(volume[i], unseen, line)
+        if hidden[i]:
+            _fill_unseen(volume[i], unseen, best[i])
 
 
 @spread(lambda *arguments: arguments[-2].shape[0] * arguments[-2].shape[1])
