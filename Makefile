@@ -80,5 +80,5 @@ $(VENV)/.installed-dev: pyproject.toml $(VENV)/.torch
 
 # a small scene through every step: it works, and kernels are compiled now and not by the first run
 $(VENV)/.tried: | $(VENV)/.installed
-	$(BIN)/sattools doctor --try
+	PYTHONDONTWRITEBYTECODE= $(BIN)/sattools doctor --try
 	touch $@

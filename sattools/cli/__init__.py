@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import importlib.util
 import os
@@ -145,8 +146,14 @@ def bound_cache() -> None:
     os.environ.setdefault("GDAL_CACHEMAX", "64")
 
 
+# Libraries make hundreds of thousands of objects that stay, and Python would go through all of them again and again while
+# they are imported, and once more at the end: half a second of each command that needs PyTorch.
+GARBAGE = (20_000, 20, 100)
+
+
 def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
+    gc.set_threshold(*GARBAGE)
     interrupts.listen()
     try:
         main(prog_name="sattools")
@@ -158,6 +165,8 @@ def entry() -> None:
     finally:
         for number in interrupts.SIGNALS:
             signal.signal(number, signal.SIG_IGN)
+        gc.disable()
+        gc.freeze()  # what is left ends with the process
 
 
 __all__ = ["COMMANDS", "entry", "main"]
