@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sattools.render import sun_visibility
 from sattools.scene import Grid
 
-EDGE = 1024  # cells
+EDGE = 512  # cells; as much as is held of a small map that is one block
 AT_ONCE = 1_500_000  # cells up to which a map is one block
 _POOL = 64  # cells of which the highest is kept
 _SPARE = 8  # cells around a block: slopes of its border cells, and the end of a ray

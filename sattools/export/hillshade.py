@@ -10,6 +10,8 @@ import numpy as np
 from sattools.scene.files import write_figure
 from sattools.scene.grid import Grid
 
+_STRIP_ROWS = 64  # that are coloured at a time: colours of a whole picture are some hundred megabytes
+
 
 def hillshade(
     height: np.ndarray, cell_size: float, azimuth_deg: float = 315.0, elevation_deg: float = 40.0
@@ -61,14 +63,21 @@ def picture(height: np.ndarray, grid: Grid, title: str, above: str = "WGS84 elli
     known = height[np.isfinite(height)]
     low, high = np.percentile(known, [0.5, 99.5]) if known.size else (0.0, 1.0)
     mappable = ScalarMappable(Normalize(low, max(high, low + 1e-3)), "viridis")
-    shade = hillshade(np.nan_to_num(height, nan=low), grid.cell_size)
-    image = mappable.to_rgba(height)[..., :3] * (0.45 + 0.75 * shade[..., None])
-    image[~np.isfinite(height)] = 1.0
+    image = np.empty((*height.shape, 3), np.uint8)
+    for first in range(0, len(height), _STRIP_ROWS):
+        inner = slice(first, min(first + _STRIP_ROWS, len(height)))
+        outer = slice(max(0, first - 1), inner.stop + 1)  # slopes of its border rows
+        shade = hillshade(np.nan_to_num(height[outer], nan=low), grid.cell_size)[first - outer.start :][
+            : inner.stop - first
+        ]
+        colours = mappable.to_rgba(height[inner])[..., :3] * (0.45 + 0.75 * shade[..., None])
+        colours[~np.isfinite(height[inner])] = 1.0
+        image[inner] = np.round(255 * np.clip(colours, 0, 1))
     figure = Figure(figsize=(7, 7 * grid.height / grid.width + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     extent = (0.0, grid.width * grid.cell_size, 0.0, grid.height * grid.cell_size)
-    axes.imshow(np.clip(image, 0, 1), extent=extent)
+    axes.imshow(image, extent=extent)
     axes.set(title=title, xlabel=f"east of {grid.left:.1f} [m]", ylabel=f"north of {grid.bounds[1]:.1f} [m]")
     figure.colorbar(mappable, ax=axes, label=f"height above the {above} [m]", shrink=0.8)
     return figure

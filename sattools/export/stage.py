@@ -7,9 +7,10 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sattools.errors import InputError, SceneError
-from sattools.export.blocks import Surroundings, blocks
+from sattools.export.blocks import Block, Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
@@ -73,23 +74,16 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     surface = Surroundings(stored.grid, lambda rows, cols: stored.part(rows, cols).height.numpy())
     pieces = blocks(stored.grid, at_once)
     counts = np.zeros(4, np.int64)
+    last: Exported | None = None
     with SurfaceFiles(scene, stored, options.vertical, witnesses.known) as files:
         for k, block in enumerate(pieces):
             progress(0.1 + 0.5 * k / len(pieces), "DSM, albedo, shadows" + (f", block {k + 1}" if k else ""))
-            model = stored.part(block.rows, block.cols)
-            known = np.isfinite(model.height.numpy())
-            validity = witnesses.validity(block, surface) if witnesses.known else None
-            valid = known if options.fill or validity is None else validity != UNSEEN
-            wanted = wanted_cells(scene, block.grid)
-            if wanted is not None:
-                valid = valid & wanted
-                validity = None if validity is None else np.where(wanted, validity, UNWANTED).astype(np.uint8)
-            exported = Exported(scene, model, valid)
-            files.write(block, exported, surface, validity)
-            if validity is not None:
-                counts += np.bincount(validity.ravel(), minlength=4)
-    if at_once:
-        _views(exported, options, subprogress(progress, 0.6, 0.7))
+            exported, found = _write_block(scene, stored, block, (surface, witnesses, files), options.fill)
+            counts += found
+            last = exported if at_once else None
+            del exported  # before the next one is read
+    if last is not None:
+        _views(last, options, subprogress(progress, 0.6, 0.7))
     asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0, options.ground_width)
     about = replace(stored.head, grid=stored.grid)
     products = write_products(scene, about, asked, subprogress(progress, 0.7, 1.0))
@@ -101,6 +95,25 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
     return {"vertical_datum": files.datum, "validity": fractions, "products": products, MADE: record(scene, "export")}
+
+
+def _write_block(
+    scene: Scene, stored: StoredModel, block: Block, what: tuple[Surroundings, Witnesses, SurfaceFiles], fill: bool
+) -> tuple[Exported, NDArray[np.int64]]:
+    """The model of a block, whose maps have been written, and how many of its cells are of every validity ``[4]``."""
+    surface, witnesses, files = what
+    model = stored.part(block.rows, block.cols)
+    known = np.isfinite(model.height.numpy())
+    validity = witnesses.validity(block, surface) if witnesses.known else None
+    valid = known if fill or validity is None else validity != UNSEEN
+    wanted = wanted_cells(scene, block.grid)
+    if wanted is not None:
+        valid = valid & wanted
+        validity = None if validity is None else np.where(wanted, validity, UNWANTED).astype(np.uint8)
+    exported = Exported(scene, model, valid)
+    files.write(block, exported, surface, validity)
+    counts = np.zeros(4, np.int64) if validity is None else np.bincount(validity.ravel(), minlength=4)
+    return exported, counts
 
 
 def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:

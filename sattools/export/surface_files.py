@@ -20,6 +20,7 @@ from sattools.export.validity import MEANING
 from sattools.fit.stored import StoredModel
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter
+from sattools.scene.memory import give_back
 from sattools.scene.raster import read_on
 
 # what the model may hold per image
@@ -158,6 +159,7 @@ class SurfaceFiles:
         self._stack.__exit__(*error)
         if error[0] is not None:
             return
+        give_back()  # what was held of the maps, before a picture is drawn
         scene = self.scene
         grid = self.grid.resized(self.grid.cell_size * self._step)
         title = f"{scene.id}: DSM, {self.grid.cell_size:g} m"

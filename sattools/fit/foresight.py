@@ -10,6 +10,7 @@ from sattools.fit.options import FitOptions
 from sattools.prior.options import PriorOptions
 from sattools.scene import Scene
 from sattools.scene.memory import available
+from sattools.scene.tiles import widest_part
 
 TILE_SIZES_M = (1024.0, 512.0, 256.0)
 LARGEST_AT_ONCE_M = 1024.0  # beyond it tiles cost nothing and keep progress
@@ -69,13 +70,13 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
     pairs = min(images * (images - 1) // 2, PriorOptions().pairs) if options.prior_weight > 0 else 0
     planes = (high - low) / (2 * grid.cell_size)
     cells = grid.width * grid.height
-    tiles, overlap = 1, 0.0
+    tiles, piece, work = 1, float(cells), float(cells)
     if tile:
-        along = [max(1, math.ceil(edge * grid.cell_size / tile)) for edge in grid.shape]
+        longest, margin = tile / grid.cell_size, options.overlap / grid.cell_size
+        along = [max(1, math.ceil(edge / longest)) for edge in grid.shape]
         tiles = along[0] * along[1]
-        overlap = options.overlap
-    piece = min(cells, ((tile + 2 * overlap) / grid.cell_size) ** 2) if tile else cells
-    work = cells if not tile else min(tiles * piece, cells * (1 + 2 * overlap / tile) ** 2)
+        piece = math.prod(widest_part(edge, longest, margin) for edge in grid.shape)
+        work = math.prod(edge + 2 * margin * (n - 1) for edge, n in zip(grid.shape, along, strict=True))
     seconds = START_S + work * (MATCH_S * planes * pairs + FIT_S * images)
     area = cells * grid.cell_size**2 / 1e6
     return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, _bytes(piece, images), seconds)

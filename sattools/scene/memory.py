@@ -47,6 +47,18 @@ def keep_freed() -> None:
     mallopt(_M_TRIM_THRESHOLD, 256 << 20)
 
 
+def give_back() -> None:
+    """Give freed memory back to the system, that of gaps between what is still held, too.
+
+    Steps that one after the other hold much for a while otherwise add up, as each finds the gaps too small. Does
+    nothing where the C library has no such call.
+    """
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (AttributeError, OSError, TypeError):
+        return
+
+
 def check_memory(needed: float, what: str, remedy: str) -> None:
     """Raise SattoolsError where `needed` bytes are more than there are.
 
@@ -63,4 +75,4 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
         )
 
 
-__all__ = ["available", "check_memory", "keep_freed"]
+__all__ = ["available", "check_memory", "give_back", "keep_freed"]

@@ -63,7 +63,8 @@ def make_tiles(grid: Grid, tile_m: float, overlap_m: float, step_m: float) -> li
 
     Args:
         grid: what is cut.
-        tile_m: longest edge of a tile without its overlap [m]; tiles of one grid are of about the same size.
+        tile_m: longest edge of a tile without its overlap [m]; all tiles have it but those at the grid's border, which
+            have at least half of it.
         overlap_m: by which a tile reaches into its neighbours [m]; two share twice as much.
         step_m: multiple of the grid's cell on which all edges lie [m].
 
@@ -86,10 +87,30 @@ def make_tiles(grid: Grid, tile_m: float, overlap_m: float, step_m: float) -> li
     ]
 
 
+def widest_part(edge: float, longest: float, margin: float) -> float:
+    """Length of the longest part, with what it shares, of an edge cut as `make_tiles` does it; all in one unit.
+
+    Args:
+        edge: what is cut.
+        longest: part without what it shares.
+        margin: by which a part reaches into its neighbours.
+    """
+    if edge <= longest:
+        return edge
+    return longest + 2 * margin if edge > 2 * longest else edge / 2 + margin
+
+
 def _spans(cells: int, longest: float, margin: int, step: int) -> list[tuple[slice, tuple[int, int]]]:
-    """Ranges of cells along one axis with the cells shared with the one before and after."""
-    count = max(1, math.ceil(cells / longest - 1e-9))
-    edges = [min(cells, round(k * cells / (count * step)) * step) for k in range(count)] + [cells]
+    """Ranges of cells along one axis with the cells shared with the one before and after.
+
+    All between the first and the last are as long as they may be, and these two share what is left, so that neither is
+    shorter than half of that. Parts of equal length would need the same work, but be shorter the fewer they are: the
+    memory of a tile would grow with the area.
+    """
+    full = math.floor(longest / step + 1e-9) * step
+    count = 1 if cells <= longest + 1e-9 else math.ceil(cells / full)
+    first = round((cells - (count - 2) * full) / (2 * step)) * step
+    edges = [0, *(first + k * full for k in range(count - 1)), cells]
     starts = [max(0, edge - margin) for edge in edges[:-1]]
     stops = [min(cells, edge + margin) for edge in edges[1:]]
     return [
@@ -111,4 +132,4 @@ def _ramp(count: int, ratio: float, cells: int, before: int, after: int) -> np.n
     return weight
 
 
-__all__ = ["LEAST_STEPS", "Tile", "common_cell", "make_tiles"]
+__all__ = ["LEAST_STEPS", "Tile", "common_cell", "make_tiles", "widest_part"]

@@ -69,6 +69,17 @@ def test_more_ground_and_more_images_take_more(town: Scene, monkeypatch: pytest.
     assert foresee(two, AUTO).cpu_s < foresee(town, AUTO).cpu_s
 
 
+def test_memory_of_tiles_does_not_grow_with_the_area(town: Scene) -> None:
+    tiled = FitOptions(tile=512.0)
+    one, four, large = (foresee(of_size(town, edge), tiled) for edge in (1040, 2080, 5200))
+    assert one.memory == four.memory == large.memory
+    assert (one.tiles, four.tiles, large.tiles) == (9, 25, 121)
+    # 3 x 3 tiles share 2 x 64 m along an edge of 1040 m, 11 x 11 share 10 x 64 m along five times that
+    assert large.cpu_s - foresight.START_S == pytest.approx(25 * (one.cpu_s - foresight.START_S))
+    # halves are smaller
+    assert foresee(of_size(town, 700), tiled).memory < one.memory
+
+
 def test_a_dry_run_says_it_and_fits_nothing(make_town: Callable[[], Scene]) -> None:
     scene = make_town()
     result = CliRunner().invoke(main, ["fit", "--dry-run", "--tile", "auto", str(scene.root / "scene.json")])

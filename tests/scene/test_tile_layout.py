@@ -1,5 +1,6 @@
 """Cutting a grid into tiles: they cover it, keep to its cells, and their weights add up to one."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from sattools.errors import SceneError
 from sattools.scene import Grid
-from sattools.scene.tiles import common_cell, make_tiles
+from sattools.scene.tiles import common_cell, make_tiles, widest_part
 
 WHOLE = Grid("EPSG:32617", 1000.0, 5000.0, 0.5, 500, 300)  # 250 m x 150 m
 
@@ -15,12 +16,37 @@ WHOLE = Grid("EPSG:32617", 1000.0, 5000.0, 0.5, 500, 300)  # 250 m x 150 m
 def test_tiles_are_of_one_size_and_reach_into_their_neighbours() -> None:
     tiles = make_tiles(WHOLE, 100.0, 16.0, 2.0)
     assert [tile.name for tile in tiles] == ["r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"]
-    # 250 m in three parts, the edges on multiples of 2 m = 4 cells, and 32 cells more where there is a neighbour
-    assert [(t.cols.start, t.cols.stop) for t in tiles[:3]] == [(0, 200), (136, 364), (300, 500)]
+    # 250 m: 100 m in the middle and half of the rest on either side, the edges on multiples of 2 m = 4 cells, and 32
+    # cells more where there is a neighbour; 150 m in halves
+    assert [(t.cols.start, t.cols.stop) for t in tiles[:3]] == [(0, 184), (120, 384), (320, 500)]
     assert [(t.rows.start, t.rows.stop) for t in tiles[::3]] == [(0, 184), (120, 300)]
     middle = tiles[4]
-    assert middle.grid == Grid("EPSG:32617", 1068.0, 4940.0, 0.5, 228, 180)
+    assert middle.grid == Grid("EPSG:32617", 1060.0, 4940.0, 0.5, 264, 180)
     assert middle.shared == (64, 0, 64, 64)
+
+
+@pytest.mark.parametrize("step", [1.0, 2.0, 7.0])
+def test_the_largest_tile_is_the_same_whatever_the_area(step: float) -> None:
+    margin, full = math.ceil(32 / step) * step, math.floor(512 / step) * step
+    for edge in (1025, 1040, 1100, 1536, 1537, 2000, 2083, 3125, 4165, 5000, 5201):  # 1 to 27 km2
+        tiles = make_tiles(Grid("EPSG:32633", 0.0, 0.0, 1.0, edge, edge), 512.0, 32.0, step)
+        sizes = sorted({size for tile in tiles for size in tile.grid.shape})
+        assert sizes[-1] == full + 2 * margin
+        assert sizes[0] >= full / 2 - step + margin  # those at the border: no slivers
+        # and no more of them than the area needs, so that they share no more than they must
+        assert len(tiles) == math.ceil(edge / full) ** 2
+        foreseen = widest_part(edge, 512.0, 32.0)
+        assert abs(sizes[-1] - foreseen) < 3 * step
+
+
+def test_areas_of_two_tiles_are_halved() -> None:
+    for edge in (513, 700, 1000, 1024):
+        tiles = make_tiles(Grid("EPSG:32633", 0.0, 0.0, 1.0, edge, edge), 512.0, 32.0, 1.0)
+        assert len(tiles) == 4
+        widest = max(tile.grid.width for tile in tiles)
+        assert widest == math.ceil(edge / 2) + 32
+        assert abs(widest - widest_part(edge, 512.0, 32.0)) <= 0.5
+    assert widest_part(512, 512.0, 32.0) == 512
 
 
 @pytest.mark.parametrize("cell", [0.5, 1.0, 2.0])

@@ -26,7 +26,9 @@ from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import sample_map
 from sattools.scene.tiles import Tile
 
-STRIP_ROWS = 256  # of the whole that are put together at a time
+STRIP_ROWS = 256  # of the whole that are put together at a time, or fewer where they are wide:
+STRIP_CELLS = 1_000_000
+LEAST_ROWS = 16
 
 
 class FeatheredMosaic:
@@ -161,7 +163,11 @@ def _streamed(plan: Plan, models: Mapping[str, StoredModel], common: FittedModel
 
     bands = {"height": 1, "height_std": 1, "albedo": common.albedo.shape[-1]}
     head = replace(common, softness=heads[-1].softness if heads else common.softness)
-    return StreamedModel(head, whole, bands["albedo"], tuple(sorted(images)), maps_of, STRIP_ROWS)
+    return StreamedModel(head, whole, bands["albedo"], tuple(sorted(images)), maps_of, _strip_rows(whole))
+
+
+def _strip_rows(whole: Grid) -> int:
+    return min(STRIP_ROWS, max(LEAST_ROWS, STRIP_CELLS // whole.width))
 
 
 def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
@@ -198,8 +204,9 @@ def _mosaic_priors(plan: Plan, names: list[str]) -> None:
 
     pieces = [piece(tile) for tile in plan.tiles]
     with MapFiles(plan.scene, whole) as files:
-        for first in range(0, whole.height, STRIP_ROWS):
-            last = min(first + STRIP_ROWS, whole.height)
+        strip = _strip_rows(whole)
+        for first in range(0, whole.height, strip):
+            last = min(first + strip, whole.height)
             # a row more on either side, for the normals
             rows = slice(max(0, first - 1), min(whole.height, last + 1))
             mosaics = FeatheredMosaic(whole, rows, 1), FeatheredMosaic(whole, rows, 1)

@@ -79,8 +79,8 @@ class Plan:
         assert options.tile is not None
         assert options.tile != "auto"  # `sattools.fit.stage.fit` has chosen
         tiles = make_tiles(grid, options.tile, options.overlap, common_cell(cells))
-        most = max(tile.grid.width * tile.grid.height for tile in tiles)
-        factor = max(1, math.ceil(math.sqrt(grid.width * grid.height / most)))
+        # as many cells as a tile has without its overlap: the whole is seen by more pixels, which take memory, too
+        factor = math.ceil(math.sqrt(len(tiles)))
         return cls(scene, options, tiles, stages[-1].cell_size, factor)
 
     def root(self, name: str) -> Path:

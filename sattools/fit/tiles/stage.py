@@ -21,6 +21,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.memory import give_back
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +57,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         for k, tile in enumerate(plan.tiles):
             some = subprogress(progress, (k + 1) / steps, (k + 2) / steps)
             notes += plan.fit(tile, saying(some, f"tile {k + 1} of {len(plan.tiles)}: "))
+            give_back()
     if options.part == "split":
         return {"notes": notes, "tiles": plan.names()}
     return mosaic_tiles(plan, notes if options.part == "all" else [], progress)
