@@ -146,8 +146,8 @@ def bound_cache() -> None:
     os.environ.setdefault("GDAL_CACHEMAX", "64")
 
 
-# Libraries make hundreds of thousands of objects that stay, and Python would go through all of them again and again while
-# they are imported, and once more at the end: half a second of each command that needs PyTorch.
+# Libraries make hundreds of thousands of objects that stay, and Python would go through all of them again and again
+# while they are imported, and once more at the end: half a second of each command that needs PyTorch.
 GARBAGE = (20_000, 20, 100)
 
 
