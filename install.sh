@@ -8,4 +8,5 @@ extras=${1:-products,batch,notebook}
 python3 -m pip install --no-cache-dir --no-compile torch==2.13.0 --index-url "${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}"
 python3 -m pip install --no-cache-dir --no-compile --only-binary :all: setuptools
 python3 -m pip install --no-cache-dir --no-compile ".[$extras]"
-sattools doctor --try
+# kernels and bytecode are compiled here, whatever the environment says, and not with every first command
+PYTHONDONTWRITEBYTECODE= sattools doctor --try

@@ -177,7 +177,8 @@ def gamma_encode(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: 
         contrast: see above.
     """
     curve = gamma_encoded(images, linear)
-    return (curve * (REFERENCE_CONTRAST / (contrast or contrast_of(curve, masks)))).astype(np.float32)
+    scale = REFERENCE_CONTRAST / (contrast or contrast_of(curve, masks))
+    return np.multiply(curve, np.float32(scale), dtype=np.float32)
 
 
 def gamma_encoded(images: np.ndarray, linear: bool) -> np.ndarray:
@@ -187,7 +188,8 @@ def gamma_encoded(images: np.ndarray, linear: bool) -> np.ndarray:
 
 def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
     """From dark to bright (2 ... 98 %) of the radiance where the mask is 1."""
-    low, high = np.percentile(images[masks > 0][::7], [2, 98])
+    some, valid = images.ravel()[::7], masks.ravel()[::7] > 0
+    low, high = np.percentile(some[valid], [2, 98])
     return max(high - low, 1e-6)
 
 
@@ -249,7 +251,7 @@ def make_frame(
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
     images = gamma_encode(images, masks, all(s.linear for s in sources), balances[0].contrast if balances else None)
-    return Frame(images.astype(np.float32), masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views)), views
+    return Frame(images, masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views)), views
 
 
 def _per_image(

@@ -14,6 +14,8 @@ from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.scene.grid import Grid
 
+ENOUGH = 100_000  # pixels that tell an image's brightness and spread to 0.3 % of the spread
+
 
 @dataclass(frozen=True)
 class View:
@@ -77,29 +79,42 @@ def read_at(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> tuple[np.nda
     import cv2
 
     valid = np.isfinite(image).all(axis=0)
-    filled = np.where(valid, image, 0.0).astype(np.float32)
+    whole = bool(valid.all())
+    filled = image.astype(np.float32, copy=False) if whole else np.where(valid, image, 0.0).astype(np.float32)
     blur = _cell_blur(col, row)
-    # normalised convolution: masked pixels neither darken their neighbours nor spread
+    # normalised convolution: masked pixels neither darken their neighbours nor spread; a whole image has none
     weight = valid.astype(np.float32)
     if max(blur) > 0.3:
-        weight, *bands = (
-            cv2.GaussianBlur(
-                layer, (0, 0), max(blur[0], 1e-3), sigmaY=max(blur[1], 1e-3), borderType=cv2.BORDER_REPLICATE
-            )
-            for layer in (weight, *filled)
-        )
-        filled = np.stack(bands) / np.maximum(weight, 1e-6)
+        layers = [_smoothed(band, blur) for band in filled]
+        if not whole:
+            weight = _smoothed(weight, blur)
+            layers = [layer / np.maximum(weight, 1e-6) for layer in layers]
+    else:
+        layers = list(filled)
     map_col, map_row = col.astype(np.float32), row.astype(np.float32)
     # three or four bands at once take half the time of one by one; other numbers OpenCV interpolates less exactly
-    layers = [cv2.merge(list(filled))] if len(filled) in (3, 4) else list(filled)
+    if len(layers) in (3, 4):
+        layers = [cv2.merge(layers)]
     target = np.dstack(
         [cv2.remap(layer, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for layer in layers]
     )
-    seen = cv2.remap(weight, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     height, width = image.shape[1:]
-    mask = (seen > 0.9) & (col >= 0) & (row >= 0) & (col <= width - 1) & (row <= height - 1)
+    mask = (col >= 0) & (row >= 0) & (col <= width - 1) & (row <= height - 1)
+    if not whole:
+        mask &= (
+            cv2.remap(weight, map_col, map_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0.9
+        )
     target[~mask] = 0.0
-    return target.astype(np.float32), mask.astype(np.uint8)
+    return target, mask.astype(np.uint8)
+
+
+def _smoothed(layer: np.ndarray, sigma: tuple[float, float]) -> np.ndarray:
+    """A layer ``[h, w]`` float32 through a Gaussian (columns, rows) [pixels]."""
+    import cv2
+
+    return cv2.GaussianBlur(
+        layer, (0, 0), max(sigma[0], 1e-3), sigmaY=max(sigma[1], 1e-3), borderType=cv2.BORDER_REPLICATE
+    )
 
 
 def make_view(
@@ -180,7 +195,9 @@ def match_colours(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     """
     means, spreads = [], []
     for view in views:
-        pixels = view.target[view.mask > 0]
+        every = max(1, int(view.mask.sum(dtype=np.int64)) // ENOUGH)
+        shown = view.mask.ravel()[::every] > 0
+        pixels = view.target.reshape(-1, view.target.shape[-1])[::every][shown]
         low, middle, high = np.percentile(pixels, [16, 50, 84], axis=0)
         means.append(middle)
         spreads.append(np.maximum(high - low, 1e-4))

@@ -56,49 +56,49 @@ def _follow(image, surface, row0, col0, parallax, dz, scale, out):
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _window_sums(values, radius, stride, line, out):
-    """Sums over all windows: out(i, j) = sum of values(i .. i + 2 radius, j .. j + 2 radius); ``line``: scratch."""
-    size = 2 * radius + 1
-    wide, count = len(values) - 2 * radius, len(out) - 2 * radius
-    if radius == 1:  # the default, in one pass each instead of three
-        for n in range(wide):
-            line[n] = values[n] + values[n + 1] + values[n + 2]
+def _sums_downward(line, radius, stride, out):
+    """Sums of 2 radius + 1 values, each a row below the one before."""
+    count = len(out) - 2 * radius
+    if radius == 1:  # the default, in one pass instead of three
         second, third = line[stride:], line[2 * stride :]
         for n in range(count):
             out[n] = line[n] + second[n] + third[n]
         return
-    line[:wide] = 0
     out[:count] = 0
-    for k in range(size):
-        for n in range(wide):
-            line[n] += values[n + k]
-    for k in range(size):
+    for k in range(2 * radius + 1):
         below = line[k * stride :]
         for n in range(count):
             out[n] += below[n]
 
 
 @njit(cache=True, fastmath=FASTMATH)
+def _window_sums(values, radius, stride, line, out):
+    """Sums over all windows: out(i, j) = sum of values(i .. i + 2 radius, j .. j + 2 radius); ``line``: scratch."""
+    wide = len(values) - 2 * radius
+    if radius == 1:
+        for n in range(wide):
+            line[n] = values[n] + values[n + 1] + values[n + 2]
+    else:
+        line[:wide] = 0
+        for k in range(2 * radius + 1):
+            for n in range(wide):
+                line[n] += values[n + k]
+    _sums_downward(line, radius, stride, out)
+
+
+@njit(cache=True, fastmath=FASTMATH)
 def _product_sums(a, b, radius, stride, line, out):
     """The same of the products of two tiles."""
-    size = 2 * radius + 1
-    wide, count = len(a) - 2 * radius, len(out) - 2 * radius
+    wide = len(a) - 2 * radius
     if radius == 1:
         for n in range(wide):
             line[n] = a[n] * b[n] + a[n + 1] * b[n + 1] + a[n + 2] * b[n + 2]
-        second, third = line[stride:], line[2 * stride :]
-        for n in range(count):
-            out[n] = line[n] + second[n] + third[n]
-        return
-    line[:wide] = 0
-    out[:count] = 0
-    for k in range(size):
-        for n in range(wide):
-            line[n] += a[n + k] * b[n + k]
-    for k in range(size):
-        below = line[k * stride :]
-        for n in range(count):
-            out[n] += below[n]
+    else:
+        line[:wide] = 0
+        for k in range(2 * radius + 1):
+            for n in range(wide):
+                line[n] += a[n + k] * b[n + k]
+    _sums_downward(line, radius, stride, out)
 
 
 @njit(cache=True, fastmath=FASTMATH)

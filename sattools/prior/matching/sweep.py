@@ -210,7 +210,8 @@ def sweep(
         active = np.logical_or.accumulate(active, -1) & np.logical_or.accumulate(active[..., ::-1], -1)[..., ::-1]
     volume = agreement(task, visibility, heights, active=active)
     if ceiling is not None:
-        volume[heights[:, None] > ceiling[:, None, :]] = 0
+        for row in np.flatnonzero((ceiling < heights[-1]).any(axis=1)):  # where there is a courtyard at all
+            volume[row][heights[:, None] > ceiling[row]] = 0
     total = np.empty_like(volume)
     large_jump = options.large_jump * scarcity(len(task.pairs))
     aggregate(volume, np.float32(options.small_jump), np.float32(large_jump), total)
