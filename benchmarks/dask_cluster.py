@@ -1,4 +1,4 @@
-"""A Dask scheduler and a worker over TCP that can be killed."""
+"""A Dask scheduler and workers over TCP that can be killed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import sys
 
 
 class Cluster:
-    """A scheduler and a worker, processes of their own on the loopback interface."""
+    """A scheduler and a worker, or more of them, processes of their own on the loopback interface."""
+
+    def __init__(self, workers: int = 1) -> None:
+        self.workers: list[subprocess.Popen[bytes]] = []
+        self.wanted = workers
 
     def __enter__(self) -> Cluster:
         code = (
@@ -20,8 +24,14 @@ class Cluster:
         )
         assert self.scheduler.stdout is not None
         self.address = self.scheduler.stdout.readline().strip()
-        self.start_worker()
+        for _ in range(self.wanted):
+            self.start_worker()
         return self
+
+    @property
+    def worker(self) -> subprocess.Popen[bytes]:
+        """The one started last."""
+        return self.workers[-1]
 
     def start_worker(self) -> None:
         code = (
@@ -29,9 +39,9 @@ class Cluster:
             "async def main():\n async with Worker(sys.argv[1], nthreads=1) as w:\n  await w.finished()\n"
             "asyncio.run(main())"
         )
-        self.worker = subprocess.Popen([sys.executable, "-c", code, self.address], stderr=subprocess.DEVNULL)
+        self.workers.append(subprocess.Popen([sys.executable, "-c", code, self.address], stderr=subprocess.DEVNULL))
 
     def __exit__(self, *_: object) -> None:
-        for process in (self.worker, self.scheduler):
+        for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()

@@ -7,8 +7,8 @@
 Runs `prep | prior | fit | export` on one thread with this checkout, with every `--variant` of it (options given to one
 command besides) and with each `--beside` one, once after the other as often as asked, so that what else the machine
 does falls on all of them alike; all with this Python and its libraries. Prints medians of user and system seconds by
-command, and this checkout's `compare` by the DFC2019 protocol for each DSM. The first round, which compiles kernels, is not
-counted. Bytecode is kept whatever the environment says: compiling it again with every command is nobody's work.
+command, and this checkout's `compare` by the DFC2019 protocol for each DSM. The first round, which compiles kernels,
+is not counted. Bytecode is kept whatever the environment says: compiling it again with every command is nobody's work.
 """
 
 from __future__ import annotations
