@@ -19,11 +19,12 @@ from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.progress import Progress
-from sattools.scene import Scene
+from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
 from sattools.scene.document import FIT_ROLE
 from sattools.scene.files import digest
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.raster import raster_grid
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
@@ -134,8 +135,15 @@ def load_prior(
         from sattools.prior.stage import prior
 
         new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
-    within = scene.require_grid() if PRODUCT in scene.products else None  # that of a whole area is larger than a tile
-    return DepthPrior.from_arrays(*read_prior(scene, within)), new
+    return DepthPrior.from_arrays(*read_prior(scene, _part_of_prior(scene))), new
+
+
+def _part_of_prior(scene: Scene) -> Grid | None:
+    """The scene's grid where its prior is that of the whole area of which it is a tile; None where it is its own."""
+    own, prior = scene.require_grid(), raster_grid(scene.path(scene.products["prior_dsm"]))
+    edges = zip(own.shape, prior.shape, strict=True)
+    larger = any(n * prior.cell_size > m * own.cell_size + prior.cell_size for m, n in edges)
+    return own if larger else None
 
 
 def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], prior: DepthPrior | None) -> str:

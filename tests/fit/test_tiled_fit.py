@@ -20,6 +20,9 @@ from sattools.fit.stage import fit
 from sattools.fit.tiles import mosaic
 from sattools.fit.tiles import plan as tile_plan
 from sattools.fit.tiles.shared import Coarse
+from sattools.prior import PriorOptions
+from sattools.prior.files import read_prior
+from sattools.prior.stage import prior
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
@@ -140,6 +143,34 @@ def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town: Any, monke
     common = load(scene.root / "fit/tiles/common.safetensors")[0]
     for name in ("gain", "offset", "ambient", "pose"):
         assert torch.equal(common[name], torch.stack([t[name] for t in own]).median(dim=0).values)
+
+
+def test_no_part_reads_more_of_a_given_prior_than_shows_its_own_ground(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Memory must not grow with the area, and a prior of 100 million cells is larger than all else."""
+    monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
+    scene = make_town("GIVEN")
+    prior(scene, PriorOptions(rough_passes=0))
+    read = []
+
+    def noting(*args: Any) -> Any:
+        found = read_prior(*args)
+        read.append((args[0].root.name, found[0].shape))
+        return found
+
+    monkeypatch.setattr("sattools.prior.files.read_prior", noting)
+    fit(scene, replace(TILED, epochs=[1]))
+    names = [f"{kind}r{row}c{col}" for kind in ("pilot.", "") for row in (0, 1) for col in (0, 1)]
+    assert sorted(name for name, _ in read if name != "coarse") == sorted(names)
+    cells = {name: n * m for name, (n, m) in read}
+    # 32 of 64 m and 8 m of the neighbour, each way
+    assert all(cells[name] <= (40 / 64) ** 2 * cells_of(scene) for name in names)
+
+
+def cells_of(scene: Scene) -> int:
+    """Cells of a scene's prior."""
+    return int(np.prod(read_raster(scene.path(scene.products["prior_dsm"]))[0].shape))
 
 
 def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_town: Any) -> None:
