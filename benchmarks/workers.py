@@ -4,8 +4,9 @@
 
 The kernel's CPU controller (cgroups, Linux; needs root) gives every worker and all that it starts that share of a core,
 so that four workers get four times the computing of one on a machine with fewer than four cores. What they share is the
-scheduler, the disk and the memory's bandwidth. Efficiency is the seconds with one worker over n times those with n; the
-coarse pass, the joining and the export are done by one worker alone and belong to it.
+scheduler, the disk and the memory's bandwidth. Efficiency is the seconds with one worker over n times those with n,
+once of the tiles alone, from the first to the last, and once of the whole batch, with the coarse pass, the joining and
+the export that one worker does alone.
 """
 
 from __future__ import annotations
@@ -48,8 +49,20 @@ def held_to(share: float, process: int, name: str) -> Iterator[None]:
         group.rmdir()
 
 
-def seconds(scene: Path, workers: int, options: argparse.Namespace) -> float:
-    """Seconds of a batch with so many workers."""
+def tiles_done(work: Path) -> tuple[int, int]:
+    """Number of tiles that are fitted, and of all; 0 and 0 before they are known."""
+    folder = next(work.glob("runs/*/*/fit/tiles"), None)
+    if folder is None or not (folder / "tiles.json").exists():
+        return 0, 0
+    try:
+        names = json.loads((folder / "tiles.json").read_text())["tiles"] or []
+    except (OSError, ValueError):  # it is being written, or gone
+        return 0, 0
+    return sum((folder / name / "fit/model.safetensors").exists() for name in names), len(names)
+
+
+def seconds(scene: Path, workers: int, options: argparse.Namespace) -> tuple[float, float]:
+    """Seconds of the tiles and of a whole batch with so many workers."""
     work = options.out / f"workers_{workers}"
     shutil.rmtree(work, ignore_errors=True)
     config = options.out / "tiles.toml"
@@ -60,10 +73,18 @@ def seconds(scene: Path, workers: int, options: argparse.Namespace) -> float:
         begun = time.perf_counter()
         call = [sys.executable, "-m", "sattools", "--quiet", "batch", str(scene), "--config", str(config)]
         where = ["--scheduler", dask.address, "--task-threads", "1", "--out", str(work)]
-        subprocess.run([*call, *where], check=True, stdout=subprocess.DEVNULL)
+        begin = end = None
+        with subprocess.Popen([*call, *where], stdout=subprocess.DEVNULL) as process:
+            while process.poll() is None:
+                time.sleep(0.1)
+                done, every = tiles_done(work)
+                begin = time.perf_counter() if begin is None and every else begin
+                end = time.perf_counter() if end is None and 0 < every == done else end
         taken = time.perf_counter() - begun
+    if process.returncode or begin is None or end is None:
+        raise SystemExit(f"{' '.join(call)}: exit status {process.returncode}")
     shutil.rmtree(work)
-    return taken
+    return end - begin, taken
 
 
 def main() -> None:
@@ -77,9 +98,10 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     found = {n: seconds(options.scene, n, options) for n in options.workers}
-    one = options.workers[0] * found[options.workers[0]]
+    first = options.workers[0]
     for n, taken in found.items():
-        print(json.dumps({"workers": n, "seconds": round(taken, 1), "efficiency": round(one / (n * taken), 3)}))
+        shares = [first * one / (n * now) for one, now in zip(found[first], taken, strict=True)]
+        print(f"{n} workers: tiles {taken[0]:.0f} s, efficiency {shares[0]:.2f}; all {taken[1]:.0f} s, {shares[1]:.2f}")
 
 
 if __name__ == "__main__":

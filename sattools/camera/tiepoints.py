@@ -79,9 +79,10 @@ def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArra
     import cv2
 
     valid = np.isfinite(gray)
-    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), sigma)
-    filled = np.where(valid, gray, 0.0).astype(np.float32)
-    safe = np.maximum(weight, 1e-3)
+    whole = bool(valid.all())
+    filled = gray if whole else np.where(valid, gray, 0.0).astype(np.float32)
+    # what a window holds of the image; all of it where nothing is missing
+    safe = 1.0 if whole else np.maximum(cv2.GaussianBlur(valid.astype(np.float32), (0, 0), sigma), 1e-3)
     mean = cv2.GaussianBlur(filled, (0, 0), sigma) / safe
     variance = cv2.GaussianBlur(filled * filled, (0, 0), sigma) / safe - mean * mean
     # Flat areas must stay flat: noise is not amplified below 2 % of the image's own spread.

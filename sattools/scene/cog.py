@@ -136,7 +136,9 @@ class CogWriter:
 
     def _options(self) -> dict[str, Any]:
         resampling = "average" if self._is_float else "nearest"
-        return {"driver": "COG", "compress": "DEFLATE", "predictor": "YES", "overview_resampling": resampling}
+        # level 1 takes two thirds of the seconds of the usual 6 for 1 to 2 % more bytes
+        packed = {"compress": "DEFLATE", "level": 1, "predictor": "YES"}
+        return {"driver": "COG", **packed, "overview_resampling": resampling}
 
     def _finish_small(self) -> None:
         with rasterio.MemoryFile(ext=".tif") as optimised:
