@@ -75,7 +75,8 @@ def make_tiles(grid: Grid, tile_m: float, overlap_m: float, step_m: float) -> li
         raise SceneError(f"--overlap: found {overlap_m:g} m, expected less than half of --tile {tile_m:g} m")
     if tile_m < LEAST_STEPS * step_m:
         raise SceneError(
-            f"--tile: found {tile_m:g} m, expected at least {LEAST_STEPS * step_m:g} m ({LEAST_STEPS} x {step_m:g} m)"
+            f"--tile: found {tile_m:g} m, expected at least {LEAST_STEPS * step_m:g} m ({LEAST_STEPS} x {step_m:g} m, "
+            "the distance at which edges of all cells, the grid's, the prior's and the fit's, come together)"
         )
     step = round(step_m / grid.cell_size)
     margin = math.ceil(overlap_m / step_m - 1e-9) * step
