@@ -41,6 +41,7 @@ COMMON = "fit/tiles/common.safetensors"
 WHOLE = "fit/tiles/scene.json"  # the document of the whole as it was cut
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
+ONLY_COARSE = ("lines of sight are parallel only", "strayed from the prior")  # notes of a coarse fit
 PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
 _STATE = Table(
     {"key": Text(), "tiles": Maybe(Items(Text())), "notes": Items(Text()), "seconds": Number(0)},
@@ -120,7 +121,7 @@ class Plan:
             coarse, options, saying(subprogress(progress, 0, 0.4 if with_pilots else 1.0), "whole area, coarsely: ")
         )
         # what is only coarse about the coarse fit is not worth a note
-        notes = [text for text in result["notes"] if "lines of sight" not in text]
+        notes = [text for text in result["notes"] if not any(words in text for words in ONLY_COARSE)]
         sources = load_sources(coarse, coarse.train_items())
         unseen = self._unseen(coarse, sources)
         model = FittedModel.load(coarse.root / MODEL)
