@@ -35,14 +35,15 @@ class Block:
     grid: Grid
 
 
-def blocks(grid: Grid, at_once: bool = False) -> list[Block]:
-    """A grid cut into blocks, row by row; one if it is small or ``at_once``."""
+def blocks(grid: Grid, at_once: bool = False, edge: int | None = None) -> list[Block]:
+    """A grid cut into blocks of so many cells along an edge, row by row; one if it is small or ``at_once``."""
     if at_once or grid.width * grid.height <= AT_ONCE:
         return [Block(slice(0, grid.height), slice(0, grid.width), grid)]
+    edge = edge or EDGE
     cut = []
-    for row in range(0, grid.height, EDGE):
-        for col in range(0, grid.width, EDGE):
-            rows, cols = slice(row, min(row + EDGE, grid.height)), slice(col, min(col + EDGE, grid.width))
+    for row in range(0, grid.height, edge):
+        for col in range(0, grid.width, edge):
+            rows, cols = slice(row, min(row + edge, grid.height)), slice(col, min(col + edge, grid.width))
             cut.append(Block(rows, cols, grid.part(rows, cols)))
     return cut
 

@@ -22,6 +22,10 @@ BYTES_PER_CELL_AND_IMAGE = 250.0
 START_S = 4.0
 MATCH_S = 1.5e-8  # CPU seconds per cell, height plane and pair of images
 FIT_S = 2.0e-6  # CPU seconds per cell and image
+# of a fit on cells of its own (`--resolution`), beyond those of twice the grid's cell that it has otherwise
+FITTED_CELLS = 0.25
+BYTES_PER_FITTED_CELL_AND_IMAGE = 110.0
+FITTED_S = 3.2e-6
 
 
 @dataclass(frozen=True)
@@ -77,9 +81,10 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
         tiles = along[0] * along[1]
         piece = math.prod(widest_part(edge, longest, margin) for edge in grid.shape)
         work = math.prod(edge + 2 * margin * (n - 1) for edge, n in zip(grid.shape, along, strict=True))
-    seconds = START_S + work * (MATCH_S * planes * pairs + FIT_S * images)
+    finer = _finer(grid.cell_size, options)
+    seconds = START_S + work * (MATCH_S * planes * pairs + (FIT_S + FITTED_S * finer) * images)
     area = cells * grid.cell_size**2 / 1e6
-    return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, _bytes(piece, images), seconds)
+    return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, _bytes(piece, images, finer), seconds)
 
 
 def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
@@ -95,11 +100,12 @@ def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
     there = available()
     budget = math.inf if there is None else MEMORY_SHARE * there
     edge = max(grid.shape) * grid.cell_size
-    if edge <= LARGEST_AT_ONCE_M and _bytes(grid.width * grid.height, images) <= budget:
+    finer = _finer(grid.cell_size, options)
+    if edge <= LARGEST_AT_ONCE_M and _bytes(grid.width * grid.height, images, finer) <= budget:
         return None
     sizes = [size for size in TILE_SIZES_M if 2 * options.overlap < size < edge]
     for size in sizes:
-        if _bytes(((size + 2 * options.overlap) / grid.cell_size) ** 2, images) <= budget:
+        if _bytes(((size + 2 * options.overlap) / grid.cell_size) ** 2, images, finer) <= budget:
             return size
     return sizes[-1] if sizes else None
 
@@ -109,8 +115,14 @@ def with_tile(scene: Scene, options: FitOptions) -> FitOptions:
     return replace(options, tile=chosen_tile(scene, options)) if options.tile == "auto" else options
 
 
-def _bytes(cells: float, images: int) -> float:
-    return BASE_BYTES + cells * (BYTES_PER_CELL + BYTES_PER_CELL_AND_IMAGE * images)
+def _finer(cell: float, options: FitOptions) -> float:
+    """Cells of the fit per cell of the grid [m], beyond those that it has by default."""
+    return max(0.0, (cell / options.resolution) ** 2 - FITTED_CELLS) if options.resolution else 0.0
+
+
+def _bytes(cells: float, images: int, finer: float) -> float:
+    per_image = BYTES_PER_CELL_AND_IMAGE + BYTES_PER_FITTED_CELL_AND_IMAGE * finer
+    return BASE_BYTES + cells * (BYTES_PER_CELL + per_image * images)
 
 
 __all__ = ["Foresight", "chosen_tile", "foresee", "with_tile"]

@@ -93,7 +93,7 @@ def prior(
     progress(1.0, "matched")
     completeness = float((matched.views >= 2).mean())
     return {
-        "notes": _notes(views, grid, completeness),
+        "notes": _notes(scene, views, grid, completeness),
         "prior": {
             "pairs": [[views[a].id, views[b].id] for a, b in pairs],
             "seen_by_two": round(completeness, 4),
@@ -283,7 +283,7 @@ def _per_image_href(name: str, item_id: str) -> str:
     return f"prior/{name}/{item_id}.tif"
 
 
-def _notes(views: list[View], grid: Grid, completeness: float) -> list[str]:
+def _notes(scene: Scene, views: list[View], grid: Grid, completeness: float) -> list[str]:
     notes = []
     worst = max(views, key=lambda v: v.parallel_ray_error_m)
     if worst.parallel_ray_error_m > 0.5 * grid.cell_size:
@@ -295,7 +295,7 @@ def _notes(views: list[View], grid: Grid, completeness: float) -> list[str]:
     if completeness < 0.9:
         notes.append(f"{100 * (1 - completeness):.0f} % of the area is seen by fewer than two images")
     for text in notes:
-        log.warning(text)
+        log.warning("scene %s: %s", scene.id, text)  # which may be one of many tiles
     return notes
 
 

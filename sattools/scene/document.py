@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import xarray
 
 FIT_ROLE = "sattools:fit_role"  # of an image that the last fit held out, whatever its role is
+PARTS = "fit/tiles"  # below a scene's folder: those of its tiles, each a scene that reads what its whole has
 COG_TYPE = "image/tiff; application=geotiff; profile=cloud-optimized"
 GEOTIFF_TYPE = "image/tiff; application=geotiff"
 STAC_EXTENSIONS = [
@@ -262,10 +263,10 @@ class Scene:
     # ---- files ------------------------------------------------------------------------------------------
 
     def path(self, href: str) -> Path:
-        """Absolute path of ``href`` for reading: relative hrefs must stay below the root.
+        """Absolute path of ``href`` for reading: relative hrefs must stay below the root, or that of its whole.
 
         Raises:
-            SceneError: a relative href that leaves the root, or one that asks for the network or an archive while the
+            SceneError: a relative href that leaves it, or one that asks for the network or an archive while the
                 user has not allowed that (`--allow-remote`).
         """
         if is_remote(href):
@@ -276,7 +277,12 @@ class Scene:
             return location(href)
         if Path(href).is_absolute():
             return Path(href)
-        return self._below_root(href)
+        return self._below(self._whole_root(), href)
+
+    def _whole_root(self) -> Path:
+        """The folder of the scene of which this is a part, such as a tile; the scene's own where it is none."""
+        is_part = self.root.parent.match(f"*/{PARTS}")
+        return self.root.parents[2] if is_part else self.root
 
     def output(self, relative: str) -> Path:
         """Absolute path below the root for writing; makes its folder.
@@ -288,17 +294,18 @@ class Scene:
         """
         if Path(relative).is_absolute():
             raise SceneError(f"{relative}: found an absolute output path, expected one below {self.root}")
-        path = self._below_root(relative)
+        path = self._below(self.root, relative)
         try:
             make_folder(path.parent)
         except OSError as error:
             raise SceneError(f"{path.parent}: cannot be made ({error.strerror}), expected a writable root") from error
         return path
 
-    def _below_root(self, relative: str) -> Path:
-        path = self.root / relative
-        if not path.resolve().is_relative_to(self.root.resolve()):
-            raise SceneError(f"{relative}: leads outside the scene's root {self.root}, expected a path below it")
+    def _below(self, folder: Path, relative: str) -> Path:
+        # a whole is where its part's folder seems to be, through whatever links
+        path = self.root / relative if folder == self.root else Path(os.path.normpath(self.root / relative))
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise SceneError(f"{relative}: leads outside the scene's root {folder}, expected a path below it")
         return path
 
     def product(self, name: str) -> xarray.DataArray:

@@ -169,6 +169,26 @@ def test_no_part_reads_more_of_a_given_prior_than_shows_its_own_ground(
     assert all(cells[name] <= (40 / 64) ** 2 * cells_of(scene) for name in names)
 
 
+def test_a_scene_moved_with_unfinished_tiles_goes_on_with_its_own_files(make_town: Any, tmp_path: Any) -> None:
+    """With those of the place where it was cut, a copy would show whatever has become of the original since."""
+    options = replace(TILED, epochs=[2])
+    whole, cut = make_town("ONCE"), make_town("CUT")
+    fit(whole, options)
+    fit(cut, replace(options, part="split"))
+    cut.write()
+    shutil.move(cut.root, tmp_path / "elsewhere")
+    moved = Scene.from_file(tmp_path / "elsewhere/scene.json")
+    first = Scene.from_file(moved.root / "fit/tiles/r0c0/scene.json")
+    files = [first.path(asset.href) for item in first.items for asset in item.assets.values()]
+    files += [first.path(href) for href in first.products.values()]
+    assert len(files) > 10
+    assert all(path.exists() and path.is_relative_to(moved.root) for path in files)
+    fit(first, options=replace(WHOLE, epochs=[2]))  # as an array job does
+    fit(moved, replace(options, resume=True))
+    (one, _), (other, _) = model(whole), model(moved)
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+
 def test_what_is_put_back_in_the_coarse_fit_is_no_news(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of 24 m lie 2 m off their prior wherever the ground slopes, and nothing of them is in the result."""
     monkeypatch.setattr(job, "WORTH_SAYING", 0.0)

@@ -134,6 +134,18 @@ def test_relative_paths_may_not_leave_the_root(tmp_path: Path, href: Any) -> Non
     assert list(tmp_path.iterdir()) == [root]
 
 
+def test_a_tile_reads_what_the_folder_of_its_whole_has_and_writes_into_its_own(tmp_path: Path) -> None:
+    root = tmp_path / "whole/fit/tiles/r0c0"
+    root.mkdir(parents=True)
+    scene = make_scene(root)
+    assert scene.path("../../../images/x.tif") == tmp_path / "whole/images/x.tif"
+    for href in ("../../../../secret.tif", "../../../a/../../secret.tif"):
+        with pytest.raises(SceneError, match="leads outside the scene's root"):
+            scene.path(href)
+    with pytest.raises(SceneError, match="leads outside the scene's root"):
+        scene.output("../../../images/x.tif")
+
+
 def test_a_link_in_place_of_an_output_is_not_followed_out_of_the_root(tmp_path: Path) -> None:
     root = tmp_path / "root"
     root.mkdir()

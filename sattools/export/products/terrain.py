@@ -19,6 +19,7 @@ from sattools.progress import Progress
 from sattools.scene.cog import CogWriter
 from sattools.scene.jsonio import JsonObject
 
+EDGE = 1024  # cells of a block: as much again is looked at around it, which costs smaller ones twice the time
 TRUSTED = 0.4  # least probability of less than 1 m of error that makes a height worth taking for the ground's
 SEEN, INTERPOLATED = 1, 2
 MEANING = (
@@ -59,7 +60,7 @@ def write_terrain(
     counts = np.zeros(4, np.int64)
     with ExitStack() as stack:
         writers = {name: stack.enter_context(CogWriter(files[name], maps.grid, **about[name])) for name in about}
-        pieces = blocks(maps.grid)
+        pieces = blocks(maps.grid, edge=EDGE)
         for k, block in enumerate(pieces):
             progress(k / len(pieces), "ground")
             surface, ground, validity = terrain_of(maps, block, width)

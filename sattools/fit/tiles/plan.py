@@ -27,7 +27,8 @@ from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.area import wanted_cells
-from sattools.scene.copies import absolute_copy
+from sattools.scene.copies import href_of_part, part_copy
+from sattools.scene.document import PARTS
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import raster_grid
@@ -36,9 +37,9 @@ from sattools.scene.tiles import Tile, common_cell, make_tiles
 from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, views_on
 
 log = logging.getLogger(__name__)
-FOLDER, COARSE = "fit/tiles", "coarse"
-COMMON = "fit/tiles/common.safetensors"
-WHOLE = "fit/tiles/scene.json"  # the document of the whole as it was cut
+FOLDER, COARSE = PARTS, "coarse"
+COMMON = f"{FOLDER}/common.safetensors"
+WHOLE = f"{FOLDER}/scene.json"  # the document of the whole as it was cut
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 ONLY_COARSE = ("lines of sight are parallel only", "strayed from the prior")  # notes of a coarse fit
@@ -145,13 +146,13 @@ class Plan:
                 log.warning(notes[-1])
                 continue
             one = self._tile_scene(tile, tile.name, unseen)
-            one.products[PRODUCT] = str(self.scene.root / COMMON)
+            one.products[PRODUCT] = href_of_part(self.scene, one.root, self.scene.root / COMMON)
             for item in one.items:
                 if item.id in balances:
                     item.properties[BALANCE_PROPERTY] = asdict(balances[item.id])
             one.write()
             names.append(tile.name)
-        write_text(self.scene.output(WHOLE), self.scene.to_json() + "\n")
+        write_text(self.scene.output(WHOLE), self.scene.to_json(root="../..") + "\n")
         self._write_state(names, notes, time.perf_counter() - started)
         return notes
 
@@ -225,7 +226,7 @@ class Plan:
     # ---- parts ------------------------------------------------------------------------------------------
 
     def _scene(self, name: str, grid: Grid) -> Scene:
-        one = absolute_copy(self.scene, self.root(name))
+        one = part_copy(self.scene, self.root(name))
         one.id, one.grid = f"{self.scene.id[:100]}.{name}", grid
         one.products, one.history = {}, []
         return one
@@ -237,7 +238,8 @@ class Plan:
                 item.properties["sattools:role"] = "test"
         if self.options.prior_weight > 0:
             given = [product for product in PRIOR if product in self.scene.products]
-            one.products = {product: str(self.scene.path(self.scene.products[product])) for product in given}
+            paths = {product: self.scene.path(self.scene.products[product]) for product in given}
+            one.products = {product: href_of_part(self.scene, one.root, path) for product, path in paths.items()}
         return one
 
     def _own_options(self, scene: Scene) -> FitOptions:

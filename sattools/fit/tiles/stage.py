@@ -47,7 +47,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         log.info("scene %s is no larger than a tile: fitted all at once", scene.id)
         if options.part == "split":
             plan.begin([])
-            write_text(scene.output(WHOLE), scene.to_json() + "\n")
+            write_text(scene.output(WHOLE), scene.to_json(root="../..") + "\n")
             return {"tiles": []}
         return fit_whole(scene, replace(options, tile=None, part="all"), progress)
     steps = len(plan.tiles) + 1
