@@ -196,6 +196,8 @@ def match_colours(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
     means, spreads = [], []
     for view in views:
         every = max(1, int(view.mask.sum(dtype=np.int64)) // ENOUGH)
+        while math.gcd(every, view.mask.shape[1]) > 1:  # not some columns alone
+            every += 1
         shown = view.mask.ravel()[::every] > 0
         pixels = view.target.reshape(-1, view.target.shape[-1])[::every][shown]
         low, middle, high = np.percentile(pixels, [16, 50, 84], axis=0)
