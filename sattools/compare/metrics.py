@@ -18,6 +18,7 @@ CLASSES: dict[str, tuple[int, ...]] = {"ground": (2,), "trees": (5,), "buildings
 
 CLIP_M = 10.0
 FILL_METHOD = "nearest"
+PIECE = 1 << 20  # cells
 
 
 def clip_to_reference(predicted: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -34,8 +35,10 @@ def fill_holes(predicted: np.ndarray) -> np.ndarray:
         raise InputError("prediction: found no height at all, expected at least one")
     from scipy.ndimage import distance_transform_edt
 
-    nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
-    return predicted[tuple(nearest)]
+    rows, columns = distance_transform_edt(holes, return_distances=False, return_indices=True)
+    filled = predicted.copy()
+    filled[holes] = predicted[rows[holes], columns[holes]]
+    return filled
 
 
 def nmad(difference: np.ndarray) -> float:
@@ -75,23 +78,22 @@ def height_errors(
         counted &= classes != WATER
     if not counted.any():
         raise InputError("reference: found no height outside water, expected at least one")
-    clipped = clip_to_reference(predicted, np.where(counted, reference, np.nan))
-    difference = clipped - reference
+    scored = np.where(counted, reference, np.nan)
+    difference = clip_to_reference(predicted, scored) - reference
     seen = counted & np.isfinite(difference)
     if not seen.any():
         raise InputError("prediction: found no height on a cell of the reference, expected at least one")
     total = int(counted.sum())
-    absolute = np.abs(difference)
-    complete = clip_to_reference(
-        fill_holes(predicted if filled is None else filled), np.where(counted, reference, np.nan)
-    )
     known = seen if measured is None else seen & measured
+    complete = clip_to_reference(fill_holes(predicted if filled is None else filled), scored)
     everywhere = _errors((complete - reference)[counted])
+    del complete, scored
+    absolute = np.abs(difference[seen])
     result: dict[str, Any] = _errors(difference[seen])
     result |= {
         "completeness": float(known.sum() / total),
-        "within_1m": float((absolute[seen] <= 1.0).sum() / total),
-        "within_2_5m": float((absolute[seen] <= 2.5).sum() / total),
+        "within_1m": float((absolute <= 1.0).sum() / total),
+        "within_2_5m": float((absolute <= 2.5).sum() / total),
         "mae_filled": everywhere["mae"],
         "filled_by": FILL_METHOD,
         "cells": total,
@@ -110,10 +112,12 @@ _NO_ERRORS: dict[str, Any] = dict.fromkeys(("mae", "rmse", "median", "nmad", "bi
 
 
 def _errors(difference: np.ndarray) -> JsonObject:
-    absolute = np.abs(difference.astype(np.float64))
+    absolute = np.abs(difference)
+    # in double precision by pieces, as maps may have a hundred million cells
+    pieces = (absolute[k : k + PIECE].astype(np.float64) for k in range(0, absolute.size, PIECE))
     return {
-        "mae": float(absolute.mean()),
-        "rmse": float(np.sqrt((absolute**2).mean())),
+        "mae": float(absolute.mean(dtype=np.float64)),
+        "rmse": math.sqrt(sum(float(piece @ piece) for piece in pieces) / absolute.size),
         "median": float(np.median(absolute)),
         "nmad": nmad(difference),
         "bias": float(difference.mean(dtype=np.float64)),

@@ -10,6 +10,8 @@ import numpy as np
 from sattools.scene.files import write_figure
 from sattools.scene.grid import Grid
 
+MOST_CELLS = 1600  # along an edge, twice the picture's pixels: more would take memory and not be seen
+
 
 def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, limit_m: float = 5.0) -> None:
     """PNG of `difference_figure`.
@@ -43,9 +45,10 @@ def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: f
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     west, south, east, north = grid.bounds
+    step = max(1, max(difference.shape) // MOST_CELLS)
     colours = colormaps["RdBu_r"].with_extremes(bad="0.75")
     shown = axes.imshow(
-        np.ma.masked_invalid(difference),
+        np.ma.masked_invalid(difference[::step, ::step]),
         cmap=colours,
         vmin=-limit_m,
         vmax=limit_m,

@@ -7,7 +7,6 @@ A shift is what has to be added to the prediction: (east, north, up) in metres o
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +18,7 @@ Method = Literal["ncc", "nuth-kaab", "z", "none"]
 METHODS: tuple[Method, ...] = ("ncc", "nuth-kaab", "z", "none")
 
 SEARCH_CELLS = 5  # half width of the search window on each pyramid level
+STRIP_ROWS = 256  # rows of a map that are looked at in double precision at a time
 COARSEST_CELLS = 100  # the pyramid ends when the smaller side has no more cells than this
 
 
@@ -135,7 +135,7 @@ def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> 
         pad = step - margin % step
         predicted = np.pad(predicted, pad, constant_values=np.nan)
         margin += pad
-    pairs = [(predicted.astype(np.float64), reference.astype(np.float64))]
+    pairs = [(predicted, reference)]
     for _ in range(levels):
         pairs.append((halved(pairs[-1][0]), halved(pairs[-1][1])))
     rows, columns, best = 0, 0, 0.0
@@ -147,13 +147,17 @@ def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> 
 
 
 def halved(array: np.ndarray) -> np.ndarray:
-    """Mean of the finite heights [m] of each 2×2 block [H // 2, W // 2]; NaN where a block has none."""
+    """Mean of the finite heights [m] of each 2×2 block [H // 2, W // 2], float64; NaN where a block has none."""
     height, width = array.shape[0] // 2, array.shape[1] // 2
-    blocks = array[: 2 * height, : 2 * width].reshape(height, 2, width, 2)
-    finite = np.isfinite(blocks)
-    count = finite.sum(axis=(1, 3))
-    total = np.where(finite, blocks, 0.0).sum(axis=(1, 3))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    means = np.empty((height, width))
+    for rows in _strips(height):
+        part = array[2 * rows.start : 2 * rows.stop, : 2 * width].astype(np.float64)
+        blocks = part.reshape(-1, 2, width, 2)
+        finite = np.isfinite(blocks)
+        count = finite.sum(axis=(1, 3))
+        total = np.where(finite, blocks, 0.0).sum(axis=(1, 3))
+        means[rows] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return means
 
 
 def nuth_kaab_shift(
@@ -211,14 +215,18 @@ def _cosine_fit(ratio: np.ndarray, aspect: np.ndarray, sectors: int = 72) -> tup
 def _window(predicted: np.ndarray, columns: int, rows: int, margin: int) -> np.ndarray:
     """Part of `predicted` that falls on the reference after a whole-cell shift; NaN from outside."""
     height, width = predicted.shape[0] - 2 * margin, predicted.shape[1] - 2 * margin
-    top, left = margin - rows, margin - columns
-    if 0 <= top <= 2 * margin and 0 <= left <= 2 * margin:
-        return predicted[top : top + height, left : left + width]
-    window = np.full((height, width), np.nan, dtype=predicted.dtype)
-    row0, row1 = max(top, 0), min(top + height, predicted.shape[0])
-    column0, column1 = max(left, 0), min(left + width, predicted.shape[1])
+    return _box(predicted, margin - rows, margin - columns, height, width)
+
+
+def _box(array: np.ndarray, top: int, left: int, height: int, width: int) -> np.ndarray:
+    """Cells ``[height, width]`` of an array from a row and a column on, which may lie outside; NaN there."""
+    row0, row1 = max(top, 0), min(top + height, array.shape[0])
+    column0, column1 = max(left, 0), min(left + width, array.shape[1])
+    if (row1 - row0, column1 - column0) == (height, width):
+        return array[row0:row1, column0:column1]
+    window = np.full((height, width), np.nan, dtype=array.dtype)
     if row0 < row1 and column0 < column1:
-        window[row0 - top : row1 - top, column0 - left : column1 - left] = predicted[row0:row1, column0:column1]
+        window[row0 - top : row1 - top, column0 - left : column1 - left] = array[row0:row1, column0:column1]
     return window
 
 
@@ -227,33 +235,34 @@ def _search(
 ) -> tuple[int, int, float]:
     """Best whole-cell shift within ±5 cells of (rows, columns); nearer shifts win ties."""
     height, width = reference.shape
-    reach = SEARCH_CELLS + max(abs(rows), abs(columns))
-    pad = max(reach - margin, 0)
-    padded = np.pad(predicted, pad, constant_values=np.nan)[: height + 2 * (margin + pad), : width + 2 * (margin + pad)]
-    border = margin + pad
-    valid_r, valid_p = np.isfinite(reference), np.isfinite(padded)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # mean of an empty raster: handled below
-        centre_r, centre_p = np.nanmean(reference[valid_r]), np.nanmean(padded[valid_p])
-    mask_r, mask_p = valid_r.astype(np.float64), valid_p.astype(np.float64)
-    value_r, value_p = np.where(valid_r, reference - centre_r, 0.0), np.where(valid_p, padded - centre_p, 0.0)
-    square_r, square_p = value_r**2, value_p**2
     offsets = range(-SEARCH_CELLS, SEARCH_CELLS + 1)
     trials = sorted(((dr, dc) for dr in offsets for dc in offsets), key=lambda t: t[0] ** 2 + t[1] ** 2)
+    centre_r, centre_p = _mean(reference), _mean(predicted)
+    # of every trial: number of cells that both have, their sums, squares and products
+    sums = np.zeros((len(trials), 6))
+    left = margin - columns - SEARCH_CELLS
+    for strip in _strips(height):
+        top = margin - rows - SEARCH_CELLS + strip.start
+        around = _box(predicted, top, left, strip.stop - strip.start + 2 * SEARCH_CELLS, width + 2 * SEARCH_CELLS)
+        mask_r, value_r, square_r = _parts(reference[strip], centre_r)
+        wide = _parts(around, centre_p)
+        for trial, (dr, dc) in enumerate(trials):
+            first_row, first_col = SEARCH_CELLS - dr, SEARCH_CELLS - dc
+            box = (slice(first_row, first_row + len(mask_r)), slice(first_col, first_col + width))
+            mask_p, value_p, square_p = (part[box] for part in wide)
+            sums[trial] += (
+                _dot(mask_r, mask_p), _dot(value_r, mask_p), _dot(mask_r, value_p), _dot(square_r, mask_p),
+                _dot(mask_r, square_p), _dot(value_r, value_p),
+            )  # fmt: skip
     scores = []
-    for dr, dc in trials:
-        top, left = border - rows - dr, border - columns - dc
-        box = (slice(top, top + height), slice(left, left + width))
-        count = _dot(mask_r, mask_p[box])
+    for count, *totals in sums:
         if count < 2:
             scores.append((0.0, -np.inf))
             continue
-        mean_r, mean_p = _dot(value_r, mask_p[box]) / count, _dot(mask_r, value_p[box]) / count
-        var_r = _dot(square_r, mask_p[box]) / count - mean_r**2
-        var_p = _dot(mask_r, square_p[box]) / count - mean_p**2
-        covariance = _dot(value_r, value_p[box]) / count - mean_r * mean_p
+        mean_r, mean_p, mean_rr, mean_pp, mean_rp = (total / count for total in totals)
+        var_r, var_p = mean_rr - mean_r**2, mean_pp - mean_p**2
         flat = min(var_r, var_p) <= 1e-12
-        scores.append((count, -np.inf if flat else covariance / np.sqrt(var_r * var_p)))
+        scores.append((count, -np.inf if flat else (mean_rp - mean_r * mean_p) / np.sqrt(var_r * var_p)))
     # a small overlap correlates by chance: it needs half the cells of the largest one to count
     enough = 0.5 * max(count for count, _ in scores)
     best, place = -np.inf, (rows, columns)
@@ -261,6 +270,27 @@ def _search(
         if count >= enough and score > best + 1e-12:
             best, place = score, (rows + dr, columns + dc)
     return *place, min(float(best), 1.0) if np.isfinite(best) else 0.0
+
+
+def _strips(height: int) -> list[slice]:
+    """Rows in pieces: what is made of a large map in double precision would take ten times its memory."""
+    return [slice(first, min(first + STRIP_ROWS, height)) for first in range(0, height, STRIP_ROWS)]
+
+
+def _mean(array: np.ndarray) -> float:
+    """Mean of what is finite; 0 where nothing is."""
+    count, total = 0, 0.0
+    for rows in _strips(len(array)):
+        known = array[rows][np.isfinite(array[rows])]
+        count, total = count + known.size, total + float(known.sum(dtype=np.float64))
+    return total / max(count, 1)
+
+
+def _parts(array: np.ndarray, centre: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where an array is finite (1, else 0), what it is there less a centre (else 0), and the square of that."""
+    known = np.isfinite(array)
+    value = np.where(known, array.astype(np.float64) - centre, 0.0)
+    return known.astype(np.float64), value, value**2
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+STRIP_ROWS = 256  # of which slopes are known at a time
 STEPS_DEG = (0.0, 5.0, 15.0, 30.0, 60.0, 90.0)
 
 
@@ -34,14 +35,28 @@ def errors_by_slope(difference: np.ndarray, reference: np.ndarray, cell_size: fl
     Returns:
         ``from_deg``, ``to_deg``, ``mae``, ``median`` (of the absolute errors) [m], ``n`` cells.
     """
-    slope = slope_deg(reference, cell_size)
     absolute = np.abs(difference)
+    steps = _ranges(reference, cell_size)
+    steps[~np.isfinite(absolute)] = 0
     found = []
-    for low, high in pairwise(STEPS_DEG):
-        own = absolute[np.isfinite(absolute) & (slope >= low) & (slope < high)]
+    for number, (low, high) in enumerate(pairwise(STEPS_DEG), start=1):
+        own = absolute[steps == number]
         if own.size:
-            figures = {"mae": float(own.mean()), "median": float(np.median(own)), "n": int(own.size)}
+            figures = {"mae": float(own.mean(dtype=np.float64)), "median": float(np.median(own)), "n": int(own.size)}
             found.append({"from_deg": low, "to_deg": high, **figures})
+    return found
+
+
+def _ranges(reference: np.ndarray, cell_size: float) -> np.ndarray:
+    """Number of the range of slopes ``[H, W]`` uint8, from 1; 0 where none is known. By strips, to save memory."""
+    height = len(reference)
+    found = np.zeros(reference.shape, np.uint8)
+    for first in range(0, height, STRIP_ROWS):
+        last = min(first + STRIP_ROWS, height)
+        start, end = max(0, first - 1), min(height, last + 1)
+        slope = slope_deg(reference[start:end], cell_size)[first - start : last - start]
+        number = np.searchsorted(STEPS_DEG, slope, side="right")
+        found[first:last] = np.where(slope < STEPS_DEG[-1], number, 0)  # NaN compares false
     return found
 
 

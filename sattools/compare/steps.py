@@ -6,6 +6,7 @@ every other cell, and errors that happen to balance look like accuracy. These fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, MutableMapping
 from typing import Any
 
@@ -25,16 +26,16 @@ def beside_steps(reference: np.ndarray, cell_size: float) -> np.ndarray:
     On a step is a cell whose 3 x 3 neighbours differ by more than that. `reference` [H, W] in metres, NaN = not known,
     which makes no step; `cell_size` in metres.
     """
-    from scipy.ndimage import distance_transform_cdt, maximum_filter, minimum_filter
+    from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
     known = np.isfinite(reference)
     high = maximum_filter(np.where(known, reference, -np.inf), 3, mode="nearest")
     low = minimum_filter(np.where(known, reference, np.inf), 3, mode="nearest")
     on_step: np.ndarray = known & (high - low > STEP_M)
-    if not on_step.any():
+    cells = math.floor(NEAR_M * (1 + 1e-9) / cell_size)
+    if not cells or not on_step.any():
         return on_step
-    cells = distance_transform_cdt(~on_step, metric="taxicab")
-    near: np.ndarray = cells * cell_size <= NEAR_M * (1 + 1e-9)
+    near: np.ndarray = binary_dilation(on_step, iterations=cells)
     return near
 
 
@@ -49,14 +50,14 @@ def step_errors(centred: np.ndarray, near: np.ndarray) -> JsonObject:
         if not member.any():
             return {"signed": None, "absolute": None, "share": 0.0 if member.size else None}
         return {
-            "signed": float(centred[member].mean()),
-            "absolute": float(absolute[member].mean()),
+            "signed": float(centred[member].mean(dtype=np.float64)),
+            "absolute": float(absolute[member].mean(dtype=np.float64)),
             "share": float(member.mean()),
         }
 
     return {
-        "mae_centred": float(absolute.mean()) if absolute.size else None,
-        "mae_capped_5m": float(np.minimum(absolute, CAP_M).mean()) if absolute.size else None,
+        "mae_centred": float(absolute.mean(dtype=np.float64)) if absolute.size else None,
+        "mae_capped_5m": float(np.minimum(absolute, CAP_M).mean(dtype=np.float64)) if absolute.size else None,
         "near_steps": part(near),
         "away_from_steps": part(~near),
     }
@@ -82,7 +83,7 @@ def add_step_errors(
         cell_size: edge of a cell [m].
     """
     scored = np.isfinite(difference)
-    centred = difference.astype(np.float64) - np.median(difference[scored])
+    centred = difference - np.median(difference[scored])
     near = beside_steps(reference, cell_size)
     figures.update(step_errors(centred[scored], near[scored]))
     for name, own in figures.get("classes", {}).items():
