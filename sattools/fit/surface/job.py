@@ -237,7 +237,8 @@ class SurfaceJob:
         prior = self.prior.on(grid, self.device)
         with torch.no_grad():
             stray = ((surface.height - prior.height).abs() > STRAY_M) & (prior.confidence > 0)
-            surface.height[stray] = prior.height[stray]
+            # matching tries a plane beyond either end of the heights; the surface keeps to them
+            surface.height[stray] = prior.height[stray].clamp(*self.stages[-1].z_range)
         share = float(stray.float().mean())
         if share < WORTH_SAYING:
             return []
