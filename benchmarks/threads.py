@@ -15,7 +15,7 @@ import shutil
 import statistics
 from pathlib import Path
 
-from full_scene import Outcome, command
+from launched import Outcome, command
 
 STEPS = ("prep", "prior", "fit", "export")
 
