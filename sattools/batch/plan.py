@@ -53,7 +53,8 @@ class Task:
         commands: arguments of `sattools`, one list a command; `{scene}` stands for the folder's scene.json.
         config: TOML with the options.
         source: scene.json to copy, or None where the first command makes the scene.
-        kind: `prep`, `run` (whose result is a row of the table), or for a fit in tiles before it `split` and `tile`.
+        kind: `prep`, `run` (whose result is a row of the table), or for a fit in tiles before it `coarse`, `tile` (of
+            pilots, too) and `split`.
     """
 
     name: str
@@ -64,12 +65,12 @@ class Task:
     commands: list[list[str]]
     config: str
     source: str | None = None
-    kind: Literal["prep", "run", "split", "tile"] = "run"
+    kind: Literal["prep", "run", "coarse", "split", "tile"] = "run"
 
     @property
     def record(self) -> Path:
-        """Where the result is kept; a split shares its folder with the run."""
-        return Path(self.folder) / ("split.json" if self.kind == "split" else "task.json")
+        """Where the result is kept; what is done of a scene before its tiles shares the folder with the run."""
+        return Path(self.folder) / (f"{self.kind}.json" if self.kind in ("coarse", "split") else "task.json")
 
     def result(self) -> JsonObject | None:
         """What an earlier run of the very same task left, or None."""
@@ -232,8 +233,8 @@ def after_shared(run: Task, shared: Task) -> Task:
     return replace(run, commands=rest, source=str(Path(shared.folder) / "scene.json"))
 
 
-def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
-    """The task that cuts the scene of a run into tiles; see `sattools.fit.tiles.stage`.
+def coarse_task(run: Task, content: Any, configuration: Configuration) -> Task:
+    """The task that begins a run in tiles with a coarse fit; see `sattools.fit.tiles.stage`.
 
     Args:
         run: task of the run.
@@ -244,10 +245,28 @@ def split_task(run: Task, content: Any, configuration: Configuration) -> Task:
     wanted = {name: configuration.resolved.get(name) for name in before}
     given = [name for name in before if name in configuration.tables]
     commands = [["normalise", "{scene}", "--overwrite"]] if "normalise" in given else []
-    commands.append(["fit", "{scene}", "--overwrite", "--part", "split"])
+    commands.append(["fit", "{scene}", "--overwrite", "--part", "coarse"])
     return replace(
-        run, name=f"{run.name}: split", key=key_of("split", content, wanted, given), commands=commands, kind="split"
+        run, name=f"{run.name}: coarse", key=key_of("coarse", content, wanted, given), commands=commands, kind="coarse"
     )
+
+
+def pilot_tasks(run: Task, coarse: Task) -> tuple[list[Task], Task]:
+    """The tasks of the pilot tiles that a finished coarse fit has left, and the split that follows them.
+
+    Args:
+        run: task of the run.
+        coarse: task of the coarse fit.
+    """
+    names = _listed(run, "pilots")
+    commands = [["fit", "{scene}", "--overwrite"]]
+    pilots = [_part(run, name, key_of("pilot", coarse.key, name), commands) for name in names]
+    split = replace(
+        run, name=f"{run.name}: split", key=key_of("split", coarse.key), kind="split",
+        commands=[["fit", "{scene}", "--overwrite", "--resume", "--part", "split"]],
+        source=str(Path(run.folder) / "scene.json"),
+    )  # fmt: skip
+    return pilots, split
 
 
 def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[list[Task], Task]:
@@ -258,23 +277,31 @@ def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[li
         split: task of the split.
         configuration: the configuration.
     """
-    folder = Path(run.folder) / TILES
-    listing = read_json(folder / "tiles.json")
-    Table({"tiles": Items(Text())}, ("tiles",)).check(listing, str(folder / "tiles.json"))
     steps = ["prior", "fit"] if "prior" in configuration.tables else ["fit"]
     commands = [[step, "{scene}", "--overwrite"] for step in steps]
-    tiles = [
-        replace(
-            run, name=f"{run.name}: tile {name}", folder=str(folder / name), key=key_of("tile", split.key, name),
-            commands=commands, source=str(folder / name / "scene.json"), kind="tile",
-        )
-        for name in listing["tiles"]
-    ]  # fmt: skip
+    tiles = [_part(run, name, key_of("tile", split.key, name), commands) for name in _listed(run, "tiles")]
     # an area of one tile is fitted at once, by the run
     done = OPTIONAL if tiles else ("normalise",)
     rest = [command for command in run.commands if command[0] not in done]
     joined = [[*command, "--part", "mosaic"] if command[0] == "fit" else command for command in rest]
-    return tiles, replace(run, commands=joined, source=str(folder / "scene.json"))
+    return tiles, replace(run, commands=joined, source=str(Path(run.folder) / TILES / "scene.json"))
+
+
+def _listed(run: Task, what: str) -> list[str]:
+    """Names of a run's ``tiles`` or ``pilots``."""
+    path = Path(run.folder) / TILES / "tiles.json"
+    listing = read_json(path)
+    Table({what: Items(Text())}, (what,)).check(listing, str(path))
+    return list(listing[what])
+
+
+def _part(run: Task, name: str, key: str, commands: list[list[str]]) -> Task:
+    """The task of a tile."""
+    folder = Path(run.folder) / TILES / name
+    return replace(
+        run, name=f"{run.name}: tile {name}", folder=str(folder), key=key, commands=commands,
+        source=str(folder / "scene.json"), kind="tile",
+    )  # fmt: skip
 
 
 def task_parts(task: Task) -> JsonObject:
@@ -303,6 +330,6 @@ def _toml(configuration: Configuration, commands: list[str]) -> str:
 
 
 __all__ = [
-    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "key_of", "prep_task", "run_task", "scene_content",
-    "shared_task", "split_task", "tile_tasks",
+    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "key_of", "pilot_tasks", "prep_task",
+    "run_task", "scene_content", "shared_task", "tile_tasks",
 ]  # fmt: skip

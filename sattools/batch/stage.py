@@ -17,11 +17,12 @@ from sattools.batch.plan import (
     Digests,
     Task,
     after_shared,
+    coarse_task,
+    pilot_tasks,
     prep_task,
     run_task,
     scene_content,
     shared_task,
-    split_task,
     tile_tasks,
 )
 from sattools.batch.table import TABLES, Row, failed_row, write_tables
@@ -46,7 +47,7 @@ class Batch:
         rows: (scene, configuration) in the table's order.
         errors: (scene, configuration) -> why there is no result.
         shared: key of a task -> it, and the runs that need what it makes.
-        tiled: key of a split -> the run that joins its tiles, and the run's configuration.
+        tiled: key of a coarse fit, or of the split after it, -> the run that joins its tiles, and its configuration.
         joined: configuration -> what `join` says of its scenes; None where none is done.
     """
 
@@ -73,10 +74,17 @@ class Batch:
                 )
             self.jobs[first:first] = before
 
-    def follow(self, split: Task) -> list[Job]:
-        """The jobs that are left of a run whose scene is cut into tiles: the tiles, and the run itself."""
-        run, configuration = self.tiled[split.key]
-        tiles, joined = tile_tasks(run.task, split, configuration)
+    def follow(self, begun: Task) -> list[Job]:
+        """The jobs that are left of a run in tiles: after the coarse fit its pilots and the split, then the tiles."""
+        run, configuration = self.tiled[begun.key]
+        if begun.kind == "coarse":
+            pilots, split = pilot_tasks(run.task, begun)
+            self.tiled[split.key] = (run, configuration)
+            if split.result() is not None:
+                return self.follow(split)
+            before = tuple(Job(task, gpu=run.gpu) for task in pilots if task.result() is None)
+            return [*before, Job(split, before, run.gpu)]
+        tiles, joined = tile_tasks(run.task, begun, configuration)
         jobs = tuple(Job(task, gpu=run.gpu) for task in tiles if task.result() is None)
         return [*jobs, Job(joined, jobs, run.gpu)]
 
@@ -120,7 +128,7 @@ class _Running:
         """Note the result of a task; the jobs that follow from it."""
         plan, pair = self.plan, (task.scene, task.configuration)
         name = "/".join(pair)
-        if task.kind == "split" and result["status"] == "done":
+        if task.kind in ("coarse", "split") and result["status"] == "done":
             try:
                 more = plan.follow(task)
             except (OSError, ValueError) as error:
@@ -293,7 +301,7 @@ def _add_area(
 
 
 def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, content: Any) -> bool:
-    """Plan a run unless it is done before: as one job, or beginning with the split of its scene into tiles."""
+    """Plan a run unless it is done before: as one job, or beginning with the coarse fit of its scene in tiles."""
     task = job.task
     if overwrite:
         (Path(task.folder) / "task.json").unlink(missing_ok=True)
@@ -307,14 +315,15 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
         if shared is not None:
             plan.shared.setdefault(shared.key, (shared, []))[1].append(job)
         return True
-    split = split_task(task, content, configuration)
-    plan.tiled[split.key] = (job, configuration)
+    coarse = coarse_task(task, content, configuration)
+    plan.tiled[coarse.key] = (job, configuration)
     if overwrite:
-        split.record.unlink(missing_ok=True)
-    if split.result() is None:
-        plan.jobs.append(Job(split, job.after, job.gpu))
+        for before in (coarse, replace(coarse, kind="split")):
+            before.record.unlink(missing_ok=True)
+    if coarse.result() is None:
+        plan.jobs.append(Job(coarse, job.after, job.gpu))
     else:
-        plan.jobs += plan.follow(split)
+        plan.jobs += plan.follow(coarse)
     return True
 
 

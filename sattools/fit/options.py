@@ -106,10 +106,11 @@ class FitOptions(RayOptions):
         minimum=0,
     )
     overlap: float = option(32.0, "With --tile: distance by which a tile reaches into its neighbours [m].", minimum=1)
-    part: Literal["all", "split", "mosaic"] = option(
+    part: Literal["all", "coarse", "split", "mosaic"] = option(
         "all",
         "With --tile: split = fit the whole coarsely and leave one scene per tile in fit/tiles/*/scene.json, each for "
-        "a `fit` of its own, anywhere; mosaic = put fitted tiles together.",
+        "a `fit` of its own, anywhere; mosaic = put fitted tiles together. coarse = of the split the coarse fit alone, "
+        "and the scenes of pilot tiles in fit/tiles/pilot.*, for a `fit` each before split --resume.",
         renamed={"join": "mosaic"},
     )
     prior_weight: float = option(0.2, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)

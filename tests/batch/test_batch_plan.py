@@ -1,5 +1,6 @@
 """What a batch plans: keys that follow the inputs, the contest's layout, and errors before anything is computed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from click.testing import CliRunner
 
 from sattools.batch.figure import means, pareto_front, speed_error_figure
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration
+from sattools.batch.plan import Configuration, Task, pilot_tasks
 from sattools.batch.stage import make_plan
 from sattools.batch.table import failed_row, to_csv, to_markdown, write_tables
 from sattools.cli import main
@@ -203,3 +204,17 @@ def test_a_table_align_moves_every_scene_and_its_reference_counts(town_source: A
     before = keys(tmp_path, town_source, aligned)
     write_cog(tmp_path / "dem.tif", np.ones(grid.shape, np.float32), grid)
     assert keys(tmp_path, town_source, aligned) != before
+
+
+def test_pilot_tiles_are_tasks_before_the_split(tmp_path: Path) -> None:
+    run = Task("A/cut", str(tmp_path), "key", "A", "cut", [["fit", "{scene}"]], "", str(tmp_path / "A.json"))
+    coarse = replace(run, key="coarse", kind="coarse")
+    (tmp_path / "fit/tiles").mkdir(parents=True)
+    (tmp_path / "fit/tiles/tiles.json").write_text('{"pilots": ["pilot.r1c1", "pilot.r1c3"], "tiles": null}')
+    pilots, split = pilot_tasks(run, coarse)
+    assert [task.folder for task in pilots] == [str(tmp_path / f"fit/tiles/pilot.{name}") for name in ("r1c1", "r1c3")]
+    assert [task.commands for task in pilots] == 2 * [[["fit", "{scene}", "--overwrite"]]]
+    assert split.commands == [["fit", "{scene}", "--overwrite", "--resume", "--part", "split"]]
+    assert split.source == str(tmp_path / "scene.json")
+    assert len({task.key for task in (coarse, split, *pilots)}) == 4
+    assert {task.record.name for task in (coarse, split, *pilots)} == {"coarse.json", "split.json", "task.json"}

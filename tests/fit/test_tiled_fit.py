@@ -146,6 +146,25 @@ def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town: Any, monke
         assert torch.equal(common[name], torch.stack([t[name] for t in own]).median(dim=0).values)
 
 
+def test_pilots_may_be_fitted_by_commands_of_their_own(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
+    options = replace(TILED, epochs=[2])
+    whole, apart = make_town("WHOLE"), make_town("APART")
+    fit(whole, replace(options, part="split"))
+    names = fit(apart, replace(options, part="coarse"))["pilots"]
+    assert names == ["pilot.r0c0", "pilot.r0c1", "pilot.r1c0", "pilot.r1c1"]
+    assert not list((apart.root / "fit/tiles").glob("r*"))
+    for name in names:
+        fit(Scene.from_file(apart.root / f"fit/tiles/{name}/scene.json"), replace(WHOLE, epochs=[2]))
+    begun = {name: (apart.root / f"fit/tiles/{name}/fit/model.safetensors").stat().st_mtime_ns for name in names}
+    found = fit(apart, replace(options, part="split", resume=True))["tiles"]
+    assert found == ["r0c0", "r0c1", "r1c0", "r1c1"]
+    (one, _), (other, _) = (load(scene.root / "fit/tiles/common.safetensors") for scene in (whole, apart))
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    done = {name: (apart.root / f"fit/tiles/{name}/fit/model.safetensors").stat().st_mtime_ns for name in names}
+    assert done == begun
+
+
 def test_no_part_reads_more_of_a_given_prior_than_shows_its_own_ground(
     make_town: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -45,7 +45,13 @@ LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 ONLY_COARSE = ("lines of sight are parallel only", "strayed from the prior")  # notes of a coarse fit
 PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
 _STATE = Table(
-    {"key": Text(), "tiles": Maybe(Items(Text())), "notes": Items(Text()), "seconds": Number(0)},
+    {
+        "key": Text(),
+        "tiles": Maybe(Items(Text())),
+        "pilots": Maybe(Items(Text())),
+        "notes": Items(Text()),
+        "seconds": Number(0),
+    },
     ("key", "tiles", "notes"),
 )
 # of an option, what does not change the result
@@ -96,40 +102,58 @@ class Plan:
             raise SceneError(f"{self.scene.root / STATE}: found no finished --part split, expected one before mosaic")
         return list(names)
 
+    def pilots(self) -> list[str]:
+        """Pilot tiles that `coarse` has chosen."""
+        return list((self._state() or {}).get("pilots") or [])
+
     def part_scene(self, name: str) -> Scene:
         """The scene of a tile, as `split` left it."""
         return Scene.from_file(self.root(name) / "scene.json")
 
     # ---- steps ------------------------------------------------------------------------------------------
 
-    def split(self, progress: Progress) -> list[str]:
-        """Find what the tiles share and write their scenes; notes."""
+    def coarse(self, progress: Progress) -> list[str]:
+        """Fit the whole coarsely and write the scenes of the pilot tiles, unless an earlier run has; notes."""
         started = time.perf_counter()
         state = self._state()
         if self.options.resume and state is not None:
             self.check_state(state)
-            if state["tiles"] is not None:
+            if state.get("pilots") is not None or state["tiles"] is not None:
                 return list(state["notes"])
         else:
             self.begin(None)
-        whole = self.scene.require_grid()
-        coarse = self._scene(COARSE, whole.resized(whole.cell_size * self.factor))
+        coarse = self._coarse_scene()
         options = replace(self._own_options(coarse), tile=None, resolution=self.finest * self.factor)
         if options.coarsest:
             options = replace(options, coarsest=options.coarsest * self.factor)
-        with_pilots = self.factor > FINE_ENOUGH
-        result = fit_whole(
-            coarse, options, saying(subprogress(progress, 0, 0.4 if with_pilots else 1.0), "whole area, coarsely: ")
-        )
+        result = fit_whole(coarse, options, saying(progress, "whole area, coarsely: "))
         # what is only coarse about the coarse fit is not worth a note
         notes = [text for text in result["notes"] if not any(words in text for words in ONLY_COARSE)]
+        names = []
+        if self.factor > FINE_ENOUGH:
+            unseen = self._unseen(coarse, load_sources(coarse, coarse.train_items()))
+            for tile in self._chosen(unseen, [item.id for item in coarse.train_items()]):
+                one = self._tile_scene(tile, f"pilot.{tile.name}", unseen)
+                one.write()
+                names.append(one.root.name)
+        self._write_state(None, notes, time.perf_counter() - started, names)
+        return notes
+
+    def split(self, progress: Progress) -> list[str]:
+        """Find what the tiles share and write their scenes; notes."""
+        started = time.perf_counter()
+        with_pilots = self.factor > FINE_ENOUGH
+        notes = self.coarse(subprogress(progress, 0, 0.4 if with_pilots else 1.0))
+        state = self._state()
+        assert state is not None  # `coarse` has written it
+        if state["tiles"] is not None:
+            return notes
+        coarse = self._coarse_scene()
         sources = load_sources(coarse, coarse.train_items())
         unseen = self._unseen(coarse, sources)
         model = FittedModel.load(coarse.root / MODEL)
-        pilots: list[Scene] = []
-        if with_pilots:
-            pilots, told = self._pilots(unseen, model.items, subprogress(progress, 0.4, 1.0))
-            notes += told
+        pilots, told = self._pilots(state["pilots"], subprogress(progress, 0.4, 1.0))
+        notes += told
         if pilots:
             model = override_shared(model, [FittedModel.load(one.root / MODEL) for one in pilots])
         model.save(self.scene.output(COMMON))
@@ -153,7 +177,8 @@ class Plan:
             one.write()
             names.append(tile.name)
         write_text(self.scene.output(WHOLE), self.scene.to_json(root="../..") + "\n")
-        self._write_state(names, notes, time.perf_counter() - started)
+        seconds = max(time.perf_counter() - started, state.get("seconds", 0.0))
+        self._write_state(names, notes, seconds, state["pilots"])
         return notes
 
     def fit(self, tile: Tile, progress: Progress) -> list[str]:
@@ -169,7 +194,7 @@ class Plan:
     def begin(self, names: list[str] | None) -> None:
         """Forget the tiles of an earlier fit."""
         shutil.rmtree(self.scene.root / FOLDER, ignore_errors=True)
-        self._write_state(names, [])
+        self._write_state(names, [], pilots=names)
 
     def spent(self) -> JsonObject:
         """Seconds of `split` and of the tiles, and the most memory one of them took.
@@ -201,8 +226,12 @@ class Plan:
         except InputError as error:
             raise SceneError(f"{error} (a list of tiles of `fit --tile`)") from error
 
-    def _write_state(self, names: list[str] | None, notes: list[str], seconds: float = 0.0) -> None:
-        state = {"key": self._key(), "tiles": names, "notes": notes, "seconds": round(seconds, 3)}
+    def _write_state(
+        self, names: list[str] | None, notes: list[str], seconds: float = 0.0, pilots: list[str] | None = None
+    ) -> None:
+        state = {
+            "key": self._key(), "tiles": names, "pilots": pilots, "notes": notes, "seconds": round(seconds, 3)
+        }  # fmt: skip
         write_text(self.scene.output(STATE), json.dumps(state, indent=1) + "\n")
 
     def _key(self) -> str:
@@ -231,6 +260,10 @@ class Plan:
         one.products, one.history = {}, []
         return one
 
+    def _coarse_scene(self) -> Scene:
+        whole = self.scene.require_grid()
+        return self._scene(COARSE, whole.resized(whole.cell_size * self.factor))
+
     def _tile_scene(self, tile: Tile, name: str, unseen: dict[str, set[str]]) -> Scene:
         one = self._scene(name, tile.grid)
         for item in one.items:
@@ -257,8 +290,8 @@ class Plan:
             unseen[tile.name] = {view.id for view in views if view.mask[rows, cols].mean() < LEAST_SHOWN}
         return unseen
 
-    def _pilots(self, unseen: dict[str, set[str]], ids: list[str], progress: Progress) -> tuple[list[Scene], list[str]]:
-        """Fit one tile of every quarter of the area by itself: that which most images show, next to the middle.
+    def _chosen(self, unseen: dict[str, set[str]], ids: list[str]) -> list[Tile]:
+        """One tile of every quarter of the area: that which most images show, next to the middle.
 
         Only tiles that show the first image, whose colours are the scale of all others, can tell.
         """
@@ -272,16 +305,18 @@ class Plan:
             rank = (len(unseen[tile.name]), off)
             if ids[0] not in unseen[tile.name] and (best is None or rank < best[:2]):
                 chosen[quarter] = (*rank, tile)
+        return [tile for missing, _, tile in chosen.values() if len(ids) - missing >= 2]
+
+    def _pilots(self, names: list[str], progress: Progress) -> tuple[list[Scene], list[str]]:
+        """Fit the pilot tiles by themselves, unless commands of their own have; their scenes, and notes."""
         scenes, notes = [], []
-        for k, (missing, _, tile) in enumerate(chosen.values()):
-            if len(ids) - missing < 2:
-                continue
-            one = self._tile_scene(tile, f"pilot.{tile.name}", unseen)
+        for k, name in enumerate(names):
+            one = self.part_scene(name)
             if not (one.root / MODEL).exists():
-                some = subprogress(progress, k / len(chosen), (k + 1) / len(chosen))
+                some = subprogress(progress, k / len(names), (k + 1) / len(names))
                 options = replace(self._own_options(one), tile=None)
-                told = fit_whole(one, options, saying(some, f"pilot tile {k + 1} of {len(chosen)}: "))["notes"]
-                notes += [f"pilot tile {tile.name}: {text}" for text in told]
+                told = fit_whole(one, options, saying(some, f"pilot tile {k + 1} of {len(names)}: "))["notes"]
+                notes += [f"{name.replace('.', ' tile ')}: {text}" for text in told]
             scenes.append(one)
         return scenes, notes
 

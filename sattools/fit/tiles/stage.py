@@ -45,11 +45,14 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
     plan = Plan.make(scene, options)
     if len(plan.tiles) == 1:
         log.info("scene %s is no larger than a tile: fitted all at once", scene.id)
-        if options.part == "split":
+        if options.part in ("coarse", "split"):
             plan.begin([])
             write_text(scene.output(WHOLE), scene.to_json(root="../..") + "\n")
-            return {"tiles": []}
+            return {"tiles": [], "pilots": []} if options.part == "coarse" else {"tiles": []}
         return fit_whole(scene, replace(options, tile=None, part="all"), progress)
+    if options.part == "coarse":
+        notes = plan.coarse(progress)
+        return {"notes": notes, "pilots": plan.pilots()}
     steps = len(plan.tiles) + 1
     if options.part in ("all", "split"):
         notes = plan.split(subprogress(progress, 0.0, 1 / steps if options.part == "all" else 1.0))
