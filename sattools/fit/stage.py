@@ -32,7 +32,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         OutputExistsError: there is a model and ``overwrite`` is False, or ``resume`` finds a finished fit.
     """
     options = with_tile(scene, options)
-    if not options.tile or PRODUCT in scene.products:  # a tile is fitted as a whole
+    # a tile is fitted as a whole, a pilot tile too, although each is larger than --tile by what it shares
+    if not options.tile or scene.is_part or PRODUCT in scene.products:
         return fit_whole(scene, options, progress, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite, (CHECKPOINT, STATE)))
     with holding_out(scene, options.holdout, options.views):

@@ -262,6 +262,11 @@ class Scene:
 
     # ---- files ------------------------------------------------------------------------------------------
 
+    @property
+    def is_part(self) -> bool:
+        """Whether this is a tile or a pilot tile, in the folder of the scene of which it is one."""
+        return self.root.parent.match(f"*/{PARTS}")
+
     def path(self, href: str) -> Path:
         """Absolute path of ``href`` for reading: relative hrefs must stay below the root, or that of its whole.
 
@@ -281,8 +286,7 @@ class Scene:
 
     def _whole_root(self) -> Path:
         """The folder of the scene of which this is a part, such as a tile; the scene's own where it is none."""
-        is_part = self.root.parent.match(f"*/{PARTS}")
-        return self.root.parents[2] if is_part else self.root
+        return self.root.parents[2] if self.is_part else self.root
 
     def output(self, relative: str) -> Path:
         """Absolute path below the root for writing; makes its folder.

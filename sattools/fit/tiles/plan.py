@@ -141,9 +141,9 @@ class Plan:
 
     def split(self, progress: Progress) -> list[str]:
         """Find what the tiles share and write their scenes; notes."""
-        started = time.perf_counter()
         with_pilots = self.factor > FINE_ENOUGH
         notes = self.coarse(subprogress(progress, 0, 0.4 if with_pilots else 1.0))
+        started = time.perf_counter()
         state = self._state()
         assert state is not None  # `coarse` has written it
         if state["tiles"] is not None:
@@ -177,7 +177,7 @@ class Plan:
             one.write()
             names.append(tile.name)
         write_text(self.scene.output(WHOLE), self.scene.to_json(root="../..") + "\n")
-        seconds = max(time.perf_counter() - started, state.get("seconds", 0.0))
+        seconds = state["seconds"] + time.perf_counter() - started
         self._write_state(names, notes, seconds, state["pilots"])
         return notes
 
@@ -201,7 +201,8 @@ class Plan:
 
         Empty where they were not fitted by commands of their own.
         """
-        entries = [entry for name in self.names() for entry in self.part_scene(name).history]
+        parts = [*self.names(), *self.pilots()]
+        entries = [entry for name in parts for entry in self.part_scene(name).history]
         if not entries:
             return {}
         split = float((self._state() or {}).get("seconds", 0.0))
