@@ -20,7 +20,7 @@ import numpy as np
 from sattools.align.estimate import Method, shift_to_dem
 from sattools.compare.truth import read_dfc2019, read_reference
 from sattools.errors import InputError
-from sattools.export.validity import MEASURED
+from sattools.export.classes import MEASURED
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
 from sattools.scene.regrid import resize_map

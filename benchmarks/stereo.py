@@ -34,7 +34,7 @@ import numpy as np
 
 from sattools.camera.ground import ground_sample_distance, project, to_geographic
 from sattools.compare import compare_dsm, read_reference
-from sattools.compare.metrics import fill_holes
+from sattools.compare.holes import fill_holes
 from sattools.compare.truth import Truth, read_dfc2019
 from sattools.prior import PriorOptions
 from sattools.prior.matching.match import match

@@ -16,9 +16,9 @@ from sattools.align.shift import Shift
 from sattools.camera.ground import from_geographic, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
+from sattools.export.classes import MEASURED
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.names import FILES
-from sattools.export.validity import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.datums import difference as datums_differ

@@ -16,7 +16,7 @@ from sattools.compare.picture import difference_picture
 from sattools.compare.registration import register, search_margin, shifted
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
-from sattools.export.validity import MEASURED
+from sattools.export.classes import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.datums import difference as datums_differ

@@ -8,17 +8,21 @@ from typing import TYPE_CHECKING, Any
 from sattools.callable_module import make_callable
 
 if TYPE_CHECKING:
-    from sattools.compare.metrics import height_errors, image_errors, map_errors
+    from sattools.compare.heights import height_errors
+    from sattools.compare.metrics import image_errors, map_errors
     from sattools.compare.options import CompareOptions
     from sattools.compare.registration import Registration, register
-    from sattools.compare.stage import Comparison, compare, compare_dsm, compare_file, read_truth, table
+    from sattools.compare.stage import compare, compare_dsm, compare_file, read_truth, table
+    from sattools.compare.surface import Comparison
     from sattools.compare.truth import Truth, read_dfc2019, read_reference
 
 _HOMES = {
-    "metrics": ("height_errors", "image_errors", "map_errors"),
+    "heights": ("height_errors",),
+    "metrics": ("image_errors", "map_errors"),
     "options": ("CompareOptions",),
     "registration": ("Registration", "register"),
-    "stage": ("Comparison", "compare", "compare_dsm", "compare_file", "read_truth", "table"),
+    "stage": ("compare", "compare_dsm", "compare_file", "read_truth", "table"),
+    "surface": ("Comparison",),
     "truth": ("Truth", "read_dfc2019", "read_reference"),
 }
 

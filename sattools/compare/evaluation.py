@@ -14,23 +14,20 @@ import numpy as np
 from sattools.compare.brdf import AMPLITUDE, SHAPE, brdf_figure, errors, place_in, place_of, unit_vector
 from sattools.compare.images import FIGURES
 from sattools.compare.options import CompareOptions
-from sattools.compare.points import Point, band_of, compare_points, read_points, sampled, with_values_of
+from sattools.compare.points import Point, Values, band_of, compare_points, filed, read_points, sampled, with_values_of
 from sattools.compare.stage import check_scene, name_and_file, score, to_json
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_figure, write_text
-from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import read_raster
 
 EVALUATION, TABLES = "evaluation.json", ("views.csv", "maps.csv", "points.csv")
 VIEW_COLUMNS = ("fit", *FIGURES, "dsm_mae_m", "dsm_median_m", "fit_seconds")
 MAP_COLUMNS = ("fit", "map", "product", "nrmse", "nrmse_constant", "nrmse_scaled", "correlation", "rmse", "n")
 POINT_COLUMNS = ("fit", "point", "value", "map", "sample", "difference", "nrmse")
 TRUTH = "truth"
-Maps = Mapping[str, tuple[np.ndarray, Grid]]
 
 
 def evaluate(options: CompareOptions, overwrite: bool = False, progress: Progress = silent) -> JsonObject:
@@ -58,7 +55,7 @@ def evaluate(options: CompareOptions, overwrite: bool = False, progress: Progres
     for scene in scenes.values():
         check_scene(scene)
     references = name_and_file(options.map, "--map")
-    truth = {name: read_raster(path) for name, path in references.items()}
+    truth = {name: filed(path) for name, path in references.items()}
     points = read_points(Path(options.points), values_needed=not truth) if options.points else []
     points = with_values_of(points, truth)
     files = [EVALUATION, "evaluation.md", *TABLES, *(_figure_href(k) for k in range(len(points)))]
@@ -116,7 +113,7 @@ def _scored(
         wanted = {key for point in points for key in point.values} | {f"{n}_1" for n in references} | set(references)
         names = wanted | {key.rpartition("_")[0] for key in wanted}
         own_maps = {
-            name: read_raster(scene.path(scene.products[product]))
+            name: filed(scene.path(scene.products[product]))
             for name in sorted(names)
             if (product := product_of(scene, name)) is not None
         }
@@ -129,7 +126,7 @@ def _by_name(rows: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
     return {row["name"]: row["values"] for row in rows}
 
 
-def _point_nrmse(values: Mapping[str, Any], truth: Maps) -> dict[str, float]:
+def _point_nrmse(values: Mapping[str, Any], truth: Mapping[str, Values]) -> dict[str, float]:
     """Per map the RMSE of a point's bands over the mean of the samples; only where all bands are known."""
     groups: dict[str, list[tuple[float, float]]] = {}
     for key, value in values.items():
@@ -169,7 +166,9 @@ def _tilt(properties: Mapping[str, Any]) -> float | None:
     return properties.get("view:off_nadir") if tilt is None else tilt
 
 
-def _add_places(result: JsonObject, scenes: Mapping[str, Scene], points: Sequence[Point], truth: Maps) -> None:
+def _add_places(
+    result: JsonObject, scenes: Mapping[str, Scene], points: Sequence[Point], truth: Mapping[str, Values]
+) -> None:
     """Reflectance parameters of every fit at every point, of the truth where its maps are given, and their errors."""
     light = result["brdf"]
     if light["sun"] is None:
@@ -196,7 +195,7 @@ def _place(scene: Scene, point: Point, shift: Sequence[float], band: int) -> Any
     wanted = {name for model, amplitude in AMPLITUDE.items() for name in (amplitude, *SHAPE[model])}
     values = {}
     for name in wanted & scene.products.keys():
-        there = sampled(*read_raster(scene.path(scene.products[name])), point, (shift[0], shift[1]))
+        there = sampled(*filed(scene.path(scene.products[name])), point, (shift[0], shift[1]))
         if there is not None:
             values[name] = there
     place = place_in(values, band)

@@ -1,44 +1,14 @@
-"""Error figures of height maps, parameter maps and images against a reference. Pure functions of arrays, no I/O."""
+"""Error figures of parameter maps and images against a reference. Pure functions of arrays, no I/O."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from sattools.compare.perceptual import lpips
 from sattools.errors import InputError
-from sattools.scene.jsonio import JsonObject
-
-WATER = 9
-CLASSES: dict[str, tuple[int, ...]] = {"ground": (2,), "trees": (5,), "buildings": (6,)}
-"""Names of the classes scored on their own, and their codes in the class map (ASPRS LAS codes)."""
-
-CLIP_M = 10.0
-FILL_METHOD = "nearest"
-PIECE = 1 << 20  # cells
-
-
-def clip_to_reference(predicted: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """`predicted` in metres limited to [lowest - 10 m, highest + 10 m] of the finite reference; NaN stays NaN."""
-    return np.clip(predicted, np.nanmin(reference) - CLIP_M, np.nanmax(reference) + CLIP_M)
-
-
-def fill_holes(predicted: np.ndarray) -> np.ndarray:
-    """`predicted` [H, W] [m] with each NaN replaced by the nearest finite height; InputError if there is none."""
-    holes = ~np.isfinite(predicted)
-    if not holes.any():
-        return predicted
-    if holes.all():
-        raise InputError("prediction: found no height at all, expected at least one")
-    from scipy.ndimage import distance_transform_edt
-
-    rows, columns = distance_transform_edt(holes, return_distances=False, return_indices=True)
-    filled = predicted.copy()
-    filled[holes] = predicted[rows[holes], columns[holes]]
-    return filled
 
 
 def nmad(difference: np.ndarray) -> float:
@@ -47,87 +17,6 @@ def nmad(difference: np.ndarray) -> float:
     Höhle & Höhle (2009), doi:10.1016/j.isprsjprs.2009.02.003.
     """
     return float(1.4826 * np.median(np.abs(difference - np.median(difference))))
-
-
-def height_errors(
-    predicted: np.ndarray,
-    reference: np.ndarray,
-    classes: np.ndarray | None = None,
-    filled: np.ndarray | None = None,
-    measured: np.ndarray | None = None,
-) -> JsonObject:
-    """Error table of a registered prediction; all arrays [H, W] in metres, NaN = no height.
-
-    Reference cells that are NaN or of class 9 (water) do not count. Errors are over cells with a prediction;
-    `completeness`, `within_1m` and `within_2_5m` are shares of *all* counted reference cells, so a hole is never
-    within. `completeness` counts cells that were `measured` (bool; default: that have a prediction), whose errors are
-    in `measured`; `filled` has those of all counted cells with holes filled from `filled` (default: the nearest
-    predicted cell), `mae_filled` their mean. Raises InputError where nothing can be compared.
-
-    Args:
-        predicted: ``[H, W]`` heights [m]; NaN = none.
-        reference: ``[H, W]`` heights [m]; NaN = none.
-        classes: ``[H, W]`` class codes, or None.
-        filled: ``[H, W]`` the prediction without holes [m], or None.
-        measured: ``[H, W]`` bool, cells that images show; None = all.
-    """
-    counted = np.isfinite(reference)
-    if classes is not None:
-        if classes.shape != reference.shape:
-            raise InputError(f"class map: found shape {classes.shape}, expected {reference.shape}")
-        counted &= classes != WATER
-    if not counted.any():
-        raise InputError("reference: found no height outside water, expected at least one")
-    scored = np.where(counted, reference, np.nan)
-    difference = clip_to_reference(predicted, scored) - reference
-    seen = counted & np.isfinite(difference)
-    if not seen.any():
-        raise InputError("prediction: found no height on a cell of the reference, expected at least one")
-    total = int(counted.sum())
-    known = seen if measured is None else seen & measured
-    complete = clip_to_reference(fill_holes(predicted if filled is None else filled), scored)
-    everywhere = _errors((complete - reference)[counted])
-    del complete, scored
-    absolute = np.abs(difference[seen])
-    result: dict[str, Any] = _errors(difference[seen])
-    result |= {
-        "completeness": float(known.sum() / total),
-        "within_1m": float((absolute <= 1.0).sum() / total),
-        "within_2_5m": float((absolute <= 2.5).sum() / total),
-        "mae_filled": everywhere["mae"],
-        "filled_by": FILL_METHOD,
-        "cells": total,
-        "cells_predicted": int(seen.sum()),
-        "measured": {**(_errors(difference[known]) if known.any() else _NO_ERRORS), "n": int(known.sum())},
-        "filled": {**everywhere, "n": total},
-    }
-    if classes is not None:
-        result["classes"] = {
-            name: _class_errors(difference, seen, counted & np.isin(classes, codes)) for name, codes in CLASSES.items()
-        }
-    return result
-
-
-_NO_ERRORS: dict[str, Any] = dict.fromkeys(("mae", "rmse", "median", "nmad", "bias"))
-
-
-def _errors(difference: np.ndarray) -> JsonObject:
-    absolute = np.abs(difference)
-    # in double precision by pieces, as maps may have a hundred million cells
-    pieces = (absolute[k : k + PIECE].astype(np.float64) for k in range(0, absolute.size, PIECE))
-    return {
-        "mae": float(absolute.mean(dtype=np.float64)),
-        "rmse": math.sqrt(sum(float(piece @ piece) for piece in pieces) / absolute.size),
-        "median": float(np.median(absolute)),
-        "nmad": nmad(difference),
-        "bias": float(difference.mean(dtype=np.float64)),
-    }
-
-
-def _class_errors(difference: np.ndarray, seen: np.ndarray, member: np.ndarray) -> JsonObject:
-    total, n = int(member.sum()), int((seen & member).sum())
-    errors: Mapping[str, Any] = _errors(difference[seen & member]) if n else _NO_ERRORS
-    return {**errors, "n": n, "completeness": n / total if total else None}
 
 
 MAP_FIGURES = ("rmse", "nrmse", "correlation", "nrmse_constant", "nrmse_scaled", "scale", "n")  # of `map_errors`
@@ -143,24 +32,66 @@ def map_errors(predicted: np.ndarray, reference: np.ndarray) -> dict[str, float 
     """
     if predicted.shape != reference.shape:
         raise InputError(f"parameter map: found shape {predicted.shape}, expected {reference.shape}")
-    both = np.isfinite(predicted) & np.isfinite(reference)
-    if not both.any():
-        raise InputError("parameter map: found no cell in common with its reference, expected overlap")
-    p, r = predicted[both].astype(np.float64), reference[both].astype(np.float64)
-    mean = float(r.mean())
-    rmse = float(np.sqrt(((p - r) ** 2).mean()))
-    scale = float((p * r).sum() / (p * p).sum()) if (p * p).sum() > 0 else 1.0
-    scaled = float(np.sqrt(((scale * p - r) ** 2).mean()))
-    varied = all(v.std() > 1e-9 * np.abs(v).max() for v in (p, r))  # rounding alone makes no correlation
-    return {
-        "rmse": rmse,
-        "nrmse": rmse / mean if mean else None,
-        "correlation": float(np.corrcoef(p, r)[0, 1]) if varied else None,
-        "nrmse_constant": float(r.std() / mean) if mean else None,
-        "nrmse_scaled": scaled / mean if mean else None,
-        "scale": scale,
-        "n": int(both.sum()),
-    }
+    errors = MapErrors()
+    for round_ in range(MapErrors.ROUNDS):
+        errors.add(round_, predicted, reference)
+    return errors.figures()
+
+
+class MapErrors:
+    """`map_errors` of pieces, which are shown in two rounds: means first, then what is about them."""
+
+    ROUNDS = 2
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._sums = np.zeros(4)  # of p, r, p p, p r
+        self._squares = np.zeros(5)  # of p - r, scaled p - r, and about the means p p, r r, p r
+        self._largest = np.zeros(2)
+
+    def add(self, round_: int, predicted: np.ndarray, reference: np.ndarray) -> None:
+        """Count a piece.
+
+        Args:
+            round_: 0 or 1.
+            predicted: of the parameter, of any shape.
+            reference: of the parameter, of the same shape.
+        """
+        both = np.isfinite(predicted) & np.isfinite(reference)
+        p, r = predicted[both].astype(np.float64), reference[both].astype(np.float64)
+        if not p.size:
+            return
+        if round_ == 0:
+            self.count += p.size
+            self._sums += p.sum(), r.sum(), p @ p, p @ r
+            self._largest = np.maximum(self._largest, [np.abs(p).max(), np.abs(r).max()])
+            return
+        apart, scaled = p - r, self._scale * p - r
+        mean_p, mean_r = self._sums[:2] / self.count
+        p, r = p - mean_p, r - mean_r
+        self._squares += apart @ apart, scaled @ scaled, p @ p, r @ r, p @ r
+
+    @property
+    def _scale(self) -> float:
+        _, _, square, product = self._sums.tolist()
+        return product / square if square > 0 else 1.0
+
+    def figures(self) -> dict[str, float | int | None]:
+        """See `map_errors`."""
+        if not self.count:
+            raise InputError("parameter map: found no cell in common with its reference, expected overlap")
+        mean = float(self._sums[1]) / self.count
+        rmse, scaled, std_p, std_r = (math.sqrt(square / self.count) for square in self._squares[:4])
+        varied = std_p > 1e-9 * self._largest[0] and std_r > 1e-9 * self._largest[1]  # rounding makes no correlation
+        return {
+            "rmse": rmse,
+            "nrmse": rmse / mean if mean else None,
+            "correlation": float(self._squares[4]) / self.count / (std_p * std_r) if varied else None,
+            "nrmse_constant": std_r / mean if mean else None,
+            "nrmse_scaled": scaled / mean if mean else None,
+            "scale": self._scale,
+            "n": self.count,
+        }
 
 
 def psnr(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = None, peak: float = 1.0) -> float:

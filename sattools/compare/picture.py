@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from sattools.scene.files import write_figure
 from sattools.scene.grid import Grid
 
-MOST_CELLS = 1600  # along an edge, twice the picture's pixels: more would take memory and not be seen
+MOST_CELLS = 1200  # along an edge, half as many again as the picture has pixels: more would take memory unseen
 
 
 def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, limit_m: float = 5.0) -> None:
@@ -45,7 +46,7 @@ def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: f
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     west, south, east, north = grid.bounds
-    step = max(1, max(difference.shape) // MOST_CELLS)
+    step = math.ceil(max(difference.shape) / MOST_CELLS)
     colours = colormaps["RdBu_r"].with_extremes(bad="0.75")
     shown = axes.imshow(
         np.ma.masked_invalid(difference[::step, ::step]),
@@ -84,11 +85,11 @@ def _plain(text: str) -> str:
 
 
 def scatter_picture(predicted: np.ndarray, reference: np.ndarray, name: str, path: Path) -> None:
-    """PNG of a parameter map against its reference, both ``[B, H, W]``: density of cells, line of equality.
+    """PNG of values of a parameter map against their references: density of cells, line of equality.
 
     Args:
-        predicted: ``[B, H, W]`` of the parameter.
-        reference: ``[B, H, W]`` of the parameter.
+        predicted: ``[N]`` of the parameter; NaN = none.
+        reference: ``[N]`` of the parameter; NaN = none.
         name: of the parameter.
         path: file to write.
     """

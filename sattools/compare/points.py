@@ -14,6 +14,7 @@ import numpy as np
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject, read_text
+from sattools.scene.raster import FiledCells
 from sattools.scene.vectors import read_features
 
 TEXT = ("name",)
@@ -29,6 +30,16 @@ class Point:
     y: float
     crs: str | None
     values: Mapping[str, float]
+
+
+Values = tuple[np.ndarray | FiledCells, Grid]
+"""A map ``[B, H, W]`` and its grid."""
+
+
+def filed(path: Path) -> Values:
+    """A map in a file, of which single cells are read."""
+    cells = FiledCells(path)
+    return cells, cells.grid
 
 
 def read_points(path: Path, *, values_needed: bool = True) -> list[Point]:
@@ -99,7 +110,7 @@ def _read_vector(path: Path) -> list[Point]:
 
 
 def compare_points(
-    points: list[Point], maps: Mapping[str, tuple[np.ndarray, Grid]], shift: tuple[float, float] = (0.0, 0.0)
+    points: list[Point], maps: Mapping[str, Values], shift: tuple[float, float] = (0.0, 0.0)
 ) -> list[JsonObject]:
     """Map values beside the samples' own.
 
@@ -126,7 +137,9 @@ def compare_points(
     return table
 
 
-def sampled(array: np.ndarray, grid: Grid, point: Point, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray | None:
+def sampled(
+    array: np.ndarray | FiledCells, grid: Grid, point: Point, shift: tuple[float, float] = (0.0, 0.0)
+) -> np.ndarray | None:
     """Values ``[B]`` of the cell that a point lies in; None outside.
 
     Args:
@@ -142,7 +155,7 @@ def sampled(array: np.ndarray, grid: Grid, point: Point, shift: tuple[float, flo
     return np.asarray(array[:, line, col]) if inside else None
 
 
-def with_values_of(points: list[Point], references: Mapping[str, tuple[np.ndarray, Grid]]) -> list[Point]:
+def with_values_of(points: list[Point], references: Mapping[str, Values]) -> list[Point]:
     """The points, with what reference maps say there wherever they have no such value of their own.
 
     Args:
@@ -172,7 +185,7 @@ def _on(grid: Grid, point: Point) -> tuple[float, float]:
     return float(east), float(north)
 
 
-def band_of(key: str, maps: Mapping[str, tuple[np.ndarray, Grid]]) -> tuple[str | None, int]:
+def band_of(key: str, maps: Mapping[str, Values]) -> tuple[str | None, int]:
     """Name of the map and number of its band, from 0, that a value's name means; None where there is no such map."""
     if key in maps and maps[key][0].shape[0] == 1:
         return key, 0
@@ -182,4 +195,4 @@ def band_of(key: str, maps: Mapping[str, tuple[np.ndarray, Grid]]) -> tuple[str 
     return None, 0
 
 
-__all__ = ["Point", "band_of", "compare_points", "read_points", "sampled", "with_values_of"]
+__all__ = ["Point", "Values", "band_of", "compare_points", "filed", "read_points", "sampled", "with_values_of"]

@@ -1,24 +1,30 @@
 """Bring a predicted surface onto the reference: whole-pixel NCC, Nuth & Kääb, or height only.
 
-All functions work on plain arrays, row 0 = north. A *margin* is a number of cells by which the prediction reaches
-beyond the reference on every side, so that a shift moves real heights in from outside, not holes.
+All functions work on arrays, or maps that are read by rows (`sattools.scene.stored`), row 0 = north. A *margin* is a
+number of cells by which the prediction reaches beyond the reference on every side, so that a shift moves real heights
+in from outside, not holes.
 A shift is what has to be added to the prediction: (east, north, up) in metres or (columns, rows) in cells.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from sattools.errors import InputError
+from sattools.scene.stored import map_like, pieces
 
 Method = Literal["ncc", "nuth-kaab", "z", "none"]
 METHODS: tuple[Method, ...] = ("ncc", "nuth-kaab", "z", "none")
 
 SEARCH_CELLS = 5  # half width of the search window on each pyramid level
 STRIP_ROWS = 256  # rows of a map that are looked at in double precision at a time
+SLOPES = 2_000_000  # cells whose slopes tell of parts of a cell: more would not make them more certain
+BAND_ROWS = 16  # that are looked at together where not all are
 COARSEST_CELLS = 100  # the pyramid ends when the smaller side has no more cells than this
 
 
@@ -86,15 +92,25 @@ def register(predicted: np.ndarray, reference: np.ndarray, method: Method = "ncc
         columns, rows = float(whole_columns), float(whole_rows)
     elif method == "nuth-kaab":
         columns, rows = nuth_kaab_shift(predicted, reference, margin)
-    moved = shifted(predicted, columns, rows, margin)
-    difference = reference - moved
-    difference = difference[np.isfinite(difference)]
-    if not difference.size:
+    count, total = 0, 0.0
+    for some in pieces((height, width)):
+        difference = reference[some] - shifted(predicted, columns, rows, margin, some)
+        difference = difference[np.isfinite(difference)]
+        count, total = count + difference.size, total + float(difference.sum(dtype=np.float64))
+    if not count:
         raise InputError("prediction: found no cell in common with the reference, expected overlap")
-    return Registration(columns, rows, float(difference.mean(dtype=np.float64)), method, correlation)
+    return Registration(columns, rows, total / count, method, correlation)
 
 
-def shifted(predicted: np.ndarray, columns: float, rows: float, margin: int = 0) -> np.ndarray:
+def shifted(
+    predicted: np.ndarray,
+    columns: float,
+    rows: float,
+    margin: int = 0,
+    part: slice | None = None,
+    *,
+    beyond: bool = False,
+) -> np.ndarray:
     """Cells of the reference [H, W] from `predicted` [H + 2 margin, W + 2 margin] moved by `columns` and `rows`.
 
     Whole shifts copy cells; others interpolate linearly. Cells that come from outside are NaN.
@@ -104,7 +120,10 @@ def shifted(predicted: np.ndarray, columns: float, rows: float, margin: int = 0)
         columns: cells eastwards.
         rows: cells southwards.
         margin: cells by which the prediction reaches beyond the reference.
+        part: rows of the reference; None = all.
+        beyond: the border goes on outside instead.
     """
+    part = part or slice(0, predicted.shape[0] - 2 * margin)
     row0, column0 = int(np.floor(rows)), int(np.floor(columns))
     weight_row, weight_column = rows - row0, columns - column0
     result: np.ndarray | None = None
@@ -112,8 +131,8 @@ def shifted(predicted: np.ndarray, columns: float, rows: float, margin: int = 0)
         for column, column_weight in ((column0, 1 - weight_column), (column0 + 1, weight_column)):
             weight = row_weight * column_weight
             if weight > 0:
-                part = weight * _window(predicted, column, row, margin)
-                result = part if result is None else result + part
+                moved = weight * _window(predicted, column, row, margin, part, beyond)
+                result = moved if result is None else result + moved
     assert result is not None  # the four weights sum to one
     return result
 
@@ -133,8 +152,7 @@ def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> 
     step = 2**levels
     if margin % step:  # keep coarse cells of both rasters on one lattice
         pad = step - margin % step
-        predicted = np.pad(predicted, pad, constant_values=np.nan)
-        margin += pad
+        predicted, margin = _padded(predicted, pad), margin + pad
     pairs = [(predicted, reference)]
     for _ in range(levels):
         pairs.append((halved(pairs[-1][0]), halved(pairs[-1][1])))
@@ -149,8 +167,8 @@ def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> 
 def halved(array: np.ndarray) -> np.ndarray:
     """Mean of the finite heights [m] of each 2×2 block [H // 2, W // 2], float64; NaN where a block has none."""
     height, width = array.shape[0] // 2, array.shape[1] // 2
-    means = np.empty((height, width))
-    for rows in _strips(height):
+    means = map_like(array, (height, width), np.float64)
+    for rows in pieces((height, 4 * width), STRIP_ROWS):  # of which each is made of four
         part = array[2 * rows.start : 2 * rows.stop, : 2 * width].astype(np.float64)
         blocks = part.reshape(-1, 2, width, 2)
         finite = np.isfinite(blocks)
@@ -166,7 +184,8 @@ def nuth_kaab_shift(
     """Sub-cell shift (columns, rows) after Nuth & Kääb (2011): dh / tan(slope) = a cos(b - aspect) + c.
 
     The height differences per aspect sector enter by their median, since height steps of a city are outliers to
-    this model; iterated until the step is below 0.01 cell. Raises InputError where the reference has no slopes.
+    this model; iterated until the step is below 0.01 cell. Of large maps some rows are looked at, evenly spread. Raises
+    InputError where the reference has no slopes.
 
     Args:
         predicted: ``[H + 2 margin, W + 2 margin]`` heights [m].
@@ -174,12 +193,15 @@ def nuth_kaab_shift(
         margin: cells by which the prediction reaches beyond the reference.
         iterations: number of steps.
     """
-    gradient_row, gradient_column = np.gradient(reference.astype(np.float64))
+    parts = list(_some_rows((reference.shape[0], reference.shape[1])))
+    gradient_row, gradient_column = (np.concatenate(g) for g in zip(*(_gradient(reference, part) for part in parts)))
+    heights = np.concatenate([reference[part] for part in parts])
     slope = np.hypot(gradient_row, gradient_column)  # height per cell
     aspect = np.arctan2(-gradient_column, gradient_row)  # downhill direction, clockwise from north
     columns = rows = 0.0
     for _ in range(iterations):
-        difference = shifted(predicted, columns, rows, margin) - reference
+        moved = [shifted(predicted, columns, rows, margin, part) for part in parts]
+        difference = np.concatenate(moved) - heights
         finite = np.isfinite(difference) & np.isfinite(slope)
         if not finite.any():
             raise InputError("prediction: found no cell in common with the reference, expected overlap")
@@ -194,6 +216,26 @@ def nuth_kaab_shift(
         if np.hypot(step_columns, step_rows) < 0.01:
             break
     return columns, rows
+
+
+def _some_rows(shape: tuple[int, int]) -> Iterator[slice]:
+    """Rows of which no more than about `SLOPES` cells are looked at; all of a small map."""
+    height, width = shape
+    few = math.ceil(height * width / SLOPES)
+    if few == 1:
+        yield slice(0, height)
+        return
+    for first in range(0, height, few * BAND_ROWS):
+        yield slice(first, min(first + BAND_ROWS, height))
+
+
+def _gradient(heights: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Height per cell ``[h, W]`` southwards and eastwards in some rows."""
+    first, last = max(0, rows.start - 1), min(heights.shape[0], rows.stop + 1)
+    own = slice(rows.start - first, rows.stop - first)
+    around = heights[first:last].astype(np.float64)
+    south, east = np.gradient(around)[:2]
+    return np.asarray(south)[own], np.asarray(east)[own]
 
 
 def _cosine_fit(ratio: np.ndarray, aspect: np.ndarray, sectors: int = 72) -> tuple[float, float]:
@@ -212,10 +254,27 @@ def _cosine_fit(ratio: np.ndarray, aspect: np.ndarray, sectors: int = 72) -> tup
     return -float(east), float(north)
 
 
-def _window(predicted: np.ndarray, columns: int, rows: int, margin: int) -> np.ndarray:
-    """Part of `predicted` that falls on the reference after a whole-cell shift; NaN from outside."""
-    height, width = predicted.shape[0] - 2 * margin, predicted.shape[1] - 2 * margin
-    return _box(predicted, margin - rows, margin - columns, height, width)
+def _window(predicted: np.ndarray, columns: int, rows: int, margin: int, part: slice, beyond: bool) -> np.ndarray:
+    """Part of `predicted` that falls on rows of the reference after a whole-cell shift."""
+    width = predicted.shape[1] - 2 * margin
+    top, left, height = margin - rows + part.start, margin - columns, part.stop - part.start
+    if not beyond:
+        return _box(predicted, top, left, height, width)
+    row, col = (
+        np.clip(np.arange(first, first + count), 0, most - 1)
+        for first, count, most in zip((top, left), (height, width), predicted.shape, strict=True)
+    )
+    part_there = predicted[row[0] : row[-1] + 1, col[0] : col[-1] + 1]
+    return part_there[np.ix_(row - row[0], col - col[0])]
+
+
+def _padded(array: np.ndarray, pad: int) -> np.ndarray:
+    """An array with so many more cells on every side, which are NaN."""
+    height, width = array.shape[0] + 2 * pad, array.shape[1] + 2 * pad
+    padded = map_like(array, (height, width), array.dtype)
+    for rows in pieces((height, width)):
+        padded[rows] = _box(array, rows.start - pad, -pad, rows.stop - rows.start, width)
+    return padded
 
 
 def _box(array: np.ndarray, top: int, left: int, height: int, width: int) -> np.ndarray:
@@ -241,7 +300,7 @@ def _search(
     # of every trial: number of cells that both have, their sums, squares and products
     sums = np.zeros((len(trials), 6))
     left = margin - columns - SEARCH_CELLS
-    for strip in _strips(height):
+    for strip in pieces((height, width), STRIP_ROWS):
         top = margin - rows - SEARCH_CELLS + strip.start
         around = _box(predicted, top, left, strip.stop - strip.start + 2 * SEARCH_CELLS, width + 2 * SEARCH_CELLS)
         mask_r, value_r, square_r = _parts(reference[strip], centre_r)
@@ -272,16 +331,12 @@ def _search(
     return *place, min(float(best), 1.0) if np.isfinite(best) else 0.0
 
 
-def _strips(height: int) -> list[slice]:
-    """Rows in pieces: what is made of a large map in double precision would take ten times its memory."""
-    return [slice(first, min(first + STRIP_ROWS, height)) for first in range(0, height, STRIP_ROWS)]
-
-
 def _mean(array: np.ndarray) -> float:
     """Mean of what is finite; 0 where nothing is."""
     count, total = 0, 0.0
-    for rows in _strips(len(array)):
-        known = array[rows][np.isfinite(array[rows])]
+    for rows in pieces((array.shape[0], array.shape[1]), STRIP_ROWS):
+        part = array[rows]
+        known = part[np.isfinite(part)]
         count, total = count + known.size, total + float(known.sum(dtype=np.float64))
     return total / max(count, 1)
 

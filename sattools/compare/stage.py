@@ -6,63 +6,42 @@ import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rasterio._err import CPLE_BaseError
-from rasterio.errors import RasterioError
-from rasterio.warp import transform_bounds
 
 from sattools.compare.images import compare_views
-from sattools.compare.metrics import MAP_FIGURES, clip_to_reference, fill_holes, height_errors, map_errors
+from sattools.compare.maps import Pair, compare_map
 from sattools.compare.options import CompareOptions
 from sattools.compare.picture import difference_picture, scatter_picture
-from sattools.compare.registration import Registration, register, search_margin, shifted
-from sattools.compare.slopes import errors_by_slope
-from sattools.compare.steps import add_step_errors, step_text
-from sattools.compare.truth import Truth, known_heights, read_dfc2019, read_reference
+from sattools.compare.steps import step_text
+from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
+from sattools.compare.truth import Truth, open_reference, read_dfc2019
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
+from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
 from sattools.scene.dependencies import begin, check_current
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import heights_above, raster_grid, read_raster, write_cog
-from sattools.scene.regrid import reproject_map
+from sattools.scene.raster import heights_above
+from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
-_AT_ONCE = 4_000_000  # cells of a DSM that is read as a whole
-_SPARE_CELLS = 8
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A scored DSM.
-
-    Attributes:
-        figures: the table, keys as `sattools compare` prints them.
-        difference: [H, W] registered prediction minus reference in metres, on `grid`; NaN = not scored.
-        grid: grid of the reference.
-    """
-
-    figures: dict[str, Any]
-    difference: np.ndarray
-    grid: Grid
-    registration: Registration
-
-
-@dataclass(frozen=True)
 class Scored:
-    """What `score` finds: the table, the surface, and per parameter the map found and its reference ``[B, H, W]``."""
+    """What `score` finds: the table, the surface, and per parameter some values found and their references ``[N]``."""
 
     figures: dict[str, Any]
     surface: Comparison
-    maps: dict[str, tuple[np.ndarray, np.ndarray]]
+    maps: dict[str, Pair]
 
 
 def compare_dsm(
@@ -85,66 +64,23 @@ def compare_dsm(
         InputError: nothing can be compared.
     """
     if isinstance(predicted, np.ndarray):
-        heights = predicted
+        if grid is None:
+            raise InputError("prediction: found an array without a grid, expected both")
+        surface: Surface = HeldSurface(predicted, grid, measured)
     else:
-        array, grid = read_around(Path(predicted), truth.grid, method)
-        heights = known_heights(array[0])
-    if grid is None:
-        raise InputError("prediction: found an array without a grid, expected both")
-    reference = np.where(truth.counted(), truth.heights, np.float32(np.nan))
-    margin = search_margin(reference.shape) if method in ("ncc", "nuth-kaab") else 0
-    wide = reproject_map(heights, grid, truth.grid.widened(margin))
-    if not np.isfinite(wide).any():
-        raise InputError(f"prediction: found no height within {truth.name}, expected overlap")
-    shift = register(wide, reference, method, margin)
-    registered = shifted(wide, shift.columns, shift.rows, margin) + shift.up
-    filled = shifted(fill_holes(wide), shift.columns, shift.rows, margin) + shift.up
-    known = None
-    if measured is not None:
-        only = reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, truth.grid.widened(margin))
-        known = np.isfinite(shifted(only, shift.columns, shift.rows, margin))
-    figures = height_errors(registered, reference, truth.classes, filled, known)
-    difference = clip_to_reference(registered, reference) - reference
-    add_step_errors(figures, difference, reference, truth.classes, truth.grid.cell_size)
-    figures["slopes"] = errors_by_slope(difference, reference, truth.grid.cell_size)
-    figures |= {
-        "shift_m": [round(value, 4) for value in shift.metres(truth.grid.cell_size)],
-        "registration": {"method": shift.method, "correlation": shift.correlation},
-        "protocol": truth.protocol,
-        "reference": truth.name,
-        "mask": truth.mask_text(),
-    }
-    return Comparison(figures, difference, truth.grid, shift)
+        surface = FiledSurface(Path(predicted))
+    result = compare_surface(surface, truth, method)
+    return replace(result, difference=np.asarray(result.difference))
 
 
-def read_around(path: Path, reference: Grid, method: str = "ncc") -> tuple[np.ndarray, Grid]:
-    """A raster ``[B, H, W]``, or of a large one the part that is compared with a reference, and its grid.
+def read_truth(options: CompareOptions, scene: Scene | None = None, folder: Path | None = None) -> Truth:
+    """The reference that the options name, else the truth that a simulated scene brings along.
 
     Args:
-        path: the file.
-        reference: grid of the reference.
-        method: of the registration, which looks around.
-
-    Raises:
-        InputError: as `sattools.scene.raster.read_raster`; no part of it lies there.
+        options: of the stage.
+        scene: that is scored, or None.
+        folder: for temporary files, if large maps are to be read by rows (`open_reference`); None = the system's.
     """
-    grid = raster_grid(path)
-    if grid.width * grid.height <= _AT_ONCE:
-        return read_raster(path)
-    margin = search_margin(reference.shape) if method in ("ncc", "nuth-kaab") else 0
-    around = reference.widened(margin + _SPARE_CELLS)
-    try:
-        west, south, east, north = transform_bounds(around.crs, grid.crs, *around.bounds)
-        spare = _SPARE_CELLS * grid.cell_size
-        box = (west - spare, south - spare, east + spare, north + spare)
-        rows, cols = grid.window(Grid.from_bounds(grid.crs, box, grid.cell_size))
-    except (SceneError, RasterioError, CPLE_BaseError) as error:
-        raise InputError(f"{path}: found no height where the reference lies, expected overlap") from error
-    return read_raster(path, grid.part(rows, cols))
-
-
-def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
-    """The reference that the options name, else the truth that a simulated scene brings along."""
     if options.truth and options.dsm:
         raise InputError("compare: found both --truth and --dsm, expected one of them")
     if options.truth:
@@ -153,10 +89,11 @@ def read_truth(options: CompareOptions, scene: Scene | None = None) -> Truth:
             raise InputError("compare: found --truth without a scene, expected --aoi NAME as well")
         truth = read_dfc2019(options.truth, aoi)
     elif options.dsm:
-        truth = read_reference(options.dsm, options.classes)
+        truth = open_reference(options.dsm, options.classes, folder)
     elif scene and "truth_dsm" in scene.products:
         classes = scene.products.get("truth_classes")
-        truth = read_reference(scene.path(scene.products["truth_dsm"]), scene.path(classes) if classes else None)
+        own = scene.path(classes) if classes else None
+        truth = open_reference(scene.path(scene.products["truth_dsm"]), own, folder)
     else:
         raise InputError("compare: found no reference, expected --truth DIR or --dsm FILE")
     return truth.within(options.region) if options.region else truth
@@ -180,7 +117,7 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
         scene, "compare", [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in maps)], overwrite,
         [Path(path) for path in given if path],
     )  # fmt: skip
-    scored = score(options, scene, progress)
+    scored = score(options, scene, progress, scene.root)
     figures, result = scored.figures, scored.surface
     for name, (found, reference) in scored.maps.items():
         if scored.figures["parameters"][name]["n"]:
@@ -200,19 +137,23 @@ def check_scene(scene: Scene) -> None:
     check_current(scene, "export")
 
 
-def score(options: CompareOptions, scene: Scene, progress: Progress = silent) -> Scored:
+def score(options: CompareOptions, scene: Scene, progress: Progress = silent, folder: Path | None = None) -> Scored:
     """Register and score an exported scene, its maps and views where asked for; writes nothing.
 
     Args:
         options: of the stage.
         scene: see `check_scene`.
         progress: told the share done and what is being done.
+        folder: for temporary files; None = the system's.
     """
-    truth = read_truth(options, scene)
-    about = _datums(scene.path(scene.products["dsm"]), options)
+    truth = read_truth(options, scene, folder)
+    path = scene.path(scene.products["dsm"])
+    about = _datums(path, options)
     progress(0.1, "registering")
-    heights, grid = read_around(scene.path(scene.products["dsm"]), truth.grid, options.register)
-    result = compare_dsm(known_heights(heights[0]), truth, grid, options.register, _measured(scene, grid))
+    validity = scene.products.get("validity")
+    surface = FiledSurface(path, scene.path(validity) if validity else None)
+    surface.check()
+    result = compare_surface(surface, truth, options.register, folder)
     figures: dict[str, Any] = {"scene": scene.id, **result.figures, **about}
     pairs = {}
     if options.map:
@@ -228,26 +169,12 @@ def score(options: CompareOptions, scene: Scene, progress: Progress = silent) ->
     return Scored(figures, result, pairs)
 
 
-def _measured(scene: Scene, grid: Grid) -> np.ndarray | None:
-    """Cells of the DSM that two images see, as `export` found; None where nobody looked."""
-    if "validity" not in scene.products:
-        return None
-    path = scene.path(scene.products["validity"])
-    try:
-        validity, own = read_raster(path, grid)
-    except SceneError:
-        own = None
-    if own != grid:
-        raise InputError(f"{path}: found another grid than the DSM's, expected the same")
-    return np.asarray(validity[0] == 1)
-
-
 def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject:
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
     truth = read_truth(options)
     about = _datums(Path(options.predicted), options)
-    result = compare_dsm(Path(options.predicted), truth, method=options.register)
+    result = compare_surface(FiledSurface(Path(options.predicted)), truth, options.register)
     if options.out:
         from sattools.scene.document import Scene as Folder
 
@@ -272,12 +199,12 @@ def _datums(predicted: Path, options: CompareOptions) -> JsonObject:
 
 
 def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:
-    from sattools.compare.points import compare_points, read_points
+    from sattools.compare.points import compare_points, filed, read_points
 
     points = read_points(path)
     wanted = {key for point in points for key in point.values}
     names = [n for n in scene.products if any(key == n or key.rpartition("_")[0] == n for key in wanted)]
-    maps = {name: read_raster(scene.path(scene.products[name])) for name in names}
+    maps = {name: filed(scene.path(scene.products[name])) for name in names}
     east, north, _ = result.registration.metres(result.grid.cell_size)
     return compare_points(points, maps, (east, north))
 
@@ -286,21 +213,11 @@ def _scatter_href(name: str) -> str:
     return f"compare/scatter_{name}.png"
 
 
-def _compare_map(
-    scene: Scene, name: str, reference: Path, result: Comparison
-) -> tuple[JsonObject, tuple[np.ndarray, np.ndarray]]:
+def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> tuple[JsonObject, Pair]:
     if name not in scene.products:
         raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
-    predicted, predicted_grid = read_raster(scene.path(scene.products[name]))
-    array, grid = read_raster(reference)
-    if predicted.shape[0] != array.shape[0]:
-        raise InputError(f"{reference}: found {array.shape[0]} bands, expected {predicted.shape[0]} as in {name}")
-    # a map lies where its surface lies: it moves with the DSM
     east, north, _ = result.registration.metres(result.grid.cell_size)
-    carried = reproject_map(predicted, predicted_grid, grid.moved(-east, -north))
-    if not np.isfinite(predicted).any():  # nothing was determined, so nothing is claimed, and nothing can be wrong
-        return dict.fromkeys(MAP_FIGURES) | {"n": 0}, (carried, array)
-    return map_errors(carried, array.astype(np.float32)), (carried, array)
+    return compare_map(name, scene.path(scene.products[name]), reference, (east, north))
 
 
 def name_and_file(texts: Sequence[str], option: str) -> dict[str, Path]:
@@ -333,7 +250,9 @@ def write_difference(result: Comparison, tif: Path, png: Path) -> None:
         png: file to write.
     """
     title = f"{result.figures['reference']}: MAE {result.figures['mae']:.2f} m"
-    write_cog(tif, result.difference, result.grid, units="m", tags={"CONTENT": "registered prediction minus reference"})
+    with CogWriter(tif, result.grid, units="m", tags={"CONTENT": "registered prediction minus reference"}) as out:
+        for rows in pieces(result.grid.shape):
+            out.write(result.difference[rows], rows)
     difference_picture(result.difference, result.grid, title, png)
 
 

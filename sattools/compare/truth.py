@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.compare.metrics import WATER
+from sattools.compare.heights import WATER
 from sattools.errors import InputError
 from sattools.scene.datums import horizontal
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.opening import opened
-from sattools.scene.raster import read_image, read_raster
-from sattools.scene.regrid import reproject_map
+from sattools.scene.raster import raster_grid, read_image, read_on, read_raster
+from sattools.scene.stored import cut, map_like, new_map, pieces
 
 DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none
 CORRECTED_CLASSES = ("JAX_004", "JAX_260")  # their first class map misses water; users of the contest mask with _v2
@@ -30,7 +30,7 @@ class Truth:
         name: for messages and tables.
         protocol: `dfc2019` or `dsm`.
         grid: ground grid of both arrays.
-        heights: [H, W] float32 in metres, NaN = not known.
+        heights: [H, W] float32 in metres, NaN = not known; from `open_reference`, a map that is read by rows.
         classes: [H, W] uint8 class codes (2 ground, 5 trees, 6 building, 9 water, 17 bridge, 65 unlabelled), or None.
         region: part of the reference that is used, for the report.
     """
@@ -42,10 +42,13 @@ class Truth:
     classes: np.ndarray | None = None
     region: str | None = None
 
-    def counted(self) -> np.ndarray:
-        """[H, W] bool: cells that are scored, known and not water."""
-        known = np.isfinite(self.heights)
-        return known if self.classes is None else known & (self.classes != WATER)
+    def scored(self) -> np.ndarray:
+        """[H, W] heights [m] of the cells that are scored, known and not water; NaN elsewhere."""
+        scored = map_like(self.heights, self.grid.shape, np.float32)
+        for rows in pieces(self.grid.shape):
+            heights = self.heights[rows]
+            scored[rows] = heights if self.classes is None else np.where(self.classes[rows] != WATER, heights, np.nan)
+        return scored
 
     def mask_text(self) -> str:
         """What is scored, in words."""
@@ -56,12 +59,22 @@ class Truth:
 
     def within(self, region: str) -> Truth:
         """The same reference, known only inside `region`: west, east, north, south (a half) or `W,S,E,N` in its CRS."""
-        inside = region_mask(self.grid, region)
-        return replace(self, heights=np.where(inside, self.heights, np.float32(np.nan)), region=region)
+        rows_in, cols_in = _region(self.grid, region)
+        heights = map_like(self.heights, self.grid.shape, np.float32)
+        for rows in pieces(self.grid.shape):
+            inside = rows_in[rows, None] & cols_in[None]
+            heights[rows] = np.where(inside, self.heights[rows], np.float32(np.nan))
+        return replace(self, heights=heights, region=region)
 
 
 def region_mask(grid: Grid, region: str) -> np.ndarray:
     """[H, W] bool of the cells whose centre lies in `region`. Raises InputError for a region it cannot read."""
+    rows, cols = _region(grid, region)
+    return np.asarray(rows[:, None] & cols[None])
+
+
+def _region(grid: Grid, region: str) -> tuple[np.ndarray, np.ndarray]:
+    """Rows ``[H]`` and columns ``[W]`` bool whose cells' centres lie in a region."""
     west, south, east, north = grid.bounds
     middle_x, middle_y = (west + east) / 2, (south + north) / 2
     halves = {
@@ -81,10 +94,10 @@ def region_mask(grid: Grid, region: str) -> np.ndarray:
             ) from error
         box = (a, b, c, d)
     x, y = grid.x(), grid.y()
-    mask: np.ndarray = ((y >= box[1]) & (y <= box[3]))[:, None] & ((x >= box[0]) & (x <= box[2]))[None]
-    if not mask.any():
+    rows, cols = (y >= box[1]) & (y <= box[3]), (x >= box[0]) & (x <= box[2])
+    if not (rows.any() and cols.any()):
         raise InputError(f"region: found no reference cell in {region!r}, expected a part of {grid.bounds}")
-    return mask
+    return rows, cols
 
 
 def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
@@ -112,23 +125,41 @@ def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
     A tile of the contest, `<AOI>_DSM.tif` with `<AOI>_DSM.txt` and a class map beside it or without a georeference of
     its own, is read by `read_dfc2019`, its class map included. Raises InputError.
     """
+    truth = open_reference(dsm, classes)
+    codes = None if truth.classes is None else np.asarray(truth.classes)
+    return replace(truth, heights=np.asarray(truth.heights), classes=codes)
+
+
+def open_reference(dsm: Path | str, classes: Path | str | None = None, folder: Path | None = None) -> Truth:
+    """`read_reference` without holding all of a large one: its maps are read by rows.
+
+    Args:
+        dsm: the file.
+        classes: class map, or None.
+        folder: for temporary files; None = the system's.
+
+    Raises:
+        InputError: as `read_reference`.
+    """
     dsm = Path(dsm)
     if classes is None and dsm.name.endswith("_DSM.tif") and dsm.with_suffix(".txt").exists():
         aoi = dsm.name.removesuffix("_DSM.tif")
         if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
             return read_dfc2019(dsm.parent, aoi)
-    array, grid = read_raster(dsm)
+    grid = raster_grid(dsm)
     from pyproj import CRS
 
     if not CRS.from_user_input(grid.crs).is_projected:
         raise InputError(f"{dsm}: found the geographic CRS {grid.crs}, expected a projected one in metres")
-    codes = None
+    heights, codes = new_map(grid.shape, np.float32, folder), None
+    for rows, cols in cut(grid.shape):
+        heights[rows, cols] = known_heights(read_raster(dsm, grid.part(rows, cols))[0][0])
     if classes is not None:
-        code_array, code_grid = read_raster(Path(classes))
-        same = code_grid == grid
-        class_codes = code_array[0].astype(np.float32)
-        codes = _class_codes(class_codes if same else reproject_map(class_codes, code_grid, grid, nearest=True))
-    return Truth(dsm.stem, "dsm", grid, known_heights(array[0]), codes)
+        codes = new_map(grid.shape, np.uint8, folder)
+        for rows, cols in cut(grid.shape):
+            there = read_on(Path(classes), grid.part(rows, cols), nearest=True)[0]
+            codes[rows, cols] = _class_codes(there)
+    return Truth(dsm.stem, "dsm", grid, heights, codes)
 
 
 def _has_classes(folder: Path, aoi: str) -> bool:

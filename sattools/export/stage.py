@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Block, Surroundings, blocks
+from sattools.export.classes import FILLED, MEASURED, UNSEEN, UNWANTED
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
@@ -28,7 +29,7 @@ from sattools.export.surface_files import (
     VALIDITY,
     SurfaceFiles,
 )
-from sattools.export.validity import FILLED, MEASURED, UNSEEN, UNWANTED, Witnesses
+from sattools.export.validity import Witnesses
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StoredModel
 from sattools.progress import Progress, silent, subprogress

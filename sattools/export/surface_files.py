@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.export.blocks import Block, Surroundings
+from sattools.export.classes import MEANING
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.export.novel import view_href
-from sattools.export.validity import MEANING
 from sattools.fit.stored import StoredModel
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter

@@ -13,22 +13,11 @@ from sattools.camera.cells import project_cells
 from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
+from sattools.export.classes import FILLED, MEASURED, UNSEEN
 from sattools.scene import Grid, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.views import line_of_sight
 
-UNSEEN, MEASURED, FILLED, UNWANTED = 0, 1, 2, 3
-MEANING = (
-    "1 = measured: two images see it; 2 = filled from neighbours: hidden from all but one; 0 = unseen; "
-    "3 = outside the area that was asked for"
-)
-# code -> colour on maps, name
-CLASSES = {
-    UNSEEN: ("#737373", "unseen"),
-    MEASURED: ("#1a9850", "measured"),
-    FILLED: ("#fdae61", "filled from neighbours"),
-    UNWANTED: ("#f7f7f7", "outside the area"),
-}
 NEEDED = 2  # images that a height takes
 _STRIP_CELLS = 1_000_000
 _WHOLE_PIXELS = 16_000_000  # of an image whose frame is found pixel by pixel
@@ -172,4 +161,4 @@ def valid_pixels(image: NDArray[np.float32]) -> NDArray[np.bool_]:
     return np.asarray(valid)
 
 
-__all__ = ["FILLED", "MEANING", "MEASURED", "UNSEEN", "UNWANTED", "Witnesses", "valid_pixels"]
+__all__ = ["Witnesses", "valid_pixels"]

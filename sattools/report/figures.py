@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sattools.compare.picture import line_styles
-from sattools.export.validity import CLASSES as VALIDITY
+from sattools.export.classes import CLASSES as VALIDITY
 from sattools.scene.grid import Grid
 
 Outline = Sequence[Sequence[float]]

@@ -13,16 +13,15 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import ELLIPSOID, horizontal, is_solid, vertical_of
 from sattools.scene.files import write_bytes
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
-from sattools.scene.regrid import reproject_map
+from sattools.scene.regrid import reproject_map, window_around
 
-_SPARE_CELLS = 4  # around a part, in which interpolation looks
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
 
@@ -144,32 +143,65 @@ def _decimated(
         raise _damaged(data, path) from error
 
 
-def read_on(path: Path, target: Grid) -> np.ndarray:
-    """A raster ``[B, h, w]`` on another grid in the same CRS, of which only the part that lies there is read.
+def read_on(path: Path, target: Grid, nearest: bool = False) -> np.ndarray:
+    """A raster ``[B, h, w]`` on another grid, of which only the part that lies there is read.
 
     Args:
         path: the file.
         target: the grid; NaN where the raster is not.
+        nearest: take the nearest cell instead of interpolating.
+
+    Raises:
+        InputError: as `read_raster`.
+    """
+    found = read_around(path, target)
+    if found is None:
+        return np.full((1, *target.shape), np.nan, np.float32)
+    return reproject_map(*found, target, nearest=nearest)
+
+
+def read_around(path: Path, target: Grid) -> tuple[np.ndarray, Grid] | None:
+    """The part of a raster ``[B, h, w]`` that lies on another grid, and a little more; None where there is none.
+
+    Args:
+        path: the file.
+        target: grid in any CRS.
 
     Raises:
         InputError: as `read_raster`.
     """
     grid = raster_grid(path)
-    west, south, east, north = target.bounds
-    spare = _SPARE_CELLS * max(target.cell_size, grid.cell_size)
-    box = Grid.from_bounds(grid.crs, (west - spare, south - spare, east + spare, north + spare), grid.cell_size)
-    try:
-        part = grid.part(*grid.window(box))
-    except SceneError:
-        return np.full((1, *target.shape), np.nan, np.float32)
-    array, own = read_raster(path, part)
-    return reproject_map(array, own, target)
+    found = window_around(grid, target)
+    return None if found is None else read_raster(path, grid.part(*found))
 
 
 def raster_grid(path: Path) -> Grid:
     """The grid of a georeferenced north-up raster; raises as `read_raster` does."""
     with opened(path) as data:
         return _grid_of(data, path)
+
+
+def raster_bands(path: Path) -> int:
+    """Number of bands of an image or map. Raises InputError where it cannot be read."""
+    with opened(path) as data:
+        return int(data.count)
+
+
+class FiledCells:
+    """A raster ``[B, H, W]`` in a file, of which the values ``[:, row, column]`` of single cells are read.
+
+    Raises:
+        InputError: as `read_raster`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.grid = path, raster_grid(path)
+        self.shape = (raster_bands(path), *self.grid.shape)
+
+    def __getitem__(self, place: tuple[slice, int, int]) -> np.ndarray:
+        bands, row, col = place
+        array, _ = read_raster(self.path, self.grid.part(slice(row, row + 1), slice(col, col + 1)))
+        return array[bands, 0, 0]
 
 
 def raster_vertical(path: Path) -> str | None:
@@ -346,9 +378,12 @@ def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
 
 
 __all__ = [
+    "FiledCells",
     "image_shape",
+    "raster_bands",
     "raster_grid",
     "raster_vertical",
+    "read_around",
     "read_image",
     "read_on",
     "read_overview",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
 from sattools.errors import SceneError
 from sattools.scene.grid import Grid
+
+_SPARE_CELLS = 4  # around a part, in which interpolation looks
 
 
 def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: bool = False) -> np.ndarray:
@@ -30,14 +34,12 @@ def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: boo
     """
     if source == target:
         return array.astype(np.float32)
-    from rasterio._err import CPLE_BaseError
     from rasterio.enums import Resampling
-    from rasterio.errors import RasterioError
     from rasterio.warp import reproject
 
     def warp(method: Resampling) -> np.ndarray:
         result = np.full((*array.shape[:-2], *target.shape), np.nan, dtype=np.float32)
-        try:
+        with _ways(source.crs, target.crs):
             reproject(
                 array.astype(np.float32),
                 result,
@@ -49,17 +51,68 @@ def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: boo
                 dst_nodata=np.nan,
                 resampling=method,
             )
-        except (RasterioError, CPLE_BaseError) as error:
-            text = " ".join(str(error).split())[:120]
-            raise SceneError(
-                f"grid: found no way from {source.crs[:80]} to {target.crs[:80]} ({text}), expected CRS of one place"
-            ) from None
         return result
 
     near = warp(Resampling.nearest)
     if nearest:
         return near
     return np.where(np.isfinite(near), warp(Resampling.bilinear), np.float32(np.nan))
+
+
+@contextmanager
+def _ways(source: str, target: str) -> Iterator[None]:
+    """What GDAL says where it cannot get from one CRS to another, as a SceneError."""
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
+
+    try:
+        yield
+    except (RasterioError, CPLE_BaseError) as error:
+        text = " ".join(str(error).split())[:120]
+        raise SceneError(
+            f"grid: found no way from {source[:80]} to {target[:80]} ({text}), expected CRS of one place"
+        ) from None
+
+
+def bounds_in(crs: str, grid: Grid) -> tuple[float, float, float, float]:
+    """(west, south, east, north) of a grid in another CRS; infinite where it does not lie in its reach.
+
+    Args:
+        crs: the other one.
+        grid: in any CRS.
+
+    Raises:
+        SceneError: no transformation between the two CRS is known.
+    """
+    if grid.crs == crs:
+        return grid.bounds
+    from rasterio.warp import transform_bounds
+
+    with _ways(grid.crs, crs):
+        west, south, east, north = transform_bounds(grid.crs, crs, *grid.bounds)
+    return west, south, east, north
+
+
+def window_around(grid: Grid, target: Grid) -> tuple[slice, slice] | None:
+    """Rows and columns of a grid that lie on another one, and a few more for interpolation; None where none do.
+
+    Args:
+        grid: its cells are meant.
+        target: grid in any CRS.
+
+    Raises:
+        SceneError: no transformation between the two CRS is known.
+    """
+    west, south, east, north = bounds_in(grid.crs, target)
+    # cells of a CRS in degrees are no lengths of the other's
+    spare = _SPARE_CELLS * max(grid.cell_size, (east - west) / target.width)
+    box = (west - spare, south - spare, east + spare, north + spare)
+    if not all(math.isfinite(edge) for edge in box):
+        return None
+    try:
+        return grid.window(Grid.from_bounds(grid.crs, box, grid.cell_size))
+    except SceneError:
+        return None
 
 
 def resize_map(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
@@ -162,4 +215,4 @@ def split_cells(array: np.ndarray) -> np.ndarray:
     return array.repeat(2, axis=-2).repeat(2, axis=-1)
 
 
-__all__ = ["reproject_map", "resize_map", "sample_map", "split_cells"]
+__all__ = ["bounds_in", "reproject_map", "resize_map", "sample_map", "split_cells", "window_around"]

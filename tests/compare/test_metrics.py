@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sattools.compare.heights import height_errors
+from sattools.compare.holes import fill_holes
 from sattools.compare.metrics import (
-    fill_holes,
-    height_errors,
     image_average,
     image_errors,
     map_errors,

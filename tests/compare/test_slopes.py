@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sattools.compare.slopes import errors_by_slope, slope_deg
+from sattools.compare.heights import height_errors
+from sattools.compare.slopes import slope_deg
 
 
 def test_a_plane_has_its_slope_everywhere() -> None:
@@ -12,12 +13,17 @@ def test_a_plane_has_its_slope_everywhere() -> None:
     assert slope_deg(plane, 0.5) == pytest.approx(np.full((20, 30), np.degrees(np.arctan(0.5))))
 
 
+def slopes_of(difference: np.ndarray, reference: np.ndarray) -> list[dict[str, float]]:
+    rows: list[dict[str, float]] = height_errors(reference + difference, reference, cell_size=1.0)["slopes"]
+    return rows
+
+
 def test_errors_fall_into_the_range_of_their_slope() -> None:
     reference = np.zeros((40, 40))
     reference[:, 20:] = np.arange(20) * 1.0  # 45 degrees
     difference = np.where(np.arange(40) < 20, 0.1, -2.0) * np.ones((40, 1))
     difference[0, :] = np.nan
-    found = errors_by_slope(difference, reference, 1.0)
+    found = slopes_of(difference, reference)
     assert [(row["from_deg"], row["to_deg"]) for row in found] == [(0.0, 5.0), (15.0, 30.0), (30.0, 60.0)]
     assert found[0]["mae"] == pytest.approx(0.1)
     assert found[2]["mae"] == pytest.approx(2.0)
@@ -27,4 +33,5 @@ def test_errors_fall_into_the_range_of_their_slope() -> None:
 def test_cells_whose_slope_is_not_known_belong_nowhere() -> None:
     reference = np.zeros((5, 5))
     reference[2, 2] = np.nan
-    assert sum(row["n"] for row in errors_by_slope(np.ones((5, 5)), reference, 1.0)) == 25 - 4
+    # the cell itself is not scored, and its four neighbours have no slope
+    assert sum(row["n"] for row in slopes_of(np.ones((5, 5)), reference)) == 25 - 5

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from sattools.compare import Truth, compare_dsm, table
-from sattools.compare.steps import add_step_errors, beside_steps, step_errors
+from sattools.compare.heights import height_errors
+from sattools.compare.steps import beside_steps
+from sattools.compare.tally import Steps
 from sattools.scene import Grid
 
 NAN = np.nan
@@ -50,7 +52,10 @@ def test_the_border_of_what_is_known_is_no_step() -> None:
 
 
 def test_signed_and_absolute_error_in_either_part() -> None:
-    figures = step_errors(np.array([-2.0, 1.0, -8.0, 0.5, -0.5]), np.array([True, True, True, False, False]))
+    steps = Steps()
+    steps.add(np.array([-2.0, 1.0, -8.0]), np.array([True, True, True]))
+    steps.add(np.array([0.5, -0.5]), np.array([False, False]))
+    figures = steps.figures()
     assert figures["mae_centred"] == pytest.approx(12 / 5)
     assert figures["mae_capped_5m"] == pytest.approx(9 / 5)  # 8 counts as 5
     assert figures["near_steps"] == pytest.approx({"signed": -3.0, "absolute": 11 / 3, "share": 0.6})
@@ -58,18 +63,17 @@ def test_signed_and_absolute_error_in_either_part() -> None:
 
 
 def test_a_part_without_cells_has_no_error() -> None:
-    figures = step_errors(np.array([1.0, -1.0]), np.array([False, False]))
-    assert figures["near_steps"] == {"signed": None, "absolute": None, "share": 0.0}
-    assert figures["away_from_steps"]["absolute"] == 1.0
-    assert step_errors(np.empty(0), np.empty(0, bool))["mae_centred"] is None
+    steps = Steps()
+    assert steps.figures()["mae_centred"] is None
+    steps.add(np.array([1.0, -1.0]), np.array([False, False]))
+    assert steps.figures()["near_steps"] == {"signed": None, "absolute": None, "share": 0.0}
+    assert steps.figures()["away_from_steps"]["absolute"] == 1.0
 
 
 def test_a_class_is_measured_about_the_median_of_all_cells() -> None:
-    reference = np.zeros((1, 12))
     difference = np.array([[1.0] * 9 + [4.0, 5.0, NAN]])
     classes = np.array([[2] * 9 + [6, 6, 6]], np.uint8)
-    figures = {"classes": {"ground": {}, "buildings": {}}}
-    add_step_errors(figures, difference, reference, classes, 0.5)
+    figures = height_errors(difference, np.zeros((1, 12)), classes, cell_size=0.5)
     assert figures["mae_centred"] == pytest.approx((3 + 4) / 11)
     assert figures["classes"]["ground"]["mae_centred"] == 0.0
     assert figures["classes"]["buildings"]["mae_centred"] == 3.5  # 4 - 1, 5 - 1

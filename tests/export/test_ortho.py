@@ -13,13 +13,13 @@ from skimage.registration import phase_cross_correlation
 
 from sattools.camera.ground import grid_direction
 from sattools.errors import SceneError
+from sattools.export.classes import MEASURED
 from sattools.export.options import ExportOptions
 from sattools.export.products import ortho
 from sattools.export.products.maps import Maps
 from sattools.export.products.ortho import Balance, balance_of, with_usual_shadows, without_haze, write_ortho
 from sattools.export.products.seen import Shown
 from sattools.export.stage import export
-from sattools.export.validity import MEASURED
 from sattools.fit.model import FittedModel
 from sattools.progress import silent
 from sattools.scene import Scene

@@ -10,9 +10,10 @@ import pytest
 import rasterio
 
 from sattools.export.blocks import Surroundings, blocks
+from sattools.export.classes import FILLED, MEASURED, UNSEEN
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
-from sattools.export.validity import FILLED, MEASURED, UNSEEN, Witnesses, valid_pixels
+from sattools.export.validity import Witnesses, valid_pixels
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit

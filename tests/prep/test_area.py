@@ -12,9 +12,9 @@ import shapely
 from shapely.geometry import Point, Polygon, box
 
 from sattools.errors import InputError
+from sattools.export.classes import UNWANTED
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
-from sattools.export.validity import UNWANTED
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.fit.tiles import plan

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import rasterio
 
-from sattools.compare import stage as comparing
 from sattools.compare.options import CompareOptions
 from sattools.compare.stage import compare_file
 from sattools.errors import InputError, SattoolsError
-from sattools.scene import Grid, cog
+from sattools.scene import Grid, cog, stored
 from sattools.scene.cog import CogWriter
 from sattools.scene.raster import read_overview, read_some_pixels, write_cog, write_sensor_image
 
@@ -88,11 +87,12 @@ def test_of_a_large_surface_only_the_part_at_the_reference_is_compared(
     write_cog(tmp_path / "truth.tif", moved, part, units="m")
     options = CompareOptions(predicted=str(tmp_path / "dsm.tif"), dsm=str(tmp_path / "truth.tif"))
     whole = compare_file(options)
-    monkeypatch.setattr(comparing, "_AT_ONCE", 100)
+    monkeypatch.setattr(stored, "AT_ONCE", 100)
+    monkeypatch.setattr(stored, "HELD", 100)
     assert compare_file(options) == whole
     assert whole["shift_m"] == pytest.approx([-0.5, 1.0, 2.0], abs=0.01)
     assert whole["mae"] == pytest.approx(0.0, abs=1e-4)
     far = GRID.moved(1e5, 0.0).part(slice(0, 100), slice(0, 100))
     write_cog(tmp_path / "far.tif", heights[:100, :100], far, units="m")
-    with pytest.raises(InputError, match=r"dsm\.tif: found no height where the reference lies, expected overlap"):
+    with pytest.raises(InputError, match=r"dsm\.tif: found no height where the reference far lies, expected overlap"):
         compare_file(CompareOptions(predicted=str(tmp_path / "dsm.tif"), dsm=str(tmp_path / "far.tif")))

@@ -12,9 +12,9 @@ import numpy as np
 from pyproj import CRS
 
 from sattools.errors import extra
+from sattools.export.classes import FILLED, MEASURED
 from sattools.export.products.colours import Palette
 from sattools.export.products.maps import Maps
-from sattools.export.validity import FILLED, MEASURED
 from sattools.progress import Progress
 from sattools.scene.datums import compound_crs
 from sattools.scene.files import write_with

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sattools.export.blocks import Block, blocks
+from sattools.export.classes import MEASURED, UNSEEN, UNWANTED
 from sattools.export.ground import ALIGNED, BareGround, bare_ground
 from sattools.export.products.maps import Maps
-from sattools.export.validity import MEASURED, UNSEEN, UNWANTED
 from sattools.progress import Progress
 from sattools.scene.cog import CogWriter
 from sattools.scene.jsonio import JsonObject

@@ -1,0 +1,161 @@
+"""A surface against a reference: registered and scored by rows, so that neither has to fit into memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from sattools.compare.heights import Rows, errors_of
+from sattools.compare.holes import fill_holes
+from sattools.compare.registration import Registration, register, search_margin, shifted
+from sattools.compare.truth import Truth, known_heights
+from sattools.errors import InputError, SceneError
+from sattools.export.classes import MEASURED
+from sattools.scene.grid import Grid
+from sattools.scene.raster import raster_grid, read_around, read_raster
+from sattools.scene.regrid import reproject_map, window_around
+from sattools.scene.stored import cut, new_map
+
+Method = Literal["ncc", "nuth-kaab", "z", "none"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A scored DSM.
+
+    Attributes:
+        figures: the table, keys as `sattools compare` prints them.
+        difference: [H, W] registered prediction minus reference in metres, on `grid`; NaN = not scored.
+        grid: grid of the reference.
+        registration: how the prediction was moved.
+    """
+
+    figures: dict[str, Any]
+    difference: np.ndarray
+    grid: Grid
+    registration: Registration
+
+
+class Surface(Protocol):
+    """Heights that can be had on any grid."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:
+        """Heights ``[h, w]`` [m] on a grid, NaN = none, and only those that images show; None = all of them."""
+
+
+@dataclass(frozen=True)
+class HeldSurface:
+    """Heights ``[H, W]`` [m] of a grid, and which of them images show, or None."""
+
+    heights: np.ndarray
+    grid: Grid
+    measured: np.ndarray | None = None
+    name: str = "prediction"
+
+    def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:
+        """See `Surface`."""
+        found = window_around(self.grid, where)
+        if found is None:
+            return _nothing(where, self.measured is not None)
+        measured = None if self.measured is None else self.measured[found]
+        return _both(self.heights[found], self.grid.part(*found), measured, where)
+
+
+@dataclass(frozen=True)
+class FiledSurface:
+    """Heights [m] of a file, and the file on the same grid that says which of them images show, or None."""
+
+    path: Path
+    validity: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """The file's."""
+        return str(self.path)
+
+    def check(self) -> None:
+        """Raises InputError where the two are on different grids."""
+        if self.validity is not None and raster_grid(self.validity) != raster_grid(self.path):
+            raise InputError(f"{self.validity}: found another grid than the DSM's, expected the same")
+
+    def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:
+        """See `Surface`."""
+        found = read_around(self.path, where)
+        if found is None:
+            return _nothing(where, self.validity is not None)
+        array, grid = found
+        measured = None if self.validity is None else read_raster(self.validity, grid)[0][0] == MEASURED
+        return _both(known_heights(array[0]), grid, measured, where)
+
+
+def _nothing(where: Grid, measured: bool) -> tuple[np.ndarray, np.ndarray | None]:
+    nothing = np.full(where.shape, np.nan, np.float32)
+    return nothing, nothing if measured else None
+
+
+def _both(
+    heights: np.ndarray, grid: Grid, measured: np.ndarray | None, where: Grid
+) -> tuple[np.ndarray, np.ndarray | None]:
+    only = None if measured is None else reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, where)
+    return reproject_map(heights, grid, where), only
+
+
+def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", folder: Path | None = None) -> Comparison:
+    """Register and score a surface.
+
+    Args:
+        surface: the prediction.
+        truth: the reference.
+        method: of the registration.
+        folder: for temporary files; None = the system's.
+
+    Returns:
+        The comparison, whose differences are a map that is read by rows (`sattools.scene.stored`).
+
+    Raises:
+        InputError: nothing can be compared.
+    """
+    grid = truth.grid
+    reference = truth.scored()
+    margin = search_margin(grid.shape) if method in ("ncc", "nuth-kaab") else 0
+    around = grid.widened(margin)
+    wide, only, found = new_map(around.shape, np.float32, folder), None, False
+    for rows, cols in cut(around.shape):
+        try:
+            heights, measured = surface.on(around.part(rows, cols))
+        except SceneError as error:  # CRS of different worlds
+            raise InputError(f"{surface.name}: {error}") from error
+        wide[rows, cols] = heights
+        found = found or bool(np.isfinite(heights).any())
+        if measured is not None:
+            only = new_map(around.shape, np.float32, folder) if only is None else only
+            only[rows, cols] = measured
+    if not found:
+        raise InputError(f"{surface.name}: found no height where the reference {truth.name} lies, expected overlap")
+    shift = register(wide, reference, method, margin)
+    complete = fill_holes(wide)
+
+    def moved(rows: slice) -> Rows:
+        by = (shift.columns, shift.rows, margin, rows)
+        known = None if only is None else np.isfinite(shifted(only, *by))
+        return shifted(wide, *by) + shift.up, shifted(complete, *by, beyond=True) + shift.up, known
+
+    figures, difference = errors_of(moved, reference, truth.classes, grid.cell_size)
+    figures |= {
+        "shift_m": [round(value, 4) for value in shift.metres(grid.cell_size)],
+        "registration": {"method": shift.method, "correlation": shift.correlation},
+        "protocol": truth.protocol,
+        "reference": truth.name,
+        "mask": truth.mask_text(),
+    }
+    return Comparison(figures, difference, grid, shift)
+
+
+__all__ = ["Comparison", "FiledSurface", "HeldSurface", "Method", "Surface", "compare_surface"]
