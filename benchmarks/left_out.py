@@ -21,9 +21,9 @@ from scipy.ndimage import map_coordinates
 from steps import switched, variant
 
 from sattools.prior.frame import Frame
+from sattools.prior.matched import crop, make_frame
 from sattools.prior.matching.match import match
 from sattools.prior.matching.pairs import choose_pairs
-from sattools.prior.stage import crop, make_frame
 from sattools.prior.visibility.kernels import first_hit_heights
 from sattools.scene import Scene
 from sattools.scene.regrid import resize_map

@@ -34,8 +34,9 @@ from sattools.compare.facades import wall_figures, wall_offsets
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
+from sattools.prior.matched import match_sources
 from sattools.prior.matching.match import Match, _prepared
-from sattools.prior.stage import match_sources, write_maps
+from sattools.prior.stage import write_maps
 from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text

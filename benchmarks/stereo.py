@@ -37,9 +37,9 @@ from sattools.compare import compare_dsm, read_reference
 from sattools.compare.holes import fill_holes
 from sattools.compare.truth import Truth, read_dfc2019
 from sattools.prior import PriorOptions
+from sattools.prior.matched import crop, gamma_encode, make_frame
 from sattools.prior.matching.match import match
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
-from sattools.prior.stage import crop, gamma_encode, make_frame
 from sattools.scene import Grid, Scene
 from sattools.views import Source, line_of_sight, load_sources, read_at
 

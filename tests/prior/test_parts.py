@@ -9,11 +9,11 @@ import pytest
 
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
+from sattools.prior.matched import gamma_encode
 from sattools.prior.matching.match import Match, margin_for, plane_distance
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
 from sattools.prior.matching.sweep import narrow, planes, scarcity
 from sattools.prior.normals import normals
-from sattools.prior.stage import gamma_encode
 from sattools.prior.visibility.occlusion import disk
 
 

@@ -323,8 +323,8 @@ class Plan:
 
     def _balances(self, coarse: Scene, sources: list[Source], pilots: list[Scene]) -> dict[str, RadiometricBalance]:
         """How the images are matched for the priors of the tiles, by item; contrast as it is in tiles."""
+        from sattools.prior.matched import common_balance, make_frame
         from sattools.prior.options import PriorOptions
-        from sattools.prior.stage import common_balance, make_frame
 
         def balances(scene: Scene, own: list[Source]) -> list[RadiometricBalance]:
             _, views = make_frame(own, scene.require_grid(), scene.require_height_range(), PriorOptions().window)

@@ -1,0 +1,80 @@
+"""The prior of a large area is matched in tiles that belong together."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sattools.compare import compare_dsm, read_reference
+from sattools.prior import PriorOptions, tiled
+from sattools.prior import stage as priors
+from sattools.prior.stage import prior
+from sattools.scene import stored
+from sattools.scene.raster import read_raster
+
+
+@pytest.fixture
+def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles of 48 cells that reach 12 into their neighbours, and maps of 4 kB that go to files."""
+    monkeypatch.setattr(priors, "AT_ONCE", 1000)
+    for name, value in {"TILE_CELLS": 48, "OVERLAP_M": 6.0, "OVERLAP_CELLS": 12}.items():
+        monkeypatch.setattr(tiled, name, value)
+    for name, value in {"HELD": 4_000, "PIECE_CELLS": 2_000}.items():
+        monkeypatch.setattr(stored, name, value)
+
+
+def mae(scene: Any) -> float:
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
+    truth = read_reference(scene.path(scene.products["truth_dsm"]))
+    return float(compare_dsm(height[0], truth, grid, method="none").figures["mae"])
+
+
+def test_tiles_find_the_surface_that_the_whole_has(make_town: Any, request: pytest.FixtureRequest) -> None:
+    scene = make_town()
+    expected = prior(scene, PriorOptions())["prior"]
+    whole = mae(scene)
+    request.getfixturevalue("small_tiles")
+    said: list[str] = []
+    found = prior(scene, PriorOptions(), lambda _, text: said.append(text))["prior"]
+    assert any(text.startswith("tile 2 of ") for text in said)
+    # tiles of 24 m see less around them than an area has that is cut for its size
+    assert mae(scene) < whole + 0.15
+    assert found["seen_by_two"] == pytest.approx(expected["seen_by_two"], abs=0.05)
+    assert {frozenset(pair) for pair in found["pairs"]} >= {frozenset(pair) for pair in expected["pairs"]}
+    assert found["left_out_agreement"].keys() == expected["left_out_agreement"].keys()
+    for name in ("prior_dsm", "prior_confidence", "prior_normals", "prior_probability", "prior_dsm_std"):
+        array, grid = read_raster(scene.path(scene.products[name]))
+        assert grid == scene.require_grid()
+        assert np.isfinite(array).all()
+
+
+@pytest.mark.usefixtures("small_tiles")
+def test_normals_are_those_of_the_joined_heights_also_where_pieces_of_it_meet(make_town: Any) -> None:
+    from sattools.prior.normals import normals
+
+    scene = make_town()
+    prior(scene, PriorOptions())
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
+    slant, _ = read_raster(scene.path(scene.products["prior_normals"]))
+    np.testing.assert_allclose(slant, normals(height[0], grid.cell_size), atol=1e-6)
+
+
+@pytest.mark.usefixtures("small_tiles")
+def test_where_too_few_images_show_a_tile_heights_are_coarse_and_not_trusted(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_town()
+    ids = [item.id for item in scene.train_items()]
+    seen = tiled._unseen
+    monkeypatch.setattr(
+        tiled,
+        "_unseen",
+        lambda *args: {**seen(*args), "r0c0": set(ids[1:])},  # one image alone shows this corner
+    )
+    found = prior(scene, PriorOptions())["prior"]
+    confidence, _ = read_raster(scene.path(scene.products["prior_confidence"]))
+    height, _ = read_raster(scene.path(scene.products["prior_dsm"]))
+    assert confidence[0, :30, :30].max() == 0
+    assert confidence[0, 60:, 60:].mean() > 0.3
+    assert np.isfinite(height).all()
+    assert found["seen_by_two"] < 0.95
