@@ -15,6 +15,7 @@ from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform as transform_points
 
 from sattools.align.estimate import ControlPoint
+from sattools.align.means import LEAST_PARTS
 from sattools.camera.ground import from_geographic
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
@@ -29,7 +30,7 @@ COLUMNS = ("z", "item", "column", "row")
 SPARE_CELLS = 4  # of the reference around what is asked for
 
 
-def heights_around(path: Path, grid: Grid, reach: float) -> tuple[np.ndarray, Grid]:
+def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple[np.ndarray, Grid]:
     """The heights of a raster around a grid, in its CRS, on square cells about as large as the raster's own.
 
     Only that part is read. Rasters in degrees, as of most free elevation models, and with cells that are not square
@@ -39,6 +40,8 @@ def heights_around(path: Path, grid: Grid, reach: float) -> tuple[np.ndarray, Gr
         path: raster in any CRS; its first band are heights [m].
         grid: of the surface.
         reach: how far around it [m].
+        step: cells of the surface that are looked at as one, along an axis: the reference is looked at likewise, unless
+            its cells are large anyway.
 
     Returns:
         ``[H, W]`` float32 [m], NaN = unknown, and its grid.
@@ -55,10 +58,14 @@ def heights_around(path: Path, grid: Grid, reach: float) -> tuple[np.ndarray, Gr
             unknown = np.nan
         try:
             around, own = _part(data.transform, crs, grid, reach)
+            method = Resampling.nearest if own else Resampling.bilinear
+            if step > 1 and around.cell_size < LEAST_PARTS * step * grid.cell_size:
+                cell = step * max(around.cell_size, grid.cell_size)
+                around, method = Grid.from_bounds(grid.crs, around.bounds, cell), Resampling.average
             check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
             with WarpedVRT(
                 data, src_crs=crs, crs=around.crs, transform=around.transform, width=around.width,
-                height=around.height, resampling=Resampling.nearest if own else Resampling.bilinear,
+                height=around.height, resampling=method,
                 src_nodata=unknown, nodata=np.nan, dtype="float32",
             ) as warped:  # fmt: skip
                 heights = known_heights(warped.read(1))

@@ -4,30 +4,37 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sattools.align.estimate import chosen, point_residuals, shift_to_dem, shift_to_points, wrong_points
+from sattools.align.estimate import point_residuals, shift_to_points, wrong_points
 from sattools.align.options import AlignOptions
-from sattools.align.reference import heights_around, holds_points, read_control_points
+from sattools.align.reference import holds_points, read_control_points
 from sattools.align.shift import Shift
+from sattools.align.surface import SurfaceFiles, shift_to_raster
 from sattools.camera.ground import from_geographic, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
-from sattools.export.classes import MEASURED
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.names import FILES
 from sattools.progress import Progress, silent
 from sattools.scene import Asset, Grid, Scene
+from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
 from sattools.scene.dependencies import MADE, STAGES, check_current, drop, files_of, latest, names_of, record
 from sattools.scene.files import check_outputs, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
 from sattools.scene.opening import opened
-from sattools.scene.raster import heights_above, raster_vertical, read_raster, write_cog
+from sattools.scene.raster import heights_above, raster_grid, raster_vertical, read_raster
+from sattools.scene.stored import cut
+
+if TYPE_CHECKING:
+    from sattools.fit.model import FittedModel
 
 log = logging.getLogger(__name__)
 HEIGHTS = ("dsm", "dtm", "prior_dsm")
@@ -116,7 +123,8 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     scene.grid = grid.moved(shift.east, shift.north)
     if scene.height_range_m:
         low, high = scene.height_range_m
-        rise = shift.rise(grid)
+        edges = [(slice(0, 1), slice(n - 1, n)) for n in grid.shape]
+        rise = np.array([shift.rise(grid.part(row, col)) for row in edges[0] for col in edges[1]])
         scene.height_range_m = (low + float(rise.min()), high + float(rise.max()))
     transform = {"crs": grid.crs, "matrix": shift.matrix().tolist(), "method": options.method, **asdict(shift), **about}
     write_text(scene.output(f"{folder}/{TRANSFORM}"), json.dumps(transform, indent=1) + "\n")
@@ -161,30 +169,20 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
             log.warning("%s: %s", scene.id, message)
         return shift, {"residuals": residuals, "notes": wrong}
     dsm = scene.path(scene.products["dsm"])
-    heights, own = read_raster(dsm)
-    height = heights[0].astype(np.float32)
-    if "validity" in scene.products:
-        validity, _ = read_raster(scene.path(scene.products["validity"]))
-        height = np.where(validity[0] == MEASURED, height, np.float32(np.nan))
-    onto, onto_grid = heights_around(reference, own, options.max_shift)
     text = datums_differ({"the DSM": heights_above(dsm), "the reference": heights_above(reference)})
     if text is not None:
         log.warning("%s: %s", scene.id, text)
-    error = _errors(scene, own)
+    files = SurfaceFiles(dsm, _product(scene, "validity"), _product(scene, "dsm_error95"))
     try:
-        method = chosen(options.method, own, onto_grid)
-        shift = shift_to_dem(height, own, onto, onto_grid, method, tilt=options.tilt, error=error)
+        shift, method = shift_to_raster(files, reference, options)
     except (InputError, SceneError) as wrong:
-        raise InputError(f"{reference}: {wrong}") from None
+        said = str(wrong)
+        raise InputError(said if said.startswith(f"{reference}:") else f"{reference}: {said}") from None
     return shift, {"method": method, **({} if text is None else {"notes": [text]})}
 
 
-def _errors(scene: Scene, grid: Grid) -> np.ndarray | None:
-    """What 95 % of the DSM's errors are below ``[H, W]`` [m]; None where the scene does not say it on its cells."""
-    if "dsm_error95" not in scene.products:
-        return None
-    errors, own = read_raster(scene.path(scene.products["dsm_error95"]))
-    return errors[0].astype(np.float32) if own == grid else None
+def _product(scene: Scene, name: str) -> Path | None:
+    return scene.path(scene.products[name]) if name in scene.products else None
 
 
 def _moves(scene: Scene, folder: str) -> dict[tuple[str | None, str], Move]:
@@ -236,33 +234,49 @@ def _move_model(scene: Scene, href: str, shift: Shift) -> list[str]:
         return []
     import torch
 
-    from sattools.fit.model import FittedModel
+    from sattools.fit.stored import CELL_MAPS, StoredModel, StreamedModel
 
-    model = FittedModel.load(scene.path(scene.products["model"]))
-    if model.field != "surface":
+    stored = StoredModel.open(scene.path(scene.products["model"]))
+    head = stored.head
+    if head.brdf != "lambert" and stored.whole is None:  # its own maps are read with the whole alone
+        stored = StoredModel.open(stored.path, in_memory=sys.maxsize)
+    if head.field != "surface":
         return [name for name in STAGES["fit"].products if scene.products.pop(name, None) is not None]
-    moved = replace(
-        model,
-        grid=model.grid.moved(shift.east, shift.north),
-        height=model.height + torch.from_numpy(shift.rise(model.grid)).to(model.height.dtype),
-        z_ref=model.z_ref + shift.up,
-    )
-    moved.save(scene.output(href))
+    grid = stored.grid
+    head = replace(head, z_ref=head.z_ref + shift.up)
+
+    def raised(rows: slice) -> FittedModel:
+        part = stored.part(rows, slice(0, grid.width))
+        rise = torch.from_numpy(shift.rise(part.grid)).to(part.height.dtype)
+        return replace(part, height=part.height + rise)
+
+    def maps(rows: slice) -> dict[str, np.ndarray]:
+        part = raised(rows)
+        own = {name: getattr(part, name) for name in CELL_MAPS} | part.image_maps()
+        return {name: values.numpy() for name, values in own.items()}
+
+    there = grid.moved(shift.east, shift.north)
+    if stored.whole is not None:
+        replace(raised(slice(0, grid.height)), grid=there, z_ref=head.z_ref).save(scene.output(href))
+    else:
+        bands, images, strip = head.albedo.shape[-1], tuple(sorted(head.image_maps())), stored.strips()[0]
+        StreamedModel(head, there, bands, images, maps, strip.stop).save(scene.output(href))
     scene.products["model"] = href
     return []
 
 
 def _write_moved(scene: Scene, move: Move, shift: Shift) -> None:
-    array, grid = read_raster(move.source)
+    grid = raster_grid(move.source)
     with opened(move.source) as data:
         tags = {name: text for name, text in data.tags().items() if name != "AREA_OR_POINT"}
-        units, names, nodata = data.units[0], [text or "" for text in data.descriptions], data.nodata
-    if move.heights:
-        array = (array + shift.rise(grid)).astype(array.dtype)
-    there = grid.moved(shift.east, shift.north)
-    vertical = raster_vertical(move.source)
-    out = scene.output(move.href)
-    write_cog(out, array, there, nodata=nodata, units=units, tags=tags, descriptions=names, vertical=vertical)
+        about: dict[str, Any] = {
+            "bands": data.count, "dtype": data.dtypes[0], "units": data.units[0], "nodata": data.nodata,
+            "descriptions": [text or "" for text in data.descriptions], "vertical": raster_vertical(move.source),
+        }  # fmt: skip
+    with CogWriter(scene.output(move.href), grid.moved(shift.east, shift.north), tags=tags, **about) as out:
+        for rows, cols in cut(grid.shape):
+            array, part = read_raster(move.source, grid.part(rows, cols))
+            out.write((array + shift.rise(part)).astype(array.dtype) if move.heights else array, rows, cols)
 
 
 def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, JsonObject]:
