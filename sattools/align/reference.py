@@ -24,6 +24,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
+from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
 
 COLUMNS = ("z", "item", "column", "row")
@@ -37,7 +38,7 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
     are taken, too.
 
     Args:
-        path: raster in any CRS; its first band are heights [m].
+        path: raster in any CRS; its first band are heights, metres unless it says feet.
         grid: of the surface.
         reach: how far around it [m].
         step: cells of the surface that are looked at as one, along an axis: the reference is looked at likewise, unless
@@ -68,7 +69,8 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
                 height=around.height, resampling=method,
                 src_nodata=unknown, nodata=np.nan, dtype="float32",
             ) as warped:  # fmt: skip
-                heights = known_heights(warped.read(1))
+                factor, offset = scale_of(data)
+                heights = known_heights(factor * warped.read(1) + offset)
         except RasterioError as error:
             text = " ".join(str(error).split())[:120]
             raise InputError(f"{path}: cannot be read around the scene ({text}), expected heights there") from None

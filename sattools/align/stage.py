@@ -275,7 +275,7 @@ def _write_moved(scene: Scene, move: Move, shift: Shift) -> None:
         }  # fmt: skip
     with CogWriter(scene.output(move.href), grid.moved(shift.east, shift.north), tags=tags, **about) as out:
         for rows, cols in cut(grid.shape):
-            array, part = read_raster(move.source, grid.part(rows, cols))
+            array, part = read_raster(move.source, grid.part(rows, cols), stored=True)
             out.write((array + shift.rise(part)).astype(array.dtype) if move.heights else array, rows, cols)
 
 

@@ -21,6 +21,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
 from sattools.scene.regrid import reproject_map, window_around
+from sattools.scene.values import meant
 
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
 
@@ -59,11 +60,17 @@ def write_cog(
         out.write(array)
 
 
-def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Grid]:
+def read_raster(path: Path, within: Grid | None = None, stored: bool = False) -> tuple[np.ndarray, Grid]:
     """Read a georeferenced north-up raster, or the part of it that lies within a grid whose edges lie on its cells.
 
+    Args:
+        path: the file.
+        within: see above; None = all.
+        stored: the numbers as they stand in the file, instead of what its scale, offset and unit make of them.
+
     Returns:
-        ``[B, H, W]`` array in the file's type (float no-data becomes NaN), and its grid.
+        ``[B, H, W]`` array in the file's type where that can say all (see `sattools.scene.values.meant`; no-data
+        becomes NaN), and its grid.
 
     Raises:
         InputError: unreadable, without CRS, or not north-up with square cells.
@@ -79,8 +86,8 @@ def read_raster(path: Path, within: Grid | None = None) -> tuple[np.ndarray, Gri
             8.0 * data.count * grid.width * grid.height, f"{path}: {grid.width} x {grid.height} cells", "crop it"
         )
         array = _read(data, path, window)
-        if np.issubdtype(array.dtype, np.floating) and data.nodata is not None and np.isfinite(data.nodata):
-            array = np.where(array == data.nodata, np.nan, array)
+        if not stored:
+            array = meant(array, data, window)
     return array, grid
 
 
