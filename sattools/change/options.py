@@ -21,7 +21,10 @@ class ChangeOptions:
     min_height: float = option(2.0, "Smallest mean change of height of a region [m].", minimum=0.0)
     min_area: float = option(25.0, "Smallest area of a region [m2].", minimum=0.0)
     rim: float = option(
-        1.5, "Regions narrower than twice that are the edges of things that have not changed [m].", minimum=0.0
+        1.5,
+        "Regions narrower than twice that are the edges of things that have not changed [m].",
+        minimum=0.0,
+        maximum=100.0,
     )
     correlation: float = option(5.0, "Distance over which errors of heights go together [m].", minimum=0.0)
     confidence: float = option(

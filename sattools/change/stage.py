@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sattools.camera.ground import check_projected, check_scale, to_geographic
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, sums
 from sattools.change.options import ChangeOptions
 from sattools.compare.picture import difference_picture
@@ -109,11 +110,13 @@ def change(
         The table: shift, scatter, regions with area, mean, volume and p-value.
 
     Raises:
-        InputError, SceneError: a surface that cannot be read, or two that have nothing in common.
+        InputError, SceneError: a surface that cannot be read, two that have nothing in common, or an earlier one whose
+            CRS does not count metres.
         OutputExistsError: outputs that are there.
     """
     progress(0.0, "reading")
     old, new = read_surface(before), read_surface(after)
+    _check_metres(old)
     folder = Path(options.out)
     names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
     inputs = [*old.files, *new.files, *([Path(options.polygons)] if options.polygons else [])]
@@ -149,6 +152,17 @@ def change(
         write_text(folder / TABLE, json.dumps(table, indent=1) + "\n")
     progress(1.0, "done")
     return table
+
+
+def _check_metres(earlier: Surface) -> None:
+    """Raise InputError where the map that all is measured on has no metres: areas and volumes would be none."""
+    grid = earlier.grid
+    west, south, east, north = grid.bounds
+    try:
+        check_projected(grid.crs)
+        check_scale(grid.crs, *(float(v) for v in to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)))
+    except InputError as error:
+        raise InputError(f"{earlier.surface}: {error}") from None
 
 
 def _beside(files: dict[str, Path], name: str, grid: Grid) -> np.ndarray | None:

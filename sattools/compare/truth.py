@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sattools.camera.ground import check_projected
 from sattools.compare.heights import WATER
 from sattools.errors import InputError
 from sattools.scene.datums import horizontal
@@ -147,10 +148,10 @@ def open_reference(dsm: Path | str, classes: Path | str | None = None, folder: P
         if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
             return read_dfc2019(dsm.parent, aoi)
     grid = raster_grid(dsm)
-    from pyproj import CRS
-
-    if not CRS.from_user_input(grid.crs).is_projected:
-        raise InputError(f"{dsm}: found the geographic CRS {grid.crs}, expected a projected one in metres")
+    try:
+        check_projected(grid.crs)
+    except InputError as error:
+        raise InputError(f"{dsm}: {error}") from None
     heights, codes = new_map(grid.shape, np.float32, folder), None
     for rows, cols in cut(grid.shape):
         heights[rows, cols] = known_heights(read_raster(dsm, grid.part(rows, cols))[0][0])

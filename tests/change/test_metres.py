@@ -1,0 +1,58 @@
+"""Areas, volumes, slopes and shifts are measured on maps of metres; others are refused in one line."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.scene.grid import Grid
+from sattools.scene.raster import write_cog
+
+
+def surface(path: Path, crs: str, left: float, top: float, cell: float, rise: float = 0.0) -> str:
+    heights = np.add.outer(np.linspace(0.0, 9.0, 40), np.linspace(0.0, 9.0, 40)).astype(np.float32)
+    heights[10:20, 10:20] += np.float32(rise)
+    write_cog(path, heights, Grid(crs, left, top, cell, 40, 40))
+    return str(path)
+
+
+def run(*arguments: str) -> Any:
+    return CliRunner().invoke(main, arguments)
+
+
+@pytest.mark.parametrize(
+    ("crs", "left", "top", "cell", "why"),
+    [
+        ("EPSG:2236", 452_000.0, 2_190_000.0, 3.0, "not projected in metres"),  # feet: volumes 11 times too large
+        ("EPSG:4326", -81.66, 30.35, 1e-5, "not projected in metres"),
+        ("EPSG:3857", -9_090_000.0, 3_548_000.0, 1.0, "1.16 m in it are 1 m on the ground"),
+    ],
+)
+def test_changes_are_measured_on_maps_of_metres(
+    tmp_path: Path, crs: str, left: float, top: float, cell: float, why: str
+) -> None:
+    before = surface(tmp_path / "before.tif", crs, left, top, cell)
+    after = surface(tmp_path / "after.tif", crs, left, top, cell, rise=8.0)
+    done = run("change", before, after, "--out", str(tmp_path / "out"))
+    assert done.exit_code == 1
+    assert done.stderr.startswith(f"sattools change: error: {before}: CRS")
+    assert why in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_reference_in_feet_east_and_north_is_refused(tmp_path: Path) -> None:
+    reference = surface(tmp_path / "feet.tif", "EPSG:2236", 452_000.0, 2_190_000.0, 3.0)
+    done = run("compare", "--predicted", reference, "--dsm", reference)
+    assert done.exit_code == 1
+    assert f"{reference}: CRS 'EPSG:2236': found one that is not projected in metres" in done.stderr
+
+
+def test_rims_wider_than_any_wall_are_wrong_usage(tmp_path: Path) -> None:
+    flat = surface(tmp_path / "flat.tif", "EPSG:32617", 436_000.0, 3_357_000.0, 1.0)
+    done = run("change", flat, flat, "--out", str(tmp_path / "out"), "--rim", "1e9")
+    assert done.exit_code == 2
+    assert "0.0<=x<=100.0" in done.stderr
