@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
@@ -201,14 +201,18 @@ def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:
 
 
 def _lines() -> Iterator[tuple[str, str]]:
-    """The documents on stdin, one per line, of a length that memory holds."""
+    """The documents on stdin, of a length that memory holds: one per line, or over several lines as `jq .` prints."""
     from sattools.scene.jsonio import TEXT_LIMIT, decode
 
     stream = sys.stdin.buffer
-    number = 0
-    while line := stream.readline(TEXT_LIMIT + 1):
-        number += 1
+    number, ahead = 0, b""
+    while line := ahead or stream.readline(TEXT_LIMIT + 1):
+        number, ahead = number + 1, b""
         name = f"stdin line {number}"
+        if line.removeprefix(b"\xef\xbb\xbf").strip() == b"{":
+            rest, ahead = _until_closed(stream, TEXT_LIMIT + 1 - len(line))
+            number += rest.count(b"\n")
+            line += rest
         try:
             if len(line) > TEXT_LIMIT:
                 raise InputError(f"{name}: found more than {TEXT_LIMIT >> 20} MiB, expected a scene document in a line")
@@ -220,6 +224,22 @@ def _lines() -> Iterator[tuple[str, str]]:
             continue
         if text.strip():
             yield name, text
+
+
+def _until_closed(stream: BinaryIO, limit: int) -> tuple[bytes, bytes]:
+    """What follows an opening brace on a line of its own, up to the closing one; the line where another begins instead.
+
+    Neither brace is indented, and all between them is.
+    """
+    found: list[bytes] = []
+    while limit > 0 and (line := stream.readline(limit)):
+        if line.startswith(b"{"):
+            return b"".join(found), line
+        found.append(line)
+        limit -= len(line)
+        if line.rstrip() == b"}":
+            break
+    return b"".join(found), b""
 
 
 def parse(source: str, text: str | None) -> Scene:

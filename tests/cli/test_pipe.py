@@ -111,6 +111,25 @@ def test_an_unreadable_line_is_named_and_the_next_is_done(line: Any) -> None:
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("bom", ["", "\ufeff"])
+def test_a_document_may_go_over_several_lines_as_jq_prints_it(line: Any, bom: str) -> None:
+    spread = bom + json.dumps(json.loads(line("a")), indent=2) + "\n"
+    result = run(text=spread + line("b") + "{nonsense\n")
+    assert result.exit_code == 3
+    assert ids(result) == ["a", "b"]
+    number = spread.count("\n") + 2
+    assert result.stderr.startswith(f"sattools touch: error: stdin line {number}: found text that is not JSON")
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_document_that_breaks_off_is_one_error(line: Any) -> None:
+    spread = json.dumps(json.loads(line("a")), indent=2)
+    result = run(text=spread[: len(spread) // 2])
+    assert result.exit_code == 1
+    assert result.stderr.startswith("sattools touch: error: stdin line 1: found text that is not JSON")
+    assert result.stderr.count("\n") == 1
+
+
 def test_a_scene_whose_root_is_gone_is_refused_and_no_folder_is_made(tmp_path: Path) -> None:
     result = run(text=Scene("a", tmp_path / "gone").to_json())
     assert result.exit_code == 1
