@@ -338,7 +338,7 @@ def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
                         place = Window(0, first, width, rows)
                         out.write(values, band, window=place)
                         sums.append((band, place, zlib.crc32(values.tobytes())))
-                out.descriptions = data.descriptions
+                out.descriptions, out.scales, out.offsets = data.descriptions, data.scales, data.offsets
                 out.update_tags(ns="RPC", **rpc.to_tags())
 
         def check(path: Path) -> None:

@@ -19,6 +19,8 @@ from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.prep.dfc2019 import find_images
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import common_name, prepare
+from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.stage import normalise
 from sattools.scene import Scene
 
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3)]
@@ -195,6 +197,18 @@ def test_a_band_without_data_is_refused(images: Any, options: Any, pixels: Any) 
     refused(images, options, r"city_1\.tif: found band 2 to be 0 everywhere")
     write(images[1], np.full((2, *pixels[1].shape), np.nan, np.float32), parallel_rpc(RUNS[1]))
     refused(images, options, "no-data or NaN everywhere")
+
+
+def test_copied_pixels_keep_the_scale_that_makes_them_reflectances(images: Any, options: Any) -> None:
+    for path in images:
+        with rasterio.open(path, "r+") as data:
+            data.scales, data.offsets = [1e-4], [-0.01]
+    scene, _ = prepare(images, options)
+    normalise(scene, NormaliseOptions(quantity="toa_reflectance"))
+    with rasterio.open(scene.path("images/city_0.tif")) as data:
+        numbers = data.read().astype(np.float64)
+    with rasterio.open(scene.path("radiance/city_0.tif")) as data:
+        assert np.allclose(data.read(), numbers * 1e-4 - 0.01, atol=1e-7)
 
 
 def test_nan_pixels_are_masked_and_mentioned(images: Any, options: Any, pixels: Any) -> None:
