@@ -16,6 +16,7 @@ from sattools.scene.jsonio import read_json
 from sattools.scene.opening import opened
 from sattools.scene.schema import Anything, Items, Maybe, Number, Table, Text
 
+_LEAST_SCALE = 1e-12  # and its inverse the largest: what is beyond turns numbers into zeros or overflows
 _SCALED = Table({"scale": Number(), "offset": Number(), "raster:scale": Number(), "raster:offset": Number()})
 _STAC = Table(
     {
@@ -80,14 +81,14 @@ def parse_scale(text: str) -> float:
     """A number, or a fraction such as ``1/10000``.
 
     Raises:
-        SceneError: anything else, or a scale that is not positive.
+        SceneError: anything else, or a scale that is not positive or beyond all reason.
     """
     match = re.fullmatch(r"\s*([^/]+?)\s*(?:/\s*([^/]+?)\s*)?", text)
     try:
         value = float(match[1]) / float(match[2] or 1) if match else math.nan
     except (ValueError, ZeroDivisionError):
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
+    if not _LEAST_SCALE <= value <= 1 / _LEAST_SCALE:
         raise SceneError(f"--scale: found {text!r}, expected a positive number or a fraction such as 1/10000")
     return value
 

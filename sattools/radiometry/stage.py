@@ -77,6 +77,8 @@ def normalise(
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
     job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
+    for item in items:
+        _check_black(job, item)
     paths = begin(scene, "normalise", [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], overwrite)
     shares = {}
     for k, item in enumerate(items):
@@ -100,7 +102,7 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     chosen = _bands(job.scene, item, everything.shape[0], options)
     bands = everything[[b - 1 for b in chosen]]
     scale = job.scales[item.id]
-    saturation = options.saturation if options.saturation is not None else scale.saturation(bits)
+    saturation = _saturation(job, item)
     empty, full = invalid_numbers(bands, saturation)
     values = np.where(empty, np.nan, bands)
     if options.saturated == "mask":
@@ -129,6 +131,8 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     if tone_mapped:
         what = "left as they are (give --gamma)" if left else f"linearised by the exponent {options.gamma:g}, a guess"
         notes.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
+    elif options.gamma is not None:
+        notes.append(f"{item.id}: --gamma is for 8-bit images, not applied")
     job.numbers.append(_sample(job, bands))
     job.radiance.append(_sample(job, radiance))
     known = radiance[np.isfinite(radiance)]
@@ -140,12 +144,40 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     }
     if not known.size:
         raise SceneError(f"{path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)")
-    if scale.reflectance is not None and shares["above_1"] > 0.5:
-        share = 100 * shares["above_1"]
-        notes.append(f"{item.id}: {share:.0f} % of the pixels have a reflectance above 1 (is the scale right?)")
-    if shares["saturated"] > 0.05:
-        notes.append(f"{item.id}: {100 * shares['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
+    notes += _doubts(job, item, shares, saturation)
     return {name: round(share, 6) for name, share in shares.items()}
+
+
+def _doubts(job: _Job, item: Item, shares: dict[str, float], saturation: float) -> list[str]:
+    """What of the result may not be meant."""
+    percent, found = {name: 100 * share for name, share in shares.items()}, []
+    if job.scales[item.id].reflectance is not None and percent["above_1"] > 50:
+        found.append(f"{percent['above_1']:.0f} % of the pixels have a reflectance above 1 (is the scale right?)")
+    if percent["below_0"] > 50 and not job.options.match:
+        found.append(f"{percent['below_0']:.0f} % of the pixels are below 0 (are --black and --offset right?)")
+    if percent["saturated"] > 5:
+        found.append(f"{percent['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
+    return [f"{item.id}: {text}" for text in found]
+
+
+def _saturation(job: _Job, item: Item) -> float:
+    """Digital number from which a pixel is saturated; infinity where floating point numbers have no known largest."""
+    if job.options.saturation is not None:
+        return job.options.saturation
+    floating = np.dtype(item.properties.get("sattools:dtype") or "uint16").kind == "f"
+    if floating and not (job.options.bits or item.properties.get("sattools:bits")):
+        return np.inf
+    return job.scales[item.id].saturation(job.bits[item.id])
+
+
+def _check_black(job: _Job, item: Item) -> None:
+    """Raise SceneError for a black level above white, which would turn light into dark."""
+    black, bits = job.options.black, job.bits[item.id]
+    full = 2.0**bits - 1
+    if job.quantity == "relative" and black >= full:
+        raise SceneError(
+            f"--black: found {black:g}, expected less than {full:g}, white in the {bits} bits of {item.id}"
+        )
 
 
 def _sample(job: _Job, bands: np.ndarray) -> list[np.ndarray]:

@@ -96,6 +96,35 @@ def test_a_scale_that_makes_everything_brighter_than_white_is_noticed(tmp_path: 
     assert any("reflectance above 1 (is the scale right?)" in text for text in notes)
 
 
+def test_an_offset_that_makes_ground_darker_than_black_is_noticed(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands())
+    options = NormaliseOptions(quantity="toa_reflectance", scale="1/10000", offset=-2.0, saturated="keep")
+    assert any(
+        "75 % of the pixels are below 0 (are --black and --offset right?)" in t
+        for t in normalise(scene, options)["notes"]
+    )
+    scene = make_scene(tmp_path / "black", two_bands(), **{"sattools:bits": 16})
+    assert any(
+        "75 % of the pixels are below 0" in t
+        for t in normalise(scene, NormaliseOptions(black=20000, saturated="keep"))["notes"]
+    )
+
+
+def test_floating_point_numbers_of_unknown_range_are_not_saturated(tmp_path: Path) -> None:
+    numbers = np.array([[[100.0, 2500.0, 9000.0]]], np.float32)
+    scene = make_scene(tmp_path, numbers, **{"sattools:bits": None})
+    assert normalise(scene, NormaliseOptions())["images"]["i0"]["saturated"] == 0
+    np.testing.assert_allclose(values(scene)[0] * 2047, [100.0, 2500.0, 9000.0], rtol=1e-5)
+    scene = make_scene(tmp_path / "bits", numbers, **{"sattools:bits": None})
+    assert normalise(scene, NormaliseOptions(bits=12))["images"]["i0"]["saturated"] == pytest.approx(1 / 3, abs=1e-6)
+
+
+def test_a_gamma_that_is_for_other_images_is_told(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands(), **{"sattools:bits": 16})
+    notes = normalise(scene, NormaliseOptions(gamma=2.2))["notes"]
+    assert "i0: --gamma is for 8-bit images, not applied" in notes
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -105,13 +134,17 @@ def test_a_scale_that_makes_everything_brighter_than_white_is_noticed(tmp_path: 
         ({"scale": "1/0", "quantity": "toa_reflectance"}, "--scale: found '1/0'"),
         ({"scale": "-1", "quantity": "toa_reflectance"}, "--scale: found '-1'"),
         ({"scale": "nan", "quantity": "toa_reflectance"}, "--scale: found 'nan'"),
+        ({"scale": "1e300", "quantity": "toa_reflectance"}, "--scale: found '1e300'"),
+        ({"scale": "1e-300", "quantity": "toa_reflectance"}, "--scale: found '1e-300'"),
+        ({"black": 65535}, "--black: found 65535, expected less than 65535, white in the 16 bits of i0"),
+        ({"black": 1e9}, "--black: found 1e+09, expected less than 65535, white in the 16 bits of i0"),
         ({"offset": 0.5}, "--offset: found it without --scale"),
     ],
 )
 def test_a_declaration_that_cannot_be_meant_stops_with_one_line(
     tmp_path: Path, changed: dict[str, object], words: str
 ) -> None:
-    scene = make_scene(tmp_path, two_bands())
+    scene = make_scene(tmp_path, two_bands(), **{"sattools:bits": 16})
     with pytest.raises(SceneError) as error:
         normalise(scene, NormaliseOptions(**changed))
     assert str(error.value).startswith(words)
