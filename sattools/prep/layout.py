@@ -112,6 +112,35 @@ def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 
     )
 
 
+def with_rim(bounds: Bounds) -> Bounds:
+    """Bounds with a rim, so that the surface still covers the area when it is moved by some metres onto a reference."""
+    west, south, east, north = bounds
+    rim = 0.02 * max(east - west, north - south)
+    return west - rim, south - rim, east + rim, north + rim
+
+
+def cut_to_shown(asked: Bounds, outlines: Sequence[Sequence[Polygon]]) -> Bounds:
+    """The area asked for, or its part that two images show where that is less than half of it.
+
+    Args:
+        asked: (west, south, east, north) [m].
+        outlines: footprints of all images, at the lowest and at the highest height [m].
+    """
+    shown = [box for polygons in outlines if (box := common_bounds(polygons, share=0.0)) is not None]
+    if not shown:
+        return asked
+    lowest, highest = np.min(shown, axis=0), np.max(shown, axis=0)
+    box = with_rim((float(lowest[0]), float(lowest[1]), float(highest[2]), float(highest[3])))
+    west, south, east, north = (
+        *(max(a, b) for a, b in zip(asked[:2], box[:2], strict=True)),
+        *(min(a, b) for a, b in zip(asked[2:], box[2:], strict=True)),
+    )
+    if not (west < east and south < north):
+        return asked
+    share = (east - west) * (north - south) / ((asked[2] - asked[0]) * (asked[3] - asked[1]))
+    return (west, south, east, north) if share < 0.5 else asked
+
+
 def default_cell_size(gsd: float) -> float:
     """The round cell size (0.5, 1, 2, 5, 10 ... m) nearest above a ground sample distance [m], 10 % grace."""
     exponent = math.floor(math.log10(gsd))
@@ -148,4 +177,14 @@ def crop_window(
     return (col0, row0, max(0, col1 - col0), max(0, row1 - row0))
 
 
-__all__ = ["common_bounds", "crop_window", "default_cell_size", "footprint", "ground_polygon", "groups", "outline"]
+__all__ = [
+    "common_bounds",
+    "crop_window",
+    "cut_to_shown",
+    "default_cell_size",
+    "footprint",
+    "ground_polygon",
+    "groups",
+    "outline",
+    "with_rim",
+]

@@ -34,10 +34,12 @@ from sattools.prep.layout import (
     Bounds,
     common_bounds,
     crop_window,
+    cut_to_shown,
     default_cell_size,
     ground_polygon,
     groups,
     outline,
+    with_rim,
 )
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
@@ -96,7 +98,7 @@ def prepare(
     heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
-    scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked)
+    scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked, notes=notes)
     scene.height_range_m = heights
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
@@ -370,6 +372,8 @@ def _grid(
     crs: str,
     heights: tuple[float, float],
     asked: Bounds | None,
+    *,
+    notes: list[str],
 ) -> Grid:
     middle = 0.5 * (heights[0] + heights[1])
     windows = [(0, 0, s.window[2], s.window[3]) for s in sources]
@@ -377,18 +381,17 @@ def _grid(
     covered = common_bounds(polygons)
     if covered is None:
         raise InputError("images: found no ground that half of them show, expected images that overlap")
-    sizes = []
-    for rpc, (_, _, width, height) in zip(rpcs, windows, strict=True):
-        lon, lat = rpc.localization((width - 1) / 2, (height - 1) / 2, middle)
-        sizes.append(ground_sample_distance(rpc, lon, lat, middle))
+    middles = [((width - 1) / 2, (height - 1) / 2) for _, _, width, height in windows]
+    places = [r.localization(*at, middle) for r, at in zip(rpcs, middles, strict=True)]
+    sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
     pixel = float(np.median(sizes))
     cell = options.cell_size or default_cell_size(pixel)
-    if asked is None:
-        # A rim, so that the surface still covers the area when it is moved by some metres onto a reference.
-        west, south, east, north = covered
-        rim = 0.02 * max(east - west, north - south)
-        asked = (west - rim, south - rim, east + rim, north + rim)
-    grid = Grid.from_bounds(crs, asked, cell)
+    if asked is not None:
+        at_ends = [[ground_polygon(r, w, h, crs) for r, w in zip(rpcs, windows, strict=True)] for h in heights]
+        if (shown := cut_to_shown(asked, at_ends)) != asked:
+            _warn(["less than half of the area lies where two images show it: cut to that"], notes)
+            asked = shown
+    grid = Grid.from_bounds(crs, asked or with_rim(covered), cell)
     check_cells(grid, pixel)
     return grid
 

@@ -139,6 +139,16 @@ def test_an_area_crops_images_and_their_cameras(images: Any, options: Any) -> No
         assert 0 < inside[1] < height
 
 
+def test_an_area_far_larger_than_the_images_is_cut_to_what_two_of_them_show(images: Any, options: Any) -> None:
+    whole, _ = prepare(images, options)
+    x, y = from_geographic("EPSG:32633", LON0, LAT0)
+    far = [x - 3000, y - 3000, x + 3000, y + 3000]
+    scene, extra = prepare(images, replace(options, crs="EPSG:32633", bounds=far), overwrite=True)
+    assert "less than half of the area lies where two images show it: cut to that" in extra["notes"]
+    assert 1.0 <= scene.grid.width * scene.grid.height / (whole.grid.width * whole.grid.height) < 1.5
+    assert scene.grid.bounds[0] < x < scene.grid.bounds[2]
+
+
 def test_correction_none_keeps_the_cameras(images: Any, options: Any) -> None:
     scene, extra = prepare(images, replace(options, correction="none"))
     assert RPC.from_file(scene.path("rpc/city_2_RPC.TXT")).to_tags() == RPC.from_file(images[2]).to_tags()
