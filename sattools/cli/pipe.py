@@ -70,6 +70,7 @@ def run_scenes(
         check_inputs(run.options)
         if not scene.root.is_dir():
             raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
+        _check_place(scene)
         if run.dry_run:
             takes = f": {foreseen(scene)}" if foreseen else ""
             click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}{takes}", err=True)
@@ -78,6 +79,21 @@ def run_scenes(
         return emit(scene, entry) if emit else _shown(scene, entry)
 
     each_scene(run.command, scenes, handle)
+
+
+def _check_place(scene: Scene) -> None:
+    """Raise SceneError where a `scene.json` came by a pipe from elsewhere: its root is "." and means this folder."""
+    from sattools.scene.location import is_remote
+
+    if scene.root != Path.cwd():
+        return
+    hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
+    own = [href for href in hrefs if not (is_remote(href) or Path(href).is_absolute())]
+    if own and not any((scene.root / href).exists() for href in own):
+        raise SceneError(
+            f"scene {scene.id}: found none of its files in {scene.root}, the current folder, where a scene.json on a "
+            "pipe has them, expected its path on the command line instead"
+        )
 
 
 def check_inputs(options: Any) -> None:

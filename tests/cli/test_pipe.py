@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from sattools.cli.options import common_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.errors import SceneError
-from sattools.scene import Scene
+from sattools.scene import Asset, Item, Scene
 from sattools.scene.dependencies import begin
 
 
@@ -135,6 +135,24 @@ def test_a_scene_whose_root_is_gone_is_refused_and_no_folder_is_made(tmp_path: P
     assert result.exit_code == 1
     assert f"scene a: found no folder {tmp_path / 'gone'}, expected the scene's root" in result.stderr
     assert not (tmp_path / "gone").exists()
+
+
+def test_a_scene_json_on_a_pipe_from_another_folder_is_told_how_to_be_given(
+    line: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene.from_json(line("a"))
+    scene.items.append(Item("i", None, None, {}, {"image": Asset("images/i.tif")}))
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    result = run(text=scene.to_json(root="."))
+    assert result.exit_code == 1
+    assert f"scene a: found none of its files in {elsewhere}, the current folder" in result.stderr
+    assert "expected its path on the command line instead" in result.stderr
+    assert not list(elsewhere.iterdir())
+    scene.output("images/i.tif").touch()
+    monkeypatch.chdir(scene.root)
+    assert ids(run(text=scene.to_json(root="."))) == ["a"]
 
 
 def test_a_path_is_taken_instead_of_stdin(line: Any, tmp_path: Path) -> None:
