@@ -20,10 +20,10 @@ import numpy as np
 from sattools.align.estimate import Method, shift_to_dem
 from sattools.compare.truth import read_dfc2019, read_reference
 from sattools.errors import InputError
-from sattools.export.classes import MEASURED
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
 from sattools.scene.regrid import resize_map
+from sattools.scene.validity import MEASURED
 
 MOVED = np.array([3.0, -2.0, 5.0])
 LATTICES = ((0.0, 0.0), (0.5, 0.5), (0.3, 0.7), (0.8, 0.2))  # begin so many cells from the truth's corner

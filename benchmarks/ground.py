@@ -19,12 +19,12 @@ from steps import reference
 
 from sattools.compare import compare_dsm
 from sattools.export import ground
-from sattools.export.classes import MEASURED
 from sattools.export.options import ExportOptions
 from sattools.export.products.terrain import TRUSTED
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_on, read_raster
 from sattools.scene.regrid import reproject_map
+from sattools.scene.validity import MEASURED
 
 NAMES = {2: "ground", 5: "trees", 6: "buildings", 9: "water"}
 

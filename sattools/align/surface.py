@@ -15,9 +15,9 @@ from sattools.align.options import AlignOptions
 from sattools.align.reference import heights_around
 from sattools.align.shift import Shift
 from sattools.errors import InputError, SceneError
-from sattools.export.classes import MEASURED
 from sattools.scene.grid import Grid
 from sattools.scene.raster import block_means, raster_grid, read_raster
+from sattools.scene.validity import MEASURED
 
 log = logging.getLogger(__name__)
 MOST_CELLS = 4_000_000  # of the surface, which take a hundred bytes each; of larger ones a part is looked at

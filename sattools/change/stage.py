@@ -17,7 +17,6 @@ from sattools.compare.picture import difference_picture
 from sattools.compare.registration import register, search_margin, shifted
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
-from sattools.export.classes import MEASURED
 from sattools.progress import Progress, silent
 from sattools.scene import Grid, Scene
 from sattools.scene.datums import difference as datums_differ
@@ -27,6 +26,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
 from sattools.scene.raster import heights_above, read_raster, write_cog
 from sattools.scene.regrid import reproject_map
+from sattools.scene.validity import MEASURED
 from sattools.scene.vectors import Features, geopackage, read_polygons
 
 log = logging.getLogger(__name__)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from sattools.errors import InputError
+from sattools.scene.cells import FiledCells
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject, read_text
-from sattools.scene.raster import FiledCells
 from sattools.scene.vectors import read_features
 
 TEXT = ("name",)

@@ -13,11 +13,11 @@ from sattools.compare.holes import fill_holes
 from sattools.compare.registration import Registration, register, search_margin, shifted
 from sattools.compare.truth import Truth, known_heights
 from sattools.errors import InputError, SceneError
-from sattools.export.classes import MEASURED
 from sattools.scene.grid import Grid
 from sattools.scene.raster import raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map, window_around
 from sattools.scene.stored import cut, new_map
+from sattools.scene.validity import MEASURED
 
 Method = Literal["ncc", "nuth-kaab", "z", "none"]
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Block, Surroundings, blocks
-from sattools.export.classes import FILLED, MEASURED, UNSEEN, UNWANTED
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
@@ -37,6 +36,7 @@ from sattools.scene import Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.export.blocks import Block, Surroundings
-from sattools.export.classes import MEANING
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
@@ -22,6 +21,7 @@ from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter
 from sattools.scene.memory import give_back
 from sattools.scene.raster import read_on
+from sattools.scene.validity import MEANING
 
 # what the model may hold per image
 IMAGE_MAPS = {

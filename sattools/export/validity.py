@@ -13,9 +13,9 @@ from sattools.camera.cells import project_cells
 from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
-from sattools.export.classes import FILLED, MEASURED, UNSEEN
 from sattools.scene import Grid, Scene
 from sattools.scene.pixels import ImagePart, image_part
+from sattools.scene.validity import FILLED, MEASURED, UNSEEN
 from sattools.views import line_of_sight
 
 NEEDED = 2  # images that a height takes

@@ -61,12 +61,12 @@ def prior(
     grid = whole.resized(options.resolution or whole.cell_size)
     z_range = scene.require_height_range()
     progress(0.0, "reading images")
-    check_extent(grid)
     part = subprogress(progress, 0.2, 0.9)
     if sources is None and grid.width * grid.height > AT_ONCE:
         found = match_tiles(scene, items, grid, options, part)
     else:
         sources = load_sources(scene, items) if sources is None else sources
+        check_extent(grid)
         found = match_area(sources, grid, z_range, options, part)
     if found is None:
         raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from sattools.compare.picture import line_styles
-from sattools.export.classes import CLASSES as VALIDITY
 from sattools.scene.grid import Grid
+from sattools.scene.validity import CLASSES as VALIDITY
 
 Outline = Sequence[Sequence[float]]
 

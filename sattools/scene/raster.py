@@ -194,23 +194,6 @@ def raster_bands(path: Path) -> int:
         return int(data.count)
 
 
-class FiledCells:
-    """A raster ``[B, H, W]`` in a file, of which the values ``[:, row, column]`` of single cells are read.
-
-    Raises:
-        InputError: as `read_raster`.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.grid = path, raster_grid(path)
-        self.shape = (raster_bands(path), *self.grid.shape)
-
-    def __getitem__(self, place: tuple[slice, int, int]) -> np.ndarray:
-        bands, row, col = place
-        array, _ = read_raster(self.path, self.grid.part(slice(row, row + 1), slice(col, col + 1)))
-        return array[bands, 0, 0]
-
-
 def raster_vertical(path: Path) -> str | None:
     """The vertical part of a raster's compound CRS, e.g. ``"EPSG:5773"``; None where it has none."""
     with opened(path) as data:
@@ -385,7 +368,6 @@ def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
 
 
 __all__ = [
-    "FiledCells",
     "image_shape",
     "raster_bands",
     "raster_grid",

@@ -13,7 +13,6 @@ from skimage.registration import phase_cross_correlation
 
 from sattools.camera.ground import grid_direction
 from sattools.errors import SceneError
-from sattools.export.classes import MEASURED
 from sattools.export.options import ExportOptions
 from sattools.export.products import ortho
 from sattools.export.products.maps import Maps
@@ -24,6 +23,7 @@ from sattools.fit.model import FittedModel
 from sattools.progress import silent
 from sattools.scene import Scene
 from sattools.scene.raster import read_raster
+from sattools.scene.validity import MEASURED
 
 COARSE = 2  # the model's cells over the images' pixels
 

@@ -10,7 +10,6 @@ import pytest
 import rasterio
 
 from sattools.export.blocks import Surroundings, blocks
-from sattools.export.classes import FILLED, MEASURED, UNSEEN
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.export.validity import Witnesses, valid_pixels
@@ -19,6 +18,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
+from sattools.scene.validity import FILLED, MEASURED, UNSEEN
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0)
 

@@ -12,7 +12,6 @@ import shapely
 from shapely.geometry import Point, Polygon, box
 
 from sattools.errors import InputError
-from sattools.export.classes import UNWANTED
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.options import FitOptions
@@ -23,6 +22,7 @@ from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
 from sattools.scene.area import wanted_cells, write_area
 from sattools.scene.raster import read_raster
+from sattools.scene.validity import UNWANTED
 
 UTM33 = "EPSG:32633"
 X, Y = 500_000.0, 5_094_000.0

@@ -12,12 +12,12 @@ import numpy as np
 from pyproj import CRS
 
 from sattools.errors import extra
-from sattools.export.classes import FILLED, MEASURED
 from sattools.export.products.colours import Palette
 from sattools.export.products.maps import Maps
 from sattools.progress import Progress
 from sattools.scene.datums import compound_crs
 from sattools.scene.files import write_with
+from sattools.scene.validity import FILLED, MEASURED
 
 log = logging.getLogger(__name__)
 UNCLASSIFIED, FILLED_CLASS = 1, 64  # of LAS: 64 and above are for users

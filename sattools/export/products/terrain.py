@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sattools.export.blocks import Block, blocks
-from sattools.export.classes import MEASURED, UNSEEN, UNWANTED
 from sattools.export.ground import ALIGNED, BareGround, bare_ground
 from sattools.export.products.maps import Maps
 from sattools.progress import Progress
 from sattools.scene.cog import CogWriter
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.validity import MEASURED, UNSEEN, UNWANTED
 
 EDGE = 1024  # cells of a block: as much again is looked at around it, which costs smaller ones twice the time
 TRUSTED = 0.4  # least probability of less than 1 m of error that makes a height worth taking for the ground's
