@@ -33,6 +33,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     options = build(CompareOptions, values)
     if options.predicted is not None and options.fit:
         raise click.UsageError("found both --predicted and --fit, expected one of them")
+    if options.predicted is not None and (unused := _unused(options, scenes)):
+        raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
     if options.fit and options.out is None:
         raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
     if options.predicted is not None:
@@ -68,6 +70,12 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
     run = Run("compare", options, dry_run, print_config, overwrite)
     run_scenes(run, scenes, work, emit, "score the DSM", before)
+
+
+def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:
+    """What is of no use without a scene; None where nothing is."""
+    given = {"a scene": scenes, "--map": options.map, "--points": options.points, "--views": options.views}
+    return next((name for name, value in given.items() if value), None)
 
 
 def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:

@@ -117,7 +117,7 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     classes = read_image(path)[0]
     if classes.shape != heights.shape:
         raise InputError(f"{path}: found {classes.shape} cells, expected {heights.shape} as in {aoi}_DSM.tif")
-    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes))
+    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path))
 
 
 def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
@@ -159,7 +159,7 @@ def open_reference(dsm: Path | str, classes: Path | str | None = None, folder: P
         codes = new_map(grid.shape, np.uint8, folder)
         for rows, cols in cut(grid.shape):
             there = read_on(Path(classes), grid.part(rows, cols), nearest=True)[0]
-            codes[rows, cols] = _class_codes(there)
+            codes[rows, cols] = _class_codes(there, Path(classes))
     return Truth(dsm.stem, "dsm", grid, heights, codes)
 
 
@@ -183,8 +183,12 @@ def known_heights(heights: np.ndarray) -> np.ndarray:
     return np.where((heights > low) & (heights < high), heights, np.float32(np.nan))
 
 
-def _class_codes(classes: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(classes), classes, UNLABELLED).astype(np.uint8)
+def _class_codes(classes: np.ndarray, path: Path) -> np.ndarray:
+    known = np.isfinite(classes)
+    wrong = classes[known & ((classes < 0) | (classes > 255) | (classes != np.round(classes)))]
+    if wrong.size:
+        raise InputError(f"{path}: found {wrong[0]:g}, expected class codes, whole numbers from 0 to 255")
+    return np.where(known, classes, UNLABELLED).astype(np.uint8)
 
 
 def _dfc2019_crs(dsm: Path, aoi: str) -> str:

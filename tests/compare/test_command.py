@@ -46,6 +46,24 @@ def test_files_are_scored_without_a_scene(scene: Any) -> None:
     assert json.loads(result.stdout)["shift_m"] == pytest.approx([0.0, 0.0, -2.0])
 
 
+@pytest.mark.parametrize("more", [["--map", "w=w.tif"], ["--points", "p.csv"], ["--views"], ["scene.json"]])
+def test_what_needs_a_scene_is_wrong_usage_beside_a_file(scene: Any, more: list[str]) -> None:
+    (scene.root / "scene.json").touch()
+    more = [*more[:-1], str(scene.root / more[-1])] if more[0] == "scene.json" else more
+    result = CliRunner().invoke(main, ["compare", "--predicted", str(scene.root / "dsm.tif"), *more])
+    assert result.exit_code == 2
+    assert "beside --predicted, which scores that file alone" in result.stderr
+
+
+def test_heights_are_no_class_map(scene: Any) -> None:
+    predicted, reference = scene.root / "dsm.tif", scene.root / "truth/SIM_1_DSM.tif"
+    write_cog(scene.output("half.tif"), np.full(GRID.shape, 2.5, np.float32), GRID)
+    files = ["--predicted", str(predicted), "--dsm", str(reference), "--classes", str(scene.root / "half.tif")]
+    result = CliRunner().invoke(main, ["compare", *files])
+    assert result.exit_code == 1
+    assert "half.tif: found 2.5, expected class codes, whole numbers from 0 to 255" in result.stderr
+
+
 def test_missing_reference_is_one_line_and_exit_code_1(scene: Any) -> None:
     result = CliRunner().invoke(main, ["compare", "--predicted", str(scene.root / "dsm.tif"), "--dsm", "nowhere.tif"])
     assert result.exit_code == 1
