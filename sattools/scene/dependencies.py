@@ -19,6 +19,7 @@ from sattools.scene.document import FIT_ROLE, Item, Scene
 from sattools.scene.files import check_outputs, digest
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.location import RemotePath
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,9 @@ def stale(scene: Scene, stage: str) -> str | None:
         if changed:
             return f"found another file for {changed[0]} than the history knows, {again}"
         if _inputs(scene, name, entry["items"]) != entry["inputs"]:
+            gone = _gone(scene, name, entry["items"])
+            if gone is not None:
+                return f"found no {gone} any more, of which {name} was made, expected it there"
             return f"found that what {name} was made from has changed since, {again}"
     return None
 
@@ -229,9 +233,23 @@ def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
 
+def _gone(scene: Scene, stage: str, ids: Sequence[str]) -> Path | None:
+    """The first image or camera of a stage that is not there any more."""
+    if stage not in ("normalise", "prior", "fit"):
+        return None
+    items = [item for item in scene.items if item.id in ids]
+    hrefs = [item.assets[name].href for item in items for name in (_pixels(item, stage), "rpc") if name in item.assets]
+    paths = (scene.path(href) for href in hrefs)
+    return next((path for path in paths if not (isinstance(path, RemotePath) or path.exists())), None)
+
+
+def _pixels(item: Item, stage: str) -> str:
+    return "radiance" if stage != "normalise" and "radiance" in item.assets else "image"
+
+
 def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
-    asset = "radiance" if stage != "normalise" and "radiance" in item.assets else "image"
-    own = [digest(scene.path(item.assets[n].href)) if n in item.assets else None for n in (asset, "rpc")]
+    names = _pixels(item, stage), "rpc"
+    own = [digest(scene.path(item.assets[n].href)) if n in item.assets else None for n in names]
     # `normalise` says by properties what its numbers are
     others = {FIT_ROLE, "sattools:role", *(("sattools:radiance", "sattools:tone") if stage == "normalise" else ())}
     properties = {k: v for k, v in item.properties.items() if k not in others}

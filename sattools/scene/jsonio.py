@@ -56,9 +56,8 @@ def decode(data: bytes, source: str, *, strict: bool = True) -> str:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
         if strict or encoding != "utf-8-sig":
-            raise InputError(
-                f"{source}: found text that is not {encoding[:6].upper()} (byte {error.start}), expected UTF-8"
-            ) from None
+            name = encoding.removesuffix("-sig").upper()
+            raise InputError(f"{source}: found text that is not {name} (byte {error.start}), expected UTF-8") from None
         text = data.decode("latin-1")
     return text
 

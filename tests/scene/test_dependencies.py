@@ -47,6 +47,14 @@ def scene(tmp_path: Path) -> Any:
     return scene
 
 
+@pytest.mark.parametrize("name", ["b.tif", "b_RPC.TXT"])
+def test_an_image_or_camera_that_is_gone_is_named(scene: Any, name: str) -> None:
+    run(scene, "prior")
+    (scene.root / name).unlink()
+    reason = f"found no {scene.root / name} any more, of which prior was made, expected it there"
+    assert stale(scene, "fit") == reason
+
+
 def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene: Any) -> None:
     for command in FILES:
         run(scene, command)
