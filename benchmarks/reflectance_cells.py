@@ -84,6 +84,7 @@ def main() -> None:
 
     from sattools.compare.metrics import image_errors, map_errors
     from sattools.export.novel import render_item
+    from sattools.export.parts import WholeModel
     from sattools.fit.materials.parameters import AMPLITUDE, SHAPE
     from sattools.fit.materials.scene import ReflectiveScene
     from sattools.fit.model import FittedModel
@@ -134,7 +135,9 @@ def main() -> None:
             amplitude, shape = model.values()
             maps = dict(zip(NAMES, (amplitude.permute(2, 0, 1), *(p[None] for p in shape)), strict=True))
             errors = {n: map_errors(maps[n].detach().numpy(), truth[n]) for n in NAMES}
-            psnr = image_errors(render_item(scene, item.id, model, fitted, None)[0], target)["psnr"]
+            psnr = image_errors(np.stack(render_item(scene, item.id, WholeModel(fitted, model), None).bands), target)[
+                "psnr"
+            ]
             line = [errors[n][key] for n in NAMES for key in ("nrmse", "nrmse_constant", "correlation")]
             rows.setdefault(kind, []).append([*line, psnr])
             print(seed, text(kind, rows[kind][-1]), flush=True)

@@ -2,32 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.camera.ground import from_geographic, grid_direction, to_geographic
+from sattools.camera.ground import grid_direction, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
-from sattools.export.context import Exported
 from sattools.export.field_views import field_picture, surface_picture
+from sattools.export.parts import Part, Parts
+from sattools.export.pictures import ColourScale, Picture
 from sattools.fit.illumination import light_scale
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.radiometry.bands import BANDS_MEMBER
-from sattools.render import ParallelRays, sun_visibility
-from sattools.scene import Asset, Grid, Scene
+from sattools.render import ParallelRays
+from sattools.scene import Asset, Grid, Item, Scene
+from sattools.scene.cog import CogWriter
 from sattools.scene.document import GEOTIFF_TYPE
-from sattools.scene.raster import write_cog, write_image_like
-from sattools.views import View, load_sources, views_on, with_bands
+from sattools.scene.sensor_files import write_sensor_maps
+from sattools.views import View, line_of_sight, load_sources, with_bands
+from sattools.views.resample import make_view
 
 RELIT = "export/relit.tif"
-_STRIDE = 16  # pixels
+REACH_SPARE = 1.25  # times how far rays go within the height range
 Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A scene and its fitted model, to be shown.
+
+    Attributes:
+        scene: gets the files.
+        parts: the model.
+    """
+
+    scene: Scene
+    parts: Parts
 
 
 def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
@@ -45,7 +63,7 @@ def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
 
 
 @torch.no_grad()
-def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector | None, towards: Vector) -> Tensor:
+def light_towards(surface: SurfaceScene, visibility: Tensor | None, sun: Vector | None, towards: Vector) -> Tensor:
     """Light ``[H, W, C]`` of every cell in the direction ``towards``.
 
     It is pi L / E of a reflectance model, else in units of the albedo.
@@ -54,12 +72,10 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
 
     Args:
         surface: the fitted scene.
-        cell: edge of a cell [m].
-        shadow: whether it casts shadows.
+        visibility: ``[H, W]`` share of the sun's light that reaches the cells; None = all of it.
         sun: unit vector (east, north, up) to the sun, or None.
         towards: unit vector (east, north, up) to the sensor.
     """
-    visibility = sun_visibility(surface.casting(), cell, sun) if shadow and sun is not None else None
     ambient = surface.ambient.mean(0)
     if isinstance(surface, ReflectiveScene):
         if sun is None:
@@ -72,158 +88,145 @@ def light_towards(surface: SurfaceScene, cell: float, shadow: bool, sun: Vector 
     return surface.albedo * (v + (1 - v) * ambient)
 
 
-@torch.no_grad()
 def render_item(
-    scene: Scene,
-    item_id: str,
-    surface: SurfaceScene,
-    model: FittedModel,
-    sun_angles: tuple[float, float] | None,
-    valid: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+    scene: Scene, item_id: str, parts: Parts, sun_angles: tuple[float, float] | None, folder: Path | None = None
+) -> Picture:
     """An item's image as the model predicts it, on the image's own pixels, and the heights that they show.
 
     A training image has the gain and offset that the fit found. Any other one has none where the radiance is absolute;
     where it is relative, both are fitted on its western half, which is then left out (NaN), so that the eastern half
-    can be scored.
+    can be scored. Lines of sight are those of every part of the model.
 
     Args:
         scene: holds the item.
         item_id: its id.
-        surface: of the model.
-        model: how the images were fitted.
+        parts: the model.
         sun_angles: (azimuth, elevation) of another sun [degrees], or None for the item's own.
-        valid: ``[H, W]`` bool, cells of the model that images reach; pixels that show others are NaN. None = all.
+        folder: for temporary files; None = the system's.
 
     Returns:
-        ``[C, h, w]`` float32 radiance, ``[1, h, w]`` float32 height of what a pixel shows [m]; NaN beyond the model.
+        Its bands ``[h, w]`` [radiance] and height ``[h, w]`` [m], maps that are read by rows (`sattools.scene.stored`);
+        NaN beyond the model and where it may not be shown.
 
     Raises:
-        SceneError: the scene has no such item.
+        SceneError: the scene has no such item, or it shows nothing of the model.
     """
-    import cv2
-
-    grid = model.grid
     items = [item for item in scene.items if item.id == item_id]
     if not items:
         raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
-    (source,) = with_bands(load_sources(scene, items), items, model.bands)
-    z_range = scene.require_height_range()
-    z_ref = model.z_ref
-    (view,) = views_on([source], grid, z_ref, z_range)
-    sun = grid_sun(grid, *sun_angles) if sun_angles else view.sun
-    known = model.items.index(item_id) if item_id in model.items else None
-    pose = tuple(surface.pose[known].tolist()) if known is not None else (0.0, 0.0)
+    head, z_range = parts.head, scene.require_height_range()
+    known = head.items.index(item_id) if item_id in head.items else None
+    picture = Picture(scene, items[0], head.albedo.shape[-1], folder)
+    scale = ColourScale(head.albedo.shape[-1]) if known is None and not head.absolute else None
+    slope, _ = line_of_sight(picture.rpc, parts.grid, head.z_ref, z_range)
+    steepest = max(abs(slope.east), abs(slope.north)) if all(map(math.isfinite, slope)) else 0.0
+    pose = tuple(head.pose[known].tolist()) if known is not None else (0.0, 0.0)
+    reach = REACH_SPARE * steepest * (z_range[1] - z_range[0]) + max(map(abs, pose))
+    for part in parts.parts(reach):
+        window = picture.window(part, parts.grid, head.z_ref)
+        if window is None:
+            continue
+        view = _view(scene, items[0], part.model, picture.rpc, sun_angles, scale is not None)
+        radiance, height = _shown(parts.grid, part, view, known, (pose[0], pose[1]), z_range)
+        if scale is not None:
+            west = max(0, min(parts.grid.width // 2 - part.cols.start, radiance.shape[1]))
+            scale.add(radiance, view, part, west)
+            radiance[:, :west] = np.nan
+        picture.put(window, part, radiance, height, head.z_ref)
+    picture.check()
+    if scale is not None:
+        scale.apply(picture.bands)
+    return picture
+
+
+def _view(
+    scene: Scene, item: Item, model: FittedModel, rpc: RPC, sun_angles: tuple[float, float] | None, pixels: bool
+) -> View:
+    """The line of sight and the sun over a part, with what the image shows there if that is asked for."""
+    grid, z_range = model.grid, scene.require_height_range()
+    if pixels:
+        (source,) = with_bands(load_sources(replace(scene, grid=grid), [item]), [item], model.bands)
+        view = make_view(source.id, source.radiance, source.rpc, grid, model.z_ref, z_range, sun=item.sun)
+    else:
+        slope, spread = line_of_sight(rpc, grid, model.z_ref, z_range)
+        sun = grid_sun(grid, *item.sun) if item.sun is not None else None
+        nothing = np.zeros((*grid.shape, 1), np.float32), np.zeros(grid.shape, np.uint8)
+        view = View(item.id, *nothing, slope, model.z_ref, sun, spread)
+    return replace(view, sun=grid_sun(grid, *sun_angles)) if sun_angles else view
+
+
+@torch.no_grad()
+def _shown(
+    whole: Grid, part: Part, view: View, known: int | None, pose: tuple[float, float], z_range: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a view shows of a part, at the reference height: ``[h, w, C]`` radiance and ``[h, w]`` height [m]."""
+    model, surface, grid = part.model, part.surface, part.model.grid
     if model.field == "surface":
-        light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, view.slope.unit())
+        light = light_towards(surface, part.lit(view.sun), view.sun, view.slope.unit())
         if known is not None:
             light = surface.gain[known] * light + surface.offset[known]
-        light = light * light_scale(model.radiance, sun) if isinstance(surface, ReflectiveScene) else light
-        rays = ParallelRays(view.slope, view.z_ref, (pose[0], pose[1]))
+        light = light * light_scale(model.radiance, view.sun) if isinstance(surface, ReflectiveScene) else light
+        rays = ParallelRays(view.slope, view.z_ref, pose)
         picture, depth, opacity = surface_picture(model, surface.height, light, rays, z_range)
     else:
-        picture, depth, opacity = field_picture(model, replace(view, sun=sun), known, z_range)
+        picture, depth, opacity = field_picture(model, view, known, z_range)
     # rays that reach the ground beyond the model show its border over and over
-    rise = depth - z_ref
-    rows, cols = picture.shape[:2]
+    rise = depth - model.z_ref
+    rows, cols = depth.shape
     col = np.arange(cols)[None] + (pose[0] + view.slope.east * rise) / grid.cell_size
     row = np.arange(rows)[:, None] - (pose[1] + view.slope.north * rise) / grid.cell_size
-    height = depth.astype(np.float32)
-    inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1) & (opacity > 0.5)
-    if valid is not None:
+    inside = (col >= -part.cols.start) & (row >= -part.rows.start) & (opacity > 0.5)
+    inside &= (col <= whole.width - 1 - part.cols.start) & (row <= whole.height - 1 - part.rows.start)
+    if part.valid is not None:
         near_row, near_col = (np.clip(np.rint(at), 0, n - 1).astype(np.intp) for at, n in ((row, rows), (col, cols)))
-        inside &= valid[near_row, near_col]
-    height[~inside] = np.nan
-    if known is None and not model.absolute:
-        picture = _matched(picture, view.target, (view.mask > 0) & inside)
-        inside[:, : cols // 2] = False
-    picture[~inside] = np.nan
-    at_col, at_row = _pixels_on(source.rpc, source.radiance.shape[1:], grid, z_ref)
-
-    def on_pixels(values: np.ndarray) -> np.ndarray:
-        shown = cv2.remap(
-            values, at_col, at_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
-        )
-        return np.asarray(shown.reshape(*at_col.shape, -1).transpose(2, 0, 1))
-
-    return on_pixels(picture), on_pixels(height)
+        inside &= part.valid[near_row, near_col]
+    return np.where(inside[..., None], picture, np.nan), np.where(inside, depth, np.nan).astype(np.float32)
 
 
-def _matched(picture: np.ndarray, target: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """``picture`` with gain and offset per band that bring its western half to the target's."""
-    half = counted.copy()
-    half[:, counted.shape[1] // 2 :] = False
-    if half.sum() < 10:
-        return picture
-    result = picture.copy()
-    for b in range(picture.shape[-1]):
-        design = np.stack([picture[half][:, b], np.ones(int(half.sum()))], axis=1)
-        (gain, offset), *_ = np.linalg.lstsq(design, target[half][:, b], rcond=None)
-        result[..., b] = gain * picture[..., b] + offset
-    return result
-
-
-def _pixels_on(rpc: RPC, shape: tuple[int, ...], grid: Grid, z_ref: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the lines of sight of an image's pixels cross the reference height: (column, row) of the grid, float32.
-
-    The camera is asked at every `_STRIDE`-th pixel only, and is as good as straight between them.
-    """
-    from scipy.interpolate import RegularGridInterpolator
-
-    rows, cols = shape[-2:]
-    knots = [np.append(np.arange(0, size - 1, _STRIDE), size - 1).astype(np.float64) for size in (rows, cols)]
-    if min(len(axis) for axis in knots) < 2:
-        knots = [np.array([0.0, max(1.0, size - 1)]) for size in (rows, cols)]
-    row, col = np.meshgrid(*knots, indexing="ij")
-    lon, lat = rpc.localization(col.ravel(), row.ravel(), np.full(col.size, z_ref))
-    east, north = from_geographic(grid.crs, lon, lat)
-    at_col = (np.asarray(east) - grid.left) / grid.cell_size - 0.5
-    at_row = (grid.top - np.asarray(north)) / grid.cell_size - 0.5
-    between = RegularGridInterpolator(tuple(knots), np.stack([at_col, at_row], axis=1).reshape(*col.shape, 2))
-    every = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), axis=-1)
-    found = between(every.reshape(-1, 2)).reshape(rows, cols, 2).astype(np.float32)
-    return np.ascontiguousarray(found[..., 0]), np.ascontiguousarray(found[..., 1])
-
-
-def write_view(exported: Exported, item_id: str, surface: SurfaceScene, sun_angles: tuple[float, float] | None) -> None:
+def write_view(exported: Shown, item_id: str, sun_angles: tuple[float, float] | None) -> None:
     """Write the item's assets ``rendered`` and ``rendered_height`` (with another sun: ``relit``).
 
     Args:
         exported: what is exported.
         item_id: id of the item.
-        surface: of the model.
         sun_angles: (azimuth, elevation) of another sun [degrees], or None.
     """
-    scene = exported.scene
-    picture, height = render_item(scene, item_id, surface, exported.model, sun_angles, exported.valid)
+    scene, bands = exported.scene, exported.parts.head.bands
+    picture = render_item(scene, item_id, exported.parts, sun_angles, scene.root)
     item = next(item for item in scene.items if item.id == item_id)
-    like = next(item.assets[asset] for asset in ("radiance", "image") if asset in item.assets)
-    files = {"relit": picture} if sun_angles else {"rendered": picture, "rendered_height": height}
-    for name, array in files.items():
+    files = {"relit": picture.bands} if sun_angles else {"rendered": picture.bands, "rendered_height": [picture.height]}
+    for name, maps in files.items():
         href = view_href(name, item_id)
-        write_image_like(scene.output(href), array, scene.path(like.href))
-        spectral = name != "rendered_height" and exported.model.bands
-        item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: exported.model.bands} if spectral else {})
+        write_sensor_maps(scene.output(href), maps, picture.rpc.to_tags())
+        spectral = name != "rendered_height" and bands
+        item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: bands} if spectral else {})
 
 
-def write_relit(exported: Exported, surface: SurfaceScene, sun_angles: tuple[float, float]) -> None:
+def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
     """The scene from above under another sun, on the ground grid: product ``relit``.
 
     Args:
         exported: what is exported.
-        surface: of the model.
         sun_angles: (azimuth, elevation) of the sun [degrees].
     """
-    scene, model = exported.scene, exported.model
-    grid = model.grid
+    scene, head, grid = exported.scene, exported.parts.head, exported.parts.grid
     sun = grid_sun(grid, *sun_angles)
-    if model.field == "surface":
-        light = light_towards(surface, grid.cell_size, model.shadow != "none", sun, (0.0, 0.0, 1.0)).numpy()
-    else:
-        light, _, _ = field_picture(model, _from_above(model, sun), None, scene.require_height_range())
     tags = {"SUN_AZIMUTH": f"{sun_angles[0]:g}", "SUN_ELEVATION": f"{sun_angles[1]:g}", "SOFTWARE": "sattools"}
-    array = exported.shown(light.transpose(2, 0, 1))
-    write_cog(scene.output(RELIT), array, grid, units="1", tags=tags)
+    with CogWriter(scene.output(RELIT), grid, bands=head.albedo.shape[-1], units="1", tags=tags) as out:
+        for part in exported.parts.parts():
+            if head.field == "surface":
+                light = light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()
+            else:
+                light, _, _ = field_picture(
+                    part.model, _from_above(part.model, sun), None, scene.require_height_range()
+                )
+            shown = light if part.valid is None else np.where(part.valid[..., None], light, np.nan)
+            rows, cols = part.own
+            own = shown[
+                rows.start - part.rows.start : rows.stop - part.rows.start,
+                cols.start - part.cols.start : cols.stop - part.cols.start,
+            ]
+            out.write(own.transpose(2, 0, 1), rows, cols)
     scene.products["relit"] = RELIT
 
 
@@ -238,4 +241,4 @@ def view_href(name: str, item_id: str) -> str:
     return f"export/{name}/{item_id}.tif"
 
 
-__all__ = ["RELIT", "light_towards", "render_item", "view_href", "write_relit", "write_view"]
+__all__ = ["RELIT", "Shown", "light_towards", "render_item", "view_href", "write_relit", "write_view"]

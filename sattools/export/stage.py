@@ -13,6 +13,7 @@ from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Block, Surroundings, blocks
 from sattools.export.context import Exported, shadow_suns
 from sattools.export.options import ExportOptions
+from sattools.export.parts import ModelInParts, Parts, WholeModel
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
 from sattools.export.products.names import hrefs as product_hrefs
@@ -36,6 +37,7 @@ from sattools.scene import Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.stored import new_map
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
 
 log = logging.getLogger(__name__)
@@ -64,7 +66,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     """
     check_libraries(options.wanted)
     stored = _open_model(scene, options)
-    at_once = _needs_surface(options, stored.head)
+    at_once = _needs_whole(options, stored.head)
+    views = bool(options.view or options.sun is not None)
     if at_once and stored.whole is None:
         stored = StoredModel.open(stored.path, in_memory=sys.maxsize)
     begin(scene, "export", _outputs(scene, options, stored.head), overwrite)
@@ -76,15 +79,21 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     pieces = blocks(stored.grid, at_once)
     counts = np.zeros(4, np.int64)
     last: Exported | None = None
+    shown = new_map(stored.grid.shape, np.uint8, scene.root)
     with SurfaceFiles(scene, stored, options.vertical, witnesses.known) as files:
         for k, block in enumerate(pieces):
             progress(0.1 + 0.5 * k / len(pieces), "DSM, albedo, shadows" + (f", block {k + 1}" if k else ""))
             exported, found = _write_block(scene, stored, block, (surface, witnesses, files), options.fill)
             counts += found
             last = exported if at_once else None
+            if views:
+                shown[block.rows, block.cols] = exported.valid
             del exported  # before the next one is read
+    part = subprogress(progress, 0.6, 0.7)
     if last is not None:
-        _views(last, options, subprogress(progress, 0.6, 0.7))
+        _views(scene, _reflectance(last, options, part), options, part)
+    elif views:
+        _views(scene, ModelInParts(stored, surface, shown), options, part)
     asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0, options.ground_width)
     about = replace(stored.head, grid=stored.grid)
     products = write_products(scene, about, asked, subprogress(progress, 0.7, 1.0))
@@ -145,14 +154,14 @@ def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[s
     return hrefs + product_hrefs(options.wanted)
 
 
-def _needs_surface(options: ExportOptions, model: FittedModel) -> bool:
-    return bool(model.brdf != "lambert" or options.view or options.sun is not None)
+def _needs_whole(options: ExportOptions, model: FittedModel) -> bool:
+    """Maps of reflectance are made of the whole, and networks know no parts."""
+    return model.brdf != "lambert" or (model.field != "surface" and bool(options.view or options.sun is not None))
 
 
-def _views(exported: Exported, options: ExportOptions, progress: Progress) -> None:
-    """Maps of a reflectance model, the images asked for, the scene under another sun."""
+def _reflectance(exported: Exported, options: ExportOptions, progress: Progress) -> WholeModel:
+    """The model as a whole, whose maps of reflectance have been written if it has some."""
     from sattools.export.material import material_maps, network_maps, write_material
-    from sattools.export.novel import write_relit, write_view
     from sattools.fit.materials.scene import ReflectiveScene
 
     try:
@@ -165,13 +174,21 @@ def _views(exported: Exported, options: ExportOptions, progress: Progress) -> No
         write_material(exported, material_maps(surface, exported.model.extra), options.undetermined == "prior")
     elif exported.model.brdf != "lambert":
         write_material(exported, network_maps(exported.model))
+    return WholeModel(exported.model, surface, exported.valid)
+
+
+def _views(scene: Scene, parts: Parts, options: ExportOptions, progress: Progress) -> None:
+    """The images asked for, the scene under another sun."""
+    from sattools.export.novel import Shown, write_relit, write_view
+
+    shown = Shown(scene, parts)
     for k, name in enumerate(options.view):
         progress((k + 1) / (len(options.view) + 2), f"rendering {name}")
-        write_view(exported, name, surface, None)
+        write_view(shown, name, None)
     if options.sun is not None:
-        write_relit(exported, surface, options.sun)
+        write_relit(shown, options.sun)
         for name in options.view:
-            write_view(exported, name, surface, options.sun)
+            write_view(shown, name, options.sun)
 
 
 __all__ = ["export"]

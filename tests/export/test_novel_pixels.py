@@ -5,7 +5,7 @@ import pytest
 from synthetic_views import ALT0, LAT0, LON0, parallel_rpc
 
 from sattools.camera.ground import from_geographic, utm_crs
-from sattools.export import novel
+from sattools.export import pictures
 from sattools.scene import Grid
 
 
@@ -15,7 +15,7 @@ def test_pixels_between_those_asked_lie_where_the_camera_sees_them(shape: tuple[
     crs = utm_crs(LON0, LAT0)
     east, north = (float(v) for v in from_geographic(crs, LON0, LAT0))
     grid = Grid(crs, east - 100, north + 100, 0.5, 400, 400)
-    at_col, at_row = novel._pixels_on(rpc, shape, grid, ALT0)
+    at_col, at_row = pictures.pixels_on(rpc, shape, grid, ALT0)
     assert at_col.shape == at_row.shape == shape[1:]
     row, col = np.mgrid[: shape[1], : shape[2]]
     lon, lat = rpc.localization(col.ravel().astype(float), row.ravel().astype(float), np.full(col.size, ALT0))

@@ -1,6 +1,7 @@
 """Maps, held-out views and relighting of a fitted reflectance model."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 from typing import Any
@@ -17,6 +18,7 @@ from sattools.export.context import Exported
 from sattools.export.material import material_maps, write_material
 from sattools.export.novel import render_item
 from sattools.export.options import ExportOptions
+from sattools.export.parts import WholeModel
 from sattools.export.stage import export
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
@@ -105,13 +107,15 @@ def test_a_view_shows_no_ground_that_the_images_do_not_reach(fitted: Any) -> Non
     model = FittedModel.load(fitted.path(fitted.products["model"]))
     reached = np.zeros(model.grid.shape, bool)
     reached[:, : model.grid.width // 2] = True
-    everything, _ = render_item(fitted, "HILL_005", model.surface(), model, None)
-    half, height = render_item(fitted, "HILL_005", model.surface(), model, None, reached)
+    whole = WholeModel(model, model.surface())
+    everything = np.stack(render_item(fitted, "HILL_005", whole, None).bands)
+    shown = render_item(fitted, "HILL_005", replace(whole, valid=reached), None)
+    half, height = np.stack(shown.bands), shown.height
     known, kept = np.isfinite(everything).all(0), np.isfinite(half).all(0)
     assert 0.4 < kept.sum() / known.sum() < 0.6  # the western half, but for the parallax of its border
     assert not (kept & ~known).any()
     np.testing.assert_array_equal(half[:, kept], everything[:, kept])
-    assert np.isnan(height[0][known & ~kept]).all()
+    assert np.isnan(height[known & ~kept]).all()
 
 
 def test_relighting_moves_the_shade_to_the_other_side(fitted: Any) -> None:
