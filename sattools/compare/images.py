@@ -7,14 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from sattools.compare.metrics import image_errors
-from sattools.errors import SceneError
+from sattools.compare.metrics import WINDOW_PX, ImageErrors, image_errors
+from sattools.errors import InputError, SceneError
 from sattools.radiometry.bands import BANDS_MEMBER, chosen_bands
+from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene.document import Item, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.pixels import image_part
-from sattools.scene.raster import read_image
+from sattools.scene.raster import image_shape, read_image
+from sattools.scene.stored import pieces
 
+AT_ONCE = 4_000_000  # pixels of images that are compared as a whole
 FIGURES = ("psnr", "ssim", "lpips", "avg", "avg_geometric")
 
 
@@ -30,12 +33,9 @@ def compare_views(scene: Scene, weights: Sequence[str] = ()) -> JsonObject:
     views: dict[str, dict[str, float | None]] = {}
     for item in scene.items:
         if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
-            shown = item.assets["rendered"]
-            rendered, radiance = read_image(scene.path(shown.href)), _radiance(scene, item)
-            fitted = chosen_bands(item, shown.extra.get(BANDS_MEMBER, []), len(radiance))
-            radiance = radiance[[number - 1 for number in fitted]]
+            figures = _figures(scene, item, weights)
             role = "test" if item.held_out else "train"
-            views[item.id] = {"role": role, **image_errors(rendered, radiance, weights=weights)}  # type: ignore[dict-item]
+            views[item.id] = {"role": role, **figures}  # type: ignore[dict-item]
     if not views:
         raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --view ID`")
     held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
@@ -47,12 +47,30 @@ def compare_views(scene: Scene, weights: Sequence[str] = ()) -> JsonObject:
     return {**means, "views": views}
 
 
-def _radiance(scene: Scene, item: Item) -> np.ndarray:
-    from sattools.radiometry.linear import item_bits, linear_radiance
+def _figures(scene: Scene, item: Item, weights: Sequence[str]) -> dict[str, float | None]:
+    """Figures of an item's rendered image; of a large one by rows, without LPIPS unless weights are given."""
+    shown = item.assets["rendered"]
+    path, own = scene.path(shown.href), image_part(scene, item, "radiance" if "radiance" in item.assets else "image")
+    height, width = own.shape
+    if image_shape(path) != own.shape:
+        found = " x ".join(map(str, image_shape(path)))
+        raise InputError(f"{path}: found {found} pixels, expected {height} x {width} as the image has")
+    bands = [number - 1 for number in chosen_bands(item, shown.extra.get(BANDS_MEMBER, []), own.bands)]
 
-    if "radiance" in item.assets:
-        return read_image(scene.path(item.assets["radiance"].href))
-    return linear_radiance(image_part(scene, item).read(), item_bits(item.properties))
+    def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        window = rows, slice(0, width)
+        radiance = own.read(window)
+        if "radiance" not in item.assets:
+            radiance = linear_radiance(radiance, item_bits(item.properties))
+        return read_image(path, window), radiance[bands]
+
+    if weights or height * width <= AT_ONCE:
+        return image_errors(*read(slice(0, height)), weights=weights)
+    errors = ImageErrors()
+    for rows in pieces(own.shape):
+        around = slice(max(0, rows.start - WINDOW_PX), min(height, rows.stop + WINDOW_PX))
+        errors.add(*read(around), slice(rows.start - around.start, rows.stop - around.start))
+    return errors.figures()
 
 
 __all__ = ["FIGURES", "compare_views"]

@@ -19,6 +19,7 @@ def nmad(difference: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(difference - np.median(difference))))
 
 
+WINDOW_PX = 5  # on either side of a pixel that structural similarity looks at
 MAP_FIGURES = ("rmse", "nrmse", "correlation", "nrmse_constant", "nrmse_scaled", "scale", "n")  # of `map_errors`
 
 
@@ -119,6 +120,18 @@ def ssim(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = No
         valid: ``[H, W]`` bool, pixels that count; None = all.
         peak: largest value.
     """
+    similarity = similarity_map(image, reference, peak)
+    return float(similarity.mean() if valid is None else similarity[:, valid].mean())
+
+
+def similarity_map(image: np.ndarray, reference: np.ndarray, peak: float = 1.0) -> np.ndarray:
+    """Structural similarity ``[B, H, W]`` of every pixel, see `ssim`; `WINDOW_PX` around it count.
+
+    Args:
+        image: ``[B, H, W]`` in [0, peak].
+        reference: ``[B, H, W]`` in [0, peak].
+        peak: largest value.
+    """
     from scipy.ndimage import gaussian_filter
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -131,8 +144,7 @@ def ssim(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = No
     covariance = mean(a * b) - mean_a * mean_b
     c1, c2 = (0.01 * peak) ** 2, (0.03 * peak) ** 2
     likeness = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
-    similarity = likeness / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2))
-    return float(similarity.mean() if valid is None else similarity[:, valid].mean())
+    return np.asarray(likeness / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2)))
 
 
 def image_average(psnr_db: float, ssim_value: float, lpips_value: float | None) -> float | None:
@@ -191,11 +203,52 @@ def image_errors(
         raise InputError("image: found no valid pixel, expected at least one")
     image, reference = np.where(ok, image, 0.0), np.where(ok, reference, 0.0)
     p, s = psnr(image, reference, ok, peak), ssim(image, reference, ok, peak)
-    perceptual = lpips(image, reference, peak, weights)
+    return image_figures(p, s, lpips(image, reference, peak, weights))
+
+
+def image_figures(psnr_db: float, ssim_value: float, perceptual: float | None) -> dict[str, float | None]:
+    """What `image_errors` gives, of its terms.
+
+    Args:
+        psnr_db: see `psnr` [dB].
+        ssim_value: see `ssim`.
+        perceptual: see `lpips`.
+    """
     return {
-        "psnr": p,
-        "ssim": s,
+        "psnr": psnr_db,
+        "ssim": ssim_value,
         "lpips": perceptual,
-        "avg": image_average(p, s, perceptual),
-        "avg_geometric": image_geometric_average(p, s, perceptual),
+        "avg": image_average(psnr_db, ssim_value, perceptual),
+        "avg_geometric": image_geometric_average(psnr_db, ssim_value, perceptual),
     }
+
+
+class ImageErrors:
+    """`image_errors` without LPIPS, of images that are shown in strips of rows; values are in [0, 1]."""
+
+    def __init__(self) -> None:
+        self._pixels, self._square, self._similarity, self._bands = 0, 0.0, 0.0, 1
+
+    def add(self, image: np.ndarray, reference: np.ndarray, own: slice) -> None:
+        """Count some rows.
+
+        Args:
+            image: ``[B, h, W]`` of these rows and `WINDOW_PX` more on either side, where there are so many.
+            reference: ``[B, h, W]`` likewise.
+            own: the rows that are meant.
+        """
+        ok = np.isfinite(image).all(axis=0) & np.isfinite(reference).all(axis=0)
+        image, reference = np.where(ok, image, 0.0), np.where(ok, reference, 0.0)
+        counted = ok[own]
+        self._bands = len(image)
+        self._pixels += int(counted.sum())
+        self._square += float(((image[:, own].astype(np.float64) - reference[:, own]) ** 2)[:, counted].sum())
+        self._similarity += float(similarity_map(image, reference)[:, own][:, counted].sum())
+
+    def figures(self) -> dict[str, float | None]:
+        """See `image_errors`."""
+        if not self._pixels:
+            raise InputError("image: found no valid pixel, expected at least one")
+        mse = self._square / (self._bands * self._pixels)
+        decibel = -10 * math.log10(mse) if mse > 0 else math.inf
+        return image_figures(decibel, self._similarity / (self._bands * self._pixels), None)

@@ -15,6 +15,7 @@ from sattools.compare import CompareOptions, compare_dsm, compare_file, map_erro
 from sattools.compare import maps as map_module
 from sattools.compare.holes import fill_holes
 from sattools.compare.maps import compare_map
+from sattools.compare.metrics import WINDOW_PX, ImageErrors, image_errors
 from sattools.compare.tally import Median
 from sattools.scene import Grid, stored
 from sattools.scene.raster import write_cog
@@ -167,3 +168,19 @@ def test_a_map_without_any_value_claims_nothing(tmp_path: Path) -> None:
     figures, _ = compare_map("c", tmp_path / "own.tif", tmp_path / "reference.tif", (0.0, 0.0))
     assert figures["n"] == 0
     assert figures["rmse"] is None
+
+
+def test_images_in_strips_have_the_figures_of_the_whole() -> None:
+    rng = np.random.default_rng(6)
+    reference = rng.uniform(0, 1, (3, 97, 61)).astype(np.float32)
+    image = (reference + rng.normal(0, 0.1, reference.shape)).astype(np.float32)
+    image[:, 20:30, 5:15] = np.nan
+    expected = image_errors(image, reference)
+    for strip in (97, 40, 3):
+        errors = ImageErrors()
+        for first in range(0, 97, strip):
+            last = min(first + strip, 97)
+            around = slice(max(0, first - WINDOW_PX), min(97, last + WINDOW_PX))
+            errors.add(image[:, around], reference[:, around], slice(first - around.start, last - around.start))
+        assert errors.figures()["psnr"] == pytest.approx(expected["psnr"], rel=1e-9)
+        assert errors.figures()["ssim"] == pytest.approx(expected["ssim"], rel=1e-9)
