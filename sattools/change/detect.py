@@ -1,13 +1,19 @@
-"""Regions of changed height between two surfaces, with volumes and significance: pure functions on arrays."""
+"""Regions of changed height between two surfaces, with volumes and significance.
+
+Functions of maps that are read by rows (`sattools.scene.stored`), arrays among them; no I/O.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from sattools.change.joined import Joined, Sums, sums_of
 from sattools.change.options import ChangeOptions
+from sattools.compare.tally import ROUNDS, Tally
+from sattools.scene.stored import map_like, pieces
 
 LEAST_SIGMA_M = 0.05
 GAP_M2 = 50.0  # gaps between walls in which matching fails are not larger
@@ -34,24 +40,13 @@ class HeightChange:
     @property
     def area_m2(self) -> float:
         """Area where both surfaces are known."""
-        return float(np.isfinite(self.difference).sum()) * self.cell_size**2
+        known = sum(int(np.isfinite(self.difference[rows]).sum()) for rows in pieces(self.shape))
+        return float(known) * self.cell_size**2
 
-
-@dataclass(frozen=True)
-class Sums:
-    """Change of some cells.
-
-    Attributes:
-        area_m2: their area.
-        mean_m, std_m: mean change, and the standard deviation of that mean.
-        volume_m3, volume_std_m3: sum of the change over the area.
-    """
-
-    area_m2: float
-    mean_m: float
-    std_m: float
-    volume_m3: float
-    volume_std_m3: float
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.difference.shape[0], self.difference.shape[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,10 +56,12 @@ class Region(Sums):
     Attributes:
         label: its number in the map of regions.
         p_value: probability of such a region somewhere in the area if nothing has changed.
+        box: rows and columns (first, last + 1) that it lies in.
     """
 
     label: int
     p_value: float
+    box: tuple[int, int, int, int] = (0, 0, 0, 0)
 
 
 def cell_sigma(difference: np.ndarray, std: np.ndarray | None) -> np.ndarray:
@@ -80,11 +77,28 @@ def cell_sigma(difference: np.ndarray, std: np.ndarray | None) -> np.ndarray:
     Returns:
         ``[H, W]`` [m].
     """
-    known = difference[np.isfinite(difference)]
-    scatter = 1.4826 * float(np.median(np.abs(known - np.median(known)))) if known.size else math.nan
-    scatter = max(scatter, LEAST_SIGMA_M)
-    own = np.zeros_like(difference) if std is None else np.nan_to_num(std)
-    return np.hypot(own, scatter)
+    shape = (difference.shape[0], difference.shape[1])
+    scatter = max(scatter_of(difference), LEAST_SIGMA_M)
+    sigma = map_like(difference, shape, np.float32)
+    for rows in pieces(shape):
+        own = np.zeros_like(difference[rows]) if std is None else np.nan_to_num(std[rows])
+        sigma[rows] = np.hypot(own, scatter)
+    return sigma
+
+
+def scatter_of(difference: np.ndarray) -> float:
+    """1.4826 times the median absolute deviation from the median of what is known of a map [m]; NaN of nothing.
+
+    Args:
+        difference: ``[H, W]`` [m]; NaN = unknown.
+    """
+    tally = Tally()
+    for round_ in range(ROUNDS):
+        for rows in pieces((difference.shape[0], difference.shape[1])):
+            part = np.asarray(difference[rows], np.float32)
+            tally.add(round_, part[np.isfinite(part)])
+    found = tally.figures()["nmad"]
+    return math.nan if found is None else float(found)
 
 
 def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndarray, list[Region]]:
@@ -103,62 +117,109 @@ def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndar
     Returns:
         ``[H, W]`` int32 labels, 0 = no region, and the regions.
     """
-    from scipy.ndimage import binary_opening, label
-
-    change = np.nan_to_num(heights.difference)
-    labels = np.zeros(change.shape, np.int32)
-    regions: list[Region] = []
+    labels = map_like(heights.difference, heights.shape, np.int32)
+    found = Joined()
     for sign in (1, -1):
-        cells = (sign * change > options.min_height) & (sign * change > 2 * heights.sigma)
-        opened = binary_opening(cells, _disk(options.rim / heights.cell_size))
-        numbered, count = label(opened, np.ones((3, 3), bool))
-        for number in range(1, count + 1):
-            where = numbered == number
-            region = region_of(where, heights, options, len(regions) + 1)
-            if region is not None:
-                labels[where] = region.label
-                regions.append(region)
+        _label(heights, options, sign, labels, found)
+    known = heights.area_m2
+    regions: list[Region] = []
+    sure = _confidence(heights, options, labels, found)
+    for number in found.regions():
+        region = _region(
+            found.sums(number, heights.cell_size, heights.correlation),
+            heights,
+            options,
+            (len(regions) + 1, sure.get(number), known),
+        )
+        if region is not None:
+            regions.append(replace(region, box=found.box(number)))
+            found.name(number, region.label)
+    names = found.names()
+    for rows in pieces(heights.shape):
+        labels[rows] = names[labels[rows]]
     return labels, sorted(regions, key=lambda r: -abs(r.volume_m3))
 
 
-def region_of(where: np.ndarray, heights: HeightChange, options: ChangeOptions, label: int) -> Region | None:
+def _label(heights: HeightChange, options: ChangeOptions, sign: int, labels: np.ndarray, found: Joined) -> None:
+    """Number the connected cells that have risen (1) or sunk (-1), strip by strip."""
+    from scipy.ndimage import binary_opening, find_objects, label
+
+    disk = _disk(options.rim / heights.cell_size)
+    halo = len(disk)  # what an opening looks at is no wider
+    above = np.zeros(heights.shape[1], np.int32)
+    for rows in pieces(heights.shape):
+        first, last = max(0, rows.start - halo), min(heights.shape[0], rows.stop + halo)
+        own = slice(rows.start - first, rows.stop - first)
+        change = sign * np.nan_to_num(heights.difference[first:last])
+        opened = binary_opening((change > options.min_height) & (change > 2 * heights.sigma[first:last]), disk)[own]
+        numbered, count = label(opened, np.ones((3, 3), bool))
+        numbered = np.where(opened, numbered + found.count, 0).astype(np.int32)
+        difference, sigma = heights.difference[rows], heights.sigma[rows]
+        found.add(numbered, count, difference, sigma)
+        for number, box in enumerate(find_objects(numbered - np.where(opened, found.count - count, 0)), start=1):
+            if box is not None:
+                found.stretch(found.count - count + number, rows.start, box)
+        found.join(above, numbered[0])
+        above = numbered[-1]
+        labels[rows] = np.where(opened, numbered, labels[rows])
+
+
+def _confidence(heights: HeightChange, options: ChangeOptions, labels: np.ndarray, found: Joined) -> dict[int, float]:
+    """Median confidence of every region that is large and changed enough, by its number; empty if it is not known."""
+    if heights.confidence is None:
+        return {}
+    wanted = {
+        n for n in found.regions() if _large_enough(found.sums(n, heights.cell_size, heights.correlation), options)
+    }
+    root = found.roots()
+    values: dict[int, list[np.ndarray]] = {number: [] for number in wanted}
+    for rows in pieces(heights.shape):
+        numbers, known = root[labels[rows]], np.nan_to_num(heights.confidence[rows])
+        for number in wanted & set(np.unique(numbers).tolist()):
+            values[number].append(known[numbers == number])
+    return {number: float(np.median(np.concatenate(parts))) for number, parts in values.items()}
+
+
+def _large_enough(found: Sums, options: ChangeOptions) -> bool:
+    return found.area_m2 >= options.min_area and abs(found.mean_m) >= options.min_height
+
+
+def _region(
+    found: Sums, heights: HeightChange, options: ChangeOptions, about: tuple[int, float | None, float]
+) -> Region | None:
     """The region of some cells, or None where it is too small, not significant or not sure.
 
-    Args:
-        where: ``[H, W]`` bool.
-        heights: the change.
-        options: see `ChangeOptions`.
-        label: its number.
+    ``about``: its label, its median confidence, the area where both surfaces are known [m2].
     """
-    found = sums(where, heights)
-    if found.area_m2 < options.min_area or abs(found.mean_m) < options.min_height:
+    label, sure, known = about
+    if not _large_enough(found, options):
         return None
-    if heights.confidence is not None:
-        sure = float(np.median(np.nan_to_num(heights.confidence[where])))
-        # places where matching failed are small: the larger a region is, the less its confidence has to say
-        if sure < options.min_confidence * min(1.0, GAP_M2 / found.area_m2):
-            return None
-    places = max(1.0, heights.area_m2 / found.area_m2)
+    # places where matching failed are small: the larger a region is, the less its confidence has to say
+    if sure is not None and sure < options.min_confidence * min(1.0, GAP_M2 / found.area_m2):
+        return None
+    places = max(1.0, known / found.area_m2)
     p_value = min(1.0, math.erfc(abs(found.mean_m) / found.std_m / math.sqrt(2)) * places)
     return None if p_value > 1 - options.confidence else Region(label=label, p_value=p_value, **asdict(found))
 
 
-def sums(where: np.ndarray, heights: HeightChange) -> Sums:
+def sums(where: np.ndarray, heights: HeightChange, part: tuple[slice, slice] = (slice(None), slice(None))) -> Sums:
     """Area, mean change and volume of some cells.
 
     Args:
-        where: ``[H, W]`` bool; cells without a height do not count.
+        where: ``[h, w]`` bool; cells without a height do not count.
         heights: the change.
+        part: rows and columns that ``where`` is about.
     """
-    where = where & np.isfinite(heights.difference)
-    count = int(where.sum())
-    if not count:
-        return Sums(0.0, math.nan, math.nan, 0.0, 0.0)
-    area = count * heights.cell_size**2
-    independent = max(1.0, area / max(heights.correlation, heights.cell_size) ** 2)
-    mean = float(heights.difference[where].mean(dtype=np.float64))
-    std = float(np.sqrt((heights.sigma[where].astype(np.float64) ** 2).mean() / independent))
-    return Sums(area, mean, std, mean * area, std * area)
+    difference = heights.difference[part[0], part[1]]
+    where = where & np.isfinite(difference)
+    square = heights.sigma[part[0], part[1]][where].astype(np.float64) ** 2
+    return sums_of(
+        int(where.sum()),
+        float(difference[where].sum(dtype=np.float64)),
+        float(square.sum()),
+        heights.cell_size,
+        heights.correlation,
+    )
 
 
 def _disk(radius: float) -> np.ndarray:
@@ -167,4 +228,4 @@ def _disk(radius: float) -> np.ndarray:
     return np.asarray(np.hypot(rows, cols) <= max(radius, 0.5))
 
 
-__all__ = ["HeightChange", "Region", "Sums", "cell_sigma", "find_regions", "region_of", "sums"]
+__all__ = ["HeightChange", "Region", "Sums", "cell_sigma", "find_regions", "scatter_of", "sums"]

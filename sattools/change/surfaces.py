@@ -1,0 +1,95 @@
+"""Surfaces of two dates, read where they are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sattools.compare.truth import known_heights
+from sattools.errors import InputError
+from sattools.scene import Grid, Scene
+from sattools.scene.dependencies import check_current
+from sattools.scene.location import location
+from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
+from sattools.scene.regrid import reproject_map
+from sattools.scene.validity import MEASURED
+
+LAYERS = {"height": "dsm", "std": "dsm_std", "albedo": "albedo", "confidence": "prior_confidence"}  # -> product
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One date.
+
+    Attributes:
+        name: of the scene or file.
+        layers: files by name: ``height`` [m], ``std`` [m], ``albedo``, ``confidence`` of the matching, 0 to 1.
+        validity: file that says where the height was measured; None = everywhere.
+        grid: of the height.
+        files: that are read.
+    """
+
+    name: str
+    layers: Mapping[str, Path]
+    validity: Path | None
+    grid: Grid
+    files: tuple[Path, ...]
+
+    def bands(self, layer: str) -> int:
+        """Number of a layer's bands; 0 where there is no such layer."""
+        return raster_bands(self.layers[layer]) if layer in self.layers else 0
+
+    def on(self, layer: str, where: Grid) -> np.ndarray:
+        """A layer ``[B, h, w]`` float32, in its unit, on a grid; NaN where nothing was measured.
+
+        Args:
+            layer: one that is there.
+            where: grid in any CRS.
+
+        Raises:
+            InputError: a file that cannot be read.
+        """
+        found = read_around(self.layers[layer], where)
+        if found is None:
+            return np.full((self.bands(layer), *where.shape), np.nan, np.float32)
+        array, grid = found
+        if layer == "height":
+            array = known_heights(array[:1])
+            if self.validity is not None:
+                array = np.where(read_raster(self.validity, grid)[0][:1] == MEASURED, array, np.float32(np.nan))
+        return reproject_map(array.astype(np.float32), grid, where)
+
+    @property
+    def height(self) -> np.ndarray:
+        """``[H, W]`` [m], all of it; NaN where nothing was measured."""
+        return self.on("height", self.grid)[0]
+
+
+def read_surface(source: str) -> Surface:
+    """The exported surface of a scene document, or a raster of heights [m].
+
+    Raises:
+        InputError: neither can be read, or maps are on different grids.
+        SceneError: a scene without an exported DSM, or whose DSM is older than its fit.
+    """
+    path = location(source)
+    if path.suffix.lower() != ".json":
+        return Surface(path.stem, {"height": path}, None, raster_grid(path), (path,))
+    scene = Scene.from_file(path)
+    if "dsm" not in scene.products:
+        raise InputError(f"{path}: found no product 'dsm', expected a scene after `sattools export`")
+    check_current(scene, "export")
+    layers = {name: scene.path(scene.products[own]) for name, own in LAYERS.items() if own in scene.products}
+    validity = scene.path(scene.products["validity"]) if "validity" in scene.products else None
+    grid = raster_grid(layers["height"])
+    for file in (layers.get("std"), layers.get("albedo"), validity):
+        if file is not None and raster_grid(file) != grid:
+            raise InputError(f"{file}: found another grid than the DSM's, expected one export")
+    used = [*layers.values(), *([] if validity is None else [validity])]
+    return Surface(scene.id, layers, validity, grid, (path, *used))
+
+
+__all__ = ["Surface", "read_surface"]
