@@ -41,6 +41,7 @@ from sattools.scene.stored import new_map
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
 
 log = logging.getLogger(__name__)
+EMPTY = "no two images show any of the surface, so every map is empty (0 from an image's edge inwards is no pixel)"
 
 
 def export(scene: Scene, options: ExportOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
@@ -104,7 +105,14 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         kinds["outside"] = UNWANTED
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
-    return {"vertical_datum": files.datum, "validity": fractions, "products": products, MADE: record(scene, "export")}
+    notes = []
+    if witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill:
+        notes.append(EMPTY)
+        log.warning("scene %s: %s", scene.id, notes[0])
+    return {
+        "vertical_datum": files.datum, "validity": fractions, "products": products, "notes": notes,
+        MADE: record(scene, "export"),
+    }  # fmt: skip
 
 
 def _write_block(

@@ -94,6 +94,21 @@ def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted: Any
             assert np.array_equal(mask[0] == 255, unseen)
 
 
+def test_images_of_nothing_but_zeros_leave_empty_maps_and_that_is_said(
+    fitted: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    for item in fitted.items:
+        blank(fitted, item, slice(None))
+    fit(fitted, QUICK)
+    made = export(fitted, ExportOptions())
+    assert made["validity"]["unseen"] == 1.0
+    assert made["notes"] == [
+        "no two images show any of the surface, so every map is empty (0 from an image's edge inwards is no pixel)"
+    ]
+    assert "every map is empty" in caplog.text
+    assert np.isnan(read_raster(fitted.path(fitted.products["dsm"]))[0]).all()
+
+
 def test_fill_gives_the_heights_back_and_the_mark_stays(fitted: Any) -> None:
     east_half_in(fitted, 1)
     fit(fitted, QUICK)
