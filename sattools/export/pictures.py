@@ -17,6 +17,7 @@ from sattools.views import View, check_seen
 _STRIDE = 16  # pixels
 _FEW_CELLS = 10  # that tell no colours
 _SPARE_PIXELS = 2
+_TOLERANCE = 1e-3  # of a cell, so that no pixel between two parts is rounded out of both
 Window = tuple[slice, slice]
 
 
@@ -51,8 +52,11 @@ class Picture:
         west, south, east, north = whole.part(*part.own).bounds
         x, y = (a.ravel() for a in np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5)))
         col, row = project(self.rpc, whole.crs, x, y, np.full(x.size, z_ref))
-        if not (np.isfinite(col).all() and np.isfinite(row).all()):
+        known = np.isfinite(col) & np.isfinite(row)
+        if not known.any():
             return None
+        if not known.all():  # where the camera's model ends nobody knows how far the part goes on in the image
+            return slice(0, self.shape[0]), slice(0, self.shape[1])
         rows, cols = (
             slice(max(0, int(at.min()) - _SPARE_PIXELS), min(count, int(at.max()) + 1 + _SPARE_PIXELS))
             for at, count in zip((row, col), self.shape, strict=True)
@@ -76,7 +80,8 @@ class Picture:
         at_col, at_row = pixels_on(self.rpc.cropped(cols.start, rows.start), shape, part.model.grid, z_ref)
         own = np.ones(shape, bool)
         for at, inner, outer in ((at_row, part.own[0], part.rows), (at_col, part.own[1], part.cols)):
-            own &= (at >= inner.start - outer.start - 0.5) & (at < inner.stop - outer.start - 0.5)
+            first, last = inner.start - outer.start - 0.5, inner.stop - outer.start - 0.5
+            own &= (at >= first - _TOLERANCE) & (at < last + _TOLERANCE)
         for map_, values in zip((*self.bands, self.height), (*np.moveaxis(radiance, -1, 0), height), strict=True):
             shown = cv2.remap(
                 np.ascontiguousarray(values, np.float32), at_col, at_row, cv2.INTER_LINEAR,
