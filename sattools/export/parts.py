@@ -11,12 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.export.blocks import Block, Surroundings, blocks
+from sattools.export.blocks import Block, Surroundings
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StoredModel
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.render import sun_visibility
 from sattools.scene import Grid
+from sattools.scene.stored import cut
 
 EDGE = 512  # cells of a part's own
 _SPARE_CELLS = 4
@@ -120,14 +121,14 @@ class ModelInParts:
     def parts(self, reach: float = 0.0) -> Iterator[Part]:
         """See `Parts`."""
         spare = _SPARE_CELLS + math.ceil(reach / self.grid.cell_size)
-        for block in blocks(self.grid, edge=EDGE):
+        for own in cut(self.grid.shape, EDGE):
             rows, cols = (
                 slice(max(0, part.start - spare), min(count, part.stop + spare))
-                for part, count in zip((block.rows, block.cols), self.grid.shape, strict=True)
+                for part, count in zip(own, self.grid.shape, strict=True)
             )
             model = self.stored.part(rows, cols)
             valid = self.valid[rows, cols] > 0
-            yield Part(rows, cols, (block.rows, block.cols), model, model.surface(), valid, self.around)
+            yield Part(rows, cols, own, model, model.surface(), valid, self.around)
 
 
 __all__ = ["ModelInParts", "Part", "Parts", "WholeModel"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sattools.errors import SceneError
-from sattools.export import blocks, parts
+from sattools.export import parts
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.options import FitOptions
@@ -27,7 +27,7 @@ def fitted(make_town: Any) -> Any:
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of 24 cells, and maps of 20 kB that go to files."""
-    monkeypatch.setattr(blocks, "AT_ONCE", 100)
+    monkeypatch.setattr(stored, "AT_ONCE", 100)
     monkeypatch.setattr(parts, "EDGE", 24)
     monkeypatch.setattr(stored, "HELD", 20_000)
 
