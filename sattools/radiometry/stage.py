@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,14 +20,17 @@ from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.pixels import image_part
-from sattools.scene.raster import write_image_like, write_sensor_image
+from sattools.scene.opening import opened
+from sattools.scene.pixels import ImagePart, image_part
+from sattools.scene.sensor_files import write_sensor_rows
+from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
 FIGURE = "normalise/histogram.png"
 RGB_OF_EIGHT = [5, 3, 2]
 EIGHT_BAND_PLATFORMS = ("WorldView-2", "WorldView-3", None)  # None: eight bands are WorldView's unless somebody says so
 SAMPLE = 20000  # pixels per image and band in the histogram
+TOLD = 4_000_000  # pixels that tell an image's middle and spread for --match
 LABELS = {
     "toa_reflectance": "reflectance at the top of the atmosphere, pi L / (E cos sun zenith)",
     "reflectance_factor": "reflectance factor, pi L / E",
@@ -95,56 +99,101 @@ def normalise(
     return {"notes": notes, "quantity": job.quantity, "images": shares, MADE: made}
 
 
+class _Strips:
+    """An image's rows as they come out, and what is counted of them on the way."""
+
+    def __init__(self, job: _Job, item: Item, part: ImagePart) -> None:
+        self.job, self.item, self.part = job, item, part
+        self.chosen = _bands(job.scene, item, part.bands, job.options)
+        self.saturation = _saturation(job, item)
+        self.tone_mapped = job.bits[item.id] <= 8 and job.scales[item.id].reflectance is None
+        self._matched: tuple[np.ndarray, np.ndarray] | None = None
+        height, width = part.shape
+        self._places = np.divmod(job.rng.integers(height * width, size=min(SAMPLE, height * width)), width)
+        self.numbers, self.radiance = (np.full((len(self.chosen), len(self._places[0])), np.nan) for _ in range(2))
+        self.counts = dict.fromkeys(("pixels", "no_data", "saturated", "known", "below_0", "above_1"), 0)
+
+    def _values(self, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Digital numbers and radiance ``[C, h, W]``, and where there are no data or too much light ``[h, W]``."""
+        options, scale = self.job.options, self.job.scales[self.item.id]
+        bands = self.part.read((rows, slice(0, self.part.shape[1])))[[b - 1 for b in self.chosen]]
+        empty, full = invalid_numbers(bands, self.saturation)
+        values = np.where(empty | full if options.saturated == "mask" else empty, np.nan, bands)
+        if self.job.quantity != "relative":
+            return bands, scale.apply(values - options.black, self.chosen, self.job.quantity), empty, full
+        radiance = linear_radiance(values, self.job.bits[self.item.id], options.black)
+        if self.tone_mapped and options.gamma is not None:
+            radiance = undo_gamma(radiance, options.gamma)
+        return bands, radiance, empty, full
+
+    def match(self) -> None:
+        """Bring the image to the first one's middle and spread, which pixels at even distances tell."""
+        height, width = self.part.shape
+        step = math.ceil(math.sqrt(height * width / TOLD))
+        some = [
+            self._values(rows)[1][:, -rows.start % step :: step, ::step].reshape(len(self.chosen), -1)
+            for rows in pieces((height, width * len(self.chosen)))
+        ]
+        low, middle, high = np.nanpercentile(np.concatenate(some, axis=1), [16, 50, 84], axis=1)
+        level_and_spread = np.stack([middle, high - low])
+        if self.job.reference is None:
+            self.job.reference = level_and_spread
+        self._matched = gain_and_offset(level_and_spread, self.job.reference)
+
+    def rows(self, rows: slice) -> np.ndarray:
+        """Some rows ``[C, h, W]`` float32 radiance, which are counted."""
+        bands, radiance, empty, full = self._values(rows)
+        if self._matched is not None:
+            gain, offset = (part[:, None, None] for part in self._matched)
+            radiance = (radiance * gain + offset).astype(np.float32)
+        row, col = self._places
+        own = np.flatnonzero((row >= rows.start) & (row < rows.stop))
+        self.numbers[:, own] = bands[:, row[own] - rows.start, col[own]]
+        self.radiance[:, own] = radiance[:, row[own] - rows.start, col[own]]
+        known = np.isfinite(radiance)
+        counted = (empty.size, empty.sum(), full.sum(), known.sum(), (radiance < 0).sum(), (radiance > 1).sum())
+        for name, count in zip(self.counts, counted, strict=True):
+            self.counts[name] += int(count)
+        return radiance
+
+    def shares(self) -> dict[str, float]:
+        """Of the pixels without data, of saturated ones, and of what is known below 0 and above 1."""
+        pixels, known = self.counts["pixels"], max(self.counts["known"], 1)
+        shares = {name: self.counts[name] / pixels for name in ("no_data", "saturated")}
+        return shares | {name: self.counts[name] / known for name in ("below_0", "above_1")}
+
+
 def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, float]:
     options, bits = job.options, job.bits[item.id]
     part = image_part(job.scene, item)
-    path, everything = part.path, part.read()
-    chosen = _bands(job.scene, item, everything.shape[0], options)
-    bands = everything[[b - 1 for b in chosen]]
-    scale = job.scales[item.id]
-    saturation = _saturation(job, item)
-    empty, full = invalid_numbers(bands, saturation)
-    values = np.where(empty, np.nan, bands)
-    if options.saturated == "mask":
-        values = np.where(full, np.nan, values)
-    tone_mapped = bits <= 8 and scale.reflectance is None
-    if job.quantity == "relative":
-        radiance = linear_radiance(values, bits, options.black)
-        if tone_mapped and options.gamma is not None:
-            radiance = undo_gamma(radiance, options.gamma)
-    else:
-        radiance = scale.apply(values - options.black, chosen, job.quantity)
+    strips = _Strips(job, item, part)
     if options.match:
-        radiance = _match(job, radiance)
-    bands_of = eo_bands(item.properties.get("platform"), scale.names, chosen)
-    names = [str(band["name"]) for band in bands_of]
+        strips.match()
+    bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, strips.chosen)
     if part.referred:
-        camera = RPC.from_file(job.scene.path(item.assets["rpc"].href))
-        write_sensor_image(output, radiance, camera.to_tags(), nodata=float("nan"), descriptions=names)
+        rpc = RPC.from_file(job.scene.path(item.assets["rpc"].href)).to_tags()
     else:
-        write_image_like(output, radiance, path, names)
-    extra = {"eo:bands": bands_of}
-    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], extra)
+        with opened(part.path) as source:
+            rpc = source.tags(ns="RPC")
+    names = [str(band["name"]) for band in bands_of]
+    write_sensor_rows(output, part.shape, len(names), strips.rows, rpc, names)
+    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], {"eo:bands": bands_of})
     item.properties["sattools:radiance"] = "relative" if options.match else job.quantity
-    left = tone_mapped and options.gamma is None
+    left = strips.tone_mapped and options.gamma is None
     item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
-    if tone_mapped:
+    if strips.tone_mapped:
         what = "left as they are (give --gamma)" if left else f"linearised by the exponent {options.gamma:g}, a guess"
         notes.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
     elif options.gamma is not None:
         notes.append(f"{item.id}: --gamma is for 8-bit images, not applied")
-    job.numbers.append(_sample(job, bands))
-    job.radiance.append(_sample(job, radiance))
-    known = radiance[np.isfinite(radiance)]
-    shares = {
-        "no_data": float(empty.mean()),
-        "saturated": float(full.mean()),
-        "below_0": float((known < 0).mean()) if known.size else 0.0,
-        "above_1": float((known > 1).mean()) if known.size else 0.0,
-    }
-    if not known.size:
-        raise SceneError(f"{path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)")
-    notes += _doubts(job, item, shares, saturation)
+    job.numbers.append(list(strips.numbers))
+    job.radiance.append(list(strips.radiance))
+    if not strips.counts["known"]:
+        raise SceneError(
+            f"{part.path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)"
+        )
+    shares = strips.shares()
+    notes += _doubts(job, item, shares, strips.saturation)
     return {name: round(share, 6) for name, share in shares.items()}
 
 
@@ -178,22 +227,6 @@ def _check_black(job: _Job, item: Item) -> None:
         raise SceneError(
             f"--black: found {black:g}, expected less than {full:g}, white in the {bits} bits of {item.id}"
         )
-
-
-def _sample(job: _Job, bands: np.ndarray) -> list[np.ndarray]:
-    flat = bands.reshape(bands.shape[0], -1)
-    where = job.rng.integers(flat.shape[1], size=min(SAMPLE, flat.shape[1]))
-    return list(flat[:, where])
-
-
-def _match(job: _Job, radiance: np.ndarray) -> np.ndarray:
-    """The image brought to the first one's middle and spread."""
-    low, middle, high = np.nanpercentile(radiance, [16, 50, 84], axis=(1, 2))
-    level_and_spread = np.stack([middle, high - low])
-    if job.reference is None:
-        job.reference = level_and_spread
-    gain, offset = gain_and_offset(level_and_spread, job.reference)
-    return np.asarray((radiance * gain[:, None, None] + offset[:, None, None]).astype(np.float32))
 
 
 def _bits(items: list[Item], options: NormaliseOptions, notes: list[str]) -> dict[str, int]:

@@ -278,24 +278,6 @@ def block_means(blocks: np.ndarray) -> np.ndarray:
     return np.where(2 * count >= blocks.shape[2] * blocks.shape[4], total / np.maximum(count, 1), np.nan)
 
 
-def write_image_like(path: Path, array: np.ndarray, like: Path, descriptions: Sequence[str] | None = None) -> None:
-    """Write a float32 image ``[B, H, W]`` of pixels (NaN = no data) in the geometry of another one.
-
-    Args:
-        path: file to write.
-        array: ``[B, H, W]``.
-        like: image of the same size.
-        descriptions: of the bands.
-
-    Raises:
-        InputError: ``like`` cannot be read.
-        SattoolsError: the file cannot be written.
-    """
-    with opened(like) as source:
-        rpc = source.tags(ns="RPC")
-    write_sensor_image(path, array.astype(np.float32), rpc, nodata=float("nan"), descriptions=descriptions)
-
-
 def write_sensor_image(
     path: Path,
     array: np.ndarray,
@@ -380,6 +362,5 @@ __all__ = [
     "read_some_pixels",
     "sensor_profile",
     "write_cog",
-    "write_image_like",
     "write_sensor_image",
 ]
