@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from synthetic_views import parallel_rpc
 
 from sattools.errors import SattoolsError
 from sattools.radiometry.options import NormaliseOptions
@@ -43,17 +44,18 @@ def test_rows_are_asked_for_once_from_the_top_and_tags_stay(tmp_path: Path, monk
         asked.append(rows.start)
         return image[:, rows]
 
-    rpc = {"HEIGHT_OFF": "12.5"}
+    rpc = parallel_rpc((0.3, -0.2)).to_tags()
     write_sensor_rows(tmp_path / "image.tif", (300, 50), 2, rows_of, rpc, ["red", "nir"])
     assert asked == list(range(0, 300, 16))
     with rasterio.open(tmp_path / "image.tif") as data:
         np.testing.assert_array_equal(data.read(), image)
         assert data.descriptions == ("red", "nir")
-        assert data.tags(ns="RPC")["HEIGHT_OFF"] == "12.5"
+        assert data.tags(ns="RPC").keys() >= rpc.keys()
 
 
 def test_a_file_that_holds_other_pixels_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sensor_files.zlib, "crc32", lambda data, counter=iter(range(10)): next(counter))
+    numbers = iter(range(10))
+    monkeypatch.setattr(sensor_files.zlib, "crc32", lambda _: next(numbers))  # no two sums are alike
     with pytest.raises(SattoolsError, match="other pixels than were written"):
         write_sensor_rows(tmp_path / "image.tif", (8, 8), 1, lambda rows: np.zeros((1, 8, 8), np.float32), {})
     assert list(tmp_path.iterdir()) == []
