@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,8 +22,12 @@ from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import reproject_map
 
+log = logging.getLogger(__name__)
 STEPS = 20
 WORSE = 1.1  # times what whole cells leave: steps that end there have led away
+LEAST_WORSE_M = 0.1  # and at least so much worse: what is in place already is moved by its noise
+RELIEF_M = 1.0  # of a surface (NMAD), from which a reference can be told to have another one:
+FLAT, STEEP = 0.05, 0.5  # it varies less than that share of it, as a map of something else, or it that share of that
 STEPS_ICP = 60  # pairs of closest points change from step to step, so that it takes more
 MOST_PAIRS = 50_000  # of points and planes in a step
 MOST_POINTS = 1_000_000  # of closest points; larger areas are looked at with larger cells
@@ -123,9 +128,19 @@ def shift_to_dem(
     left = left[np.isfinite(left)]
     if len(left) < LEAST_CELLS:
         raise InputError(f"reference: found {len(left)} cells in common, expected {LEAST_CELLS} or more")
-    return replace(
-        shift, up=float(np.median(left)), before=nmad(first[np.isfinite(first)]), after=nmad(left), count=len(left)
-    )
+    before, after = nmad(first[np.isfinite(first)]), nmad(left)
+    if method != "z" and after > WORSE * before + LEAST_WORSE_M:
+        raise InputError(
+            f"reference: found that the surface fits it worse once it is moved (NMAD {after:.2f} m, {before:.2f} m "
+            "before), expected heights of the same ground in metres"
+        )
+    relief, own = (nmad(part[np.isfinite(part)]) for part in (onto, moved))
+    if own > RELIEF_M and not FLAT * own <= relief <= own / STEEP:
+        log.warning(
+            "the reference's heights vary by %.2f m and the surface's by %.2f m (NMAD): are they heights of the same "
+            "ground in metres?", relief, own,
+        )  # fmt: skip
+    return replace(shift, up=float(np.median(left)), before=before, after=after, count=len(left))
 
 
 def chosen(method: Method, grid: Grid, reference_grid: Grid) -> Method:

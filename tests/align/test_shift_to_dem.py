@@ -130,3 +130,27 @@ def test_other_ground_is_no_reference() -> None:
     one, other = (10 * gaussian_filter(rng.normal(size=GRID.shape), 4).astype(np.float32) for _ in range(2))
     with pytest.raises(InputError, match="no slopes like the surface's"):
         shift_to_dem(one, GRID, other, GRID)
+
+
+def test_a_move_that_makes_it_worse_is_refused() -> None:
+    height = surface(GRID) + np.random.default_rng(0).normal(0, 0.5, GRID.shape).astype(np.float32)
+    with pytest.raises(InputError, match=r"fits it worse once it is moved \(NMAD \d\.\d+ m, \d\.\d+ m before\)"):
+        shift_to_dem(height, GRID, 0.3 * surface(GRID), GRID)  # as a map that only resembles the ground
+
+
+@pytest.mark.parametrize(("factor", "told"), [(3.281, True), (1.0, False)])
+def test_heights_in_another_unit_are_doubted(factor: float, told: bool, caplog: pytest.LogCaptureFixture) -> None:
+    height = surface(GRID) + np.random.default_rng(0).normal(0, 0.5, GRID.shape).astype(np.float32)
+    shift_to_dem(height, GRID, np.float32(factor) * surface(GRID, SHIFT), GRID)
+    assert ("heights of the same ground in metres?" in caplog.text) == told
+
+
+def test_bare_ground_under_a_town_is_no_doubtful_reference(caplog: pytest.LogCaptureFixture) -> None:
+    rng = np.random.default_rng(2)
+    ground = surface(GRID, SHIFT)
+    height = surface(GRID) + rng.normal(0, 0.3, GRID.shape).astype(np.float32)
+    for row, col in rng.integers(0, 380, (60, 2)):
+        height[row : row + 15, col : col + 15] += rng.uniform(3, 15)
+    found = shift_to_dem(height, GRID, ground, GRID)
+    assert (found.east, found.north, found.up) == pytest.approx(SHIFT, abs=0.3)
+    assert not caplog.text
