@@ -142,16 +142,16 @@ def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndar
 
 def _label(heights: HeightChange, options: ChangeOptions, sign: int, labels: np.ndarray, found: Joined) -> None:
     """Number the connected cells that have risen (1) or sunk (-1), strip by strip."""
-    from scipy.ndimage import binary_opening, find_objects, label
+    from scipy.ndimage import find_objects, label
 
-    disk = _disk(options.rim / heights.cell_size)
-    halo = len(disk)  # what an opening looks at is no wider
+    radius = options.rim / heights.cell_size
+    halo = 2 * math.floor(radius) + 1  # what an opening looks at is no wider
     above = np.zeros(heights.shape[1], np.int32)
     for rows in pieces(heights.shape):
         first, last = max(0, rows.start - halo), min(heights.shape[0], rows.stop + halo)
         own = slice(rows.start - first, rows.stop - first)
         change = sign * np.nan_to_num(heights.difference[first:last])
-        opened = binary_opening((change > options.min_height) & (change > 2 * heights.sigma[first:last]), disk)[own]
+        opened = opening((change > options.min_height) & (change > 2 * heights.sigma[first:last]), radius)[own]
         numbered, count = label(opened, np.ones((3, 3), bool))
         numbered = np.where(opened, numbered + found.count, 0).astype(np.int32)
         difference, sigma = heights.difference[rows], heights.sigma[rows]
@@ -222,10 +222,20 @@ def sums(where: np.ndarray, heights: HeightChange, part: tuple[slice, slice] = (
     )
 
 
-def _disk(radius: float) -> np.ndarray:
-    reach = max(0, math.floor(radius))
-    rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return np.asarray(np.hypot(rows, cols) <= max(radius, 0.5))
+def opening(cells: np.ndarray, radius: float) -> np.ndarray:
+    """Cells ``[H, W]`` bool that disks of a radius [cells] cover which lie within the given ones.
+
+    By distances, which take the same time and memory for every radius; those of half a cell or less are cells.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    if radius < 1 or not cells.any():
+        return cells
+    # beyond the border there is nothing
+    kept = distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1] > radius
+    if not kept.any():
+        return kept
+    return np.asarray(distance_transform_edt(~kept) <= radius)
 
 
-__all__ = ["HeightChange", "Region", "Sums", "cell_sigma", "find_regions", "scatter_of", "sums"]
+__all__ = ["HeightChange", "Region", "Sums", "cell_sigma", "find_regions", "opening", "scatter_of", "sums"]

@@ -37,6 +37,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
     if options.fit and options.out is None:
         raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
+    if options.out is not None and options.predicted is None and not options.fit:
+        raise click.UsageError("found --out with a scene, whose results go into its own folder: expected it without")
     if options.predicted is not None:
         _compare_file(options, overwrite, dry_run, print_config)
         return

@@ -24,6 +24,7 @@ class PriorOptions:
         None,
         "Distance of the height planes [m] (default: two cells of the matching, more for nearly parallel views).",
         minimum=0.01,
+        maximum=1e3,
     )
     pairs: int = option(60, "Largest number of image pairs that are correlated, besides a few narrow ones.", minimum=1)
     min_angle: float = option(
@@ -76,6 +77,7 @@ class PriorOptions:
         "Radius by which the surface is eroded before its occlusions are computed [m]; half as much again with "
         "fewer than 30 pairs, at least a cell of the rough passes; 0 = not at all.",
         minimum=0,
+        maximum=50.0,
     )
     tolerance: float = option(
         2.0, "Depth below the visible surface from which a point is hidden [m]; at least two planes.", minimum=0

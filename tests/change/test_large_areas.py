@@ -1,6 +1,7 @@
 """Changes of areas that do not fit into memory are those that are found at once."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,10 @@ import geopandas
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_opening, gaussian_filter
 from shapely.geometry import box
 
-from sattools.change.detect import HeightChange, cell_sigma, find_regions
+from sattools.change.detect import HeightChange, cell_sigma, find_regions, opening
 from sattools.change.options import ChangeOptions
 from sattools.cli import main
 from sattools.scene import Grid, stored
@@ -98,3 +99,22 @@ def test_the_command_gives_the_same_table_and_maps_in_pieces(tmp_path: Path, req
     shapes = [geopandas.read_file(tmp_path / folder / "changes.gpkg") for folder in ("whole", "pieces")]
     assert shapes[0].geometry.geom_equals(shapes[1].geometry).all()
     assert shapes[0].area.sum() == pytest.approx(sum(region["area_m2"] for region in whole["regions"]), rel=0.01)
+
+
+@pytest.mark.parametrize("radius", [0.3, 1.0, 1.5, 2.0, 3.7])
+def test_an_opening_by_distances_is_that_by_a_disk(radius: float) -> None:
+    rng = np.random.default_rng(7)
+    cells = gaussian_filter(rng.normal(size=(80, 90)), 2.0) > -0.05
+    reach = math.floor(radius)
+    rows, cols = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disk = np.hypot(rows, cols) <= max(radius, 0.5)
+    np.testing.assert_array_equal(opening(cells, radius), binary_opening(cells, disk))
+
+
+def test_wide_rims_take_no_more_memory_than_narrow_ones() -> None:
+    cells = np.zeros((700, 700), bool)
+    cells[100:600, 100:600] = True
+    opened = opening(cells, 200.0)  # a disk of 400 cells
+    assert opened[350, 350]
+    assert not opened[100, 100]  # the square's corner
+    assert opened[350, 100]

@@ -70,3 +70,11 @@ def test_missing_reference_is_one_line_and_exit_code_1(scene: Any) -> None:
     assert result.stderr.count("\n") == 1
     assert "nowhere.tif: no such file" in result.stderr
     assert result.stdout == ""
+
+
+def test_a_folder_for_results_is_wrong_usage_where_the_scene_has_its_own(scene: Any, tmp_path: Path) -> None:
+    arguments = ["compare", str(scene.root / "scene.json"), "--out", str(tmp_path / "elsewhere")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "found --out with a scene" in result.output
+    assert not (tmp_path / "elsewhere").exists()
