@@ -29,6 +29,7 @@ from sattools.scene.dependencies import MADE, STAGES, check_current, drop, files
 from sattools.scene.files import check_outputs, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import location
+from sattools.scene.memory import give_back
 from sattools.scene.opening import opened
 from sattools.scene.raster import heights_above, raster_grid, raster_vertical, read_raster
 from sattools.scene.stored import cut
@@ -93,6 +94,7 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     progress(0.0, "registering")
     grid = scene.require_grid()
     shift, about = _shift(scene, reference, options)
+    give_back()  # what was held of both surfaces, before maps are written
     _check(shift, reference, options)
     progress(0.3, "moving")
     records = {stage: latest(scene, stage) for stage in STAGES}
@@ -103,6 +105,7 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     outputs = [move.href for move in moves.values()] + named
     check_outputs([scene.path(href) for href in outputs], [*files_of(scene), reference], overwrite)
     dropped += _move_model(scene, f"{folder}/model.safetensors", shift)
+    give_back()
     for (item_id, name), move in moves.items():
         _write_moved(scene, move, shift)
         if item_id is None:
