@@ -279,7 +279,9 @@ def _write_moved(scene: Scene, move: Move, shift: Shift) -> None:
     with CogWriter(scene.output(move.href), grid.moved(shift.east, shift.north), tags=tags, **about) as out:
         for rows, cols in cut(grid.shape):
             array, part = read_raster(move.source, grid.part(rows, cols), stored=True)
-            out.write((array + shift.rise(part)).astype(array.dtype) if move.heights else array, rows, cols)
+            if move.heights:
+                array = np.where(array == about["nodata"], array, array + shift.rise(part)).astype(array.dtype)
+            out.write(array, rows, cols)
 
 
 def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, JsonObject]:

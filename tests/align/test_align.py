@@ -168,6 +168,19 @@ def test_heights_above_a_geoid_stay_so_when_they_are_moved(tmp_path: Path) -> No
     assert (moved.crs, moved.left, moved.top) == ("EPSG:32617", 436003.0, 3354998.0)
 
 
+def test_a_number_for_no_data_is_not_raised_with_the_heights(tmp_path: Path) -> None:
+    scene = Scene("S", root=tmp_path)
+    heights = np.full((20, 30), 12.0, np.float32)
+    heights[:5] = -9999.0
+    write_cog(tmp_path / "dsm.tif", heights, Grid("EPSG:32617", 436000.0, 3355400.0, 1.0, 30, 20), nodata=-9999.0)
+    _write_moved(scene, Move(tmp_path / "dsm.tif", "align/1/dsm.tif", True), Shift(1.0, 2.0, 3.0, 0.0, 0.0, 1))
+    with rasterio.open(tmp_path / "align/1/dsm.tif") as data:
+        assert data.nodata == -9999.0
+        found = data.read(1)
+    assert (found[:5] == -9999.0).all()
+    assert (found[5:] == 15.0).all()
+
+
 def test_control_points_in_a_file(exported: Scene, tmp_path: Path) -> None:
     rows = ["name,x,y,z,item,column,row"]
     rows += [f"{p.name},{p.x},{p.y},{p.z},{p.item},{p.column},{p.row}" for p in control_points(exported)]
