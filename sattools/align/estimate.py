@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,12 +21,10 @@ from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import reproject_map
 
-log = logging.getLogger(__name__)
 STEPS = 20
 WORSE = 1.1  # times what whole cells leave: steps that end there have led away
 LEAST_WORSE_M = 0.1  # and at least so much worse: what is in place already is moved by its noise
-RELIEF_M = 1.0  # of a surface (NMAD), from which a reference can be told to have another one:
-FLAT, STEEP = 0.05, 0.5  # it varies less than that share of it, as a map of something else, or it that share of that
+RELIEF_M = 1.0  # of a surface (mean deviation), from which what is left can be told from its noise
 STEPS_ICP = 60  # pairs of closest points change from step to step, so that it takes more
 MOST_PAIRS = 50_000  # of points and planes in a step
 MOST_POINTS = 1_000_000  # of closest points; larger areas are looked at with larger cells
@@ -124,8 +121,9 @@ def shift_to_dem(
         else:
             shift = _by_slopes(height, grid, onto, target, shift)
     moved = (height + (shift.rise(grid) - shift.up)).astype(np.float32)
-    left = onto - _on(target, moved, grid.moved(shift.east, shift.north))
-    left = left[np.isfinite(left)]
+    here = _on(target, moved, grid.moved(shift.east, shift.north))
+    both = np.isfinite(onto - here)
+    left, here = (onto - here)[both], here[both]
     if len(left) < LEAST_CELLS:
         raise InputError(f"reference: found {len(left)} cells in common, expected {LEAST_CELLS} or more")
     before, after = nmad(first[np.isfinite(first)]), nmad(left)
@@ -134,13 +132,18 @@ def shift_to_dem(
             f"reference: found that the surface fits it worse once it is moved (NMAD {after:.2f} m, {before:.2f} m "
             "before), expected heights of the same ground in metres"
         )
-    relief, own = (nmad(part[np.isfinite(part)]) for part in (onto, moved))
-    if own > RELIEF_M and not FLAT * own <= relief <= own / STEEP:
-        log.warning(
-            "the reference's heights vary by %.2f m and the surface's by %.2f m (NMAD): are they heights of the same "
-            "ground in metres?", relief, own,
-        )  # fmt: skip
-    return replace(shift, up=float(np.median(left)), before=before, after=after, count=len(left))
+    return replace(
+        shift, up=float(np.median(left)), before=before, after=after, count=len(left), left=_share_left(left, here)
+    )
+
+
+def _share_left(left: np.ndarray, here: np.ndarray) -> float:
+    """What is left ``[N]`` as a share of how the surface ``[N]`` itself varies; 0 = it is too flat to tell.
+
+    Mean deviations, in which the buildings of a level town count; the median's would know its streets alone.
+    """
+    apart, own = (float(np.abs(values - np.median(values)).mean()) for values in (left, here))
+    return apart / own if own >= RELIEF_M else 0.0
 
 
 def chosen(method: Method, grid: Grid, reference_grid: Grid) -> Method:

@@ -23,6 +23,8 @@ class Shift:
         count: cells or coordinates that it rests on.
         tilt_east, tilt_north: rise of what is added to heights, along x and y [m/m].
         x, y: where the tilt adds nothing, before the move, in the ground's CRS [m].
+        left: mean deviation of what is left, as a share of the surface's own: near 1, or above, where the reference
+            has nothing in common with it; 0 = not known, as of control points and level ground.
     """
 
     east: float
@@ -35,6 +37,7 @@ class Shift:
     tilt_north: float = 0.0
     x: float = 0.0
     y: float = 0.0
+    left: float = 0.0
 
     @property
     def tilted(self) -> bool:

@@ -45,6 +45,7 @@ MADE_OF_MAPS = sorted(
     {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
 )
 TRANSFORM = "transform.json"
+UNLIKE = 0.65  # of the surface's relief is left; 0.02 to 0.2 on the same ground, 2.3 of feet, 1 of what is no heights
 MAX_TILT = 0.02  # beyond, normals would have to turn, and no satellite's camera is off like that [m/m]
 STEP_DEG = 1e-3  # of the derivative of places on the ground
 
@@ -181,7 +182,14 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
     except (InputError, SceneError) as wrong:
         said = str(wrong)
         raise InputError(said if said.startswith(f"{reference}:") else f"{reference}: {said}") from None
-    return shift, {"method": method, **({} if text is None else {"notes": [text]})}
+    notes = [] if text is None else [text]
+    if shift.left > UNLIKE:
+        notes.append(
+            f"{reference}: what is left between it and the surface varies {shift.left:.1f} times as much as the "
+            "surface itself: are they heights of the same ground in metres?"
+        )
+        log.warning("%s: %s", scene.id, notes[-1])
+    return shift, {"method": method, **({"notes": notes} if notes else {})}
 
 
 def _product(scene: Scene, name: str) -> Path | None:

@@ -259,6 +259,23 @@ def test_references_elsewhere_and_of_another_datum_are_told(exported: Scene, tmp
     assert "heights are above different things" in result.stderr
 
 
+@pytest.mark.parametrize(("left", "doubted"), [(2.28, True), (0.2, False)])
+def test_a_reference_that_has_little_in_common_with_the_surface_is_doubted(
+    exported: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: float, doubted: bool
+) -> None:
+    reference = reference_of(exported, tmp_path / "feet.tif")
+    found = Shift(1.0, 0.0, 5.0, 21.3, 21.1, 900, left=left)
+    monkeypatch.setattr("sattools.align.stage.shift_to_raster", lambda *_: (found, "icp"))
+    result = run("align", "--to", reference, exported.output("scene.json"))
+    doubt = (
+        f"{reference}: what is left between it and the surface varies 2.3 times as much as the surface itself: are "
+        "they heights of the same ground in metres?"
+    )
+    assert result.exit_code == 0
+    assert (doubt in result.stderr) == doubted
+    assert (doubt in Scene.from_file(exported.output("scene.json")).history[-1]["notes"]) == doubted
+
+
 def test_control_points_in_a_geopackage(exported: Scene, tmp_path: Path) -> None:
     points = control_points(exported)
     places = geopandas.points_from_xy([p.x for p in points], [p.y for p in points], [p.z for p in points], crs=CRS)
