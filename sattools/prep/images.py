@@ -23,6 +23,7 @@ from rasterio.windows import Window
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
+from sattools.prep.numbers import Numbers
 from sattools.scene.files import write_with
 from sattools.scene.location import RemotePath
 from sattools.scene.memory import check_memory
@@ -202,7 +203,7 @@ def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> ND
     needed = 14.0 * min(height * width, _STRIP_PX + factor * width) if factor > 1 else 14.0 * height * width
     check_memory(needed + 4.0 * rows * cols, f"{source.path}: {width} x {height} pixels", "give --aoi or --bounds")
     gray = np.empty((rows, cols), np.float32)
-    ranges = _Ranges(source.bands)
+    ranges = Numbers(source.bands)
     strip = rows if factor == 1 else max(1, _STRIP_PX // (factor * width))
     with opened(source.path) as data:
         for first in range(0, rows, strip):
@@ -213,56 +214,24 @@ def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> ND
                 piece = block_means(blocks)[0].astype(np.float32)
             gray[first : first + some] = piece
     if whole:
-        ranges.check(source)
+        ranges.check(source.path)
+        source.notes += ranges.notes()
+        for text in ranges.doubts():
+            source.warn(text)
         if not np.isfinite(gray).any():
             raise InputError(f"{source.path}: found no pixel that is valid in all bands, expected an image")
         source.read_range = (source.window, ranges.overall())
     return gray
 
 
-@dataclass
-class _Ranges:
-    """Smallest and largest valid number of every band, and the share of the first band that is not finite."""
-
-    bands: int
-    low: NDArray[np.float64] = field(init=False)
-    high: NDArray[np.float64] = field(init=False)
-    odd: int = 0
-    seen: int = 0
-
-    def __post_init__(self) -> None:
-        self.low, self.high = np.full(self.bands, np.inf), np.full(self.bands, -np.inf)
-
-    def add(self, band: int, values: NDArray[np.generic], good: NDArray[np.bool_]) -> None:
-        """Numbers of a band, counted from 1, and which of them are data."""
-        if good.any():
-            known = values[good]
-            self.low[band - 1] = min(self.low[band - 1], float(known.min()))
-            self.high[band - 1] = max(self.high[band - 1], float(known.max()))
-
-    def check(self, source: SourceImage) -> None:
-        """Raise InputError for a band without any data; note pixels that are not finite."""
-        if self.odd:
-            share = 100.0 * self.odd / self.seen
-            source.notes.append(f"{share:.2g} % of the pixels are NaN and were masked")
-        for band, (low, high) in enumerate(zip(self.low, self.high, strict=True), 1):
-            if low >= high:
-                what = f"{low:g} everywhere" if low == high else "no-data or NaN everywhere"
-                raise InputError(f"{source.path}: found band {band} to be {what}, expected an image")
-
-    def overall(self) -> tuple[float, float]:
-        """Of all bands."""
-        return float(self.low.min()), float(self.high.max())
-
-
 def _gray_rows(
-    data: DatasetReader, source: SourceImage, first: int, count: int, ranges: _Ranges
+    data: DatasetReader, source: SourceImage, first: int, count: int, ranges: Numbers
 ) -> NDArray[np.float32]:
     """Mean of the bands ``[count, width]`` in rows of the source's window."""
     col, row, width, _ = source.window
     total = np.zeros((count, width), np.float32)
     valid = np.ones((count, width), bool)
-    nonzero = np.zeros((count, width), bool)
+    nonzero, negative = np.zeros((count, width), bool), np.zeros((count, width), bool)
     for band in range(1, data.count + 1):
         values = _read(data, source, band, Window(col, row + first, width, count))
         good = np.isfinite(values) if np.issubdtype(values.dtype, np.floating) else np.ones(values.shape, bool)
@@ -272,9 +241,13 @@ def _gray_rows(
         if data.nodata is not None:
             good &= values != data.nodata
         ranges.add(band, values, good)
+        if values.dtype.kind != "u":
+            negative |= np.less(values, 0) & good
         nonzero |= values != 0
         valid &= good
         total += np.where(good, values, 0).astype(np.float32)
+    ranges.zero += int((valid & ~nonzero).sum())
+    ranges.negative += int(negative.sum())
     # Vendors fill the frame around an image with 0 in all bands without saying so.
     return np.where(valid & nonzero, total / source.bands, np.nan).astype(np.float32)
 
@@ -284,7 +257,7 @@ def value_range(source: SourceImage) -> tuple[float, float]:
     if source.read_range is not None and source.read_range[0] == source.window:
         return source.read_range[1]
     col, row, width, height = source.window
-    ranges = _Ranges(source.bands)
+    ranges = Numbers(source.bands)
     strip = max(1, _STRIP_PX // max(1, width))
     with opened(source.path) as data:
         for band in range(1, data.count + 1):

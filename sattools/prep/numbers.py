@@ -1,0 +1,97 @@
+"""What numbers an image holds, strip by strip: their range, and those that may not be brightness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.errors import InputError
+
+MANY_ZEROS = 0.05  # of the pixels: more than a frame's corners
+MANY_NEGATIVE = 0.01  # of the pixels: atmospheric corrections leave some in deep shadow
+LEAST_MARK = -1.0  # a negative number that fills pixels as a mark of no data does is a whole one
+
+
+@dataclass
+class Numbers:
+    """Smallest and largest valid number of every band, and how many pixels are not, or may not be, of the ground.
+
+    Attributes:
+        bands: how many.
+        low, high: ``[bands]``.
+        odd: pixels of the first band that are not finite.
+        seen: pixels.
+        zero: pixels that are 0 in all bands without being declared as no-data.
+        negative: pixels that are negative in a band.
+        lowest: pixels of the first band that have its smallest number.
+    """
+
+    bands: int
+    low: NDArray[np.float64] = field(init=False)
+    high: NDArray[np.float64] = field(init=False)
+    odd: int = 0
+    seen: int = 0
+    zero: int = 0
+    negative: int = 0
+    lowest: int = 0
+
+    def __post_init__(self) -> None:
+        self.low, self.high = np.full(self.bands, np.inf), np.full(self.bands, -np.inf)
+
+    def add(self, band: int, values: NDArray[np.generic], good: NDArray[np.bool_]) -> None:
+        """Numbers of a band, counted from 1, and which of them are data."""
+        if not good.any():
+            return
+        known = values[good]
+        low = float(known.min())
+        if band == 1 and low < min(0.0, self.low[0]):
+            self.lowest = 0
+        if band == 1 and low < 0 and low <= self.low[0]:
+            self.lowest += int((known == known.min()).sum())
+        self.low[band - 1] = min(self.low[band - 1], low)
+        self.high[band - 1] = max(self.high[band - 1], float(known.max()))
+
+    def check(self, path: Path) -> None:
+        """Raise InputError for a band without any data."""
+        for band, (low, high) in enumerate(zip(self.low, self.high, strict=True), 1):
+            if low >= high:
+                what = f"{low:g} everywhere" if low == high else "no-data or NaN everywhere"
+                raise InputError(f"{path}: found band {band} to be {what}, expected an image")
+
+    def notes(self) -> list[str]:
+        """What is masked without a no-data number."""
+        found = []
+        if self.odd:
+            found.append(f"{100.0 * self.odd / self.seen:.2g} % of the pixels are NaN and were masked")
+        if self.zero > MANY_ZEROS * self.seen:
+            found.append(
+                f"{100.0 * self.zero / self.seen:.2g} % of the pixels are 0 in all bands and taken for no data, which "
+                "the file does not say (gdal_edit.py -a_nodata 0 does)"
+            )
+        return found
+
+    def doubts(self) -> list[str]:
+        """What is taken for brightness and may not be."""
+        low = self.low[0]
+        if self.lowest > MANY_NEGATIVE * self.seen and low <= LEAST_MARK:
+            return [
+                f"{100.0 * self.lowest / self.seen:.2g} % of its pixels are {low:g}, taken for brightness: where that "
+                f"means no data, declare it (gdal_edit.py -a_nodata {low:g})"
+            ]
+        if self.negative > MANY_NEGATIVE * self.seen and self.low.min() <= LEAST_MARK:
+            return [
+                f"{100.0 * self.negative / self.seen:.2g} % of its pixels are negative, down to {self.low.min():g}, "
+                "taken for brightness: declare numbers that mean no data (gdal_edit.py -a_nodata), and write numbers "
+                "above 32767 without sign"
+            ]
+        return []
+
+    def overall(self) -> tuple[float, float]:
+        """Of all bands."""
+        return float(self.low.min()), float(self.high.max())
+
+
+__all__ = ["Numbers"]
