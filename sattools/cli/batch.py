@@ -101,6 +101,10 @@ def configuration(path: Path | None) -> Configuration:
         part = main.get_command(parent, name)
         assert part is not None  # all of them are commands of this suite
         arguments = ["--config", str(path)] if name in tables else []
-        with part.make_context(name, arguments, parent=parent) as context:
-            resolved[name] = {k: v for k, v in context.params.items() if k not in _HOUSEKEEPING}
+        try:
+            with part.make_context(name, arguments, parent=parent) as context:
+                resolved[name] = {k: v for k, v in context.params.items() if k not in _HOUSEKEEPING}
+        except click.UsageError as error:
+            error.ctx = click.get_current_context()  # it is `batch` that was called wrongly
+            raise
     return Configuration(path.stem if path else "default", tables, resolved)

@@ -7,7 +7,7 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -213,7 +213,31 @@ def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:
             continue
         if sys.stdin is None or sys.stdin.isatty():
             raise click.UsageError("expected scene documents on stdin (from `sattools prep`) or the path of one")
-        yield from _lines()
+        yield from _gathered(_lines())
+
+
+def _gathered(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """The same, with one error for lines in a row that cannot begin a document, such as what `info` prints."""
+    foreign: list[tuple[str, str]] = []  # the first of them and the last
+    for name, text in lines:
+        start = text.strip()
+        if start.startswith(("{", "\0")) and start != "{":
+            yield from _in_one(foreign)
+            foreign = []
+            yield name, text
+        else:
+            foreign = [*foreign[:1], (name, text)]
+    yield from _in_one(foreign)
+
+
+def _in_one(foreign: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    if len(foreign) < 2:
+        return foreign
+    from sattools.scene.schema import shown
+
+    (first, text), (last, _) = foreign
+    name = f"{first.replace('line', 'lines')} to {last.rpartition(' ')[2]}"
+    return [(name, f"\0{name}: found text that is not JSON ({shown(text.strip())}), expected scene documents")]
 
 
 def _lines() -> Iterator[tuple[str, str]]:
@@ -225,7 +249,7 @@ def _lines() -> Iterator[tuple[str, str]]:
     while line := ahead or stream.readline(TEXT_LIMIT + 1):
         number, ahead = number + 1, b""
         name = f"stdin line {number}"
-        if line.removeprefix(b"\xef\xbb\xbf").strip() == b"{":
+        if line.removeprefix(b"\xef\xbb\xbf").rstrip() == b"{":
             rest, ahead = _until_closed(stream, TEXT_LIMIT + 1 - len(line))
             number += rest.count(b"\n")
             line += rest

@@ -133,6 +133,7 @@ def test_a_wrong_configuration_ends_the_batch_before_it_starts(tmp_path: Path, t
     result = CliRunner().invoke(main, ["batch", "scene.json", "--config", str(tmp_path / "c.toml")])
     assert result.exit_code == 2
     assert words in " ".join(result.stderr.split())
+    assert " batch [OPTIONS] [SCENE]..." in result.stderr
 
 
 def test_areas_need_the_contests_root(tmp_path: Path) -> None:

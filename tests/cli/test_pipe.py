@@ -130,6 +130,19 @@ def test_a_document_that_breaks_off_is_one_error(line: Any) -> None:
     assert result.stderr.count("\n") == 1
 
 
+def test_lines_of_another_text_are_one_error(line: Any) -> None:
+    summary = "scene S  root /somewhere\n  grid 128 x 128 cells\n  6 images\n"
+    result = run(text=summary + line("a") + "more\n\nand more\n" + line("b") + "[\n  {\n  },\n")
+    assert result.exit_code == 3
+    assert ids(result) == ["a", "b"]
+    assert result.stderr.splitlines() == [
+        "sattools touch: error: stdin lines 1 to 3: found text that is not JSON ('scene S root /somewhere'), expected "
+        "scene documents",
+        "sattools touch: error: stdin lines 5 to 7: found text that is not JSON ('more'), expected scene documents",
+        "sattools touch: error: stdin lines 9 to 11: found text that is not JSON ('['), expected scene documents",
+    ]
+
+
 def test_a_scene_whose_root_is_gone_is_refused_and_no_folder_is_made(tmp_path: Path) -> None:
     result = run(text=Scene("a", tmp_path / "gone").to_json())
     assert result.exit_code == 1
