@@ -20,6 +20,7 @@ from sattools.errors import SattoolsError, printable
 
 LONGEST_ARGUMENT = 100_000
 _LONG = re.compile(r"(\S{160})\S{200,}(\S{30})")  # a name that nobody would read to its end
+_ALLOCATION = re.compile(r"can't allocate memory|CUDA out of memory")  # torch's words in a RuntimeError
 
 
 class LastResort(click.Group):
@@ -67,7 +68,7 @@ def explain(error: BaseException) -> str:
     """An unexpected error in one line."""
     if isinstance(error, SattoolsError):
         return str(error)
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and _ALLOCATION.search(str(error))):
         return f"found too little memory ({_short(error) or 'all is taken'}), expected a smaller area or coarser cells"
     if isinstance(error, OSError) and error.strerror:
         where = f"{_name(error.filename)}: " if error.filename is not None else ""

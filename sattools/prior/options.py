@@ -24,7 +24,7 @@ class PriorOptions:
         None,
         "Distance of the height planes [m] (default: two cells of the matching, more for nearly parallel views).",
         minimum=0.01,
-        maximum=1e3,
+        maximum=100.0,
     )
     pairs: int = option(60, "Largest number of image pairs that are correlated, besides a few narrow ones.", minimum=1)
     min_angle: float = option(

@@ -21,6 +21,7 @@ AT_ONCE = 1 << 20  # cells of an area that is matched as a whole
 TILE_CELLS = 512  # along an edge of a tile, without its overlap
 OVERLAP_M = 32.0  # by which a tile reaches into its neighbours, at least
 OVERLAP_CELLS = 32
+MOST_OVERLAP = 0.4  # of a tile's edge: cells of less than 0.14 m would have more in common than of their own
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 SAMPLES = 4  # tiles that tell the images' contrast
 
@@ -75,8 +76,9 @@ def match_tiles(
     Raises:
         SceneError: an image that shows nothing of the area.
     """
-    overlap = max(OVERLAP_M, OVERLAP_CELLS * grid.cell_size)
-    tiles = make_tiles(grid, TILE_CELLS * grid.cell_size, overlap, grid.cell_size)
+    edge = TILE_CELLS * grid.cell_size
+    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * grid.cell_size), MOST_OVERLAP * edge)
+    tiles = make_tiles(grid, edge, overlap, grid.cell_size)
     z_range = scene.require_height_range()
     coarse = grid.resized(grid.cell_size * math.ceil(math.sqrt(len(tiles))))
     sources = _sources(scene, items, coarse)

@@ -187,6 +187,15 @@ def test_a_report_of_a_document_in_another_encoding(town: Any) -> None:
     assert run("report", path).exit_code == 0
 
 
+def test_too_little_memory_is_told_as_such_whoever_asked_for_it() -> None:
+    from sattools.cli.safety import explain
+
+    of_torch = RuntimeError("[enforce fail at alloc_cpu.cpp:127] DefaultCPUAllocator: can't allocate memory: you tried")
+    for error in (of_torch, MemoryError(), RuntimeError("CUDA out of memory. Tried to allocate 2.00 GiB")):
+        assert explain(error).startswith("found too little memory (")
+    assert explain(RuntimeError("another one")).startswith("internal error (RuntimeError: another one)")
+
+
 # ---- options and configuration files --------------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
-from sattools.errors import SceneError
+from sattools.errors import SattoolsError, SceneError
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import load
@@ -165,6 +165,14 @@ def test_a_budget_stops_the_training(make_town: Any) -> None:
 def test_what_cannot_work_is_refused(make_town: Any, options: Any, message: Any) -> None:
     with pytest.raises(SceneError, match=message):
         fit(make_town(), tiny(**options))
+
+
+@pytest.mark.parametrize("preset", ["eonerf", "fast"])
+def test_steps_of_more_samples_than_memory_holds_are_refused(make_town: Any, preset: Any) -> None:
+    field = "mlp" if preset == "eonerf" else "voxel"
+    options = FitOptions(preset=preset, field=field, rays=1 << 20, samples=4096)
+    with pytest.raises(SattoolsError, match=r"--rays 1048576: 4294967296 samples a step: .*fewer --rays or --samples"):
+        fit(make_town(), options)
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,16 @@ def test_tiles_find_the_surface_that_the_whole_has(make_town: Any, request: pyte
 
 
 @pytest.mark.usefixtures("small_tiles")
+def test_cells_so_fine_that_tiles_are_small_beside_their_overlap(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_town()
+    monkeypatch.setattr(tiled, "OVERLAP_M", 48.0)  # beside tiles of 48 cells: as 32 m beside 512 cells of a decimetre
+    prior(scene, PriorOptions())
+    assert mae(scene) < 2.0
+
+
+@pytest.mark.usefixtures("small_tiles")
 def test_normals_are_those_of_the_joined_heights_also_where_pieces_of_it_meet(make_town: Any) -> None:
     from sattools.prior.normals import normals
 

@@ -37,6 +37,7 @@ from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Scene
+from sattools.scene.memory import check_memory
 from sattools.views import Source, View, match_colours, views_on
 
 log = logging.getLogger(__name__)
@@ -46,6 +47,7 @@ ROWS_TRIED = 4  # to know how long reading all off takes
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
+LEAST_HELD = 16  # place, density, colour, and what is made of them
 STEPS = {
     "voxel": FieldSteps({"logits": 0.1, "albedo": 0.03}),
     "neural": FieldSteps(neural.RATES, neural.BEGIN, neural.EPSILON),
@@ -82,6 +84,8 @@ def fit_rays(
     """
     trace = trace or Trace()
     check(options, prior is not None, sources)
+    if device.type == "cpu":
+        _check_step(options)
     whole, z_range = scene.require_grid(), scene.require_height_range()
     warm = _starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
@@ -201,6 +205,16 @@ def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
             f"--brdf {options.brdf} with --field mlp: found no prior for its normals, expected --normals prior and a "
             "--prior-weight above 0"
         )
+
+
+def _check_step(options: FitOptions) -> None:
+    """Raise SattoolsError where the samples of one step are surely more than memory holds."""
+    samples = options.rays * (options.samples + options.guided)
+    held = LEAST_HELD  # numbers of a sample that wait for the way back
+    if options.field == "mlp":
+        network = NETWORKS[options.network]
+        held = network.depth * (options.width or network.width)
+    check_memory(4.0 * held * samples, f"--rays {options.rays}: {samples} samples a step", "fewer --rays or --samples")
 
 
 def _starts_from_prior(options: FitOptions) -> bool:
