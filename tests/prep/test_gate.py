@@ -243,50 +243,6 @@ def test_numbers_that_are_no_brightness(town: Any) -> None:
     assert "TOWN_002.tif: found numbers of up to" in result.stderr
 
 
-def dark_water(values: Any) -> Any:
-    """Every tenth row a little below 0, each of its numbers another one, as an atmospheric correction leaves them."""
-    signed = values.astype(np.int16)
-    signed[:, ::10] = -1 - np.arange(signed[:, ::10].size).reshape(signed[:, ::10].shape) % 300
-    return signed
-
-
-def framed(value: int, dtype: Any) -> Any:
-    """The left tenth of all bands is one number."""
-
-    def change(values: Any) -> Any:
-        values = values.astype(dtype)
-        values[:, :, : values.shape[2] // 10 + 1] = value
-        return values
-
-    return change
-
-
-@pytest.mark.parametrize("dtype", [np.int16, np.float32])
-def test_a_number_that_may_mean_no_data_and_is_not_declared(town: Any, dtype: Any) -> None:
-    for number in range(1, 5):
-        town.pixels(number, framed(-999, dtype) if number == 2 else lambda values: values.astype(dtype))
-    scene = made(town, "TOWN_002: 11 % of its pixels are -999, taken for brightness", "gdal_edit.py -a_nodata -999")
-    assert not any("TOWN_001" in note for note in scene.history[-1]["notes"])
-
-
-def test_numbers_below_zero(town: Any) -> None:
-    for number in range(1, 5):
-        town.pixels(number, dark_water if number == 2 else lambda values: values.astype(np.int16))
-    made(town, "TOWN_002: 10 % of its pixels are negative, down to -300, taken for brightness", "without sign")
-
-
-def test_a_frame_of_zeros_is_noted_where_the_file_does_not_declare_it(town: Any) -> None:
-    town.pixels(2, framed(0, np.uint16))
-    town.pixels(3, framed(0, np.uint16))
-    with rasterio.open(town.image(3), "r+") as data:
-        data.nodata = 0
-    result = prep(town)
-    assert result.stderr == ""  # nothing has to be done about it
-    notes = Scene.from_json(result.stdout).history[-1]["notes"]
-    assert "TOWN_002: 11 % of the pixels are 0 in all bands and taken for no data" in "\n".join(notes)
-    assert not any("TOWN_003" in note for note in notes)
-
-
 SPOILT = {
     "mirrored": lambda values: values[:, :, ::-1].copy(),
     "noise": lambda values: np.random.default_rng(0).integers(0, 2047, values.shape).astype(np.uint16),
