@@ -139,11 +139,11 @@ def set_threads(threads: int | None) -> None:
 
 
 def bound_cache() -> None:
-    """Keep at most 64 MiB of the pixels that GDAL has read, unless the environment says otherwise.
+    """Keep at most 16 MiB of the pixels that GDAL has read, unless the environment says otherwise.
 
     It would keep a twentieth of the machine's memory by itself, so that memory grew with the area of a scene.
     """
-    os.environ.setdefault("GDAL_CACHEMAX", "64")
+    os.environ.setdefault("GDAL_CACHEMAX", "16")
 
 
 # Libraries make hundreds of thousands of objects that stay, and Python would go through all of them again and again

@@ -22,7 +22,7 @@ from sattools.scene.dependencies import MADE, begin, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.opening import opened
 from sattools.scene.pixels import ImagePart, image_part
-from sattools.scene.sensor_files import write_sensor_rows
+from sattools.scene.sensor_files import write_sensor_blocks
 from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
@@ -99,8 +99,8 @@ def normalise(
     return {"notes": notes, "quantity": job.quantity, "images": shares, MADE: made}
 
 
-class _Strips:
-    """An image's rows as they come out, and what is counted of them on the way."""
+class _Blocks:
+    """An image's pixels as they come out, and what is counted of them on the way."""
 
     def __init__(self, job: _Job, item: Item, part: ImagePart) -> None:
         self.job, self.item, self.part = job, item, part
@@ -113,10 +113,10 @@ class _Strips:
         self.numbers, self.radiance = (np.full((len(self.chosen), len(self._places[0])), np.nan) for _ in range(2))
         self.counts = dict.fromkeys(("pixels", "no_data", "saturated", "known", "below_0", "above_1"), 0)
 
-    def _values(self, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Digital numbers and radiance ``[C, h, W]``, and where there are no data or too much light ``[h, W]``."""
+    def _values(self, rows: slice, cols: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Digital numbers and radiance ``[C, h, w]``, and where there are no data or too much light ``[h, w]``."""
         options, scale = self.job.options, self.job.scales[self.item.id]
-        bands = self.part.read((rows, slice(0, self.part.shape[1])))[[b - 1 for b in self.chosen]]
+        bands = self.part.read((rows, cols))[[b - 1 for b in self.chosen]]
         empty, full = invalid_numbers(bands, self.saturation)
         values = np.where(empty | full if options.saturated == "mask" else empty, np.nan, bands)
         if self.job.quantity != "relative":
@@ -131,7 +131,7 @@ class _Strips:
         height, width = self.part.shape
         step = math.ceil(math.sqrt(height * width / TOLD))
         some = [
-            self._values(rows)[1][:, -rows.start % step :: step, ::step].reshape(len(self.chosen), -1)
+            self._values(rows, slice(0, width))[1][:, -rows.start % step :: step, ::step].reshape(len(self.chosen), -1)
             for rows in pieces((height, width * len(self.chosen)))
         ]
         low, middle, high = np.nanpercentile(np.concatenate(some, axis=1), [16, 50, 84], axis=1)
@@ -140,16 +140,16 @@ class _Strips:
             self.job.reference = level_and_spread
         self._matched = gain_and_offset(level_and_spread, self.job.reference)
 
-    def rows(self, rows: slice) -> np.ndarray:
-        """Some rows ``[C, h, W]`` float32 radiance, which are counted."""
-        bands, radiance, empty, full = self._values(rows)
+    def block(self, rows: slice, cols: slice) -> np.ndarray:
+        """Some pixels ``[C, h, w]`` float32 radiance, which are counted."""
+        bands, radiance, empty, full = self._values(rows, cols)
         if self._matched is not None:
             gain, offset = (part[:, None, None] for part in self._matched)
             radiance = (radiance * gain + offset).astype(np.float32)
         row, col = self._places
-        own = np.flatnonzero((row >= rows.start) & (row < rows.stop))
-        self.numbers[:, own] = bands[:, row[own] - rows.start, col[own]]
-        self.radiance[:, own] = radiance[:, row[own] - rows.start, col[own]]
+        own = np.flatnonzero((row >= rows.start) & (row < rows.stop) & (col >= cols.start) & (col < cols.stop))
+        here = (slice(None), row[own] - rows.start, col[own] - cols.start)
+        self.numbers[:, own], self.radiance[:, own] = bands[here], radiance[here]
         known = np.isfinite(radiance)
         counted = (empty.size, empty.sum(), full.sum(), known.sum(), (radiance < 0).sum(), (radiance > 1).sum())
         for name, count in zip(self.counts, counted, strict=True):
@@ -166,34 +166,34 @@ class _Strips:
 def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, float]:
     options, bits = job.options, job.bits[item.id]
     part = image_part(job.scene, item)
-    strips = _Strips(job, item, part)
+    blocks = _Blocks(job, item, part)
     if options.match:
-        strips.match()
-    bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, strips.chosen)
+        blocks.match()
+    bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, blocks.chosen)
     if part.referred:
         rpc = RPC.from_file(job.scene.path(item.assets["rpc"].href)).to_tags()
     else:
         with opened(part.path) as source:
             rpc = source.tags(ns="RPC")
     names = [str(band["name"]) for band in bands_of]
-    write_sensor_rows(output, part.shape, len(names), strips.rows, rpc, names)
+    write_sensor_blocks(output, part.shape, len(names), blocks.block, rpc, descriptions=names, source_block=part.block)
     item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], {"eo:bands": bands_of})
     item.properties["sattools:radiance"] = "relative" if options.match else job.quantity
-    left = strips.tone_mapped and options.gamma is None
+    left = blocks.tone_mapped and options.gamma is None
     item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
-    if strips.tone_mapped:
+    if blocks.tone_mapped:
         what = "left as they are (give --gamma)" if left else f"linearised by the exponent {options.gamma:g}, a guess"
         notes.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
     elif options.gamma is not None:
         notes.append(f"{item.id}: --gamma is for 8-bit images, not applied")
-    job.numbers.append(list(strips.numbers))
-    job.radiance.append(list(strips.radiance))
-    if not strips.counts["known"]:
+    job.numbers.append(list(blocks.numbers))
+    job.radiance.append(list(blocks.radiance))
+    if not blocks.counts["known"]:
         raise SceneError(
             f"{part.path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)"
         )
-    shares = strips.shares()
-    notes += _doubts(job, item, shares, strips.saturation)
+    shares = blocks.shares()
+    notes += _doubts(job, item, shares, blocks.saturation)
     return {name: round(share, 6) for name, share in shares.items()}
 
 

@@ -41,6 +41,13 @@ class ImagePart:
         with opened(self.path) as data:
             return int(data.count)
 
+    @property
+    def block(self) -> tuple[int, int]:
+        """Rows and columns in which the file is stored."""
+        with opened(self.path) as data:
+            rows, cols = data.block_shapes[0]
+        return int(rows), int(cols)
+
     def read(self, window: tuple[slice, slice] | None = None, reduce: int = 1) -> np.ndarray:
         """``[B, H, W]`` float32, NaN where there is no data; see `sattools.scene.raster.read_image`.
 

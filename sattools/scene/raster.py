@@ -91,7 +91,7 @@ def read_raster(path: Path, within: Grid | None = None, stored: bool = False) ->
     return array, grid
 
 
-def read_overview(path: Path, cells: int = 1_000_000) -> tuple[np.ndarray, Grid]:
+def read_overview(path: Path, cells: int = 400_000) -> tuple[np.ndarray, Grid]:
     """`read_raster` for looking at: on so many times larger cells that there are no more than about ``cells``.
 
     Float maps become means, others keep the values of some cells. Rows and columns left over at the end are dropped.

@@ -1,10 +1,10 @@
-"""Images in sensor geometry that are written row by row, whatever their size."""
+"""Images in sensor geometry that are written block by block, whatever their size."""
 
 from __future__ import annotations
 
 import warnings
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,52 +15,57 @@ from rasterio.windows import Window
 from sattools.scene.files import write_with
 from sattools.scene.raster import sensor_profile
 
-TILE_ROWS = 256
-_STRIP_VALUES = 4 << 20  # of all bands that are held at a time
+TILE = 256  # pixels along an edge
+_VALUES = 1 << 20  # of all bands that are held at a time
+_LEAST_ROWS, _MOST_ROWS = 16, 2048  # of a block: tiles of a TIFF have multiples of 16, those of JPEG 2000 are large
 
 
 def write_sensor_maps(path: Path, maps: Sequence[np.ndarray], rpc: Mapping[str, str]) -> None:
-    """Write bands in the geometry of an image; see `write_sensor_rows`.
+    """Write bands in the geometry of an image; see `write_sensor_blocks`.
 
     Args:
         path: target file.
-        maps: ``[H, W]`` float32 each, of any unit, which may be read by rows (`sattools.scene.stored`); NaN = no data.
+        maps: ``[H, W]`` float32 each, of any unit, which may be read by pieces (`sattools.scene.stored`); NaN = no
+            data.
         rpc: the image's camera as RPC tags.
 
     Raises:
         SattoolsError: the file cannot be written.
     """
     shape = (maps[0].shape[0], maps[0].shape[1])
-    write_sensor_rows(path, shape, len(maps), lambda rows: np.stack([map_[rows] for map_ in maps]), rpc)
+    write_sensor_blocks(path, shape, len(maps), lambda *place: np.stack([map_[place] for map_ in maps]), rpc)
 
 
-def write_sensor_rows(
+def write_sensor_blocks(
     path: Path,
     shape: tuple[int, int],
     bands: int,
-    rows_of: Callable[[slice], np.ndarray],
+    block_of: Callable[[slice, slice], np.ndarray],
     rpc: Mapping[str, str],
+    *,
     descriptions: Sequence[str] | None = None,
+    source_block: tuple[int, int] = (TILE, TILE),
 ) -> None:
-    """Write an image as a tiled GeoTIFF, some rows at a time; see `sattools.scene.raster.write_sensor_image`.
+    """Write an image as a tiled GeoTIFF, some pixels at a time; see `sattools.scene.raster.write_sensor_image`.
 
     Args:
         path: target file.
         shape: rows and columns [px].
         bands: number of bands.
-        rows_of: makes some rows ``[B, h, W]`` float32, of any unit, NaN = no data; asked once for each, from the top.
+        block_of: makes some rows and columns ``[B, h, w]`` float32, of any unit, NaN = no data; asked once for each.
         rpc: the image's camera as RPC tags.
         descriptions: one name per band.
+        source_block: rows and columns in which what they are made from is stored.
 
     Raises:
         SattoolsError: the file cannot be written.
     """
     height, width = shape
+    places = list(_blocks(shape, bands, source_block))
     profile = sensor_profile("float32", bands, height, width, float("nan"))
-    step = TILE_ROWS
-    while step > 1 and step * width * bands > _STRIP_VALUES:
-        step //= 2
-    strips = [slice(first, min(first + step, height)) for first in range(0, height, step)]
+    # a tile is whole after a block: else it would be compressed again and again where a row of them is more than
+    # GDAL's cache
+    profile["blockysize"] = min(TILE, -(-places[0][0].stop // _LEAST_ROWS) * _LEAST_ROWS)
     sums: list[int] = []
 
     def write(target: Path) -> None:
@@ -68,15 +73,15 @@ def write_sensor_rows(
             if descriptions:
                 data.descriptions = tuple(descriptions)
             data.update_tags(ns="RPC", **rpc)
-            for rows in strips:
-                values = np.ascontiguousarray(rows_of(rows), np.float32)
+            for place in places:
+                values = np.ascontiguousarray(block_of(*place), np.float32)
                 sums.append(zlib.crc32(values.data))
-                data.write(values, window=Window.from_slices(rows, slice(0, width)))
+                data.write(values, window=Window.from_slices(*place))
 
     def check(target: Path) -> None:
         with rasterio.open(target) as data:
-            for rows, expected in zip(strips, sums, strict=True):
-                found = np.ascontiguousarray(data.read(window=Window.from_slices(rows, slice(0, width))))
+            for place, expected in zip(places, sums, strict=True):
+                found = np.ascontiguousarray(data.read(window=Window.from_slices(*place)))
                 if zlib.crc32(found.data) != expected:
                     raise OSError(5, "found other pixels than were written")
 
@@ -85,4 +90,21 @@ def write_sensor_rows(
         write_with(path, write, check)
 
 
-__all__ = ["TILE_ROWS", "write_sensor_maps", "write_sensor_rows"]
+def _blocks(shape: tuple[int, int], bands: int, source: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
+    """Rows and columns, about `_VALUES` values each, so that little of the source is unpacked more than once."""
+    height, width = shape
+    if source[1] >= width:
+        rows, cols = TILE, width
+        while rows > _LEAST_ROWS and rows * width * bands > _VALUES:
+            rows //= 2
+    else:
+        rows = min(-(-source[0] // TILE) * TILE, _MOST_ROWS)
+        while rows > TILE and rows * TILE * bands > _VALUES:
+            rows -= TILE
+        cols = max(1, _VALUES // (bands * rows * TILE)) * TILE
+    for row in range(0, height, rows):
+        for col in range(0, width, cols):
+            yield slice(row, min(row + rows, height)), slice(col, min(col + cols, width))
+
+
+__all__ = ["TILE", "write_sensor_blocks", "write_sensor_maps"]

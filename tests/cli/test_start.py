@@ -85,7 +85,7 @@ def test_gdal_keeps_no_share_of_the_machine_of_what_it_has_read() -> None:
         "from rasterio._env import get_gdal_config; print(get_gdal_config('GDAL_CACHEMAX'))"
     )
     environment = {k: v for k, v in os.environ.items() if k != "GDAL_CACHEMAX"}
-    for given, kept in (({}, 64 << 20), ({"GDAL_CACHEMAX": "300"}, 300 << 20)):
+    for given, kept in (({}, 16 << 20), ({"GDAL_CACHEMAX": "300"}, 300 << 20)):
         done = subprocess.run(
             [sys.executable, "-c", code], env=environment | given, capture_output=True, text=True, check=True
         )

@@ -44,6 +44,31 @@ def test_a_map_written_in_blocks_is_that_written_at_once(tmp_path: Path, monkeyp
     assert sorted(p.name for p in tmp_path.iterdir()) == ["blocks.tif", "once.tif"]
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.uint8])
+def test_overviews_of_a_map_in_blocks_are_those_that_the_driver_makes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Any
+) -> None:
+    grid = Grid("EPSG:32633", 500000.0, 5000000.0, 0.5, 1500, 1100)  # even at every level, where GDAL's two ways agree
+    values = np.random.default_rng(0).integers(0, 200, grid.shape).astype(kind)
+    if kind is np.float32:
+        values[:300, 200:333] = np.nan
+    nodata = np.nan if kind is np.float32 else None
+    with CogWriter(tmp_path / "driver.tif", grid, dtype=kind, nodata=nodata) as out:
+        out.write(values)
+    monkeypatch.setattr(cog, "IN_MEMORY", 0)
+    with CogWriter(tmp_path / "blocks.tif", grid, dtype=kind, nodata=nodata) as out:
+        out.write(values)
+    for level in (0, 1):
+        read = []
+        for name in ("driver", "blocks"):
+            with rasterio.open(tmp_path / f"{name}.tif", overview_level=level) as data:
+                read.append(data.read(1))
+        np.testing.assert_array_equal(*read)
+        assert read[0].shape == (1100 >> level + 1, 1500 >> level + 1)
+    with rasterio.open(tmp_path / "blocks.tif") as data:
+        assert data.overviews(1) == [2, 4]
+
+
 def test_a_map_that_is_not_finished_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cog, "IN_MEMORY", 0)
     wrong = pytest.raises(SattoolsError, match=r"map\.tif: found an array of \(3, 3\), expected the grid's \(2, 2\)")
@@ -58,7 +83,7 @@ def test_an_overview_has_the_means_and_the_place_of_the_map(tmp_path: Path) -> N
     assert grid == Grid("EPSG:32633", 500000.0, 5000000.0, 5.0, 70, 60)
     means = noise().reshape(60, 10, 70, 10).mean(axis=(1, 3))
     np.testing.assert_allclose(array[0], means, atol=1e-3)
-    whole, same = read_overview(tmp_path / "map.tif")
+    whole, same = read_overview(tmp_path / "map.tif", 700 * 600)
     assert same == GRID
     np.testing.assert_array_equal(whole[0], noise())
 
