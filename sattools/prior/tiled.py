@@ -18,7 +18,7 @@ from sattools.scene.tiles import Tile, make_tiles
 from sattools.views import RadiometricBalance, Source, load_sources, views_on
 
 AT_ONCE = 1 << 20  # cells of an area that is matched as a whole
-TILE_CELLS = 512  # along an edge of a tile, without its overlap
+TILE_CELLS = 512  # about so many along an edge of a tile, without its overlap
 OVERLAP_M = 32.0  # by which a tile reaches into its neighbours, at least
 OVERLAP_CELLS = 32
 MOST_OVERLAP = 0.4  # of a tile's edge: cells of less than 0.14 m would have more in common than of their own
@@ -76,9 +76,9 @@ def match_tiles(
     Raises:
         SceneError: an image that shows nothing of the area.
     """
-    edge = TILE_CELLS * grid.cell_size
-    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * grid.cell_size), MOST_OVERLAP * edge)
-    tiles = make_tiles(grid, edge, overlap, grid.cell_size)
+    edges = _edge(grid.height) * grid.cell_size, _edge(grid.width) * grid.cell_size
+    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * grid.cell_size), MOST_OVERLAP * min(edges))
+    tiles = make_tiles(grid, edges, overlap, grid.cell_size)
     z_range = scene.require_height_range()
     coarse = grid.resized(grid.cell_size * math.ceil(math.sqrt(len(tiles))))
     sources = _sources(scene, items, coarse)
@@ -108,6 +108,12 @@ def match_tiles(
         share = weight[rows]
         height[rows], confidence[rows] = height[rows] / share, confidence[rows] / share
     return means.of(height, confidence, [item.id for item in items])
+
+
+def _edge(cells: int) -> int:
+    """Cells along an edge of the tiles into which an axis is cut evenly: short ones at the border match worse."""
+    count = round(cells / TILE_CELLS)
+    return math.ceil(cells / count) if count > 1 else max(cells, TILE_CELLS)
 
 
 def _add(tile: Tile, grid: Grid, maps: tuple[np.ndarray, ...], height: np.ndarray, confidence: np.ndarray) -> None:

@@ -58,33 +58,35 @@ def common_cell(cells: Sequence[float]) -> float:
     return float(Fraction(math.lcm(*(f.numerator for f in fractions)), math.gcd(*(f.denominator for f in fractions))))
 
 
-def make_tiles(grid: Grid, tile_m: float, overlap_m: float, step_m: float) -> list[Tile]:
+def make_tiles(grid: Grid, tile_m: float | tuple[float, float], overlap_m: float, step_m: float) -> list[Tile]:
     """Tiles that cover a grid, row by row.
 
     Args:
         grid: what is cut.
-        tile_m: longest edge of a tile without its overlap [m]; all tiles have it but those at the grid's border, which
-            have at least half of it.
+        tile_m: longest edge of a tile without its overlap [m], or that from north to south and that from west to east;
+            all tiles have it but those at the grid's border, which have at least half of it.
         overlap_m: by which a tile reaches into its neighbours [m]; two share twice as much.
         step_m: multiple of the grid's cell on which all edges lie [m].
 
     Raises:
         SceneError: an overlap of half a tile or more, or tiles of fewer than `LEAST_STEPS` steps.
     """
-    if 2 * overlap_m >= tile_m:
-        raise SceneError(f"--overlap: found {overlap_m:g} m, expected less than half of --tile {tile_m:g} m")
-    if tile_m < LEAST_STEPS * step_m:
+    edges = tile_m if isinstance(tile_m, tuple) else (tile_m, tile_m)
+    least = min(edges)
+    if 2 * overlap_m >= least:
+        raise SceneError(f"--overlap: found {overlap_m:g} m, expected less than half of --tile {least:g} m")
+    if least < LEAST_STEPS * step_m:
         raise SceneError(
-            f"--tile: found {tile_m:g} m, expected at least {LEAST_STEPS * step_m:g} m ({LEAST_STEPS} x {step_m:g} m, "
+            f"--tile: found {least:g} m, expected at least {LEAST_STEPS * step_m:g} m ({LEAST_STEPS} x {step_m:g} m, "
             "the distance at which edges of all cells, the grid's, the prior's and the fit's, come together)"
         )
     step = round(step_m / grid.cell_size)
     margin = math.ceil(overlap_m / step_m - 1e-9) * step
-    longest = tile_m / grid.cell_size
+    height, width = (edge / grid.cell_size for edge in edges)
     return [
         Tile(f"r{r}c{c}", rows, cols, grid.part(rows, cols), (*across, *along))
-        for r, (rows, across) in enumerate(_spans(grid.height, longest, margin, step))
-        for c, (cols, along) in enumerate(_spans(grid.width, longest, margin, step))
+        for r, (rows, across) in enumerate(_spans(grid.height, height, margin, step))
+        for c, (cols, along) in enumerate(_spans(grid.width, width, margin, step))
     ]
 
 

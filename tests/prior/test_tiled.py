@@ -9,8 +9,9 @@ from sattools.compare import compare_dsm, read_reference
 from sattools.prior import PriorOptions, tiled
 from sattools.prior import stage as priors
 from sattools.prior.stage import prior
-from sattools.scene import stored
+from sattools.scene import Grid, stored
 from sattools.scene.raster import read_raster
+from sattools.scene.tiles import make_tiles
 
 
 @pytest.fixture
@@ -88,3 +89,14 @@ def test_where_too_few_images_show_a_tile_heights_are_coarse_and_not_trusted(
     assert confidence[0, 60:, 60:].mean() > 0.3
     assert np.isfinite(height).all()
     assert found["seen_by_two"] < 0.95
+
+
+@pytest.mark.parametrize(
+    ("cells", "edges"),
+    [(1042, [521, 521]), (1400, [466, 467, 467]), (770, [385, 385]), (767, [767]), (20, [20]), (5208, [520, 521])],
+)
+def test_tiles_along_an_axis_are_of_one_length(cells: int, edges: list[int]) -> None:
+    edge = tiled._edge(cells)
+    grid = Grid("EPSG:32633", 0.0, 0.0, 1.0, cells, 1500)
+    tiles = make_tiles(grid, (500.0, float(edge)), 0.0, 1.0)
+    assert sorted({tile.grid.width for tile in tiles if tile.name.startswith("r0")}) == sorted(set(edges))
