@@ -214,4 +214,9 @@ os.register_at_fork(after_in_child=_without_pool)
 MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # what `--threads` has set
 
 
-__all__ = ["FASTMATH", "at_once", "cache_folder", "njit", "spread", "writable"]
+def chunk_count(cells: int) -> int:
+    """Pieces of work of a kernel: by the size of the map alone, so that sums do not depend on the number of threads."""
+    return min(8, max(1, cells // 16384))
+
+
+__all__ = ["FASTMATH", "at_once", "cache_folder", "chunk_count", "njit", "spread", "writable"]

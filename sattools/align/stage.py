@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
-import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +32,6 @@ from sattools.scene.memory import give_back
 from sattools.scene.opening import opened
 from sattools.scene.raster import heights_above, raster_grid, raster_vertical, read_raster
 from sattools.scene.stored import cut
-
-if TYPE_CHECKING:
-    from sattools.fit.model import FittedModel
 
 log = logging.getLogger(__name__)
 HEIGHTS = ("dsm", "dtm", "prior_dsm")
@@ -243,35 +239,29 @@ def _move_model(scene: Scene, href: str, shift: Shift) -> list[str]:
     """Write the moved model; names of the products that are dropped as they cannot be moved."""
     if "model" not in scene.products:
         return []
-    import torch
-
-    from sattools.fit.stored import CELL_MAPS, StoredModel, StreamedModel
+    from sattools.fit.stored import StoredModel, StreamedModel
 
     stored = StoredModel.open(scene.path(scene.products["model"]))
-    head = stored.head
-    if head.brdf != "lambert" and stored.whole is None:  # its own maps are read with the whole alone
-        stored = StoredModel.open(stored.path, in_memory=sys.maxsize)
-    if head.field != "surface":
+    about, grid = stored.about, stored.grid
+    if about.field != "surface":
         return [name for name in STAGES["fit"].products if scene.products.pop(name, None) is not None]
-    grid = stored.grid
-    head = replace(head, z_ref=head.z_ref + shift.up)
-
-    def raised(rows: slice) -> FittedModel:
-        part = stored.part(rows, slice(0, grid.width))
-        rise = torch.from_numpy(shift.rise(part.grid)).to(part.height.dtype)
-        return replace(part, height=part.height + rise)
-
-    def maps(rows: slice) -> dict[str, np.ndarray]:
-        part = raised(rows)
-        own = {name: getattr(part, name) for name in CELL_MAPS} | part.image_maps()
-        return {name: values.numpy() for name, values in own.items()}
-
     there = grid.moved(shift.east, shift.north)
-    if stored.whole is not None:
-        replace(raised(slice(0, grid.height)), grid=there, z_ref=head.z_ref).save(scene.output(href))
+    if not stored.plain:  # a reflectance model has maps of its own
+        import torch
+
+        model = stored.load()
+        height = model.height + torch.from_numpy(shift.rise(grid)).to(model.height.dtype)
+        replace(model, grid=there, z_ref=about.z_ref + shift.up, height=height).save(scene.output(href))
     else:
-        bands, images, strip = head.albedo.shape[-1], tuple(sorted(head.image_maps())), stored.strips()[0]
-        StreamedModel(head, there, bands, images, maps, strip.stop).save(scene.output(href))
+
+        def maps(rows: slice) -> dict[str, np.ndarray]:
+            part = stored.maps(rows, slice(0, grid.width))
+            height = part.height + shift.rise(grid.part(rows, slice(0, grid.width))).astype(part.height.dtype)
+            return {"height": height, "height_std": part.height_std, "albedo": part.albedo, **part.images}
+
+        about = replace(about, grid=there, z_ref=about.z_ref + shift.up)
+        images, strip = tuple(sorted(stored.image_maps)), stored.strips()[0].stop
+        StreamedModel(about, stored.colours(), stored.bands, images, maps, strip).save(scene.output(href))
     scene.products["model"] = href
     return []
 

@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from sattools.render import sun_visibility
+from sattools.render.shadows import light_from
 from sattools.scene import Grid
 
 EDGE = 512  # cells; as much as is held of a small map that is one block
@@ -92,7 +91,7 @@ class Surroundings:
         rows, cols = self._around(block, direction)
         height = self.read(rows, cols)
         height = self.level(height) if filled else height
-        lit = sun_visibility(torch.from_numpy(height), self.grid.cell_size, direction).numpy()
+        lit = light_from(height, self.grid.cell_size, direction)
         up, left = block.rows.start - rows.start, block.cols.start - cols.start
         return np.ascontiguousarray(lit[up : up + block.grid.height, left : left + block.grid.width])
 

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sattools.fit.model import FittedModel, Sun
+from sattools.fit.described import Description, Sun
 from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Scene
 from sattools.scene.jsonio import JsonObject
+
+RELIT = "export/relit.tif"
 
 
 @dataclass(frozen=True)
@@ -18,12 +20,12 @@ class Exported:
 
     Attributes:
         scene: gets the files.
-        model: of the fit.
+        about: what the model is.
         valid: ``[H, W]`` bool, cells that get values; all others are no-data.
     """
 
     scene: Scene
-    model: FittedModel
+    about: Description
     valid: np.ndarray
 
     def shown(self, maps: np.ndarray) -> np.ndarray:
@@ -40,7 +42,7 @@ class Exported:
         Returns:
             ``["albedo red", ...]``, or numbers from 1; ``{"WAVELENGTHS_UM": "0.66 ..."}`` or nothing.
         """
-        bands = _bands_of(self.scene, self.model)
+        bands = _bands_of(self.scene, self.about)
         if len(bands) != count:
             return [f"{name} {b + 1}" for b in range(count)], {}
         words = [str(band.get("common_name", band.get("name"))) for band in bands]
@@ -50,7 +52,7 @@ class Exported:
         return [f"{name} {word}" for word in words], tags
 
 
-def _bands_of(scene: Scene, model: FittedModel) -> list[JsonObject]:
+def _bands_of(scene: Scene, model: Description) -> list[JsonObject]:
     """STAC `eo:bands` of a model's bands, where `normalise` knew those of the images."""
     for item in scene.items:
         asset = item.assets.get("radiance") if item.id in model.items else None
@@ -59,11 +61,16 @@ def _bands_of(scene: Scene, model: FittedModel) -> list[JsonObject]:
     return []
 
 
-def shadow_suns(model: FittedModel) -> list[tuple[str, Sun]]:
+def view_href(name: str, item_id: str) -> str:
+    """Where a map or picture of an image goes."""
+    return f"export/{name}/{item_id}.tif"
+
+
+def shadow_suns(model: Description) -> list[tuple[str, Sun]]:
     """Ids and suns (unit vectors) of the images whose shadows are known."""
     if model.shadow == "none":
         return []
     return [(name, sun) for name, sun in zip(model.items, model.suns, strict=True) if sun is not None]
 
 
-__all__ = ["Exported", "shadow_suns"]
+__all__ = ["RELIT", "Exported", "shadow_suns", "view_href"]

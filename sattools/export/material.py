@@ -80,7 +80,7 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray], undetermi
         maps: ``[B, H, W]`` by name.
         undetermined: keep shape parameters where the images did not determine them; else they are no-data there.
     """
-    scene, model, grid = exported.scene, exported.model, exported.model.grid
+    scene, model, grid = exported.scene, exported.about, exported.about.grid
     assert model.brdf != "lambert"
     tags: dict[str, Any] = {"SOFTWARE": "sattools", "MODEL": model.brdf}
     shapes = [parameter.name for parameter in SHAPE[model.brdf]]

@@ -14,6 +14,7 @@ from sattools.camera.ground import grid_direction, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
+from sattools.export.context import RELIT, view_href
 from sattools.export.field_views import field_picture, surface_picture
 from sattools.export.parts import Part, Parts
 from sattools.export.pictures import ColourScale, Picture
@@ -30,7 +31,6 @@ from sattools.scene.sensor_files import write_sensor_maps
 from sattools.views import View, line_of_sight, load_sources, with_bands
 from sattools.views.resample import make_view
 
-RELIT = "export/relit.tif"
 REACH_SPARE = 1.25  # times how far rays go within the height range
 Vector = tuple[float, float, float]
 
@@ -236,9 +236,4 @@ def _from_above(model: FittedModel, sun: Vector) -> View:
     return View("above", *nothing, ViewDirection(0.0, 0.0), model.z_ref, sun, 0.0)
 
 
-def view_href(name: str, item_id: str) -> str:
-    """Where a map or picture of an image goes."""
-    return f"export/{name}/{item_id}.tif"
-
-
-__all__ = ["RELIT", "Shown", "light_towards", "render_item", "view_href", "write_relit", "write_view"]
+__all__ = ["Shown", "light_towards", "render_item", "write_relit", "write_view"]

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import logging
-import sys
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sattools.errors import InputError, SceneError
 from sattools.export.blocks import Block, Surroundings, blocks
-from sattools.export.context import Exported, shadow_suns
+from sattools.export.context import RELIT, Exported, shadow_suns, view_href
 from sattools.export.options import ExportOptions
-from sattools.export.parts import ModelInParts, Parts, WholeModel
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
 from sattools.export.products.names import hrefs as product_hrefs
@@ -22,7 +20,6 @@ from sattools.export.surface_files import (
     ALBEDO,
     DSM,
     ERROR95,
-    IMAGE_MAPS,
     PICTURE,
     PROBABILITY,
     STD,
@@ -30,7 +27,6 @@ from sattools.export.surface_files import (
     SurfaceFiles,
 )
 from sattools.export.validity import Witnesses
-from sattools.fit.model import FittedModel
 from sattools.fit.stored import StoredModel
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
@@ -39,6 +35,10 @@ from sattools.scene.dependencies import MADE, begin, check_current, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.stored import new_map
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
+
+if TYPE_CHECKING:  # PyTorch, whose import takes a second, is for reflectance models, networks and rendering alone
+    from sattools.export.parts import Parts, WholeModel
+    from sattools.fit.model import FittedModel
 
 log = logging.getLogger(__name__)
 EMPTY = "no two images show any of the surface, so every map is empty (0 from an image's edge inwards is no pixel)"
@@ -67,17 +67,15 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     """
     check_libraries(options.wanted)
     stored = _open_model(scene, options)
-    at_once = _needs_whole(options, stored.head)
     views = bool(options.view or options.sun is not None)
-    if at_once and stored.whole is None:
-        stored = StoredModel.open(stored.path, in_memory=sys.maxsize)
-    begin(scene, "export", _outputs(scene, options, stored.head), overwrite)
+    model = stored.load() if _needs_whole(options, stored) else None
+    begin(scene, "export", _outputs(scene, options, stored, model), overwrite)
     progress(0.05, "what the images show")
-    witnesses = Witnesses(scene, stored.head.items)
+    witnesses = Witnesses(scene, stored.about.items)
     if not witnesses.known:
         log.warning("scene %s: images or cameras of the fit are missing: nobody knows what they show", scene.id)
-    surface = Surroundings(stored.grid, lambda rows, cols: stored.part(rows, cols).height.numpy())
-    pieces = blocks(stored.grid, at_once)
+    surface = Surroundings(stored.grid, lambda rows, cols: stored.maps(rows, cols).height)
+    pieces = blocks(stored.grid, model is not None)
     counts = np.zeros(4, np.int64)
     last: Exported | None = None
     shown = new_map(stored.grid.shape, np.uint8, scene.root)
@@ -86,18 +84,18 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
             progress(0.1 + 0.5 * k / len(pieces), "DSM, albedo, shadows" + (f", block {k + 1}" if k else ""))
             exported, found = _write_block(scene, stored, block, (surface, witnesses, files), options.fill)
             counts += found
-            last = exported if at_once else None
+            last = exported
             if views:
                 shown[block.rows, block.cols] = exported.valid
-            del exported  # before the next one is read
     part = subprogress(progress, 0.6, 0.7)
-    if last is not None:
-        _views(scene, _reflectance(last, options, part), options, part)
+    if model is not None and last is not None:
+        _views(scene, _reflectance(last, model, options, part), options, part)
     elif views:
+        from sattools.export.parts import ModelInParts
+
         _views(scene, ModelInParts(stored, surface, shown), options, part)
     asked = Wanted(options.wanted, options.vertical, files.datum, options.contours or 1.0, options.ground_width)
-    about = replace(stored.head, grid=stored.grid)
-    products = write_products(scene, about, asked, subprogress(progress, 0.7, 1.0))
+    products = write_products(scene, stored, asked, subprogress(progress, 0.7, 1.0))
     write_collection(scene, stored.grid)
     progress(1.0, "exported")
     kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
@@ -118,18 +116,18 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
 def _write_block(
     scene: Scene, stored: StoredModel, block: Block, what: tuple[Surroundings, Witnesses, SurfaceFiles], fill: bool
 ) -> tuple[Exported, NDArray[np.int64]]:
-    """The model of a block, whose maps have been written, and how many of its cells are of every validity ``[4]``."""
+    """Where a block, whose maps have been written, may be shown, and its cells by kinds of validity ``[4]``."""
     surface, witnesses, files = what
-    model = stored.part(block.rows, block.cols)
-    known = np.isfinite(model.height.numpy())
+    maps = stored.maps(block.rows, block.cols)
+    known = np.isfinite(maps.height)
     validity = witnesses.validity(block, surface) if witnesses.known else None
     valid = known if fill or validity is None else validity != UNSEEN
     wanted = wanted_cells(scene, block.grid)
     if wanted is not None:
         valid = valid & wanted
         validity = None if validity is None else np.where(wanted, validity, UNWANTED).astype(np.uint8)
-    exported = Exported(scene, model, valid)
-    files.write(block, exported, surface, validity)
+    exported = Exported(scene, stored.about, valid)
+    files.write(block, exported, maps, surface, validity)
     counts = np.zeros(4, np.int64) if validity is None else np.bincount(validity.ravel(), minlength=4)
     return exported, counts
 
@@ -146,43 +144,45 @@ def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:
     return stored
 
 
-def _outputs(scene: Scene, options: ExportOptions, model: FittedModel) -> list[str]:
+def _outputs(scene: Scene, options: ExportOptions, stored: StoredModel, model: FittedModel | None) -> list[str]:
     """All files that will be written."""
-    from sattools.export.material import material_names
-    from sattools.export.novel import RELIT, view_href
-
     ids = {item.id for item in scene.items}
     hrefs = [DSM, STD, ERROR95, ALBEDO, PICTURE, VALIDITY, PROBABILITY, *CATALOGUE.values()]
-    hrefs += [view_href("shadow", name) for name, _ in shadow_suns(model) if name in ids]
-    hrefs += [view_href(m, n) for m in IMAGE_MAPS if m in model.image_maps() for n in model.items if n in ids]
+    hrefs += [view_href("shadow", name) for name, _ in shadow_suns(stored.about) if name in ids]
+    hrefs += [view_href(m, n) for m in stored.image_maps for n in stored.about.items if n in ids]
     hrefs += [view_href(asset, name) for asset in ("rendered", "rendered_height") for name in options.view]
-    hrefs += [f"export/{name}.tif" for name in material_names(model)]
+    if model is not None:
+        from sattools.export.material import material_names
+
+        hrefs += [f"export/{name}.tif" for name in material_names(model)]
     if options.sun is not None:
         hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]
     return hrefs + product_hrefs(options.wanted)
 
 
-def _needs_whole(options: ExportOptions, model: FittedModel) -> bool:
+def _needs_whole(options: ExportOptions, stored: StoredModel) -> bool:
     """Maps of reflectance are made of the whole, and networks know no parts."""
-    return model.brdf != "lambert" or (model.field != "surface" and bool(options.view or options.sun is not None))
+    shown = bool(options.view or options.sun is not None)
+    return stored.about.brdf != "lambert" or (stored.about.field != "surface" and shown)
 
 
-def _reflectance(exported: Exported, options: ExportOptions, progress: Progress) -> WholeModel:
+def _reflectance(exported: Exported, model: FittedModel, options: ExportOptions, progress: Progress) -> WholeModel:
     """The model as a whole, whose maps of reflectance have been written if it has some."""
     from sattools.export.material import material_maps, network_maps, write_material
+    from sattools.export.parts import WholeModel
     from sattools.fit.materials.scene import ReflectiveScene
 
     try:
-        surface = exported.model.surface()
+        surface = model.surface()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         path, reason = exported.scene.products["model"], " ".join(str(error).split())
         raise InputError(f"{path}: found a model without what its kind needs ({reason})") from error
     if isinstance(surface, ReflectiveScene):
         progress(0.0, "reflectance")
-        write_material(exported, material_maps(surface, exported.model.extra), options.undetermined == "prior")
-    elif exported.model.brdf != "lambert":
-        write_material(exported, network_maps(exported.model))
-    return WholeModel(exported.model, surface, exported.valid)
+        write_material(exported, material_maps(surface, model.extra), options.undetermined == "prior")
+    elif model.brdf != "lambert":
+        write_material(exported, network_maps(model))
+    return WholeModel(model, surface, exported.valid)
 
 
 def _views(scene: Scene, parts: Parts, options: ExportOptions, progress: Progress) -> None:

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.export.blocks import Block, Surroundings
-from sattools.export.context import Exported, shadow_suns
+from sattools.export.context import Exported, shadow_suns, view_href
 from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
-from sattools.export.novel import view_href
-from sattools.fit.stored import StoredModel
+from sattools.fit.stored import CellMaps, StoredModel
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter
 from sattools.scene.memory import give_back
@@ -60,16 +59,16 @@ class SurfaceFiles:
     """
 
     def __init__(self, scene: Scene, stored: StoredModel, vertical: str, validity: bool) -> None:
-        head, grid = stored.head, stored.grid
+        about_model, grid = stored.about, stored.grid
         self.scene, self.grid, self.vertical, self.datum = scene, grid, vertical, datum_name(vertical)
         self._stack = ExitStack()
         self._step = max(1, math.ceil(max(grid.shape) / _PICTURE_CELLS))
         self._picture = np.full([math.ceil(n / self._step) for n in grid.shape], np.nan, np.float32)
         method = "curvature of the photometric loss; gross errors of matching are not in it"
         scale = "relative: radiance of the first training image in full sun"
-        if head.absolute:
-            scale = f"absolute: {head.radiance}"
-        names, wavelengths = Exported(scene, head, np.ones((1, 1), bool)).band_names("albedo", head.albedo.shape[-1])
+        if about_model.absolute:
+            scale = f"absolute: {about_model.radiance}"
+        names, wavelengths = Exported(scene, about_model, np.ones((1, 1), bool)).band_names("albedo", stored.bands)
         about: dict[str, dict[str, Any]] = {
             DSM: {
                 "units": "m",
@@ -97,14 +96,14 @@ class SurfaceFiles:
             if href in self._prior:
                 about[href] = _ABOUT_PRIOR[href] | {"tags": {"METHOD": f"of the prior, see {product}", **_SOFTWARE}}
         items = {item.id for item in scene.items}
-        self._suns = [(name, sun) for name, sun in shadow_suns(head) if name in items]
+        self._suns = [(name, sun) for name, sun in shadow_suns(about_model) if name in items]
         for name, _ in self._suns:
             shadow = {"dtype": np.uint8, "nodata": 255, "descriptions": ["1 = cast shadow"]}
             about[view_href("shadow", name)] = shadow
         self._image_maps = {
             (kind, name): view_href(kind, name)
-            for kind in head.image_maps()
-            for name, known in zip(head.items, _known(stored, kind), strict=True)
+            for kind in stored.image_maps
+            for name, known in zip(about_model.items, _known(stored, kind), strict=True)
             if name in items and known
         }
         for (kind, _), href in self._image_maps.items():
@@ -117,36 +116,41 @@ class SurfaceFiles:
         return self
 
     def write(
-        self, block: Block, exported: Exported, surface: Surroundings, validity: NDArray[np.uint8] | None
+        self,
+        block: Block,
+        exported: Exported,
+        maps: CellMaps,
+        surface: Surroundings,
+        validity: NDArray[np.uint8] | None,
     ) -> None:
         """Write a block.
 
         Args:
             block: where it lies.
-            exported: the model of its cells, and where that may be shown.
+            exported: where the model of its cells may be shown.
+            maps: of that.
             surface: heights of the whole.
             validity: ``[h, w]``, how its heights came about.
         """
-        model = exported.model
-        heights, _ = to_datum(model.height.numpy(), block.grid, self.vertical)
+        heights, _ = to_datum(maps.height, block.grid, self.vertical)
         dsm = exported.shown(heights)
         self._put(DSM, dsm, block)
         # where an image's own offset was found wrong, the darkest ground comes out below none at all
-        albedo = np.maximum(model.albedo.permute(2, 0, 1).numpy(), 0)
+        albedo = np.maximum(maps.albedo.transpose(2, 0, 1), 0)
         self._put(ALBEDO, exported.shown(albedo), block)
         if validity is not None:
             self._put(VALIDITY, validity, block)
-        of_prior = {STD: model.height_std.numpy()}
+        of_prior = {STD: maps.height_std}
         for href, path in self._prior.items():
             of_prior[href] = _one_band(path, block.grid)
-        of_prior[STD] = np.where(np.isfinite(of_prior[STD]), of_prior[STD], model.height_std.numpy())
+        of_prior[STD] = np.where(np.isfinite(of_prior[STD]), of_prior[STD], maps.height_std)
         for href, values in of_prior.items():
             self._put(href, exported.shown(values), block)
         for name, sun in self._suns:
             lit = surface.lit(block, sun, False)
             self._put(view_href("shadow", name), np.where(exported.valid, lit < 0.5, 255).astype(np.uint8), block)
         for (kind, name), href in self._image_maps.items():
-            self._put(href, exported.shown(model.image_maps()[kind][model.items.index(name)].numpy()), block)
+            self._put(href, exported.shown(maps.images[kind][exported.about.items.index(name)]), block)
         rows, cols = (range(-(-s.start // self._step), -(-s.stop // self._step)) for s in (block.rows, block.cols))
         first = rows.start * self._step - block.rows.start, cols.start * self._step - block.cols.start
         small = dsm[first[0] :: self._step, first[1] :: self._step]
@@ -188,7 +192,7 @@ def _one_band(path: Path, target: Grid) -> np.ndarray:
 def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:
     """Whether a map of every image is known anywhere."""
     everywhere = slice(0, stored.grid.width)
-    parts = (stored.part(rows, everywhere).image_maps()[kind].numpy() for rows in stored.strips())
+    parts = (stored.maps(rows, everywhere).images[kind] for rows in stored.strips())
     return np.logical_or.reduce([np.isfinite(part).any(axis=(1, 2)) for part in parts])
 
 

@@ -8,13 +8,15 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
-from torch import Tensor
 
 from sattools.errors import InputError
 from sattools.scene.files import write_bytes, write_with
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # one key, with the checksum inside: safetensors writes several in any order, and the same fit gives the same file
 KEY, CHECKSUM, VERSION = "sattools", "sha256", "version"

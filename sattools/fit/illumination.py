@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.described import Radiance
 from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import SHAPE
 from sattools.fit.materials.scene import ReflectiveScene
@@ -25,7 +26,6 @@ from sattools.views import Source
 
 log = logging.getLogger(__name__)
 
-Radiance = Literal["reflectance_factor", "toa_reflectance", "relative"]
 KINDS = ("reflectance_factor", "toa_reflectance", "relative")
 NARROW_PHASE_DEG = 10.0  # below this span a phase function is a constant
 CALIBRATED_SHARE = 0.1
@@ -215,7 +215,6 @@ def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:
 
 __all__ = [
     "KINDS",
-    "Radiance",
     "calibrated",
     "check_light",
     "exposed",

@@ -8,10 +8,11 @@ import torch
 
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior, reference_height
+from sattools.fit.described import COLOURS, Radiance
 from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, Fitted, save_fit
-from sattools.fit.illumination import Radiance, calibrated, check_light, exposed, radiance_kind
+from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
 from sattools.fit.inputs import holding_out, load_prior, may_write
-from sattools.fit.model import COLOURS, FittedModel
+from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.start import Beginning
 from sattools.fit.surface.detail import with_detail

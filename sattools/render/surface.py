@@ -44,11 +44,6 @@ def render(
     return _Compiled.apply(height, colour, rays, quadrature, cell_size, mask)
 
 
-def chunk_count(cells: int) -> int:
-    """Pieces of work of a kernel: by the size of the map alone, so that sums do not depend on the number of threads."""
-    return min(8, max(1, cells // 16384))
-
-
 class _Compiled(torch.autograd.Function):
     """March rays in a numba kernel; the backward pass marches again instead of storing every sample."""
 
@@ -56,6 +51,7 @@ class _Compiled(torch.autograd.Function):
     def forward(
         ctx: Any, height: Tensor, colour: Tensor, rays: ParallelRays, q: Quadrature, cell: float, mask: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
+        from sattools.compiled import chunk_count
         from sattools.render import blocks, kernels
 
         h = np.ascontiguousarray(height.detach().numpy(), dtype=np.float32)

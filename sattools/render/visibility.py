@@ -5,13 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
-
-from sattools.render.surface import chunk_count
-
-SUN_RADIUS_DEG = 0.27
 
 
 def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, float, float]) -> Tensor:
@@ -33,13 +28,11 @@ def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, 
         more light) and the cell that casts the deciding shadow (higher = less).
     """
     east, north, up = (float(v) for v in sun)
-    horizontal = math.hypot(east, north)
     if up <= 0:
         return torch.zeros_like(height)
-    if horizontal < 1e-6 * up:
+    if math.hypot(east, north) < 1e-6 * up:
         return torch.ones_like(height)
-    heading = (east / horizontal, -north / horizontal)  # columns east, rows south
-    visibility: Tensor = _Visibility.apply(height, cell_size, heading, up / horizontal)
+    visibility: Tensor = _Visibility.apply(height, cell_size, (east, north, up))
     return visibility
 
 
@@ -49,35 +42,21 @@ def plate_slopes(height: Tensor) -> tuple[Tensor, Tensor]:
     It holds as far as the neighbours on both sides agree, else it is 0 (minmod): a plane keeps its slope, and beside a
     wall the ground and the roof stay level.
     """
-    from sattools.render import shadow_kernels
+    from sattools.render.shadows import limited_slopes
 
-    h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)
-    east, south = np.empty_like(h), np.empty_like(h)
-    shadow_kernels.limited_slopes(h, east, south)
+    east, south = limited_slopes(height.detach().cpu().numpy())
     return torch.from_numpy(east).to(height), torch.from_numpy(south).to(height)
 
 
 class _Visibility(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, height: Tensor, cell: float, heading: tuple[float, float], tangent: float) -> Tensor:
-        from sattools.render import shadow_kernels
+    def forward(ctx: Any, height: Tensor, cell: float, sun: tuple[float, float, float]) -> Tensor:
+        from sattools.render.shadows import cast_shadows
 
-        h = np.ascontiguousarray(height.detach().cpu().numpy(), dtype=np.float32)
-        visibility, width, slope_x, slope_y = (np.empty_like(h) for _ in range(4))
-        caster = np.empty(h.shape, np.int64)
-        shadow_kernels.limited_slopes(h, slope_x, slope_y)
-        # width of the half shadow per metre along the ray's ground track: d(tan el) = d(el) / cos(el)^2
-        growth = math.radians(SUN_RADIUS_DEG) * (1 + tangent**2) * cell
-        top = h.max() + 0.5 * max(np.abs(slope_x).max(), np.abs(slope_y).max())
-        shadow_kernels.shadow_march(
-            h, slope_x, slope_y, np.array(heading, np.float32), np.float32(tangent * cell), np.float32(growth),
-            np.float32(top), visibility, caster, width, 4 * chunk_count(h.size),
-        )  # fmt: skip
-        result = torch.from_numpy(visibility).to(height.device)
-        ctx.save_for_backward(
-            result, torch.from_numpy(caster).to(height.device), torch.from_numpy(width).to(height.device)
-        )
-        return result.to(height.dtype)
+        found = cast_shadows(height.detach().cpu().numpy(), cell, sun)
+        lit, caster, width = (torch.from_numpy(array).to(height.device) for array in found)
+        ctx.save_for_backward(lit, caster, width)
+        return lit.to(height.dtype)
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
@@ -87,7 +66,7 @@ class _Visibility(torch.autograd.Function):
         slope = torch.where(on_ramp, grad / (2 * width), 0.0)
         total = slope.clone().view(-1)
         total.index_add_(0, caster[on_ramp], -slope[on_ramp])
-        return total.view_as(grad), None, None, None
+        return total.view_as(grad), None, None
 
 
 __all__ = ["plate_slopes", "sun_visibility"]

@@ -1,5 +1,7 @@
 """Products of a fitted scene: labelled maps on the ground grid."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +114,32 @@ def test_the_priors_errors_take_the_place_of_the_fits_noise(scene: Any) -> None:
     assert error95[20, 5] == 3.0
     assert std[3, 4] == noise[0, 3, 4]
     assert np.isnan(error95[3, 4])
+
+
+def test_a_plain_surface_is_exported_and_aligned_without_pytorch(scene: Any) -> None:
+    reference = GRID.moved(1.5, 0.0)
+    bumps = np.random.default_rng(0).normal(0, 2, (8, 12)).repeat(5, 0).repeat(5, 1).astype(np.float32)
+    tensors, meta = load(scene.path("model"))
+    tensors["height"] = torch.from_numpy(bumps)
+    save(scene.path("model"), tensors, meta)
+    write_cog(scene.output("reference.tif"), bumps, reference)
+    code = (
+        "import sys; sys.modules['torch'] = None\n"  # whoever imports it fails
+        "from sattools.scene import Scene; from sattools.export.options import ExportOptions\n"
+        "from sattools.export.stage import export; from sattools.align.options import AlignOptions\n"
+        "from sattools.align.stage import align\n"
+        "scene = Scene.from_json(sys.stdin.read()); export(scene, ExportOptions())\n"
+        "print(align(scene, AlignOptions(to='reference.tif'))['shift']['east'], scene.products['model'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=scene.to_json(), cwd=scene.root, text=True, capture_output=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    east, model = done.stdout.split()
+    assert float(east) == pytest.approx(1.5, abs=0.1)
+    there, about = load(scene.path(model))
+    assert about["grid"]["left"] == pytest.approx(436001.5, abs=0.1)
+    torch.testing.assert_close(there["height"], torch.from_numpy(bumps), atol=0.05, rtol=0)
 
 
 def test_products_need_overwrite(scene: Any) -> None:

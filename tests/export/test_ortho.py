@@ -55,16 +55,16 @@ def model_of(scene: Scene) -> FittedModel:
     suns = [tuple(float(v) for v in grid_direction(*item.sun, grid.crs, lon, lat)) for item in scene.items]
     colours = torch.ones(views, bands)
     return FittedModel(
-        coarse,
-        [item.id for item in scene.items],
-        suns,
-        torch.from_numpy(means[0][0]).float(),
-        torch.full(coarse.shape, 0.3),
-        torch.from_numpy(means[1].transpose(1, 2, 0).copy()).float(),
-        colours,
-        0 * colours,
-        0.3 * colours,
-        torch.zeros(views, 2),
+        grid=coarse,
+        items=[item.id for item in scene.items],
+        suns=suns,
+        height=torch.from_numpy(means[0][0]).float(),
+        height_std=torch.full(coarse.shape, 0.3),
+        albedo=torch.from_numpy(means[1].transpose(1, 2, 0).copy()).float(),
+        gain=colours,
+        offset=0 * colours,
+        ambient=0.3 * colours,
+        pose=torch.zeros(views, 2),
     )
 
 

@@ -35,9 +35,9 @@ def a_model(height: Any) -> FittedModel:
     rows, cols = COARSE.shape
     gain = torch.ones(2, 3)
     return FittedModel(
-        COARSE, ["a", "b"], [None, None], height, torch.full(COARSE.shape, 0.2),
-        torch.linspace(0, 1, rows * cols * 3).reshape(rows, cols, 3), gain, 0 * gain, 0 * gain, torch.zeros(2, 2),
-        tau=torch.full((2, rows, cols), 0.75),
+        grid=COARSE, items=["a", "b"], suns=[None, None], height=height, height_std=torch.full(COARSE.shape, 0.2),
+        albedo=torch.linspace(0, 1, rows * cols * 3).reshape(rows, cols, 3), gain=gain, offset=0 * gain,
+        ambient=0 * gain, pose=torch.zeros(2, 2), tau=torch.full((2, rows, cols), 0.75),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +16,7 @@ from sattools.scene import Scene
 from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
-    from sattools.fit.model import FittedModel
+    from sattools.fit.stored import StoredModel
 
 READ = ("dsm", "dsm_std", "albedo", "validity", "probability", "prior_confidence", "ortho")
 
@@ -47,12 +47,12 @@ def check_libraries(names: Sequence[str]) -> None:
             extra(library, "products")
 
 
-def write_products(scene: Scene, model: FittedModel, wanted: Wanted, progress: Progress) -> JsonObject:
+def write_products(scene: Scene, stored: StoredModel, wanted: Wanted, progress: Progress) -> JsonObject:
     """Make products of the maps that were exported, and name them in the scene; figures for the history.
 
     Args:
         scene: with the maps; is changed.
-        model: that the maps are of.
+        stored: the model that the maps are of.
         wanted: what to make.
         progress: told the share done.
     """
@@ -64,7 +64,7 @@ def write_products(scene: Scene, model: FittedModel, wanted: Wanted, progress: P
         part(0.0, name)
         files = {product: scene.output(href) for product, href in FILES[name].items()}
         maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in scene.products})
-        notes[name] = _MAKERS[name](_Order(scene, model, maps, files, wanted, part))
+        notes[name] = _MAKERS[name](_Order(scene, stored, maps, files, wanted, part))
         scene.products.update(FILES[name])
     return notes
 
@@ -74,7 +74,7 @@ class _Order(NamedTuple):
 
     Attributes:
         scene: of the maps.
-        model: that they are of.
+        stored: the model that they are of.
         maps: that were exported.
         files: to write, by product.
         wanted: how.
@@ -82,7 +82,7 @@ class _Order(NamedTuple):
     """
 
     scene: Scene
-    model: FittedModel
+    stored: StoredModel
     maps: Maps
     files: Mapping[str, Path]
     wanted: Wanted
@@ -120,7 +120,8 @@ def _ortho(order: _Order) -> JsonObject:
     from sattools.export.products.ortho import write_ortho
 
     files = order.files["ortho"], order.files["ortho_source"]
-    return dict(write_ortho(order.scene, order.model, order.maps, files, order.wanted.vertical, order.progress))
+    model = replace(order.stored.head, grid=order.stored.grid)
+    return dict(write_ortho(order.scene, model, order.maps, files, order.wanted.vertical, order.progress))
 
 
 def _mesh(order: _Order) -> JsonObject:

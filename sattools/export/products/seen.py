@@ -16,7 +16,8 @@ from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
 from sattools.export.validity import valid_pixels
-from sattools.fit.model import FittedModel, Sun
+from sattools.fit.described import Sun
+from sattools.fit.model import FittedModel
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.render import sun_visibility
 from sattools.render.visibility import plate_slopes

@@ -16,8 +16,8 @@ from sattools.field import neural
 from sattools.field.networks import NETWORKS
 from sattools.field.surface_base import SurfaceBase
 from sattools.fit.depth_prior import DepthPrior, reference_height
+from sattools.fit.described import Radiance
 from sattools.fit.files import CHECKPOINT, Fitted
-from sattools.fit.illumination import Radiance
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions

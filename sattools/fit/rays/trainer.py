@@ -14,7 +14,7 @@ from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
 from sattools.fit.adam import Adam
 from sattools.fit.depth_prior import depth_std_m
-from sattools.fit.illumination import Radiance
+from sattools.fit.described import Radiance
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.heldout import held_out

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.described import Radiance
 from sattools.fit.files import CHECKPOINT
-from sattools.fit.illumination import Radiance, light_scale, material_notes, prior_normals
+from sattools.fit.illumination import light_scale, material_notes, prior_normals
 from sattools.fit.inputs import fingerprint
 from sattools.fit.materials.scene import ReflectiveScene, restored
 from sattools.fit.materials.selection import Choice, choose_model, draw

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import csv
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from sattools.errors import SceneError
+from sattools.fit.described import CELL_MAPS, COLOURS
 from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
 from sattools.fit.model import FittedModel
-from sattools.fit.stored import CELL_MAPS, StoredModel, StreamedModel
+from sattools.fit.stored import CellMaps, StoredModel, StreamedModel
 from sattools.fit.tiles.plan import COARSE, COMMON, FOLDER, Plan
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
@@ -78,11 +78,13 @@ class Piece:
         tile: where it lies.
         grid: of the map.
         read: the map or maps of some of its rows.
+        items: ids of the images that it has maps of.
     """
 
     tile: Tile
     grid: Grid
     read: Callable[[slice], Any]
+    items: Sequence[str] = ()
 
     def share(self) -> np.ndarray:
         """Weights of the map's cells."""
@@ -136,13 +138,13 @@ def _streamed(plan: Plan, models: Mapping[str, StoredModel], common: FittedModel
     def piece(tile: Tile) -> Piece:
         if tile.name in models:
             model = models[tile.name]
-            return Piece(tile, model.grid, lambda rows: model.part(rows, slice(0, model.grid.width)))
+            width = slice(0, model.grid.width)
+            return Piece(tile, model.grid, lambda rows: model.maps(rows, width), model.about.items)
         grid = tile.grid.resized(whole.cell_size)
         return Piece(tile, grid, lambda rows: _resampled(common, grid.part(rows, slice(0, grid.width))))
 
     pieces = [piece(tile) for tile in plan.tiles]
-    heads = [model.head for model in models.values()]
-    images = {name for head in heads for name in head.image_maps()}
+    images = {name for model in models.values() for name in model.image_maps}
 
     def maps_of(rows: slice) -> dict[str, np.ndarray]:
         mosaics = {name: FeatheredMosaic(whole, rows, bands[name]) for name in CELL_MAPS}
@@ -151,33 +153,31 @@ def _streamed(plan: Plan, models: Mapping[str, StoredModel], common: FittedModel
             own = one.rows_within(whole, rows)
             if own is None:
                 continue
-            model, share = one.read(own), one.share()
+            found, share = one.read(own), one.share()
             for name, mosaic in mosaics.items():
-                mosaic.add(one.tile, share, getattr(model, name).numpy(), own)
-            for name, layers_of in model.image_maps().items():
-                for item, values in zip(model.items, layers_of.numpy(), strict=True):
+                mosaic.add(one.tile, share, getattr(found, name), own)
+            for name, layers_of in found.images.items():
+                for item, values in zip(one.items, layers_of, strict=True):
                     layers[name][common.items.index(item)].add(one.tile, share, values, own)
         done = {name: mosaic.done() for name, mosaic in mosaics.items()}
         per_image = {name: np.stack([one.done()[..., 0] for one in own]) for name, own in layers.items()}
         return {**done, "height": done["height"][..., 0], "height_std": done["height_std"][..., 0], **per_image}
 
     bands = {"height": 1, "height_std": 1, "albedo": common.albedo.shape[-1]}
-    head = replace(common, softness=heads[-1].softness if heads else common.softness)
-    return StreamedModel(head, whole, bands["albedo"], tuple(sorted(images)), maps_of, _strip_rows(whole))
+    last = list(models.values())[-1].about if models else common
+    about = replace(common.described(), grid=whole, softness=last.softness)
+    colours = {name: getattr(common, name).numpy() for name in COLOURS}
+    return StreamedModel(about, colours, bands["albedo"], tuple(sorted(images)), maps_of, _strip_rows(whole))
 
 
 def _strip_rows(whole: Grid) -> int:
     return min(STRIP_ROWS, max(LEAST_ROWS, STRIP_CELLS // whole.width))
 
 
-def _resampled(model: FittedModel, grid: Grid) -> FittedModel:
+def _resampled(model: FittedModel, grid: Grid) -> CellMaps:
     """The maps of a model on another grid, without those of single images."""
-    height, height_std, albedo = (
-        torch.from_numpy(sample_map(getattr(model, name).numpy(), model.grid, grid)) for name in CELL_MAPS
-    )
-    return replace(
-        model, grid=grid, height=height, height_std=height_std, albedo=albedo, s_net=None, tau=None, beta=None
-    )
+    height, std, albedo = (sample_map(getattr(model, name).numpy(), model.grid, grid) for name in CELL_MAPS)
+    return CellMaps(height, std, albedo, {})
 
 
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:

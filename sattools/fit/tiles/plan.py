@@ -17,8 +17,9 @@ import torch
 
 from sattools import __version__
 from sattools.errors import InputError, SceneError
+from sattools.fit.described import COLOURS
 from sattools.fit.files import CHECKPOINT, MODEL, STATE
-from sattools.fit.model import COLOURS, FittedModel
+from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.resume import OTHER_FIT
 from sattools.fit.surface.schedule import schedule

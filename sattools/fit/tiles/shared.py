@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from sattools.errors import SceneError
-from sattools.fit.model import COLOURS, FittedModel
+from sattools.fit.described import COLOURS
+from sattools.fit.model import FittedModel
 from sattools.fit.resume import IlluminationOptions
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.render import sun_visibility
