@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from sattools.prior.frame import Frame
 from sattools.prior.visibility.consistency import (
@@ -11,6 +12,7 @@ from sattools.prior.visibility.consistency import (
     count_consistent_views,
     filled,
     own_pixel_votes,
+    standing,
     typical_look,
     update_minima,
 )
@@ -174,3 +176,37 @@ def test_a_tree_stays_though_the_ground_behind_it_agrees_better() -> None:
 def test_of_few_views_none_has_a_vote() -> None:
     """The median of two or three would be the pixel itself."""
     assert crown_votes(times=1) == [2, 0, 2, 2, 2]
+
+
+def test_cells_in_which_two_views_agree_by_chance_do_not_stand() -> None:
+    height = np.zeros((40, 40), np.float32)
+    agreeing, views = np.full((40, 40), 2, np.uint8), np.full((40, 40), 3, np.uint8)
+    agreeing[10:30, 10:30] = 1  # a place about which the views disagree,
+    chance = np.random.default_rng(0).random((40, 40)) < 0.1
+    agreeing[chance] = 2  # but for a tenth of its cells, at any height
+    height[10:30, 10:30] = -50.0
+    inside = np.s_[13:27, 13:27]
+    stands = standing(height, agreeing, views, 0.5)
+    assert not stands[inside].any()
+    assert stands[:8].all()
+    assert (filled(height, stands, 0.5)[inside] == 0.0).all()
+    assert (filled(height, 2 * agreeing > views, 0.5)[inside] == -50.0).any()
+
+
+@pytest.mark.parametrize(("views_agree", "stays"), [(2, False), (3, False), (4, True)])
+def test_few_views_need_cells_of_one_height_around_where_many_do_not(views_agree: int, stays: bool) -> None:
+    agreeing, views = (np.full((20, 20), count, np.uint8) for count in (views_agree, 2 * views_agree - 1))
+    height = np.random.default_rng(0).uniform(-100, 100, (20, 20)).astype(np.float32)
+    assert standing(height, agreeing, views, 1.0).all() == stays
+    level = standing(np.zeros((20, 20), np.float32), agreeing, views, 1.0)
+    assert level.all()
+
+
+def test_what_is_taken_to_stand_needs_support_like_the_others() -> None:
+    nothing = np.zeros((20, 20), np.uint8)
+    taken = np.zeros((20, 20), bool)
+    taken[10:] = True
+    taken[3, 3] = True
+    stands = standing(np.zeros((20, 20), np.float32), nothing, nothing, 1.0, taken)
+    assert stands[11:].all()
+    assert not stands[:9].any()

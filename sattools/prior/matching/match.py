@@ -13,7 +13,7 @@ from sattools.prior.matching.subplane import refine_subplane
 from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
-from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled
+from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
 from sattools.prior.visibility.edges import snap_edges
 from sattools.prior.visibility.occlusion import (
@@ -110,8 +110,8 @@ def match(
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     # beyond the images nothing is known that could be on the lower side of anything
     everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
-    beyond_images = ~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0)
-    height = filled(height, (2 * agreeing > views) | beyond_images, frame.cell)
+    beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
+    height = filled(height, standing(height, agreeing, views, frame.cell, beyond_images), frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
     if task.options.edges:
@@ -174,8 +174,15 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
     radius = options.erode * (1.0 if task.robust else FEW_ERODE) / frame.cell
     for k in range(passes):
         progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
-        height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling)
+        minima = RayMinima.unknown(frame) if len(task.pairs) < HILLS_PAIRS else None
+        height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling, minima=minima)
         height = median_filter(height, 3, mode="nearest")
+        if minima is not None:
+            # few views leave much unseen, and what is wrong there hides what is right in the next pass
+            hits = visibility.first_hit_height
+            agreeing, views = count_consistent_views(frame, hits, minima, height, options.tolerance, rough.step)
+            height = filled(height, standing(height, agreeing, views, frame.cell), frame.cell)
+            height = median_filter(height, 3, mode="nearest")
         if k == 0:
             rough = replace(
                 rough,

@@ -26,6 +26,10 @@ UNLIKE = 0.1  # difference of brightness from which a pixel does not look like a
 LIKE = 0.25  # share of what it differs by beyond that from the best place, by which it may differ from the cell
 FEWEST_LOOKS = 4  # views that say how a cell looks
 REACH_M = 20.0  # distance within which a standing cell is looked for
+SUPPORT_M = 3.0  # edge of the square around a cell, in which cells stand that stand for a reason
+SUPPORTED = 0.5  # share of the cells there that must stand
+FEW_AGREEING = 4  # views; where fewer agree, they may do so by chance,
+ALIKE, ALIKE_M = 0.45, 2.0  # and this share of the cells there must stand within so many metres of the cell
 RANK = 2  # of the heights found in eight directions, from the lowest: one or two may be holes themselves
 
 
@@ -71,6 +75,34 @@ def count_consistent_views(
     typical_look(value, seen, look)
     own_pixel_votes(value, seen, look, best, height, frame.parallax, near, agree)
     return agree.sum(axis=0, dtype=np.uint8), seen.sum(axis=0, dtype=np.uint8)
+
+
+def standing(
+    height: np.ndarray, agreeing: np.ndarray, views: np.ndarray, cell: float, taken: np.ndarray | bool = False
+) -> np.ndarray:
+    """Cells ``[H, W]`` bool in which most of the views that see them have their best place, and not by chance.
+
+    In a place that is hidden from all views but two or three, or that looks different in all of them, now and then a
+    cell is found where two agree, at any height; the heights of the whole place would be taken from such cells. They
+    stand alone. Cells of one surface stand together, and where few views agree, at one height.
+
+    Args:
+        height: ``[H, W]`` float32 [m].
+        agreeing: ``[H, W]`` views that have their best place there.
+        views: ``[H, W]`` views that see it.
+        cell: edge of a cell [m].
+        taken: ``[H, W]`` bool cells that are taken to agree, whatever the views say.
+    """
+    import cv2
+
+    stands = (2 * agreeing.astype(np.int32) > views) | taken
+    reach = max(1, round(SUPPORT_M / cell / 2))
+    size = 2 * reach + 1
+    share = cv2.blur(stands.astype(np.float32), (size, size), borderType=cv2.BORDER_REPLICATE)
+    supported = stands & (share > SUPPORTED)
+    weak = stands & (agreeing < FEW_AGREEING)
+    _alike(height, stands, weak, reach, np.float32(ALIKE_M), supported)
+    return supported
 
 
 def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
@@ -193,6 +225,24 @@ def own_pixel_votes(value, seen, look, best, height, parallax, near, agree, firs
 
 @spread(lambda height, *_: len(height))
 @njit(cache=True, nogil=True)
+def _alike(height, stands, weak, reach, dz, supported, first_row, end_row):
+    """Set ``supported`` of weak cells to whether enough of the cells around stand and are as high."""
+    rows, cols = height.shape
+    for row in range(first_row, end_row):
+        for col in range(cols):
+            if not weak[row, col]:
+                continue
+            top, bottom = max(0, row - reach), min(rows, row + reach + 1)
+            left, right = max(0, col - reach), min(cols, col + reach + 1)
+            count = 0
+            for r in range(top, bottom):
+                for c in range(left, right):
+                    count += stands[r, c] and abs(height[r, c] - height[row, col]) < dz
+            supported[row, col] = count > ALIKE * (bottom - top) * (right - left)
+
+
+@spread(lambda height, *_: len(height))
+@njit(cache=True, nogil=True)
 def _fill(height, stands, reach, result, first_row, end_row):
     rows, cols = height.shape
     for row in range(first_row, end_row):
@@ -216,4 +266,12 @@ def _fill(height, stands, reach, result, first_row, end_row):
                 result[row, col] = around[min(RANK, count - 1)]
 
 
-__all__ = ["RayMinima", "count_consistent_views", "filled", "own_pixel_votes", "typical_look", "update_minima"]
+__all__ = [
+    "RayMinima",
+    "count_consistent_views",
+    "filled",
+    "own_pixel_votes",
+    "standing",
+    "typical_look",
+    "update_minima",
+]
