@@ -155,19 +155,18 @@ def geopackage(features: Features, layer: str, kind: str) -> bytes:
         layer: name of the layer.
         kind: of its geometries, such as ``MultiPolygon``.
     """
-    import tempfile
+    import io
 
     import shapely
     from pyogrio.raw import write
 
     encoded = shapely.to_wkb(np.array([*features.geometries, None], object)[:-1])
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "layer.gpkg"
-        write(
-            target, encoded, list(features.columns.values()), list(features.columns), layer=layer, driver="GPKG",
-            geometry_type=kind, crs=features.crs,
-        )  # fmt: skip
-        return target.read_bytes()
+    made = io.BytesIO()  # in memory: on a full disk SQLite leaves half a database without an error
+    write(
+        made, encoded, list(features.columns.values()), list(features.columns), layer=layer, driver="GPKG",
+        geometry_type=kind, crs=features.crs,
+    )  # fmt: skip
+    return made.getvalue()
 
 
 def _head(path: Path) -> bytes:

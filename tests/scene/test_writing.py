@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from patience import HANGING_S
 
 from sattools.errors import OutputExistsError, OutputIsInputError, SattoolsError
@@ -29,6 +30,7 @@ from sattools.scene.files import (
     write_text,
 )
 from sattools.scene.raster import write_cog, write_sensor_image
+from sattools.scene.vectors import Features, geopackage
 
 GRID = Grid("EPSG:32617", 0.0, 0.0, 1.0, 120, 120)
 NOISE = np.random.default_rng(0).normal(size=GRID.shape).astype(np.float32)
@@ -55,11 +57,19 @@ def model(path: Any) -> None:
     checkpoint.save(path, {"height": torch.from_numpy(NOISE)}, {"field": "surface"})
 
 
+def lines(path: Any) -> None:
+    """500 lines as a GeoPackage; SQLite on a full disk left a database without tables, and no error."""
+    steps = shapely.linestrings(np.stack([NOISE[:, ::12], NOISE[:, 1::12]], axis=-1).reshape(-1, 2, 2)[:500])
+    made = geopackage(Features(list(steps), {"height": np.arange(500.0)}, GRID.crs), "contours", "LineString")
+    write_bytes(path, made)
+
+
 WRITERS = {
     "a.txt": lambda path: write_text(path, "new" * 50_000),
     "a.tif": lambda path: write_cog(path, NOISE, GRID),
     "b.tif": lambda path: write_sensor_image(path, NOISE[None]),
     "a.png": lambda path: write_figure(path, figure()),
+    "a.gpkg": lines,
     "a.safetensors": model,
 }
 
