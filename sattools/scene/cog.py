@@ -14,12 +14,13 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from rasterio.enums import Resampling
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from sattools.errors import SattoolsError
 from sattools.scene.datums import compound
 from sattools.scene.files import scratch, write_bytes, write_with
+from sattools.scene.gdal import ERRORS, quiet_libtiff, why_not_written
 from sattools.scene.grid import Grid
 from sattools.scene.stored import cut
 
@@ -86,14 +87,16 @@ class CogWriter:
                 self._data = self._memory.open(**self._profile)
             else:
                 self._raw = self._stack.enter_context(scratch(self.path))
+                quiet_libtiff()
                 # by bands: overviews of pixels take twice the memory and a quarter more seconds
                 laid_out = {"tiled": True, "blockxsize": TILE, "blockysize": TILE, "interleave": "band"}
                 laid_out["bigtiff"] = "if_safer"
                 with rasterio.Env(GDAL_CACHEMAX=_CACHE):
                     self._data = rasterio.open(self._raw, "w", **self._profile, **laid_out)
-        except (RasterioError, OSError) as error:
+        except (*ERRORS, OSError) as error:
+            failed = self._failed(error)
             self._stack.close()
-            raise self._failed(error) from error
+            raise failed from error
         units, tags, descriptions = self._about
         if units:
             self._data.units = [units] * self._data.count
@@ -116,7 +119,7 @@ class CogWriter:
             raise SattoolsError(f"{self.path}: found an array of {array.shape[1:]}, expected the grid's {wanted}")
         try:
             self._data.write(array.astype(self.dtype, copy=False), window=Window.from_slices(rows, cols))
-        except (RasterioError, OSError) as error:
+        except (*ERRORS, OSError) as error:
             raise self._failed(error) from error
 
     def __exit__(
@@ -129,8 +132,9 @@ class CogWriter:
                     self._finish_small()
                 else:
                     self._finish_large()
-        except RasterioError as problem:
-            raise self._failed(problem) from problem
+        except ERRORS as problem:
+            if kind is None:  # else it has been told why
+                raise self._failed(problem) from problem
         finally:
             self._stack.close()
 
@@ -177,6 +181,8 @@ class CogWriter:
         write_with(self.path, optimise, check)
 
     def _failed(self, error: Exception) -> SattoolsError:
+        if not self._small and isinstance(error, ERRORS):
+            error = why_not_written(self._raw, error)
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
         return SattoolsError(f"{self.path}: cannot be written ({reason})")
 

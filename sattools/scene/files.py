@@ -115,15 +115,17 @@ def make_folder(folder: Path) -> None:
 
 def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Callable[[Path], None]) -> None:
     """A new file, synced and checked; what libraries say of a full disk is an OSError."""
-    from rasterio.errors import RasterioError
+    from sattools.scene.gdal import ERRORS, quiet_libtiff, why_not_written
 
+    quiet_libtiff()
     try:
         write(temporary)
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
         check(temporary)
-    except RasterioError as error:
-        raise OSError(5, " ".join(str(error).split())[:200].replace(temporary.name, path.name)) from error
+    except ERRORS as error:
+        found = why_not_written(temporary, error)
+        raise OSError(found.errno, (found.strerror or "").replace(temporary.name, path.name)) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,5 +1,7 @@
 """Maps larger than memory: written block by block, looked at reduced, compared where the reference lies."""
 
+import re
+import resource
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,9 @@ from sattools.compare.stage import compare_file
 from sattools.errors import InputError, SattoolsError
 from sattools.scene import Grid, cog, stored
 from sattools.scene.cog import CogWriter
+from sattools.scene.gdal import why_not_written
 from sattools.scene.raster import read_overview, read_some_pixels, write_cog, write_sensor_image
+from sattools.scene.sensor_files import write_sensor_blocks
 
 GRID = Grid("EPSG:32633", 500000.0, 5000000.0, 0.5, 700, 600)
 
@@ -121,3 +125,40 @@ def test_of_a_large_surface_only_the_part_at_the_reference_is_compared(
     write_cog(tmp_path / "far.tif", heights[:100, :100], far, units="m")
     with pytest.raises(InputError, match=r"dsm\.tif: found no height where the reference far lies, expected overlap"):
         compare_file(CompareOptions(predicted=str(tmp_path / "dsm.tif"), dsm=str(tmp_path / "far.tif")))
+
+
+def in_blocks(path: Path) -> None:
+    with CogWriter(path, GRID) as out:
+        for row in (0, 512):
+            rows = slice(row, min(row + 512, 600))
+            out.write(noise()[rows], rows)
+
+
+def of_a_sensor(path: Path) -> None:
+    image = np.random.default_rng(0).normal(size=(1, 1200, 900)).astype(np.float32)
+    write_sensor_blocks(path, (1200, 900), 1, lambda rows, cols: image[:, rows, cols], rpc={})
+
+
+@pytest.mark.parametrize("write", [in_blocks, of_a_sensor])
+def test_a_disk_that_is_full_in_the_middle_of_a_large_file_is_told_in_its_own_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], write: Any
+) -> None:
+    monkeypatch.setattr(cog, "IN_MEMORY", 0)
+    write(tmp_path / "map.tif")
+    whole = (tmp_path / "map.tif").stat().st_size
+    (tmp_path / "map.tif").unlink()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for size in (0, 2000, whole // 2, whole - 1):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            with pytest.raises(SattoolsError, match=r"map\.tif: cannot be written \(File too large\)"):
+                write(tmp_path / "map.tif")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr().err == ""
+
+
+def test_where_gdal_gave_the_room_back_what_it_said_stands_beside_what_is_free(tmp_path: Path) -> None:
+    found = why_not_written(tmp_path / "gone.tif", RuntimeError("Write error\nat scanline 0"))
+    assert re.fullmatch(r"Write error at scanline 0; \d+ MiB are free now", str(found.strerror))

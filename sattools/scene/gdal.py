@@ -1,0 +1,53 @@
+"""What GDAL makes of a disk that is full: errors of several kinds, of which hardly one says so."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from rasterio._err import CPLE_BaseError
+from rasterio.errors import RasterioError
+
+ERRORS = (RasterioError, CPLE_BaseError)  # the second is what closing a file raises, and is not one of the first
+_PIECE = 4 << 20  # bytes: more than may be left where GDAL found too little
+
+
+def why_not_written(path: Path, error: Exception) -> OSError:
+    """What is wrong with a file that GDAL could not write, which goes afterwards.
+
+    Args:
+        path: the file, or what there is of it.
+        error: what GDAL said, often "see previous exception".
+
+    Returns: the system's own error where there still is one.
+    """
+    try:
+        with open(path, "ab") as file:  # what the system says of a few bytes more
+            file.write(bytes(_PIECE))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as found:
+        return found
+    # GDAL may have removed the file, and there is room again
+    left = shutil.disk_usage(path.parent).free >> 20
+    return OSError(5, f"{' '.join(str(error).split())[:200]}; {left} MiB are free now")
+
+
+@functools.cache
+def quiet_libtiff() -> None:
+    """Keep libtiff from printing on its own, as it does on a full disk; what it finds is an error of GDAL all the same.
+
+    GDAL asks it not to, but for the functions that read and write.
+    """
+    with suppress(OSError, AttributeError):
+        for line in Path("/proc/self/maps").read_text().splitlines():
+            path = "/" + line.partition("/")[2]
+            if os.path.basename(path).startswith("libtiff"):
+                ctypes.CDLL(path).TIFFSetErrorHandler(None)
+
+
+__all__ = ["ERRORS", "quiet_libtiff", "why_not_written"]
