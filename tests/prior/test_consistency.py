@@ -210,3 +210,10 @@ def test_what_is_taken_to_stand_needs_support_like_the_others() -> None:
     stands = standing(np.zeros((20, 20), np.float32), nothing, nothing, 1.0, taken)
     assert stands[11:].all()
     assert not stands[:9].any()
+
+
+def test_of_many_views_every_cell_stands_for_itself() -> None:
+    agreeing = np.zeros((20, 20), np.uint8)
+    agreeing[10, 10] = 3
+    stands = standing(np.zeros((20, 20), np.float32), agreeing, np.full((20, 20), 5, np.uint8), 1.0, supported=False)
+    assert np.argwhere(stands).tolist() == [[10, 10]]

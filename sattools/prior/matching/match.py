@@ -35,6 +35,7 @@ OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked fo
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
+FEW_PAIRS = 4  # of three views; below, that a cell's views agree needs cells around of which theirs do, too
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
 HILLS_BRIGHTNESS = 3.0  # factor of `brightness` there: open ground is the brighter, the nearer a view is to the sun
 HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
@@ -111,7 +112,9 @@ def match(
     # beyond the images nothing is known that could be on the lower side of anything
     everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
     beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
-    height = filled(height, standing(height, agreeing, views, frame.cell, beyond_images), frame.cell)
+    few = len(pairs) < FEW_PAIRS
+    stands = standing(height, agreeing, views, frame.cell, beyond_images, supported=few)
+    height = filled(height, stands, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
     if task.options.edges:
@@ -174,7 +177,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
     radius = options.erode * (1.0 if task.robust else FEW_ERODE) / frame.cell
     for k in range(passes):
         progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
-        minima = RayMinima.unknown(frame) if len(task.pairs) < HILLS_PAIRS else None
+        minima = RayMinima.unknown(frame) if len(task.pairs) < FEW_PAIRS else None
         height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling, minima=minima)
         height = median_filter(height, 3, mode="nearest")
         if minima is not None:

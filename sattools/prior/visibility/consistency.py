@@ -78,7 +78,13 @@ def count_consistent_views(
 
 
 def standing(
-    height: np.ndarray, agreeing: np.ndarray, views: np.ndarray, cell: float, taken: np.ndarray | bool = False
+    height: np.ndarray,
+    agreeing: np.ndarray,
+    views: np.ndarray,
+    cell: float,
+    taken: np.ndarray | bool = False,
+    *,
+    supported: bool = True,
 ) -> np.ndarray:
     """Cells ``[H, W]`` bool in which most of the views that see them have their best place, and not by chance.
 
@@ -92,17 +98,21 @@ def standing(
         views: ``[H, W]`` views that see it.
         cell: edge of a cell [m].
         taken: ``[H, W]`` bool cells that are taken to agree, whatever the views say.
+        supported: whether chance is looked for: of many views most hardly ever agree by it, and what is small and
+            high would go.
     """
     import cv2
 
-    stands = (2 * agreeing.astype(np.int32) > views) | taken
+    stands = np.asarray((2 * agreeing.astype(np.int32) > views) | taken)
+    if not supported:
+        return stands
     reach = max(1, round(SUPPORT_M / cell / 2))
     size = 2 * reach + 1
     share = cv2.blur(stands.astype(np.float32), (size, size), borderType=cv2.BORDER_REPLICATE)
-    supported = stands & (share > SUPPORTED)
+    firm = stands & (share > SUPPORTED)
     weak = stands & (agreeing < FEW_AGREEING)
-    _alike(height, stands, weak, reach, np.float32(ALIKE_M), supported)
-    return supported
+    _alike(height, stands, weak, reach, np.float32(ALIKE_M), firm)
+    return firm
 
 
 def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
@@ -225,8 +235,8 @@ def own_pixel_votes(value, seen, look, best, height, parallax, near, agree, firs
 
 @spread(lambda height, *_: len(height))
 @njit(cache=True, nogil=True)
-def _alike(height, stands, weak, reach, dz, supported, first_row, end_row):
-    """Set ``supported`` of weak cells to whether enough of the cells around stand and are as high."""
+def _alike(height, stands, weak, reach, dz, firm, first_row, end_row):
+    """Set ``firm`` of weak cells to whether enough of the cells around stand and are as high."""
     rows, cols = height.shape
     for row in range(first_row, end_row):
         for col in range(cols):
@@ -238,7 +248,7 @@ def _alike(height, stands, weak, reach, dz, supported, first_row, end_row):
             for r in range(top, bottom):
                 for c in range(left, right):
                     count += stands[r, c] and abs(height[r, c] - height[row, col]) < dz
-            supported[row, col] = count > ALIKE * (bottom - top) * (right - left)
+            firm[row, col] = count > ALIKE * (bottom - top) * (right - left)
 
 
 @spread(lambda height, *_: len(height))
