@@ -26,10 +26,8 @@ UNLIKE = 0.1  # difference of brightness from which a pixel does not look like a
 LIKE = 0.25  # share of what it differs by beyond that from the best place, by which it may differ from the cell
 FEWEST_LOOKS = 4  # views that say how a cell looks
 REACH_M = 20.0  # distance within which a standing cell is looked for
-SUPPORT_M = 3.0  # edge of the square around a cell, in which cells stand that stand for a reason
-SUPPORTED = 0.5  # share of the cells there that must stand
-FEW_AGREEING = 4  # views; where fewer agree, they may do so by chance,
-ALIKE, ALIKE_M = 0.45, 2.0  # and this share of the cells there must stand within so many metres of the cell
+SUPPORT_M = 3.0  # edge of the square around a cell that stands for a reason:
+ALIKE, ALIKE_M = 0.45, 2.0  # this share of the cells there stand, too, within so many metres of its height
 RANK = 2  # of the heights found in eight directions, from the lowest: one or two may be holes themselves
 
 
@@ -90,7 +88,7 @@ def standing(
 
     In a place that is hidden from all views but two or three, or that looks different in all of them, now and then a
     cell is found where two agree, at any height; the heights of the whole place would be taken from such cells. They
-    stand alone. Cells of one surface stand together, and where few views agree, at one height.
+    stand alone. Cells of one surface stand together, at one height.
 
     Args:
         height: ``[H, W]`` float32 [m].
@@ -101,17 +99,11 @@ def standing(
         supported: whether chance is looked for: of many views most hardly ever agree by it, and what is small and
             high would go.
     """
-    import cv2
-
     stands = np.asarray((2 * agreeing.astype(np.int32) > views) | taken)
     if not supported:
         return stands
-    reach = max(1, round(SUPPORT_M / cell / 2))
-    size = 2 * reach + 1
-    share = cv2.blur(stands.astype(np.float32), (size, size), borderType=cv2.BORDER_REPLICATE)
-    firm = stands & (share > SUPPORTED)
-    weak = stands & (agreeing < FEW_AGREEING)
-    _alike(height, stands, weak, reach, np.float32(ALIKE_M), firm)
+    firm = np.zeros(stands.shape, bool)
+    _alike(height, stands, max(1, round(SUPPORT_M / cell / 2)), np.float32(ALIKE_M), firm)
     return firm
 
 
@@ -235,12 +227,12 @@ def own_pixel_votes(value, seen, look, best, height, parallax, near, agree, firs
 
 @spread(lambda height, *_: len(height))
 @njit(cache=True, nogil=True)
-def _alike(height, stands, weak, reach, dz, firm, first_row, end_row):
-    """Set ``firm`` of weak cells to whether enough of the cells around stand and are as high."""
+def _alike(height, stands, reach, dz, firm, first_row, end_row):
+    """Set ``firm`` of standing cells to whether enough of the cells around stand and are as high."""
     rows, cols = height.shape
     for row in range(first_row, end_row):
         for col in range(cols):
-            if not weak[row, col]:
+            if not stands[row, col]:
                 continue
             top, bottom = max(0, row - reach), min(rows, row + reach + 1)
             left, right = max(0, col - reach), min(cols, col + reach + 1)
