@@ -108,6 +108,7 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     size. Raises InputError for missing or contradictory files.
     """
     folder = Path(folder)
+    _check_tile(folder, aoi)
     heights = _heights(folder / f"{aoi}_DSM.tif")
     grid = _dfc2019_grid(folder / f"{aoi}_DSM.txt", heights.shape, _dfc2019_crs(folder / f"{aoi}_DSM.tif", aoi))
     path = folder / f"{aoi}_CLS.tif"
@@ -118,6 +119,19 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     if classes.shape != heights.shape:
         raise InputError(f"{path}: found {classes.shape} cells, expected {heights.shape} as in {aoi}_DSM.tif")
     return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path))
+
+
+def _check_tile(folder: Path, aoi: str) -> None:
+    """Raise InputError where a folder is none, or has nothing of a tile."""
+    expected = f"expected a folder with {aoi}_DSM.tif, {aoi}_DSM.txt and {aoi}_CLS.tif"
+    if folder.is_file():
+        raise InputError(f"{folder}: found a file, {expected} (--dsm takes a file)")
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder, {expected}")
+    if not (folder / f"{aoi}_DSM.tif").exists():
+        others = sorted(path.name.removesuffix("_DSM.tif") for path in folder.glob("*_DSM.tif"))
+        found = f"tiles {', '.join(others)[:200]} (--aoi NAME takes one)" if others else "no tile"
+        raise InputError(f"{folder}: found {found}, {expected}")
 
 
 def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:

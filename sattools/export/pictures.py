@@ -92,7 +92,7 @@ class Picture:
 
     def check(self) -> None:
         """Raise SceneError where no pixel shows the model's ground."""
-        check_seen(self._id, np.array([self._any]))
+        check_seen(self._id, np.array([self._any]), f"leave out --view {self._id}")
 
 
 class ColourScale:

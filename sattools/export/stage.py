@@ -138,7 +138,8 @@ def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:
         raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
-        raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected one for --view")
+        known = ", ".join(item.id for item in scene.items)[:200]
+        raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected --view with one of {known}")
     stored = StoredModel.open(scene.path(scene.products["model"]))
     check_current(scene, "fit")
     return stored

@@ -164,12 +164,18 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
     return views
 
 
-def check_seen(item_id: str, mask: np.ndarray) -> None:
-    """Raise SceneError if an image shows nothing of the grid (an all-zero ``mask`` of any shape)."""
+def check_seen(item_id: str, mask: np.ndarray, remedy: str | None = None) -> None:
+    """Raise SceneError if an image shows nothing of the grid.
+
+    Args:
+        item_id: the image's id.
+        mask: of any shape; all-zero if it shows nothing.
+        remedy: what the user can do; None = fit without it.
+    """
     if not mask.any():
+        remedy = remedy or f"`sattools fit --holdout {item_id}` goes on without it"
         raise SceneError(
-            f"image {item_id}: found no valid pixel on the scene's grid, expected an image of this place "
-            "(hold it out to go on without it)"
+            f"image {item_id}: found no valid pixel on the scene's grid, expected an image of this place ({remedy})"
         )
 
 

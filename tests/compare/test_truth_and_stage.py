@@ -99,6 +99,20 @@ def test_contest_files_that_contradict_each_other_are_refused(tmp_path: Path) ->
         read_dfc2019(tmp_path, "JAX_001")
 
 
+def test_a_truth_that_is_no_folder_or_of_other_tiles_is_told_with_what_is_there(tmp_path: Path) -> None:
+    write_contest_tile(tmp_path, "JAX_004", city(), np.full((160, 160), 2, np.uint8))
+    expected = r"expected a folder with JAX_068_DSM\.tif, JAX_068_DSM\.txt and JAX_068_CLS\.tif"
+    (tmp_path / "empty").mkdir()
+    for place, found in (
+        (tmp_path / "JAX_004_DSM.tif", rf"JAX_004_DSM\.tif: found a file, {expected} \(--dsm takes a file\)"),
+        (tmp_path / "nowhere", f"nowhere: no such folder, {expected}"),
+        (tmp_path / "empty", f"empty: found no tile, {expected}"),
+        (tmp_path, rf"found tiles JAX_004 \(--aoi NAME takes one\), {expected}"),
+    ):
+        with pytest.raises(InputError, match=found):
+            read_dfc2019(place, "JAX_068")
+
+
 def test_no_data_values_of_a_reference_become_nan(tmp_path: Path) -> None:
     heights = city()
     heights[:10] = -9999

@@ -128,7 +128,7 @@ def test_relighting_moves_the_shade_to_the_other_side(fitted: Any) -> None:
 
 
 def test_an_unknown_view_is_refused_before_anything_is_written(fitted: Any) -> None:
-    with pytest.raises(SceneError, match="NO_SUCH"):
+    with pytest.raises(SceneError, match=r"NO_SUCH.*, expected --view with one of HILL_001, HILL_002"):
         export(fitted, ExportOptions(view=["NO_SUCH"]))
 
 

@@ -67,6 +67,6 @@ def test_an_image_of_another_place_is_told_and_nothing_is_written(fitted: Any) -
     text = camera.read_text().splitlines()
     far = [line if not line.startswith("LAT_OFF") else "LAT_OFF: 12.5 degrees" for line in text]
     camera.write_text("\n".join(far) + "\n")
-    with pytest.raises(SceneError):
+    with pytest.raises(SceneError, match=rf"{name}: found no valid pixel .* \(leave out --view {name}\)"):
         export(fitted, ExportOptions(view=[name]))
     assert list((fitted.root / "export/rendered").rglob("*")) == []
