@@ -65,10 +65,10 @@ class Numbers:
         """What is masked without a no-data number."""
         found = []
         if self.odd:
-            found.append(f"{100.0 * self.odd / self.seen:.2g} % of the pixels are NaN and were masked")
+            found.append(f"{self._percent(self.odd)} % of the pixels are NaN and were masked")
         if self.zero > MANY_ZEROS * self.seen:
             found.append(
-                f"{100.0 * self.zero / self.seen:.2g} % of the pixels are 0 in all bands and taken for no data, which "
+                f"{self._percent(self.zero)} % of the pixels are 0 in all bands and taken for no data, which "
                 "the file does not say (gdal_edit.py -a_nodata 0 does)"
             )
         return found
@@ -78,16 +78,21 @@ class Numbers:
         low = self.low[0]
         if self.lowest > MANY_NEGATIVE * self.seen and low <= LEAST_MARK:
             return [
-                f"{100.0 * self.lowest / self.seen:.2g} % of its pixels are {low:g}, taken for brightness: where that "
+                f"{self._percent(self.lowest)} % of its pixels are {low:g}, taken for brightness: where that "
                 f"means no data, declare it (gdal_edit.py -a_nodata {low:g})"
             ]
         if self.negative > MANY_NEGATIVE * self.seen and self.low.min() <= LEAST_MARK:
             return [
-                f"{100.0 * self.negative / self.seen:.2g} % of its pixels are negative, down to {self.low.min():g}, "
+                f"{self._percent(self.negative)} % of its pixels are negative, down to {self.low.min():g}, "
                 "taken for brightness: declare numbers that mean no data (gdal_edit.py -a_nodata), and write numbers "
                 "above 32767 without sign"
             ]
         return []
+
+    def _percent(self, count: int) -> str:
+        """Two digits of a share of the pixels."""
+        percent = 100.0 * count / self.seen
+        return f"{percent:.2g}" if percent < 10 else f"{percent:.0f}"  # no 1e+02
 
     def overall(self) -> tuple[float, float]:
         """Of all bands."""

@@ -8,6 +8,7 @@ import pytest
 import rasterio
 from spoilt import Town, made, prep
 
+from sattools.prep.numbers import Numbers
 from sattools.scene import Scene
 
 
@@ -58,3 +59,10 @@ def test_a_frame_of_zeros_is_noted_where_the_file_does_not_declare_it(town: Any)
     notes = Scene.from_json(result.stdout).history[-1]["notes"]
     assert "TOWN_002: 11 % of the pixels are 0 in all bands and taken for no data" in "\n".join(notes)
     assert not any("TOWN_003" in note for note in notes)
+
+
+@pytest.mark.parametrize(("negative", "said"), [(998, "100 %"), (24, "2.4 %"), (500, "50 %")])
+def test_shares_are_written_as_people_write_them(negative: int, said: str) -> None:
+    numbers = Numbers(1)
+    numbers.low[:], numbers.seen, numbers.negative = -300.0, 1000, negative
+    assert numbers.doubts()[0].startswith(f"{said} of its pixels are negative")
