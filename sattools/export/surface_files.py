@@ -59,16 +59,16 @@ class SurfaceFiles:
     """
 
     def __init__(self, scene: Scene, stored: StoredModel, vertical: str, validity: bool) -> None:
-        about_model, grid = stored.about, stored.grid
+        model, grid = stored.about, stored.grid
         self.scene, self.grid, self.vertical, self.datum = scene, grid, vertical, datum_name(vertical)
         self._stack = ExitStack()
         self._step = max(1, math.ceil(max(grid.shape) / _PICTURE_CELLS))
         self._picture = np.full([math.ceil(n / self._step) for n in grid.shape], np.nan, np.float32)
         method = "curvature of the photometric loss; gross errors of matching are not in it"
         scale = "relative: radiance of the first training image in full sun"
-        if about_model.absolute:
-            scale = f"absolute: {about_model.radiance}"
-        names, wavelengths = Exported(scene, about_model, np.ones((1, 1), bool)).band_names("albedo", stored.bands)
+        if model.absolute:
+            scale = f"absolute: {model.radiance}"
+        names, wavelengths = Exported(scene, model, np.ones((1, 1), bool)).band_names("albedo", stored.bands)
         about: dict[str, dict[str, Any]] = {
             DSM: {
                 "units": "m",
@@ -96,14 +96,14 @@ class SurfaceFiles:
             if href in self._prior:
                 about[href] = _ABOUT_PRIOR[href] | {"tags": {"METHOD": f"of the prior, see {product}", **_SOFTWARE}}
         items = {item.id for item in scene.items}
-        self._suns = [(name, sun) for name, sun in shadow_suns(about_model) if name in items]
+        self._suns = [(name, sun) for name, sun in shadow_suns(model) if name in items]
         for name, _ in self._suns:
             shadow = {"dtype": np.uint8, "nodata": 255, "descriptions": ["1 = cast shadow"]}
             about[view_href("shadow", name)] = shadow
         self._image_maps = {
             (kind, name): view_href(kind, name)
             for kind in stored.image_maps
-            for name, known in zip(about_model.items, _known(stored, kind), strict=True)
+            for name, known in zip(model.items, _known(stored, kind), strict=True)
             if name in items and known
         }
         for (kind, _), href in self._image_maps.items():

@@ -102,18 +102,18 @@ class Description:
         for name in CELL_MAPS:
             size, dimensions = shapes[name], 3 if name == "albedo" else 2
             if len(size) != dimensions or size[:2] != self.grid.shape:
-                expected = by(self.grid.shape)
-                raise InputError(f"{path}: found {name} of {by(size)} values, expected {expected} as its grid has")
+                expected = _by(self.grid.shape)
+                raise InputError(f"{path}: found {name} of {_by(size)} values, expected {expected} as its grid has")
         count = len(self.items)
         if len(self.suns) != count:
             raise InputError(f"{path}: found {len(self.suns)} suns for {count} images, expected one for each")
         for name in PER_IMAGE:
             size = shapes.get(name, (count, *self.grid.shape))
             if len(size) < 1 or size[0] != count:
-                raise InputError(f"{path}: found {name} of {by(size)} values for {count} images")
+                raise InputError(f"{path}: found {name} of {_by(size)} values for {count} images")
             if name in IMAGE_MAPS and size[1:] != self.grid.shape:
                 raise InputError(
-                    f"{path}: found {name} of another size, expected {by(self.grid.shape)} as its grid has"
+                    f"{path}: found {name} of another size, expected {_by(self.grid.shape)} as its grid has"
                 )
 
 
@@ -147,7 +147,7 @@ def check_height_limits(path: Path, low: float, high: float) -> None:
         raise InputError(f"{path}: found heights from {low:g} to {high:g} m, expected some of the Earth")
 
 
-def by(shape: tuple[int, ...]) -> str:
+def _by(shape: tuple[int, ...]) -> str:
     """A shape in words."""
     return " x ".join(map(str, shape)) or "1"
 
