@@ -22,7 +22,7 @@ from sattools.scene.validity import MEASURED
 log = logging.getLogger(__name__)
 MOST_CELLS = 4_000_000  # of the surface, which take a hundred bytes each; of larger ones a part is looked at
 PARTS = ((0.5, 0.5), (0.2, 0.2), (0.2, 0.8), (0.8, 0.2), (0.8, 0.8))  # middles of squares, as shares of the area
-PART_CELLS = 700  # along an edge of a square
+PART_CELLS = 600  # along an edge of a square
 _STRIP_CELLS = 2_000_000
 
 
