@@ -1,5 +1,6 @@
 """Light is computed with heights that are smooth between the steps of a town, and as before where there are hills."""
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from sattools.fit.materials.steps import (
     smooth_heights,
     smooth_normals,
 )
+from sattools.simulate.natural import fractal
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 
@@ -62,6 +64,23 @@ def test_hills_have_no_steps_however_steep_they_are() -> None:
     hill[10, 10] += 20.0  # a blunder
     assert find_steps(hill, 1.0) is None
     assert torch.equal(smooth_normals(hill, 1.0), surface_normals(blurred(hill, NORMAL_CELLS), 1.0))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_hills_that_fall_one_way_are_hills(turned: bool) -> None:
+    # most neighbours along such a hill are level with each other
+    hill = 0.4 * torch.arange(32.0).expand(32, 32).clone()
+    hill[10:14, 10:14] += 5.0
+    assert find_steps(hill.T.contiguous() if turned else hill, 1.0) is None
+
+
+@pytest.mark.parametrize("slope_deg", [15.0, 30.0, 40.0])
+def test_relief_is_no_town_whichever_way_it_is_turned(slope_deg: float) -> None:
+    relief = torch.from_numpy(fractal(128, 2.0, slope_deg, np.random.default_rng(3))).float()
+    relief = relief + 0.3 * torch.randn(128, 128, generator=torch.Generator().manual_seed(0))  # errors of a fit
+    relief[40:46, 60:66] += 8.0  # a blunder
+    assert find_steps(relief, 2.0) is None
+    assert find_steps(relief.T.contiguous(), 2.0) is None
 
 
 def test_level_ground_with_noise_is_smoothed_as_before() -> None:

@@ -22,8 +22,8 @@ NORMAL_CELLS = 2.0  # deviation of the smoothing of the heights that normals are
 STEP_SLOPE = 1.5  # metres of height per metre from which a rise between two cells is a step, and no slope ...
 STEP_M = 1.5  # ... if it is as high as that [m]: noise of small cells is none
 LEVEL = 0.5  # share of a step that the ground beside it may rise by from cell to cell
-# where less than half of the ground is more level than this slope, steep rises are hillsides, or blunders of the prior
-LEVEL_SLOPE = 0.25
+# 8 degrees: where more than half of what is no step is steeper, steep rises are hillsides, or blunders of the prior
+LEVEL_SLOPE = 0.14
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,19 @@ def find_steps(height: Tensor, cell_size: float) -> Steps | None:
         height: row 0 = north.
         cell_size: [m].
     """
-    if float(((height[:, 1:] - height[:, :-1]).abs() < LEVEL_SLOPE * cell_size).float().mean()) < 0.5:
+    if _hilly(height, cell_size):
         return None
     steps = Steps(_sudden(height, cell_size), _sudden(height.T, cell_size).T.contiguous())
     return steps if bool(steps.east.any()) or bool(steps.south.any()) else None
+
+
+def _hilly(height: Tensor, cell_size: float) -> bool:
+    """Whether most of the ground that is no step is no level ground, whichever way it falls."""
+    around = torch.nn.functional.pad(height[None, None], (1, 1, 1, 1), mode="replicate")[0, 0]
+    east, south = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
+    slope = torch.hypot(east, south) / (2 * cell_size)
+    ground = slope < STEP_SLOPE
+    return bool(2 * int((ground & (slope > LEVEL_SLOPE)).sum()) > int(ground.sum()))
 
 
 def _sudden(height: Tensor, cell_size: float) -> Tensor:
