@@ -24,6 +24,8 @@ from sattools.scene.regrid import reproject_map
 STEPS = 20
 WORSE = 1.1  # times what whole cells leave: steps that end there have led away
 LEAST_WORSE_M = 0.1  # and at least so much worse: what is in place already is moved by its noise
+UNLIKE = 0.65  # of the surface's relief is left: 0.02 to 0.2 on the same ground, up to 0.95 of bare ground under a town
+FLATTER = 2.0  # what is left, times the relief of a reference that is doubtful already: at most 1.1 of bare ground
 RELIEF_M = 1.0  # of a surface (mean deviation), from which what is left can be told from its noise
 STEPS_ICP = 60  # pairs of closest points change from step to step, so that it takes more
 MOST_PAIRS = 50_000  # of points and planes in a step
@@ -89,7 +91,8 @@ def shift_to_dem(
         error: ``[H, W]`` how far the surface's cells may be off [m], by which ``means`` weighs them; None = all alike.
 
     Raises:
-        InputError: too few cells in common, slopes that leave a direction open, or steps that led away.
+        InputError: too few cells in common, slopes that leave a direction open, steps that led away, or (but for
+            ``z``) heights that have nothing in common with the surface's.
     """
     method = chosen(method, grid, reference_grid)
     coarse = reference_grid.cell_size > grid.cell_size
@@ -132,9 +135,28 @@ def shift_to_dem(
             f"reference: found that the surface fits it worse once it is moved (NMAD {after:.2f} m, {before:.2f} m "
             "before), expected heights of the same ground in metres"
         )
-    return replace(
-        shift, up=float(np.median(left)), before=before, after=after, count=len(left), left=_share_left(left, here)
-    )
+    share = _share_left(left, here)
+    if method != "z":
+        _check_likeness(share, left, here)
+    return replace(shift, up=float(np.median(left)), before=before, after=after, count=len(left), left=share)
+
+
+def _check_likeness(share: float, left: np.ndarray, here: np.ndarray) -> None:
+    """Raise InputError where a reference has nothing to say of a surface ``[N]`` [m], of which ``left [N]`` is left.
+
+    What becomes of the NMAD does not tell: bare ground under a town that is in place already may leave a little more.
+    """
+    if share >= 1:
+        raise InputError(
+            f"reference: found that what is left between it and the surface varies {share:.1f} times as much as the "
+            "surface itself, as from a level plane or more, expected heights of the same ground in metres"
+        )
+    relief, apart = nmad(left + here), nmad(left)
+    if share > UNLIKE and apart > FLATTER * relief:
+        raise InputError(
+            f"reference: found hardly any relief (NMAD {relief:.2f} m, {apart:.2f} m between it and the surface), "
+            "expected heights of the same ground in metres"
+        )
 
 
 def _share_left(left: np.ndarray, here: np.ndarray) -> float:
@@ -319,4 +341,13 @@ def _around(large: Grid, grid: Grid) -> Grid:
     return large.part(*large.window(grid))
 
 
-__all__ = ["ControlPoint", "Method", "chosen", "point_residuals", "shift_to_dem", "shift_to_points", "wrong_points"]
+__all__ = [
+    "UNLIKE",
+    "ControlPoint",
+    "Method",
+    "chosen",
+    "point_residuals",
+    "shift_to_dem",
+    "shift_to_points",
+    "wrong_points",
+]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.align.estimate import point_residuals, shift_to_points, wrong_points
+from sattools.align.estimate import UNLIKE, point_residuals, shift_to_points, wrong_points
 from sattools.align.options import AlignOptions
 from sattools.align.reference import holds_points, read_control_points
 from sattools.align.shift import Shift
@@ -41,7 +41,6 @@ MADE_OF_MAPS = sorted(
     {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
 )
 TRANSFORM = "transform.json"
-UNLIKE = 0.65  # of the surface's relief is left; 0.02 to 0.2 on the same ground, 2.3 of feet, 1 of what is no heights
 MAX_TILT = 0.02  # beyond, normals would have to turn, and no satellite's camera is off like that [m/m]
 STEP_DEG = 1e-3  # of the derivative of places on the ground
 

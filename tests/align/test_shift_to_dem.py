@@ -142,7 +142,7 @@ def test_what_is_left_of_heights_in_another_unit_is_told() -> None:
     height = surface(GRID) + np.random.default_rng(0).normal(0, 0.5, GRID.shape).astype(np.float32)
 
     def left(factor: float) -> float:
-        return shift_to_dem(height, GRID, np.float32(factor) * surface(GRID, SHIFT), GRID).left
+        return shift_to_dem(height, GRID, np.float32(factor) * surface(GRID), GRID, "z").left
 
     assert left(3.281) == pytest.approx(2.28, abs=0.05)
     assert left(1.0) < 0.1
@@ -151,8 +151,41 @@ def test_what_is_left_of_heights_in_another_unit_is_told() -> None:
 def test_what_is_left_of_a_town_is_told_by_its_houses() -> None:
     grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
     flat = town() * np.float32(0.001)  # in kilometres; the median alone would know the streets of both
-    assert shift_to_dem(town(), grid, flat, grid).left == pytest.approx(1.0, abs=0.01)
+    assert shift_to_dem(town(), grid, flat, grid, "z").left == pytest.approx(1.0, abs=0.01)
     assert shift_to_dem(town(), grid, town((3, -2)), grid).left < 0.2
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (3.281, r"varies 2\.\d times as much as the surface itself"),  # feet
+        (
+            0.05,
+            r"found hardly any relief \(NMAD \d\.\d+ m, \d\.\d+ m between",
+        ),  # a map of something else, with the same edges
+    ],
+)
+@pytest.mark.parametrize("method", ["icp", "means"])
+def test_what_a_level_plane_would_do_as_well_is_no_reference(factor: float, said: str, method: Any) -> None:
+    grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
+    there, other = town((3, -2)), grid
+    if method == "means":
+        there, other = there.reshape(40, 3, 40, 3).mean(axis=(1, 3)), grid.resized(1.5)
+    with pytest.raises(InputError, match=said):
+        shift_to_dem(town(), grid, np.float32(factor) * there, other, method)
+
+
+def test_bare_ground_under_a_town_is_a_reference_although_the_houses_are_what_varies() -> None:
+    rng = np.random.default_rng(5)
+    ground = (200 * gaussian_filter(rng.normal(size=GRID.shape), 12)).astype(np.float32)  # hills of 5 m
+    height = ground + rng.normal(0, 0.2, GRID.shape).astype(np.float32)
+    for row, col in rng.integers(0, 380, (160, 2)):
+        height[row : row + 18, col : col + 18] += rng.uniform(8, 25)
+    for moved in ((0.0, 0.0, 0.0), SHIFT):  # in place already, what is left may grow by a little
+        other = GRID.moved(*moved[:2])
+        found = shift_to_dem(height, GRID, ground + np.float32(moved[2]), other)
+        assert found.left > 0.65
+        assert (found.east, found.north) == pytest.approx(moved[:2], abs=0.1)
 
 
 def test_level_ground_does_not_tell_whether_it_is_the_same() -> None:
