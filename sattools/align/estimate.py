@@ -155,7 +155,7 @@ def _check_likeness(share: float, left: np.ndarray, here: np.ndarray) -> None:
     if share > UNLIKE and apart > FLATTER * relief:
         raise InputError(
             f"reference: found hardly any relief (NMAD {relief:.2f} m, {apart:.2f} m between it and the surface), "
-            "expected heights of the same ground in metres"
+            "expected heights of the same ground in metres; --method z moves in height only"
         )
 
 
