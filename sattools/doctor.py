@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 from sattools.errors import SattoolsError
+from sattools.processors import cores
 from sattools.scene.jsonio import JsonObject
 
 State = Literal["ok", "note", "missing"]
@@ -225,7 +225,7 @@ def _machine() -> list[Finding]:
 
     there = available()
     memory = "unknown memory" if there is None else f"{there / 2**30:.1f} GiB of memory free"
-    text = f"{len(os.sched_getaffinity(0))} cores, {memory}"
+    text = f"{cores()} cores, {memory}"
     if there is not None and there < 2 * 2**30:
         return [Finding("machine", "note", text, "2 GiB are needed for areas of 300 m; `fit --tile` needs less")]
     return [Finding("machine", "ok", text)]

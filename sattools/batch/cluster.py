@@ -19,6 +19,7 @@ from sattools.scene.jsonio import JsonObject
 
 TOPIC = "sattools-batch"
 _REPORT_EVERY_S = 0.5
+TASK_MB = 3500.0  # for which a worker is started, as machines have 4 GB a core; a task in tiles takes a fourth of it
 _NO_DASK = "batch: found no Dask, expected the extra: pip install 'sattools[batch]'"
 
 Told = Callable[[str, float, str], None]
@@ -38,28 +39,56 @@ Finished = Callable[[Task, dict[str, Any]], list[Job]]
 
 @dataclass(frozen=True)
 class Shares:
-    """What a task may use; None = decided by the worker."""
+    """What a task may use; None = decided by the worker.
+
+    Attributes:
+        workers: tasks at a time.
+        threads: of a task of which there may be as many as workers.
+        alone: threads of one beside which only other runs are done, as the coarse fit of an area is.
+        memory_mb: of a task.
+        gpus: their numbers.
+    """
 
     workers: int
     threads: int | None
+    alone: int | None
     memory_mb: float | None
     gpus: list[str] = field(default_factory=list)
 
+    def threads_of(self, task: Task) -> int | None:
+        """Threads of a task."""
+        return self.threads if task.kind == "tile" else self.alone
 
-def shares(options: BatchOptions, cores: int) -> Shares:
-    """Threads and memory of a task. Raises InputError where GPUs are asked for and none is found."""
+
+def shares(options: BatchOptions, cores: int, runs: int, tiled: bool) -> Shares:
+    """Workers, and threads and memory of a task.
+
+    As many tasks at a time as there are cores, as far as there are tasks and memory: a second thread of a task brings a
+    sixth of its time, a second worker halves that of all (docs/batch.md). Cores that are left go to threads.
+
+    Raises InputError where GPUs are asked for and none is found.
+
+    Args:
+        options: of the batch.
+        cores: that may be used.
+        runs: scenes times configurations to be done.
+        tiled: whether some of them are cut into tiles, of which there are many.
+    """
     if options.scheduler is not None:
-        return Shares(0, options.task_threads, options.memory_limit)
+        return Shares(0, options.task_threads, options.task_threads, options.memory_limit)
     gpus = _gpus() if options.gpu else []
     if options.gpu and not gpus:
         raise InputError("--gpu: found no GPU by nvidia-smi, expected one (or --scheduler with workers that have some)")
-    workers = options.workers or len(gpus) or max(1, cores // 2)
     try:
         import psutil
     except ImportError as error:
         raise SattoolsError(_NO_DASK) from error
-    memory = options.memory_limit or psutil.virtual_memory().total / 2**20 / workers
-    return Shares(workers, options.task_threads or max(1, cores // workers), memory, gpus)
+    there = psutil.virtual_memory().total / 2**20
+    fitting = int(there // (options.memory_limit or TASK_MB))
+    workers = options.workers or len(gpus) or max(1, min(cores, fitting, cores if tiled else runs))
+    memory = options.memory_limit or there / workers
+    each, alone = (options.task_threads or max(1, cores // n) for n in (workers, max(1, min(workers, runs))))
+    return Shares(workers, each, alone, memory, gpus)
 
 
 def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finished, told: Told) -> None:
@@ -142,7 +171,7 @@ def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
             worker.log_event(TOPIC, (task.name, fraction, message))
 
     gpu = share.gpus[int(worker.name) % len(share.gpus)] if share.gpus else None
-    return perform(task, share.threads or worker.state.nthreads, share.memory_mb, report, gpu)
+    return perform(task, share.threads_of(task) or worker.state.nthreads, share.memory_mb, report, gpu)
 
 
 @contextmanager

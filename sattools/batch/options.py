@@ -23,16 +23,21 @@ class BatchOptions:
         "auto", "Images of --dfc2019: Sat-NeRF's crops, the contest's RGB or MSI tiles; auto = the first that is there."
     )
     workers: int | None = option(
-        None, "Tasks at a time on this machine [default: one per two cores].", minimum=1, maximum=1024
+        None,
+        "Tasks at a time on this machine [default: one per core, as far as there are tasks and 3.5 GB for each].",
+        minimum=1,
+        maximum=1024,
     )
     task_threads: int | None = option(
         None,
-        "CPU threads of a task [default: cores / workers; with --scheduler the worker's own].",
+        "CPU threads of a task [default: cores / tasks at a time; with --scheduler the worker's own].",
         minimum=1,
         maximum=1024,
     )
     memory_limit: float | None = option(
-        None, "Memory of a task above which it is stopped [MB; default: this machine's / workers].", minimum=100
+        None,
+        "Memory of a task: its tiles go by it, and above it it is stopped [MB; default: this machine's / workers].",
+        minimum=100,
     )
     scheduler: str | None = option(
         None, "Address of a running Dask scheduler, tcp://HOST:PORT, instead of this machine."

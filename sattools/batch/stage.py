@@ -192,7 +192,8 @@ def batch(
     log.info("%d tasks, %d of them done before", state.total, len(plan.results))
     try:
         if plan.jobs:
-            run(plan.jobs, options, shares(options, cores), state.finished, state.told)
+            share = shares(options, cores, len(state.open), bool(plan.tiled))
+            run(plan.jobs, options, share, state.finished, state.told)
     finally:
         # commands die with their workers, a little later and in the middle of whatever they write
         remove_orphans(out, patience_s=10)

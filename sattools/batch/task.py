@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -18,12 +16,12 @@ from typing import Any
 from sattools.batch.plan import Task
 from sattools.batch.table import make_row
 from sattools.errors import SattoolsError
+from sattools.processors import end_with_parent
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 
 Report = Callable[[float, str], None]
 _WATCH_S = 0.2
-_SET_PARENT_DEATH_SIGNAL = 1  # prctl(2), Linux
 
 
 def perform(task: Task, threads: int, memory_mb: float | None, report: Report, gpu: str | None = None) -> JsonObject:
@@ -66,6 +64,8 @@ def perform(task: Task, threads: int, memory_mb: float | None, report: Report, g
 def _run(task: Task, command: list[str], threads: int, memory_mb: float | None, step: Report, gpu: str | None) -> None:
     """One command; raises SattoolsError with its last line where it fails."""
     call = [sys.executable, "-m", "sattools", "--progress", "json", "--threads", str(threads), *command]
+    if memory_mb is not None:
+        call += ["--max-memory", f"{memory_mb:.0f}"]
     call += ["--config", str(Path(task.folder) / "config.toml")]
     environment = dict(os.environ)
     if gpu is not None:
@@ -79,7 +79,8 @@ def _run(task: Task, command: list[str], threads: int, memory_mb: float | None, 
         text=True,
         errors="replace",
         env=environment,
-        preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+        # it must not go on writing when its worker is lost and the task is started elsewhere
+        preexec_fn=end_with_parent if sys.platform == "linux" else None,
     )
     too_much = threading.Event()
     if memory_mb is not None:
@@ -126,16 +127,22 @@ def _watch(process: subprocess.Popen[str], limit_mb: float, too_much: threading.
     with suppress(psutil.Error):
         seen = psutil.Process(process.pid)
         while process.poll() is None:
-            if seen.memory_info().rss > limit_mb * 2**20:
+            # with the processes that fit its tiles
+            if sum(_resident(one) for one in (seen, *seen.children(recursive=True))) > limit_mb * 2**20:
                 too_much.set()
                 process.kill()
                 return
             time.sleep(_WATCH_S)
 
 
-def _die_with_parent() -> None:
-    """A command must not go on writing when its worker is lost and the task is started elsewhere."""
-    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+def _resident(process: Any) -> int:
+    """Bytes in memory of a process; none once it has ended."""
+    import psutil
+
+    try:
+        return int(process.memory_info().rss)
+    except psutil.NoSuchProcess:
+        return 0
 
 
 __all__ = ["perform"]

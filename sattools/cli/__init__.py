@@ -17,6 +17,7 @@ from sattools.cli.commands import COMMANDS
 from sattools.cli.logfile import close_log, open_log
 from sattools.cli.options import configure_logging, run_options
 from sattools.cli.safety import LastResort, check_folder, configure_handler
+from sattools.processors import POOLS, cores
 
 
 class LazyGroup(LastResort):
@@ -35,7 +36,8 @@ class LazyGroup(LastResort):
                 return None
             raise
         if not any(parameter.name == "threads" for parameter in command.params):
-            command.params += [_after_the_command(option) for option in run_options()]
+            own = {name for parameter in command.params for name in parameter.opts}
+            command.params += [_after_the_command(option, own) for option in run_options()]
         return command
 
     def resolve_command(
@@ -53,8 +55,14 @@ class LazyGroup(LastResort):
             formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
 
 
-def _after_the_command(option: click.Option) -> click.Option:
-    """The same option behind a command: what is said there counts, as it is said last."""
+def _after_the_command(option: click.Option, own: set[str]) -> click.Option:
+    """The same option behind a command: what is said there counts, as it is said last.
+
+    Args:
+        option: of the program.
+        own: names of options that mean something of the command's own.
+    """
+    option.opts = [name for name in option.opts if name not in own]
 
     def use(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
         if ctx.get_parameter_source(str(parameter.name)) in (click.core.ParameterSource.DEFAULT, None):
@@ -108,6 +116,10 @@ def _apply(root: click.Context) -> None:
     root.obj = {"progress": "none" if values["quiet"] and progress == "auto" else progress}
     set_threads(values["threads"])
     bound_cache()
+    if values["max_memory"]:
+        from sattools.scene.memory import limited
+
+        root.with_resource(limited(values["max_memory"]))
     if values["allow_remote"] and not root.meta.get("sattools.remote"):
         from sattools.scene.location import remote_allowed
 
@@ -130,10 +142,10 @@ def set_threads(threads: int | None) -> None:
     are small ones, by the thousand: with as many threads as cores the adjustment of cameras took four times the CPU
     seconds and longer, so OpenBLAS gets one thread unless the environment asks for more.
     """
-    count = str(threads or len(os.sched_getaffinity(0)))
+    count = str(threads or cores())
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+    for name in POOLS:
         if threads or name not in os.environ:
             os.environ[name] = count
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from sattools.cli.interrupts import checked
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import documents, parse, report_error
 from sattools.errors import SattoolsError
+from sattools.processors import cores
 from sattools.progress import make_progress
 
 if TYPE_CHECKING:
@@ -61,9 +61,9 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
                 click.echo(f"sattools batch: would do {job.task.name} in {job.task.folder}", err=True)
             return
         root = click.get_current_context().find_root()
-        cores = root.params.get("threads") or len(os.sched_getaffinity(0))
+        most = root.params.get("threads") or cores()
         progress = checked(make_progress(root.obj["progress"], "batch"))
-        done = batch(options, scenes_given, configurations, cores, progress, overwrite=overwrite, emit=click.echo)
+        done = batch(options, scenes_given, configurations, most, progress, overwrite=overwrite, emit=click.echo)
     except SattoolsError as error:
         report_error("batch", error)
         sys.exit(1)

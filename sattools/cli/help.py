@@ -9,7 +9,7 @@ import click
 
 _ALL = "sattools.help_all"
 OTHER, RUN = "Files and configuration", "How it runs"
-_RUN = ("verbose", "quiet", "progress", "threads", "allow_remote", "log_file")
+_RUN = ("verbose", "quiet", "progress", "threads", "max_memory", "allow_remote", "log_file")
 
 
 class GroupedCommand(click.Command):

@@ -66,6 +66,12 @@ def run_options() -> list[click.Option]:
             help="CPU threads (default: all that this process may use).",
         ),
         click.Option(
+            ["--max-memory", "--memory"],
+            type=click.FloatRange(min=100),
+            help="Memory to get by with, that of processes which fit tiles included [MB; default: half of what is "
+            "free]: sizes of tiles and how many are fitted at a time go by it, what surely needs more is refused.",
+        ),
+        click.Option(
             ["--allow-remote"],
             is_flag=True,
             help="Let scene documents name files on other machines and in archives (/vsicurl/, /vsis3/, /vsizip/).",

@@ -11,7 +11,7 @@ from sattools import __version__
 
 # options of the commands' housekeeping: a form has no use for them
 PLUMBING = {"help", "config", "print_config", "dry_run", "json", "verbose", "quiet", "progress", "threads"}
-PLUMBING |= {"allow_remote", "log_file"}
+PLUMBING |= {"max_memory", "allow_remote", "log_file"}
 
 
 def usage(group: click.Group) -> str:

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import math
-import os
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from sattools.fit.options import FitOptions
 from sattools.prior.options import PriorOptions
-from sattools.scene import Scene
-from sattools.scene.memory import available
+from sattools.processors import cores, threads
+from sattools.scene import Grid, Scene
+from sattools.scene.memory import to_spend
 from sattools.scene.tiles import widest_part
 
 TILE_SIZES_M = (1024.0, 512.0, 256.0)
 LARGEST_AT_ONCE_M = 1024.0  # beyond it tiles cost nothing and keep progress
-MEMORY_SHARE = 0.5  # of what is free: other programs want some, and estimates are estimates
 # Measured by `benchmarks/foresight.py` on simulated cities and a real one, one thread
 BASE_BYTES = 450e6
 BYTES_PER_CELL = 1000.0
 BYTES_PER_CELL_AND_IMAGE = 250.0
-START_S = 4.0
-MATCH_S = 1.5e-8  # CPU seconds per cell, height plane and pair of images
-FIT_S = 2.0e-6  # CPU seconds per cell and image
+START_S = 1.5
+WORTH_STARTS = 4.0  # CPU seconds of a process over those of its start, at least
+MATCH_CELL_S = 1.0e-5  # CPU seconds of the matching per cell
+MATCH_S = 7.9e-9  # and per cell, height plane and pair of images
+FIT_S = 7.5e-7  # CPU seconds per cell and image
 # of a fit on cells of its own (`--resolution`), beyond those of twice the grid's cell that it has otherwise
 FITTED_CELLS = 0.25
 BYTES_PER_FITTED_CELL_AND_IMAGE = 110.0
@@ -36,8 +39,9 @@ class Foresight:
         area_km2: of the scene's grid.
         cells: of the grid.
         images: for training.
-        tiles: pieces that are fitted one by one; 1 = all at once.
+        tiles: pieces that are fitted by themselves; 1 = all at once.
         tile_m: their edge [m], or None.
+        beside: pieces that are fitted at a time.
         memory: bytes at a time.
         cpu_s: CPU seconds.
     """
@@ -47,17 +51,19 @@ class Foresight:
     images: int
     tiles: int
     tile_m: float | None
+    beside: int
     memory: float
     cpu_s: float
 
     def __str__(self) -> str:
-        cores = len(os.sched_getaffinity(0))
         how = f"{self.tiles} tiles of {self.tile_m:g} m" if self.tile_m else "all at once"
+        if self.beside > 1:
+            how += f", {self.beside} at a time"
         minutes = self.cpu_s / 60
         took = f"{minutes:.1f}" if minutes < 10 else f"{minutes:.0f}"
         return (
             f"{self.area_km2:.3g} km2, {self.cells} cells, {self.images} images, {how}: about "
-            f"{self.memory / 2**30:.1f} GiB of memory and {took} CPU minutes (this machine has {cores} cores)"
+            f"{self.memory / 2**30:.1f} GiB of memory and {took} CPU minutes (this machine has {cores()} cores)"
         )
 
 
@@ -70,21 +76,35 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
     grid = scene.require_grid()
     images = len(scene.train_items())
     tile = chosen_tile(scene, options)
-    low, high = scene.require_height_range()
-    pairs = min(images * (images - 1) // 2, PriorOptions().pairs) if options.prior_weight > 0 else 0
-    planes = (high - low) / (2 * grid.cell_size)
     cells = grid.width * grid.height
-    tiles, piece, work = 1, float(cells), float(cells)
-    if tile:
-        longest, margin = tile / grid.cell_size, options.overlap / grid.cell_size
-        along = [max(1, math.ceil(edge / longest)) for edge in grid.shape]
-        tiles = along[0] * along[1]
-        piece = math.prod(widest_part(edge, longest, margin) for edge in grid.shape)
-        work = math.prod(edge + 2 * margin * (n - 1) for edge, n in zip(grid.shape, along, strict=True))
-    finer = _finer(grid.cell_size, options)
-    seconds = START_S + work * (MATCH_S * planes * pairs + (FIT_S + FITTED_S * finer) * images)
+    tiles, piece, work = _cut(grid, tile, options.overlap)
+    seconds = work * _seconds_per_cell(scene, options)
     area = cells * grid.cell_size**2 / 1e6
-    return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, _bytes(piece, images, finer), seconds)
+    each, beside = _bytes(piece, images, _finer(grid.cell_size, options)), 1
+    if tiles > 1:
+        beside = side_by_side(scene, options, tiles)
+    return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, beside, beside * each, START_S + seconds)
+
+
+def _cut(grid: Grid, tile: float | None, overlap: float) -> tuple[int, float, float]:
+    """Number of tiles, cells of the largest, and of all together; one tile for None."""
+    if not tile:
+        return 1, float(grid.width * grid.height), float(grid.width * grid.height)
+    longest, margin = tile / grid.cell_size, overlap / grid.cell_size
+    along = [max(1, math.ceil(edge / longest)) for edge in grid.shape]
+    piece = math.prod(widest_part(edge, longest, margin) for edge in grid.shape)
+    work = math.prod(edge + 2 * margin * (n - 1) for edge, n in zip(grid.shape, along, strict=True))
+    return along[0] * along[1], piece, work
+
+
+def _seconds_per_cell(scene: Scene, options: FitOptions) -> float:
+    images, cell = len(scene.train_items()), scene.require_grid().cell_size
+    low, high = scene.require_height_range()
+    seconds = (FIT_S + FITTED_S * _finer(cell, options)) * images
+    if options.prior_weight > 0 and "prior_dsm" not in scene.products:
+        pairs = min(images * (images - 1) // 2, PriorOptions().pairs)
+        seconds += MATCH_CELL_S + MATCH_S * (high - low) / (2 * cell) * pairs
+    return seconds
 
 
 def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
@@ -97,8 +117,8 @@ def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
         return options.tile or None
     grid = scene.require_grid()
     images = len(scene.train_items())
-    there = available()
-    budget = math.inf if there is None else MEMORY_SHARE * there
+    there = to_spend()
+    budget = math.inf if there is None else there
     edge = max(grid.shape) * grid.cell_size
     finer = _finer(grid.cell_size, options)
     if edge <= LARGEST_AT_ONCE_M and _bytes(grid.width * grid.height, images, finer) <= budget:
@@ -108,6 +128,31 @@ def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
         if _bytes(((size + 2 * options.overlap) / grid.cell_size) ** 2, images, finer) <= budget:
             return size
     return sizes[-1] if sizes else None
+
+
+def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
+    """How many of some tiles are fitted at a time: one per thread that the user allows, as far as memory goes.
+
+    One thread each: a second one of a tile brings a sixth of its time, a second tile at a time half (docs/batch.md).
+    No more than each has work for, beside its start; on a GPU one at a time.
+
+    Raises:
+        SceneError: a scene without grid.
+    """
+    tile = chosen_tile(scene, options)
+    there = to_spend()
+    # in a program that embeds Python the executable is that program
+    if not tile or there is None or threads() == 1 or "python" not in Path(sys.executable or "").name.lower():
+        return 1
+    import torch  # late, as a plan of what needs no tiles is told without
+
+    if options.device == "cuda" or (options.device == "auto" and torch.cuda.is_available()):
+        return 1
+    grid = scene.require_grid()
+    count, piece, work = _cut(grid, tile, options.overlap)
+    each = _bytes(piece, len(scene.train_items()), _finer(grid.cell_size, options))
+    worth = tiles / count * work * _seconds_per_cell(scene, options) / (WORTH_STARTS * START_S)
+    return max(1, min(threads(), tiles, int(there // each), int(worth)))
 
 
 def with_tile(scene: Scene, options: FitOptions) -> FitOptions:
@@ -125,4 +170,4 @@ def _bytes(cells: float, images: int, finer: float) -> float:
     return BASE_BYTES + cells * (BYTES_PER_CELL + per_image * images)
 
 
-__all__ = ["Foresight", "chosen_tile", "foresee", "with_tile"]
+__all__ = ["Foresight", "chosen_tile", "foresee", "side_by_side", "with_tile"]

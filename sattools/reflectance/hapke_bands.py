@@ -200,7 +200,7 @@ class _Light(torch.autograd.Function):
     def forward(ctx: Any, pair: np.ndarray, *operands: Tensor) -> Tensor:
         """Operands: normal ``[N, 3]``, b, c, theta ``[N]``, w ``[N, C]``."""
         out = torch.empty_like(operands[-1])
-        evaluate(*(o.detach().numpy() for o in operands), pair, out.numpy(), threads=torch.get_num_threads())
+        evaluate(*(o.detach().numpy() for o in operands), pair, out.numpy())
         ctx.pair = pair
         ctx.save_for_backward(*operands)
         return out
@@ -213,7 +213,7 @@ class _Light(torch.autograd.Function):
         found = [torch.empty_like(o) for o in operands]
         arrays = [o.detach().numpy() for o in operands]
         grad = grads[0].contiguous().numpy()
-        pull_back(*arrays, ctx.pair, grad, *(g.numpy() for g in found), threads=torch.get_num_threads())
+        pull_back(*arrays, ctx.pair, grad, *(g.numpy() for g in found))
         return (None, *found)
 
 
@@ -256,7 +256,7 @@ def hapke_slopes(
     out = torch.empty_like(operands[-1])
     slopes = out.new_empty(*out.shape, SLOPES if shapes else 1)
     arrays = [o.detach().numpy() for o in operands]
-    differentiate(*arrays, _pair(sun, view), out.numpy(), slopes.numpy(), threads=torch.get_num_threads())
+    differentiate(*arrays, _pair(sun, view), out.numpy(), slopes.numpy())
     return out.reshape(w.shape), slopes.reshape(*w.shape, -1)
 
 

@@ -210,7 +210,7 @@ class CompiledHapke(torch.autograd.Function):
             normal.new_empty((*(shape if need else (1,)), *((3,) if k < 3 else ()))) for k, need in enumerate(needed)
         ]
         arrays = [rate.numpy().reshape(-1, 3) if k < 3 else rate.numpy().reshape(-1) for k, rate in enumerate(rates)]
-        evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays, threads=torch.get_num_threads())
+        evaluate(*flat, np.array(needed), out.numpy().reshape(-1), *arrays)
         ctx.needed, ctx.shapes = needed, [None if o is None else o.shape for o in operands]
         ctx.save_for_backward(*[rate for rate, need in zip(rates, needed, strict=True) if need])
         return out

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path, PosixPath
 
 from sattools.errors import InputError
+from sattools.processors import in_environment
 
 IMAGE_SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img")
 _SCHEMES = {
@@ -86,21 +87,9 @@ def location(text: str | Path) -> Path:
     return RemotePath(prefix + rest.lstrip("/"))
 
 
-@contextmanager
-def remote_allowed() -> Iterator[None]:
-    """Let documents name files on other machines and in archives, as the user has said that they may.
-
-    It is a variable of the environment, so that threads and the processes of a batch see it too.
-    """
-    before = os.environ.get(_SWITCH)
-    os.environ[_SWITCH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            os.environ.pop(_SWITCH, None)
-        else:
-            os.environ[_SWITCH] = before
+def remote_allowed() -> AbstractContextManager[None]:
+    """Let documents name files on other machines and in archives for a while, as the user has said that they may."""
+    return in_environment(_SWITCH, "1")
 
 
 def check_allowed(text: str) -> None:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import resource
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from sattools.errors import SattoolsError
+from sattools.processors import in_environment
 
+LIMIT = "SATTOOLS_MAX_MEMORY_MB"  # a variable of the environment, so that processes of this one see it too
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # numbers of GNU's malloc.h
 
 
 def available() -> int | None:
-    """Bytes that this process may still take, as far as the system tells; None where it does not."""
+    """Bytes that this process may still take, by what user (`--max-memory`) and system tell; None where they do not."""
     limits = []
+    if LIMIT in os.environ:
+        limits.append(max(0, int(float(os.environ[LIMIT]) * 2**20) - _taken()))
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -31,6 +37,41 @@ def available() -> int | None:
     if soft != resource.RLIM_INFINITY:
         limits.append(soft)
     return min(limits, default=None)
+
+
+def to_spend() -> float | None:
+    """Bytes for work that can be cut to size; None = unknown.
+
+    Half of what is free, as other programs want some; of what the user grants four fifths, as estimates are estimates.
+    """
+    there = available()
+    return None if there is None else there * (0.8 if LIMIT in os.environ else 0.5)
+
+
+def _taken() -> int:
+    """Bytes in memory of this process; 0 where the system does not tell."""
+    try:
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+def limited(megabytes: float) -> AbstractContextManager[None]:
+    """Get by with an amount of memory for a while, see `available`.
+
+    Args:
+        megabytes: of memory.
+    """
+    return in_environment(LIMIT, str(megabytes))
+
+
+def share_of_limit(processes: int) -> dict[str, str]:
+    """What to add to the environment of one of several processes that go by this one's limit together.
+
+    Args:
+        processes: their number.
+    """
+    return {LIMIT: str(float(os.environ[LIMIT]) / processes)} if LIMIT in os.environ else {}
 
 
 def keep_freed() -> None:
@@ -75,4 +116,4 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
         )
 
 
-__all__ = ["available", "check_memory", "give_back", "keep_freed"]
+__all__ = ["LIMIT", "available", "check_memory", "give_back", "keep_freed", "limited", "share_of_limit", "to_spend"]

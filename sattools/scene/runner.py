@@ -141,14 +141,18 @@ def _note(scene: Scene, step: Step, start: _Clock, extra: JsonObject | None) -> 
         "options": _settings(step),
         "seconds": round(end.wall - start.wall, 3),
         "cpu_seconds": round(end.cpu - start.cpu, 3),
-        # the kernel's high-water mark of the process, in KiB on Linux
-        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+        "peak_memory_mb": round(_peak_kib() / 1024, 1),
         "versions": _versions(),
         **(extra or {}),
     }
     scene.history.append(entry)
     scene.write()
     return entry
+
+
+def _peak_kib() -> int:
+    """The kernel's high-water mark of the process, or of the largest one that it has started; in KiB on Linux."""
+    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def _versions() -> dict[str, str]:

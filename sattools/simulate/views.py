@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextvars
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from datetime import datetime
 import numpy as np
 
 from sattools.camera.rpc import RPC
+from sattools.processors import threads
 from sattools.progress import Progress
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.files import write_text
@@ -189,10 +189,4 @@ def _footprint(view: SimulatedView, height: float) -> list[list[float]]:
     return [[float(a), float(b)] for a, b in zip(lon, lat, strict=True)]
 
 
-def threads() -> int:
-    """Number of threads that the user allows, else of the processors there are."""
-    asked = os.environ.get("NUMBA_NUM_THREADS", "")
-    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
-
-
-__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "threads", "write_view"]
+__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "write_view"]

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sattools.batch.cluster import Shares, shares
 from sattools.batch.figure import means, pareto_front, speed_error_figure
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration, Task, pilot_tasks
@@ -219,3 +221,34 @@ def test_pilot_tiles_are_tasks_before_the_split(tmp_path: Path) -> None:
     assert split.source == str(tmp_path / "scene.json")
     assert len({task.key for task in (coarse, split, *pilots)}) == 4
     assert {task.record.name for task in (coarse, split, *pilots)} == {"coarse.json", "split.json", "task.json"}
+
+
+@pytest.mark.parametrize(
+    ("given", "cores", "gb", "runs", "tiled", "expected"),
+    [
+        # workers, threads of a tile, threads of what only other runs are beside
+        ({}, 8, 64, 20, False, (8, 1, 1)),
+        ({}, 8, 64, 2, False, (2, 4, 4)),  # what is left of the cores goes to threads
+        ({}, 8, 64, 1, True, (8, 1, 8)),  # the coarse fit is alone, its tiles are not
+        ({}, 8, 64, 2, True, (8, 1, 4)),
+        ({}, 8, 16, 20, False, (4, 2, 2)),  # 3500 MB each
+        ({}, 2, 2, 20, True, (1, 2, 2)),
+        ({"workers": 3}, 8, 64, 20, False, (3, 2, 2)),
+        ({"task_threads": 2}, 8, 64, 20, True, (8, 2, 2)),
+        ({"memory_limit": 16000.0}, 8, 64, 20, True, (3, 2, 2)),
+    ],
+)
+def test_cores_go_to_as_many_tasks_as_there_are_and_memory_allows(
+    given: Any, cores: int, gb: int, runs: int, tiled: bool, expected: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    psutil = pytest.importorskip("psutil", reason="needs the extra `batch`")
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(total=gb * 10**9))
+    found = shares(BatchOptions(**given), cores, runs, tiled)
+    assert (found.workers, found.threads, found.alone) == expected
+    assert found.memory_mb == given.get("memory_limit", pytest.approx(gb * 10**9 / 2**20 / found.workers))
+
+
+def test_only_tiles_have_as_many_beside_them_as_there_are_workers() -> None:
+    found = Shares(8, 1, 4, None)
+    tasks = [Task("A", "a", "k", "A", "c", [], "", kind=kind) for kind in ("prep", "coarse", "split", "tile", "run")]
+    assert [found.threads_of(task) for task in tasks] == [4, 4, 4, 1, 4]

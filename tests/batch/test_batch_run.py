@@ -118,6 +118,32 @@ def test_a_command_that_needs_too_much_memory_is_stopped_and_named(folder: Any) 
     assert not (folder / "big/task.json").exists()
 
 
+def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
+    import threading
+
+    from sattools.batch.task import _watch
+
+    # two processes, each with 60 MB of its own
+    code = "import subprocess, sys; a = b'x' * 60_000_000\nsubprocess.run([sys.executable, '-c', {!r}])"
+    inner = "import sys; a = b'x' * 60_000_000; print('there', flush=True); sys.stdin.read()"
+    for limit, stopped in ((1000.0, False), (100.0, True)):
+        command = [sys.executable, "-c", code.format(inner)]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        process.stdout.readline()
+        too_much = threading.Event()
+        watching = threading.Thread(target=_watch, args=(process, limit, too_much))
+        watching.start()
+        if stopped:
+            watching.join(HANGING_S)
+        else:
+            time.sleep(0.5)  # it looks several times
+        assert too_much.is_set() == stopped
+        process.kill()
+        watching.join(HANGING_S)
+        process.communicate(timeout=HANGING_S)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
 def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:

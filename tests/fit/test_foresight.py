@@ -3,13 +3,14 @@
 from collections.abc import Callable
 
 import pytest
+import torch
 from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.fit import foresight
-from sattools.fit.foresight import chosen_tile, foresee, with_tile
+from sattools.fit.foresight import chosen_tile, foresee, side_by_side, with_tile
 from sattools.fit.options import FitOptions
-from sattools.scene import Grid, Scene
+from sattools.scene import Grid, Scene, memory
 
 AUTO = FitOptions(tile="auto")
 GIB = 2**30
@@ -43,7 +44,7 @@ def of_size(scene: Scene, edge_m: float) -> Scene:
 def test_auto_takes_the_largest_tile_that_half_of_the_free_memory_holds(
     town: Scene, monkeypatch: pytest.MonkeyPatch, edge_m: float, free: int, tile: float | None
 ) -> None:
-    monkeypatch.setattr(foresight, "available", lambda: free)
+    monkeypatch.setattr(memory, "available", lambda: free)
     assert chosen_tile(of_size(town, edge_m), AUTO) == tile
 
 
@@ -54,7 +55,7 @@ def test_a_tile_that_is_given_stays(town: Scene) -> None:
         assert with_tile(town, options) is options
 
 
-@pytest.mark.parametrize(("resolution", "gib", "cpu_s"), [(0.5, 0.6, 6), (0.25, 0.8, 10), (0.1, 1.7, 39)])
+@pytest.mark.parametrize(("resolution", "gib", "cpu_s"), [(0.5, 0.6, 4), (0.25, 0.8, 8), (0.1, 1.7, 36)])
 def test_a_fit_on_finer_cells_takes_more(town: Scene, resolution: float, gib: float, cpu_s: float) -> None:
     """131 m, six images, really: 0.62 GiB and 6.6 CPU seconds at 0.25 m, 1.54 GiB and 34 CPU seconds at 0.1 m."""
     found = foresee(of_size(town, 130), FitOptions(resolution=resolution))
@@ -64,14 +65,14 @@ def test_a_fit_on_finer_cells_takes_more(town: Scene, resolution: float, gib: fl
 
 
 def test_auto_takes_smaller_tiles_for_a_fit_on_finer_cells(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foresight, "available", lambda: 16 * GIB)
+    monkeypatch.setattr(memory, "available", lambda: 16 * GIB)
     scene = of_size(town, 1000)
     assert chosen_tile(scene, AUTO) == 512.0
     assert chosen_tile(scene, FitOptions(tile="auto", resolution=0.15)) == 256.0
 
 
 def test_more_ground_and_more_images_take_more(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foresight, "available", lambda: 64 * GIB)
+    monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
     small, large = foresee(of_size(town, 200), AUTO), foresee(of_size(town, 400), AUTO)
     assert large.area_km2 == pytest.approx(4 * small.area_km2) == pytest.approx(0.16)
     assert large.memory > small.memory
@@ -79,7 +80,7 @@ def test_more_ground_and_more_images_take_more(town: Scene, monkeypatch: pytest.
     huge = foresee(of_size(town, 3000), AUTO)
     # 3 x 3 tiles, each with its overlap: memory is that of one of them
     assert huge.tiles == 9
-    assert huge.memory < foresee(of_size(town, 1200), FitOptions(tile=None)).memory
+    assert huge.memory / huge.beside < foresee(of_size(town, 1200), FitOptions(tile=None)).memory
     two = Scene.from_json(town.to_json())
     two.items = two.items[:2]
     assert foresee(two, AUTO).cpu_s < foresee(town, AUTO).cpu_s
@@ -88,12 +89,68 @@ def test_more_ground_and_more_images_take_more(town: Scene, monkeypatch: pytest.
 def test_memory_of_tiles_does_not_grow_with_the_area(town: Scene) -> None:
     tiled = FitOptions(tile=512.0)
     one, four, large = (foresee(of_size(town, edge), tiled) for edge in (1040, 2080, 5200))
-    assert one.memory == four.memory == large.memory
+    assert len({found.memory / found.beside for found in (one, four, large)}) == 1
     assert (one.tiles, four.tiles, large.tiles) == (9, 25, 121)
     # 3 x 3 tiles share 2 x 64 m along an edge of 1040 m, 11 x 11 share 10 x 64 m along five times that
     assert large.cpu_s - foresight.START_S == pytest.approx(25 * (one.cpu_s - foresight.START_S))
     # halves are smaller
-    assert foresee(of_size(town, 700), tiled).memory < one.memory
+    halves = foresee(of_size(town, 700), tiled)
+    assert halves.memory / halves.beside < one.memory / one.beside
+
+
+@pytest.mark.parametrize(
+    ("threads", "free", "edge_m", "beside"),
+    [
+        (1, 64 * GIB, 3000, 1),
+        (8, 64 * GIB, 3000, 8),
+        (64, 512 * GIB, 3000, 36),  # no more than there are tiles
+        (8, 16 * GIB, 3000, 2),  # no more than fit into half of the free memory
+        (8, GIB, 3000, 1),
+        (8, 64 * GIB, 520, 4),  # of four tiles with 28 s of work
+    ],
+)
+def test_as_many_tiles_at_a_time_as_threads_memory_and_work_allow(
+    town: Scene, monkeypatch: pytest.MonkeyPatch, threads: int, free: int, edge_m: float, beside: int
+) -> None:
+    monkeypatch.setattr(memory, "available", lambda: free)
+    monkeypatch.setattr(foresight, "threads", lambda: threads)
+    tiled = FitOptions(tile=512.0, device="cpu")
+    found = foresee(of_size(town, edge_m), tiled)
+    assert found.beside == beside
+    assert (f"{beside} at a time" in str(found)) == (beside > 1)
+
+
+def test_what_is_not_worth_a_start_is_fitted_in_one_process(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foresight, "threads", lambda: 8)
+    assert side_by_side(town, FitOptions(tile=32.0, overlap=8.0, device="cpu"), 4) == 1
+    large, tiled = of_size(town, 520), FitOptions(tile=512.0, device="cpu")
+    large.products["prior_dsm"] = "prior/dsm.tif"  # what takes longest is done
+    assert side_by_side(large, tiled, 4) == 1
+
+
+def test_a_gpu_takes_one_tile_at_a_time(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
+    monkeypatch.setattr(foresight, "threads", lambda: 8)
+    large = of_size(town, 3000)
+    assert side_by_side(large, FitOptions(tile=512.0, device="cpu"), 36) == 8
+    assert side_by_side(large, FitOptions(tile=512.0, device="cuda"), 36) == 1
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert side_by_side(large, FitOptions(tile=512.0), 36) == 1
+
+
+def test_a_prior_that_is_there_takes_no_time(town: Scene) -> None:
+    there = Scene.from_json(town.to_json())
+    there.products["prior_dsm"] = "prior/dsm.tif"
+    start = foresight.START_S
+    assert foresee(there, AUTO).cpu_s - start < 0.7 * (foresee(town, AUTO).cpu_s - start)
+
+
+def test_what_the_user_grants_is_what_tiles_go_by(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
+    assert chosen_tile(of_size(town, 3000), AUTO) == 1024.0
+    monkeypatch.undo()
+    with memory.limited(1000):
+        assert chosen_tile(of_size(town, 3000), AUTO) == 256.0
 
 
 def test_a_dry_run_says_it_and_fits_nothing(make_town: Callable[[], Scene]) -> None:

@@ -16,7 +16,7 @@ from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
-from sattools.fit.tiles import plan
+from sattools.fit.tiles import crew, plan
 from sattools.prep.area import wanted_area
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
@@ -92,7 +92,8 @@ def test_tiles_outside_the_area_are_not_fitted(make_town: Any, monkeypatch: pyte
         fitted.append(one.id)
         return original(one, *given)
 
-    monkeypatch.setattr(plan, "fit_whole", seen)
+    for module in (plan, crew):
+        monkeypatch.setattr(module, "fit_whole", seen)
     fit(scene, replace(QUICK, tile=32.0, overlap=8.0))
     assert fitted == ["TOWN.coarse", "TOWN.r0c0", "TOWN.r1c0"]
 

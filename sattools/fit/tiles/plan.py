@@ -19,10 +19,12 @@ from sattools import __version__
 from sattools.errors import InputError, SceneError
 from sattools.fit.described import COLOURS
 from sattools.fit.files import CHECKPOINT, MODEL, STATE
+from sattools.fit.foresight import side_by_side
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.resume import OTHER_FIT
 from sattools.fit.surface.schedule import schedule
+from sattools.fit.tiles.crew import Part, fit_parts
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, subprogress
@@ -124,10 +126,11 @@ class Plan:
         else:
             self.begin(None)
         coarse = self._coarse_scene()
-        options = replace(self._own_options(coarse), tile=None, resolution=self.finest * self.factor)
+        options = replace(self._own_options(), tile=None, resolution=self.finest * self.factor)
+        options = replace(options, resume=(coarse.root / CHECKPOINT).exists())
         if options.coarsest:
             options = replace(options, coarsest=options.coarsest * self.factor)
-        result = fit_whole(coarse, options, saying(progress, "whole area, coarsely: "))
+        result = fit_whole(coarse, options, lambda share, message: progress(share, f"whole area, coarsely: {message}"))
         # what is only coarse about the coarse fit is not worth a note
         notes = [text for text in result["notes"] if not any(words in text for words in ONLY_COARSE)]
         names = []
@@ -182,13 +185,21 @@ class Plan:
         self._write_state(names, notes, seconds, state["pilots"])
         return notes
 
-    def fit(self, tile: Tile, progress: Progress) -> list[str]:
-        """Fit one tile unless that is done; notes."""
-        if tile.name not in self.names() or (self.root(tile.name) / MODEL).exists():
-            return []
-        scene = self.part_scene(tile.name)
-        result = fit_whole(scene, self._own_options(scene), progress)
-        return [f"tile {tile.name}: {text}" for text in result["notes"]]
+    def fit(self, progress: Progress) -> list[str]:
+        """Fit the tiles that are not fitted yet, several at a time; notes."""
+        names = self.names()
+        number = {tile.name: k for k, tile in enumerate(self.tiles)}
+        called = {name: f"tile {number[name] + 1} of {len(self.tiles)}" for name in names}
+        return self._fit_parts(called, {name: f"tile {name}" for name in names}, self._own_options(), progress)
+
+    def _fit_parts(
+        self, called: Mapping[str, str], noted: Mapping[str, str], options: FitOptions, progress: Progress
+    ) -> list[str]:
+        """Fit scenes of parts by their names, each with what it is called while it is fitted and in notes."""
+        left = [name for name in called if not (self.root(name) / MODEL).exists()]
+        parts = [Part(called[name], self.root(name), options) for name in left]
+        found = fit_parts(parts, side_by_side(self.scene, self.options, len(left)), progress)
+        return [f"{noted[name]}: {text}" for name, notes in zip(left, found, strict=True) for text in notes]
 
     # ---- state ------------------------------------------------------------------------------------------
 
@@ -256,6 +267,10 @@ class Plan:
 
     # ---- parts ------------------------------------------------------------------------------------------
 
+    def _own_options(self) -> FitOptions:
+        """Of what is fitted of the whole: held-out images are left out already."""
+        return replace(self.options, holdout=[], views="all", part="all")
+
     def _scene(self, name: str, grid: Grid) -> Scene:
         one = part_copy(self.scene, self.root(name))
         one.id, one.grid = f"{self.scene.id[:100]}.{name}", grid
@@ -276,10 +291,6 @@ class Plan:
             paths = {product: self.scene.path(self.scene.products[product]) for product in given}
             one.products = {product: href_of_part(self.scene, one.root, path) for product, path in paths.items()}
         return one
-
-    def _own_options(self, scene: Scene) -> FitOptions:
-        resume = (scene.root / CHECKPOINT).exists()
-        return replace(self.options, resume=resume, holdout=[], views="all", part="all")
 
     def _unseen(self, coarse: Scene, sources: list[Source]) -> dict[str, set[str]]:
         """Images that show less than `LEAST_SHOWN` of a tile, by its name."""
@@ -311,16 +322,10 @@ class Plan:
 
     def _pilots(self, names: list[str], progress: Progress) -> tuple[list[Scene], list[str]]:
         """Fit the pilot tiles by themselves, unless commands of their own have; their scenes, and notes."""
-        scenes, notes = [], []
-        for k, name in enumerate(names):
-            one = self.part_scene(name)
-            if not (one.root / MODEL).exists():
-                some = subprogress(progress, k / len(names), (k + 1) / len(names))
-                options = replace(self._own_options(one), tile=None)
-                told = fit_whole(one, options, saying(some, f"pilot tile {k + 1} of {len(names)}: "))["notes"]
-                notes += [f"{name.replace('.', ' tile ')}: {text}" for text in told]
-            scenes.append(one)
-        return scenes, notes
+        called = {name: f"pilot tile {k + 1} of {len(names)}" for k, name in enumerate(names)}
+        noted = {name: name.replace(".", " tile ") for name in names}
+        notes = self._fit_parts(called, noted, replace(self._own_options(), tile=None), progress)
+        return [self.part_scene(name) for name in names], notes
 
     def _balances(self, coarse: Scene, sources: list[Source], pilots: list[Scene]) -> dict[str, RadiometricBalance]:
         """How the images are matched for the priors of the tiles, by item; contrast as it is in tiles."""
@@ -354,9 +359,4 @@ def _used(assets: Mapping[str, Asset]) -> list[str]:
     return ["rpc", "radiance" if "radiance" in assets else "image"]
 
 
-def saying(progress: Progress, before: str) -> Progress:
-    """The callback of a step whose messages begin with some words."""
-    return lambda fraction, message: progress(fraction, before + message)
-
-
-__all__ = ["COARSE", "COMMON", "FOLDER", "WHOLE", "Plan", "saying"]
+__all__ = ["COARSE", "COMMON", "FOLDER", "WHOLE", "Plan"]

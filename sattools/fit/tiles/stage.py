@@ -4,7 +4,8 @@ A coarse fit of the whole, on no more cells than one tile has, finds what all ti
 light of every image, the shift of its rays, and the surface around a tile that throws shadows into it. Where its cells
 are too large to show shadows and shifts, up to four pilot tiles, fitted by themselves, find those. Every tile is a
 scene of its own in ``fit/tiles/NAME``, with a grid of its own on the cells of the whole, and is fitted as any other,
-but for what is shared. The maps are then mosaicked with weights that feather where tiles overlap.
+but for what is shared; several at a time where there are processors and memory for it. The maps are then mosaicked with
+weights that feather where tiles overlap.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import replace
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.mosaic import mosaic_tiles
-from sattools.fit.tiles.plan import WHOLE, Plan, saying
+from sattools.fit.tiles.plan import WHOLE, Plan
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
@@ -53,14 +54,12 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
     if options.part == "coarse":
         notes = plan.coarse(progress)
         return {"notes": notes, "pilots": plan.pilots()}
-    steps = len(plan.tiles) + 1
+    first = 1 / (len(plan.tiles) + 1)
     if options.part in ("all", "split"):
-        notes = plan.split(subprogress(progress, 0.0, 1 / steps if options.part == "all" else 1.0))
+        notes = plan.split(subprogress(progress, 0.0, first if options.part == "all" else 1.0))
     if options.part == "all":
-        for k, tile in enumerate(plan.tiles):
-            some = subprogress(progress, (k + 1) / steps, (k + 2) / steps)
-            notes += plan.fit(tile, saying(some, f"tile {k + 1} of {len(plan.tiles)}: "))
-            give_back()
+        give_back()
+        notes += plan.fit(subprogress(progress, first, 1.0))
     if options.part == "split":
         return {"notes": notes, "tiles": plan.names()}
     return mosaic_tiles(plan, notes if options.part == "all" else [], progress)

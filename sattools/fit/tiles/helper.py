@@ -1,0 +1,89 @@
+"""A process that fits tiles for another one: `python -m sattools.fit.tiles.helper`, see `sattools.fit.tiles.crew`.
+
+Orders come on stdin and answers go to what was stdout, one JSON object a line. It ends when there are no more orders,
+and with the process that gave them.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TextIO
+
+from sattools.errors import SattoolsError
+from sattools.processors import end_with_parent
+
+
+class Answers(logging.Handler):
+    """What is told to the process that gives the orders: progress, messages, results."""
+
+    def __init__(self, out: TextIO) -> None:
+        super().__init__()
+        self.out = out
+
+    def tell(self, kind: str, what: Any) -> None:
+        """Write one line.
+
+        Args:
+            kind: `progress`, `log`, `done` or `error`.
+            what: goes with it.
+        """
+        print(json.dumps({kind: what}), file=self.out, flush=True)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler.emit`."""
+        self.tell("log", [record.levelno, record.name, record.getMessage()])
+
+    def progress(self, fraction: float, message: str) -> None:
+        """See `sattools.progress.Progress`."""
+        self.tell("progress", [fraction, message])
+
+
+def serve(orders: Iterable[str], answers: Answers) -> None:
+    """Fit what is ordered until there is nothing more.
+
+    Args:
+        orders: lines with the folder of a scene (`root`) and the `options` of its fit.
+        answers: told how it goes.
+    """
+    from sattools.fit.options import FitOptions
+    from sattools.fit.whole import fit_whole
+    from sattools.scene import Scene
+    from sattools.scene.memory import give_back
+
+    for line in orders:
+        order = json.loads(line)
+        try:
+            scene = Scene.from_file(Path(order["root"]) / "scene.json")
+            result = fit_whole(scene, FitOptions(**order["options"]), answers.progress)
+        except SattoolsError as error:
+            answers.tell("error", [type(error).__name__, str(error)])
+            continue
+        answers.tell("done", result["notes"])
+        del result, scene
+        give_back()
+
+
+def main() -> None:
+    """Serve on stdin and stdout."""
+    end_with_parent(signal.SIGTERM)
+    # Ctrl-C reaches all processes of a terminal: it is the first one's to decide
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    answers = Answers(os.fdopen(os.dup(1), "w", encoding="utf-8"))
+    os.dup2(2, 1)  # whatever a library prints is no answer
+    logging.getLogger().addHandler(answers)
+    logging.getLogger("sattools").setLevel(int(sys.argv[1]))
+    try:
+        serve(sys.stdin, answers)
+    except BrokenPipeError:  # nobody listens any more
+        os._exit(1)
+
+
+if __name__ == "__main__":
+    main()
