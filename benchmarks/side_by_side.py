@@ -42,7 +42,7 @@ def main() -> None:
     most = max(options.threads)
     ways = {f"fit, {n} threads": (n, ["fit", "--tile", str(options.tile)]) for n in options.threads}
     if options.batch:
-        config = options.out / "tiles.toml"
+        config = options.out / "cut.toml"
         options.out.mkdir(parents=True, exist_ok=True)
         config.write_text(f"[fit]\ntile = {options.tile}\n", encoding="utf-8")
         call = ["batch", "--config", str(config), "--out"]
@@ -59,7 +59,7 @@ def main() -> None:
             if done.status:
                 raise SystemExit(f"{name}: exit status {done.status}")
             found[name].append(done)
-            (model,) = [path for path in options.out.rglob("fit/model.safetensors") if "tiles" not in path.parts]
+            (model,) = [path for path in options.out.rglob("fit/model.safetensors") if path.parent.parent.parent.name != "tiles"]
             models.add(hashlib.sha256(model.read_bytes()).hexdigest()[:16])
     first = statistics.median(done.seconds for done in next(iter(found.values())))
     for name, runs in found.items():

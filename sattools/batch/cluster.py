@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from sattools.batch.launch import Launcher
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task
 from sattools.batch.task import perform
@@ -18,6 +19,7 @@ from sattools.errors import InputError, SattoolsError
 from sattools.scene.jsonio import JsonObject
 
 TOPIC = "sattools-batch"
+_launcher = Launcher()  # of a worker, which does one task at a time
 _REPORT_EVERY_S = 0.5
 TASK_MB = 3500.0  # for which a worker is started, as machines have 4 GB a core; a task in tiles takes a fourth of it
 _NO_DASK = "batch: found no Dask, expected the extra: pip install 'sattools[batch]'"
@@ -171,7 +173,7 @@ def work(task: Task, before: list[JsonObject], share: Shares) -> JsonObject:
             worker.log_event(TOPIC, (task.name, fraction, message))
 
     gpu = share.gpus[int(worker.name) % len(share.gpus)] if share.gpus else None
-    return perform(task, share.threads_of(task) or worker.state.nthreads, share.memory_mb, report, gpu)
+    return perform(task, share.threads_of(task) or worker.state.nthreads, share.memory_mb, report, gpu, _launcher)
 
 
 @contextmanager

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sattools.batch.launch import Launcher, end
 from sattools.batch.plan import Task
 from sattools.batch.table import make_row
 from sattools.errors import SattoolsError
-from sattools.processors import end_with_parent
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 
@@ -24,7 +23,14 @@ Report = Callable[[float, str], None]
 _WATCH_S = 0.2
 
 
-def perform(task: Task, threads: int, memory_mb: float | None, report: Report, gpu: str | None = None) -> JsonObject:
+def perform(
+    task: Task,
+    threads: int,
+    memory_mb: float | None,
+    report: Report,
+    gpu: str | None = None,
+    launcher: Launcher | None = None,
+) -> JsonObject:
     """Run a task unless it is done already; its result, also left in `Task.record`.
 
     Args:
@@ -33,6 +39,7 @@ def perform(task: Task, threads: int, memory_mb: float | None, report: Report, g
         memory_mb: resident memory above which a command is stopped, or None.
         report: called with the share done and a message.
         gpu: the CUDA device that the commands see; None = all.
+        launcher: starts the commands; None = one for this task.
 
     Returns:
         key, status (`done` or `failed`), scene_json, row (of a run), and for a failure the last line of the command.
@@ -41,6 +48,7 @@ def perform(task: Task, threads: int, memory_mb: float | None, report: Report, g
     if earlier is not None:
         return earlier
     result: dict[str, Any] = {"key": task.key, "name": task.name}
+    own = launcher or Launcher()
     try:
         scene = task.start()
         with open(Path(task.folder) / "attempts.jsonl", "a", encoding="utf-8") as file:
@@ -51,46 +59,55 @@ def perform(task: Task, threads: int, memory_mb: float | None, report: Report, g
             def step(fraction: float, message: str, number: int = number) -> None:
                 report((number + fraction) / len(task.commands), message)
 
-            _run(task, [str(scene) if part == "{scene}" else part for part in command], threads, memory_mb, step, gpu)
+            given = [str(scene) if part == "{scene}" else part for part in command]
+            _run(task, given, _Means(threads, memory_mb, gpu, own), step)
         result |= {"status": "done", "scene_json": str(scene)}
         if task.kind == "run":
             result["row"] = make_row(task.scene, task.configuration, scene)
         write_text(task.record, json.dumps(result, indent=1) + "\n")
     except (SattoolsError, OSError) as error:
         result |= {"status": "failed", "error": " ".join(str(error).split())}
+    finally:
+        if launcher is None:
+            own.close()
     return result
 
 
-def _run(task: Task, command: list[str], threads: int, memory_mb: float | None, step: Report, gpu: str | None) -> None:
+@dataclass(frozen=True)
+class _Means:
+    """What a command may use; see `perform`."""
+
+    threads: int
+    memory_mb: float | None
+    gpu: str | None
+    launcher: Launcher
+
+
+def _run(task: Task, command: list[str], means: _Means, step: Report) -> None:
     """One command; raises SattoolsError with its last line where it fails."""
-    call = [sys.executable, "-m", "sattools", "--progress", "json", "--threads", str(threads), *command]
+    call = ["--progress", "json", "--threads", str(means.threads), *command]
+    memory_mb = means.memory_mb
     if memory_mb is not None:
         call += ["--max-memory", f"{memory_mb:.0f}"]
     call += ["--config", str(Path(task.folder) / "config.toml")]
-    environment = dict(os.environ)
-    if gpu is not None:
-        environment["CUDA_VISIBLE_DEVICES"] = gpu
     step(0.0, command[0])
-    process = subprocess.Popen(
-        call,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        env=environment,
-        # it must not go on writing when its worker is lost and the task is started elsewhere
-        preexec_fn=end_with_parent if sys.platform == "linux" else None,
-    )
-    too_much = threading.Event()
-    if memory_mb is not None:
-        threading.Thread(target=_watch, args=(process, memory_mb, too_much), daemon=True).start()
-    said = [""]
-    assert process.stderr is not None
+    too_much, over = threading.Event(), threading.Event()
+
+    def began(process: int) -> None:
+        if memory_mb is not None:
+            threading.Thread(target=_watch, args=(process, memory_mb, too_much, over), daemon=True).start()
+
+    said, status = [""], 0
     try:
-        with open(Path(task.folder) / "log.txt", "a", encoding="utf-8") as log:
-            print("$", *call, file=log)
-            for line in process.stderr:
+        with (
+            open(Path(task.folder) / "log.txt", "a", encoding="utf-8") as log,
+            closing(means.launcher.run(call, means.threads, means.gpu, began)) as lines,
+        ):
+            print("$ sattools", *call, file=log)
+            for line in lines:
+                if isinstance(line, int):
+                    status = line
+                    break
                 share = _progress(line)
                 if share is not None:
                     step(*share)
@@ -98,12 +115,8 @@ def _run(task: Task, command: list[str], threads: int, memory_mb: float | None, 
                     said.append(line.strip())
                     log.write(line)
                     log.flush()
-        status = process.wait()
     finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
-        process.stderr.close()
+        over.set()
     if too_much.is_set():
         raise SattoolsError(f"sattools {command[0]}: needed more than {memory_mb:.0f} MB of memory and was stopped")
     if status:
@@ -120,19 +133,18 @@ def _progress(line: str) -> tuple[float, str] | None:
         return None
 
 
-def _watch(process: subprocess.Popen[str], limit_mb: float, too_much: threading.Event) -> None:
+def _watch(process: int, limit_mb: float, too_much: threading.Event, over: threading.Event) -> None:
     """Stop a command that takes more memory than it may, before the machine has none left for the others."""
     import psutil
 
     with suppress(psutil.Error):
-        seen = psutil.Process(process.pid)
-        while process.poll() is None:
+        seen = psutil.Process(process)
+        while not over.wait(_WATCH_S):
             # with the processes that fit its tiles
             if sum(_resident(one) for one in (seen, *seen.children(recursive=True))) > limit_mb * 2**20:
                 too_much.set()
-                process.kill()
+                end(process)
                 return
-            time.sleep(_WATCH_S)
 
 
 def _resident(process: Any) -> int:

@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import os
 import signal
+import sys
 from typing import Any
 
 import click
@@ -148,6 +149,18 @@ def set_threads(threads: int | None) -> None:
     for name in POOLS:
         if threads or name not in os.environ:
             os.environ[name] = count
+    if threads:
+        _tell_loaded(threads)
+
+
+def _tell_loaded(threads: int) -> None:
+    """Libraries that are there already, as in a program that calls the suite, read no environment any more."""
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(threads)
+    if cv2 := sys.modules.get("cv2"):
+        cv2.setNumThreads(threads)
+    if compiled := sys.modules.get("sattools.compiled"):
+        compiled.__dict__["MOST_THREADS"] = threads
 
 
 def bound_cache() -> None:

@@ -42,14 +42,14 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen:
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def command_of(process: Any) -> list[str]:
-    """Its command line; nothing once it has ended, which it may at any moment."""
+def name_of(process: Any) -> str:
+    """What it is called; nothing once it has ended, which it may at any moment."""
     import psutil
 
     try:
-        return process.cmdline()
+        return process.name()
     except psutil.Error:
-        return []
+        return ""
 
 
 def table(folder: Path) -> list[dict[str, str]]:
@@ -131,16 +131,17 @@ def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
         process.stdout.readline()
-        too_much = threading.Event()
-        watching = threading.Thread(target=_watch, args=(process, limit, too_much))
+        too_much, over = threading.Event(), threading.Event()
+        watching = threading.Thread(target=_watch, args=(process.pid, limit, too_much, over))
         watching.start()
         if stopped:
             watching.join(HANGING_S)
         else:
             time.sleep(0.5)  # it looks several times
         assert too_much.is_set() == stopped
-        process.kill()
+        over.set()
         watching.join(HANGING_S)
+        process.kill()
         process.communicate(timeout=HANGING_S)
 
 
@@ -149,9 +150,10 @@ def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
 def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     import psutil
 
-    running = start(folder, "A/scene.json", "--config", "quick.toml", "--out", "stopped", "--workers", "1")
+    (folder / "long.toml").write_text("[fit]\nepochs = [5000]\n")
+    running = start(folder, "A/scene.json", "--config", "long.toml", "--out", "stopped", "--workers", "1")
     seen = psutil.Process(running.pid)
-    while not any("fit" in command_of(process) for process in seen.children(recursive=True)):
+    while "sattools fit" not in [name_of(process) for process in seen.children(recursive=True)]:
         assert running.poll() is None
         time.sleep(0.05)
     family = seen.children(recursive=True)
@@ -160,7 +162,7 @@ def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     assert running.returncode == 143
     _, left = psutil.wait_procs(family, timeout=HANGING_S)
     assert left == []
-    assert not (folder / "stopped/runs/quick/A/task.json").exists()
+    assert not (folder / "stopped/runs/long/A/task.json").exists()
 
 
 def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(folder: Any) -> None:

@@ -101,3 +101,12 @@ def test_threads_are_settled_before_numerical_libraries_start() -> None:
     environment = {k: v for k, v in os.environ.items() if "THREADS" not in k and k != "OMP_WAIT_POLICY"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1", "1", "PASSIVE", "1"]
+
+
+def test_libraries_that_are_loaded_already_are_told_the_number_of_threads() -> None:
+    code = (
+        "import torch, cv2, sattools.compiled as compiled; from sattools.cli import set_threads as use; "
+        "[print((use(n), torch.get_num_threads(), cv2.getNumThreads(), compiled.MOST_THREADS)[1:]) for n in (2, 1)]"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["(2, 2, 2)", "(1, 1, 1)"]

@@ -1,0 +1,107 @@
+"""Commands of a batch begin without importing, and are processes of their own nevertheless."""
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from patience import HANGING_S
+
+from sattools.batch.launch import Launcher, end
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="on Linux only; elsewhere Python starts every time")
+HANGS = ["info", "-"]  # waits for a document, were its input not empty
+
+
+@pytest.fixture(scope="module")
+def launcher() -> Iterator[Launcher]:
+    made = Launcher()
+    yield made
+    made.close()
+
+
+def run(launcher: Launcher, *arguments: str) -> tuple[int, list[str], int]:
+    """Number of the process, lines, and exit status."""
+    began: list[int] = []
+    *lines, status = launcher.run(list(arguments), 1, None, began.append)
+    assert isinstance(status, int)
+    return began[0], [str(line) for line in lines], status
+
+
+def test_each_command_is_a_process_with_its_own_lines_and_exit_status(launcher: Launcher) -> None:
+    first, lines, status = run(launcher, "info", "/nowhere.json")
+    assert (len(lines), status) == (1, 1)
+    assert lines[0].startswith("sattools info: error: /nowhere.json: found")
+    second, lines, status = run(launcher, "--version")
+    assert (lines, status) == ([], 0)  # stdout goes nowhere
+    third, lines, status = run(launcher, "fit", "--no-such-option")
+    assert status == 2
+    assert "No such option" in "".join(lines)
+    assert len({first, second, third}) == 3
+
+
+def test_nothing_of_a_command_is_left_for_the_next(launcher: Launcher, make_town: Any) -> None:
+    document = str(make_town().root / "scene.json")
+    _, lines, _ = run(launcher, "--max-memory", "100", "-vv", "fit", "--dry-run", document)
+    before = "".join(lines)
+    assert "would fit" in before
+    _, lines, _ = run(launcher, "--quiet", "fit", "--dry-run", document)
+    assert [line for line in lines if "would fit" not in line] == []  # neither -vv nor the log of the one before
+
+
+def test_a_command_reads_nothing_of_what_is_meant_for_the_next(launcher: Launcher) -> None:
+    _, lines, status = run(launcher, *HANGS)
+    assert status == 1
+    assert "stdin: found nothing" in "".join(lines)
+    assert run(launcher, "--version")[2] == 0
+
+
+def test_a_killed_command_is_told_and_the_next_one_starts(launcher: Launcher, make_town: Any) -> None:
+    document = str(make_town().root / "scene.json")
+    began: list[int] = []
+    lines = launcher.run(["--progress", "json", "fit", document], 1, None, began.append)
+    assert str(next(lines)).startswith('{"progress"')
+    end(began[0])
+    assert list(lines)[-1] == -9
+    assert run(launcher, "--version")[2] == 0
+
+
+def test_a_command_that_is_not_heard_to_its_end_is_ended(launcher: Launcher, make_town: Any) -> None:
+    psutil = pytest.importorskip("psutil", reason="needs the extra `batch`")
+    document = str(make_town().root / "scene.json")
+    began: list[int] = []
+    lines = launcher.run(["--progress", "json", "fit", document], 1, None, began.append)
+    next(lines)
+    process = psutil.Process(began[0])
+    assert process.name() == "sattools fit"
+    lines.close()
+    assert psutil.wait_procs([process], timeout=HANGING_S)[1] == []
+    assert run(launcher, "--version")[2] == 0
+
+
+def test_another_gpu_is_that_of_another_process() -> None:
+    launcher = Launcher()
+    try:
+        list(launcher.run(["--version"], 1, "0", lambda process: None))
+        one = launcher._forking
+        list(launcher.run(["--version"], 1, "0", lambda process: None))
+        assert launcher._forking is one
+        list(launcher.run(["--version"], 1, "1", lambda process: None))
+        assert launcher._forking is not one
+    finally:
+        launcher.close()
+
+
+def test_a_python_that_cannot_start_is_a_failed_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    launcher = Launcher()
+    assert list(launcher.run(["--version"], 1, None, lambda process: None)) == [1]
+
+
+def test_elsewhere_python_starts_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "other")
+    began: list[int] = []
+    lines = list(Launcher().run(["info", "/nowhere.json"], 1, None, began.append))
+    assert lines[-1] == 1
+    assert "sattools info: error" in str(lines[0])
+    assert len(began) == 1
