@@ -59,7 +59,8 @@ def main() -> None:
             if done.status:
                 raise SystemExit(f"{name}: exit status {done.status}")
             found[name].append(done)
-            (model,) = [path for path in options.out.rglob("fit/model.safetensors") if path.parent.parent.parent.name != "tiles"]
+            found_models = options.out.rglob("fit/model.safetensors")
+            (model,) = [path for path in found_models if path.parents[2].name != "tiles"]
             models.add(hashlib.sha256(model.read_bytes()).hexdigest()[:16])
     first = statistics.median(done.seconds for done in next(iter(found.values())))
     for name, runs in found.items():

@@ -65,8 +65,8 @@ class Shares:
 def shares(options: BatchOptions, cores: int, runs: int, tiled: bool) -> Shares:
     """Workers, and threads and memory of a task.
 
-    As many tasks at a time as there are cores, as far as there are tasks and memory: a second thread of a task brings a
-    sixth of its time, a second worker halves that of all (docs/batch.md). Cores that are left go to threads.
+    As many tasks at a time as there are cores, as far as there are tasks and memory, which brings more than several
+    threads for one (docs/batch.md). Cores that are left go to threads.
 
     Raises InputError where GPUs are asked for and none is found.
 

@@ -54,7 +54,9 @@ def main() -> None:
         process = os.fork()
         if not process:
             end_with_parent()
-            sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
+            nothing = os.open(os.devnull, os.O_RDONLY)
+            os.dup2(nothing, 0)
+            sys.stdin = os.fdopen(nothing, encoding="utf-8")
             sys.argv[1:] = json.loads(line)
             _call_it(next((argument for argument in sys.argv[1:] if argument in COMMANDS), ""))
             entry()

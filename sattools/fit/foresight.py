@@ -133,7 +133,7 @@ def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
 def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
     """How many of some tiles are fitted at a time: one per thread that the user allows, as far as memory goes.
 
-    One thread each: a second one of a tile brings a sixth of its time, a second tile at a time half (docs/batch.md).
+    One thread each, which brings more than several for one tile (docs/batch.md).
     No more than each has work for, beside its start; on a GPU one at a time.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Tiles fitted side by side, each by a process of its own: a second process halves the time, a second thread does not.
+"""Tiles fitted side by side, each by a process of its own: a second process brings more than a second thread.
 
 Processes talk in lines of JSON (see `sattools.fit.tiles.helper`) and share nothing but files, so that the surface is
 the same whatever their number.
@@ -21,7 +21,7 @@ from pathlib import Path
 
 from sattools import errors
 from sattools.errors import SattoolsError
-from sattools.fit.files import CHECKPOINT
+from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.options import FitOptions
 from sattools.fit.whole import fit_whole
 from sattools.processors import threads, with_threads
@@ -122,6 +122,7 @@ class _Crew:
             stdout=subprocess.PIPE,
             encoding="utf-8",
             env=environment,
+            process_group=0,  # Ctrl-C is this process's to hear
         )
         helper = _Helper(process)
         self.running.append(helper)
@@ -151,6 +152,8 @@ class _Crew:
             print(json.dumps(order), file=helper.process.stdin, flush=True)
 
     def _heard(self, helper: _Helper, line: str) -> None:
+        if not line.endswith("\n"):  # the last words of a process that was killed
+            return
         ((kind, what),) = json.loads(line).items()
         if kind == "log":
             level, name, text = what
@@ -176,6 +179,10 @@ class _Crew:
         if helper.part is None:
             return
         part = self.parts[helper.part]
+        if (part.root / MODEL).exists():  # it had only not told yet
+            self.notes[helper.part] = []
+            self._order_more()
+            return
         if status >= 0 or self.attempts[helper.part] >= _ATTEMPTS:
             raise SattoolsError(
                 f"{part.name} ({part.root}): its process ended with status {status}, expected its fit (for want of "
@@ -183,7 +190,11 @@ class _Crew:
             )
         log.warning("%s: its process was ended by signal %d; it goes on with one process less", part.name, -status)
         self.waiting.appendleft(helper.part)
-        if all(other.part is None for other in self.running):
+        self._order_more()
+
+    def _order_more(self) -> None:
+        """Start a process where none is left for what waits."""
+        if self.waiting and all(other.part is None for other in self.running):
             self._start()
 
     def _end(self) -> None:

@@ -72,7 +72,7 @@ def serve(orders: Iterable[str], answers: Answers) -> None:
 def main() -> None:
     """Serve on stdin and stdout."""
     end_with_parent(signal.SIGTERM)
-    # Ctrl-C reaches all processes of a terminal: it is the first one's to decide
+    # Ctrl-C is heard by the process that gives the orders
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     answers = Answers(os.fdopen(os.dup(1), "w", encoding="utf-8"))
