@@ -106,12 +106,21 @@ def try_out(say: Callable[[str], None]) -> Finding:
             done = subprocess.run(call, input=document, capture_output=True, check=False)
             if done.returncode:
                 last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
-                return Finding("a small scene", "missing", last[:200], "reinstall sattools")
+                return Finding("a small scene", "missing", last[:200], _remedy(last))
             document = done.stdout
         error = json.loads((folder / "TRY/compare/errors.json").read_text())["mae"]
         took = time.perf_counter() - begun
     text = f"simulate, prep, fit, export and compare in {took:.0f} s, DSM {error:.2f} m off, kernels compiled"
     return Finding("a small scene", "ok", text)
+
+
+def _remedy(message: str) -> str:
+    """What helps against an error of a small scene: the machine's want of something, or else a new installation."""
+    if any(words in message for words in ("No space left", "quota", "cannot be written", "Read-only")):
+        return f"make room in {tempfile.gettempdir()}, or set TMPDIR to a folder that has some"
+    if "too little memory" in message or "GiB of memory" in message:
+        return "end other programs"
+    return "reinstall sattools"
 
 
 def fetch_geoids(say: Callable[[str], None]) -> None:

@@ -1,5 +1,6 @@
 """`sattools doctor` says what is there, what is not, and what to do about it."""
 
+import contextlib
 import json
 import warnings
 from pathlib import Path
@@ -113,10 +114,10 @@ def test_no_network_is_one_line_with_the_address(tmp_path: Path, monkeypatch: py
 class Steps:
     """Stands in for the commands of `try_out`: notes them, and one of them fails."""
 
-    def __init__(self, failing: str) -> None:
+    def __init__(self, failing: str, error: str = "why") -> None:
         self.calls: list[list[str]] = []
         self.given: list[bytes] = []
-        self.failing = failing
+        self.failing, self.error = failing, error
 
     def __call__(self, call: list[str], *, input: bytes, **_: Any) -> Any:
         step = call[4]
@@ -127,7 +128,8 @@ class Steps:
             folder.mkdir(parents=True)
             (folder / "errors.json").write_text('{"mae": 0.5}')
         status = int(step == self.failing)
-        return SimpleNamespace(returncode=status, stdout=step.encode(), stderr=b"warning: x\nsattools: error: why\n")
+        said = f"warning: x\nsattools: error: {self.error}\n"
+        return SimpleNamespace(returncode=status, stdout=step.encode(), stderr=said.encode())
 
 
 def test_a_small_scene_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,3 +150,20 @@ def test_a_step_that_fails_is_named_by_its_last_line(monkeypatch: pytest.MonkeyP
     found = doctor.try_out(lambda text: None)
     assert (found.state, found.text) == ("missing", "sattools: error: why")
     assert [call[0] for call in steps.calls] == ["simulate", "prep", "fit"]
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        ("why", "reinstall sattools"),
+        ("a.tif: cannot be written (No space left on device)", "make room in /scratch, or set TMPDIR"),
+        ("found too little memory (all is taken), expected a smaller area or coarser cells", "end other programs"),
+    ],
+)
+def test_what_the_machine_lacks_is_no_reason_to_reinstall(
+    error: str, remedy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor.subprocess, "run", Steps("fit", error))
+    monkeypatch.setattr(doctor.tempfile, "gettempdir", lambda: "/scratch")
+    monkeypatch.setattr(doctor.tempfile, "TemporaryDirectory", lambda prefix: contextlib.nullcontext("/scratch/x"))
+    assert remedy in (doctor.try_out(lambda text: None).remedy or "")
