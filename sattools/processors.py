@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 # what PyTorch, MKL, the compiled kernels and OpenCV read when they are imported
 POOLS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+_OWN_GROUPS, _GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2), Linux
 
 
@@ -21,8 +24,44 @@ def threads() -> int:
 
 
 def cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Processors that this process may use: those that it may run on, or less by the quota of its control groups.
+
+    A container with two processors of a machine with 64 may run on all of them, for a thirty-second of the time.
+    """
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for file in group_files("cpu", "cpu.max", "cpu.cfs_quota_us"):
+        try:
+            quota, *period = file.read_text(encoding="ascii").split()
+            per = period[0] if period else file.with_name("cpu.cfs_period_us").read_text(encoding="ascii")
+            if quota not in ("max", "-1"):
+                there = min(there, max(1, math.ceil(int(quota) / int(per))))
+        except (OSError, ValueError, ZeroDivisionError):
+            continue
+    return there
+
+
+def group_files(controller: str, name: str, former: str) -> Iterator[Path]:
+    """Files of the control groups (cgroups(7), Linux) that this process is in, its own first; they may not be there.
+
+    Args:
+        controller: such as ``memory``.
+        name: of the file.
+        former: its name in version 1 of control groups.
+    """
+    try:
+        lines = _OWN_GROUPS.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return
+    for _, controllers, path in (line.split(":", 2) for line in lines if line.count(":") >= 2):
+        if controllers and controller not in controllers.split(","):
+            continue
+        root, file = (_GROUPS / controller, former) if controllers else (_GROUPS, name)
+        own = root / path.lstrip("/")
+        # without a name space of its own a container sees paths of the machine, and its own group at the root
+        for folder in (own, *own.parents):
+            yield folder / file
+            if folder == root:
+                break
 
 
 def with_threads(count: int) -> dict[str, str]:
@@ -63,4 +102,4 @@ def end_with_parent(number: int = signal.SIGKILL) -> None:
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, number)
 
 
-__all__ = ["POOLS", "cores", "end_with_parent", "in_environment", "threads", "with_threads"]
+__all__ = ["POOLS", "cores", "end_with_parent", "group_files", "in_environment", "threads", "with_threads"]

@@ -9,10 +9,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from sattools.errors import SattoolsError
-from sattools.processors import in_environment
+from sattools.processors import group_files, in_environment
 
 LIMIT = "SATTOOLS_MAX_MEMORY_MB"  # a variable of the environment, so that processes of this one see it too
-_CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # numbers of GNU's malloc.h
 
@@ -28,7 +27,7 @@ def available() -> int | None:
                 limits.append(int(line.split()[1]) * 1024)
     except (OSError, ValueError, IndexError):
         pass
-    for path in _CGROUP:
+    for path in group_files("memory", "memory.max", "memory.limit_in_bytes"):
         try:
             limits.append(int(path.read_text(encoding="ascii")))
         except (OSError, ValueError):
