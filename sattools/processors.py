@@ -64,6 +64,18 @@ def group_files(controller: str, name: str, former: str) -> Iterator[Path]:
                 break
 
 
+def takes(memory: float, cpu_s: float) -> str:
+    """What some work will take, in words.
+
+    Args:
+        memory: bytes.
+        cpu_s: CPU seconds.
+    """
+    minutes = cpu_s / 60
+    took = f"{cpu_s:.0f} CPU seconds" if minutes < 1 else f"{minutes:.{1 if minutes < 10 else 0}f} CPU minutes"
+    return f"about {memory / 2**30:.1f} GiB of memory and {took} (this machine has {cores()} cores)"
+
+
 def with_threads(count: int) -> dict[str, str]:
     """This process's environment for one whose pools have a number of threads.
 
@@ -102,4 +114,4 @@ def end_with_parent(number: int = signal.SIGKILL) -> None:
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, number)
 
 
-__all__ = ["POOLS", "cores", "end_with_parent", "group_files", "in_environment", "threads", "with_threads"]
+__all__ = ["POOLS", "cores", "end_with_parent", "group_files", "in_environment", "takes", "threads", "with_threads"]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.align.options import AlignOptions
+from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.progress import Progress
@@ -37,4 +38,5 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         click.echo(f"scene {scene.id}: {figures['notes'][0]}", err=True)
         return figures
 
-    run_scenes(Run("align", options, dry_run, print_config, overwrite), scenes, work, plan="move onto the reference")
+    run = Run("align", options, dry_run, print_config, overwrite)
+    run_scenes(run, scenes, work, plan="move onto the reference", foreseen=plans.of_align)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
 from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
 from sattools.compare.options import CompareOptions
@@ -71,7 +72,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
     run = Run("compare", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, emit, "score the DSM", before)
+    run_scenes(run, scenes, work, emit, "score the DSM", before, foreseen=plans.of_compare)
 
 
 def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:

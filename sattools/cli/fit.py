@@ -73,7 +73,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     def foreseen(scene: Scene) -> str:
         from sattools.fit.foresight import foresee
 
-        return str(foresee(scene, options))
+        return f"{foresee(scene, options)}; writes fit/model.safetensors and fit/trace.csv"
 
     if print_config and options.field == "mlp":
         from sattools.fit.presets import DIFFERENCES

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.progress import Progress
@@ -33,4 +34,5 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return normalise(scene, options, progress, overwrite)
 
-    run_scenes(Run("normalise", options, dry_run, print_config, overwrite), scenes, work, plan="write linear radiance")
+    run = Run("normalise", options, dry_run, print_config, overwrite)
+    run_scenes(run, scenes, work, plan="write linear radiance", foreseen=plans.of_normalise)

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, is_dataclass
@@ -25,6 +26,7 @@ if TYPE_CHECKING:  # the document pulls in numpy, which --help can do without
     from sattools.scene import Scene
     from sattools.scene.runner import Step
 
+log = logging.getLogger(__name__)
 Work = Callable[["Scene", Progress], dict[str, Any] | None]
 
 
@@ -60,7 +62,7 @@ def run_scenes(
         emit: makes the line for stdout from the scene and the history entry; None = the scene document.
         plan: for --dry-run, what would be done.
         before: does what the command needs and the scene has not.
-        foreseen: for --dry-run, what it will take.
+        foreseen: what it will take: for --dry-run, and for the first line where people look on (`_announce`).
     """
     if run.print_config:
         print_config(run.command, run.options)
@@ -75,10 +77,33 @@ def run_scenes(
             takes = f": {foreseen(scene)}" if foreseen else ""
             click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}{takes}", err=True)
             return _shown(scene, None)
-        scene, entry = apply(run, before(scene) if before else scene, work)
+
+        def planned(scene: Scene, progress: Progress) -> dict[str, Any] | None:
+            if foreseen:
+                _announce(run.command, scene.id, foreseen(scene))
+            return work(scene, progress)
+
+        scene, entry = apply(run, before(scene) if before else scene, planned)
         return emit(scene, entry) if emit else _shown(scene, entry)
 
     each_scene(run.command, scenes, handle)
+
+
+def _announce(command: str, label: str, plan: str) -> None:
+    """What is begun: a line on a terminal, and with -v; in the scene's log in any case."""
+    log.info("%s %s: %s", command, label, plan)
+    if _is_watched():
+        click.echo(f"sattools {command}: {label}: {plan}", err=True)
+
+
+def _is_watched() -> bool:
+    """Whether people look on: progress is a bar, and messages of all kinds are not shown anyway."""
+    context = click.get_current_context(silent=True)
+    root = context.find_root() if context else None
+    if root is None or root.params.get("verbose"):
+        return False
+    mode = (root.obj or {}).get("progress")
+    return mode == "bar" or (mode == "auto" and sys.stderr.isatty())
 
 
 def _check_place(scene: Scene) -> None:
@@ -146,9 +171,9 @@ def run_source(
     run: Run,
     make: Callable[[Progress], tuple[Scene, dict[str, Any] | None]],
     label: str,
-    check: Callable[[], None] = lambda: None,
+    check: Callable[[], str] = lambda: "",
 ) -> None:
-    """Make one scene and print it; ``check`` is what --dry-run does, and raises where the work would.
+    """Make one scene and print it; ``check`` raises where the work would, and says what it will take.
 
     Args:
         run: how the command was called.
@@ -162,9 +187,11 @@ def run_source(
     try:
         check_inputs(run.options)
         if run.dry_run:
-            check()
-            click.echo(f"sattools {run.command}: would make {label}", err=True)
+            plan = check()
+            click.echo(f"sattools {run.command}: would make {label}{plan and f': {plan}'}", err=True)
             return
+        if _is_watched() and (plan := check()):
+            click.echo(f"sattools {run.command}: {label}: {plan}", err=True)
         from sattools.scene.runner import run_first
 
         scene = run_first(_step(run, label), make, run.inputs)

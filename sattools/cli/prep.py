@@ -11,6 +11,7 @@ import click
 from sattools.cli.kinds import Finite, PathText
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
+from sattools.cli.plans import of_prep
 from sattools.errors import InputError
 from sattools.prep.options import PrepOptions
 from sattools.progress import Progress
@@ -74,11 +75,12 @@ def command(
         metadata = options.metadata or (str(folder) if folder else None)
         options = replace(options, id=options.id or aoi, metadata=metadata, aoi=None)
 
-    def check() -> None:
-        """Everything that can be checked without work."""
+    def check() -> str:
+        """Everything that can be checked without work; what it will take."""
         from sattools.prep.stage import check_inputs
 
-        check_inputs(paths, options)
+        where = Path(options.out) / options.id if options.id else options.out
+        return f"{of_prep(check_inputs(paths, options))}; writes {where}/"
 
     def make(progress: Progress) -> tuple[Scene, JsonObject]:
         from sattools.prep.stage import prepare

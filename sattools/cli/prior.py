@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.prior.options import PriorOptions
@@ -32,4 +33,5 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return prior(scene, options, progress, overwrite)
 
-    run_scenes(Run("prior", options, dry_run, print_config, overwrite), scenes, work, plan="match the images")
+    run = Run("prior", options, dry_run, print_config, overwrite)
+    run_scenes(run, scenes, work, plan="match the images", foreseen=plans.of_prior(options.memory))

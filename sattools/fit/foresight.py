@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import sys
 from dataclasses import dataclass, replace
@@ -9,11 +10,19 @@ from pathlib import Path
 
 from sattools.fit.options import FitOptions
 from sattools.prior.options import PriorOptions
-from sattools.processors import cores, threads
+from sattools.processors import takes, threads
 from sattools.scene import Grid, Scene
-from sattools.scene.memory import to_spend
+from sattools.scene.memory import available, to_spend
 from sattools.scene.tiles import widest_part
 
+log = logging.getLogger(__name__)
+# what goes with tiles, and why nothing else does
+IN_TILES = (
+    ("field", "surface", "a field of rays has no maps to join"),
+    ("brdf", "lambert", "materials are found for an area as a whole"),
+    ("budget", None, "a tile needs the time it needs"),
+    ("reference", None, "the surface is whole only at the end (`sattools compare` scores it)"),
+)
 TILE_SIZES_M = (1024.0, 512.0, 256.0)
 LARGEST_AT_ONCE_M = 1024.0  # beyond it tiles cost nothing and keep progress
 # Measured by `benchmarks/foresight.py` on simulated cities and a real one, one thread
@@ -59,12 +68,8 @@ class Foresight:
         how = f"{self.tiles} tiles of {self.tile_m:g} m" if self.tile_m else "all at once"
         if self.beside > 1:
             how += f", {self.beside} at a time"
-        minutes = self.cpu_s / 60
-        took = f"{minutes:.1f}" if minutes < 10 else f"{minutes:.0f}"
-        return (
-            f"{self.area_km2:.3g} km2, {self.cells} cells, {self.images} images, {how}: about "
-            f"{self.memory / 2**30:.1f} GiB of memory and {took} CPU minutes (this machine has {cores()} cores)"
-        )
+        what = f"{self.area_km2:.3g} km2, {self.cells} cells, {self.images} images, {how}"
+        return f"{what}: {takes(self.memory, self.cpu_s)}"
 
 
 def foresee(scene: Scene, options: FitOptions) -> Foresight:
@@ -99,24 +104,54 @@ def _cut(grid: Grid, tile: float | None, overlap: float) -> tuple[int, float, fl
 
 def _seconds_per_cell(scene: Scene, options: FitOptions) -> float:
     images, cell = len(scene.train_items()), scene.require_grid().cell_size
-    low, high = scene.require_height_range()
     seconds = (FIT_S + FITTED_S * _finer(cell, options)) * images
     if options.prior_weight > 0 and "prior_dsm" not in scene.products:
-        pairs = min(images * (images - 1) // 2, PriorOptions().pairs)
-        seconds += MATCH_CELL_S + MATCH_S * (high - low) / (2 * cell) * pairs
+        seconds += _matching_s(scene)
     return seconds
+
+
+def _matching_s(scene: Scene) -> float:
+    """CPU seconds of the matching per cell."""
+    images, cell = len(scene.train_items()), scene.require_grid().cell_size
+    low, high = scene.require_height_range()
+    pairs = min(images * (images - 1) // 2, PriorOptions().pairs)
+    return MATCH_CELL_S + MATCH_S * (high - low) / (2 * cell) * pairs
+
+
+def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
+    """Bytes, at most, and CPU seconds of `prior`.
+
+    Args:
+        scene: the scene.
+        limit_mb: of the cost volume [MB]; larger areas are matched in blocks.
+
+    Raises:
+        SceneError: a scene without grid or height range.
+    """
+    grid = scene.require_grid()
+    cells = grid.width * grid.height
+    memory = min(_bytes(cells, len(scene.train_items()), 0.0), limit_mb * 1e6 + 0.2e9)
+    return memory, START_S + cells * _matching_s(scene)
 
 
 def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
     """Edge of a tile [m]; for ``auto`` None where all at once fits into memory, else the largest that does.
 
+    Without a word of the user, tiles are what surely does not fit otherwise, and can be cut.
+
     Raises:
         SceneError: a scene without grid.
     """
-    if options.tile != "auto":
+    if options.tile is not None and options.tile != "auto":
         return options.tile or None
     grid = scene.require_grid()
     images = len(scene.train_items())
+    if options.tile is None:
+        free = available()
+        everything = _bytes(grid.width * grid.height, images, _finer(grid.cell_size, options))
+        cannot = any(getattr(options, name) != wanted for name, wanted, _ in IN_TILES)
+        if free is None or cannot or everything <= free:
+            return None
     there = to_spend()
     budget = math.inf if there is None else there
     edge = max(grid.shape) * grid.cell_size
@@ -156,8 +191,13 @@ def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
 
 
 def with_tile(scene: Scene, options: FitOptions) -> FitOptions:
-    """The options with ``auto`` resolved."""
-    return replace(options, tile=chosen_tile(scene, options)) if options.tile == "auto" else options
+    """The options with a size of tiles, or none, where that was left open."""
+    if options.tile not in ("auto", None):
+        return options
+    chosen = chosen_tile(scene, options)
+    if options.tile is None and chosen is not None:
+        log.warning("scene %s: needs more memory than is free all at once: fitted in tiles of %g m", scene.id, chosen)
+    return options if chosen == options.tile else replace(options, tile=chosen)
 
 
 def _finer(cell: float, options: FitOptions) -> float:
@@ -170,4 +210,4 @@ def _bytes(cells: float, images: int, finer: float) -> float:
     return BASE_BYTES + cells * (BYTES_PER_CELL + per_image * images)
 
 
-__all__ = ["Foresight", "chosen_tile", "foresee", "side_by_side", "with_tile"]
+__all__ = ["Foresight", "chosen_tile", "foresee", "matching", "side_by_side", "with_tile"]

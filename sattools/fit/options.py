@@ -101,8 +101,8 @@ class FitOptions(RayOptions):
     )
     tile: float | Literal["auto"] | None = option(
         None,
-        "Fit the area in tiles of at most this edge, joined without seams, where all at once needs too much memory "
-        "[m]; 0 = all at once, auto = as the free memory asks for.",
+        "Fit the area in tiles of at most this edge, joined without seams [m]; 0 = all at once, auto = as the free "
+        "memory asks for [default: all at once, but as auto where memory is too small for that].",
         minimum=0,
     )
     overlap: float = option(32.0, "With --tile: distance by which a tile reaches into its neighbours [m].", minimum=1)

@@ -153,13 +153,14 @@ def _adjusted(
     return replace(result, rpcs=cameras) if options.correction == "none" else result
 
 
-def check_inputs(images: Sequence[Path], options: PrepOptions) -> None:
-    """All checks of `prepare` that need no pixels; raises what it would raise."""
+def check_inputs(images: Sequence[Path], options: PrepOptions) -> list[tuple[int, int]]:
+    """All checks of `prepare` that need no pixels; raises what it would raise. Rows and columns of the images."""
     images = [location(p) for p in images]
     ids = check_ids(images)
     _check_options(options, ids)
-    _, crs, _ = survey(images, ids, options, [])
+    sources, crs, _ = survey(images, ids, options, [])
     _wanted(options, crs)
+    return [source.size for source in sources]
 
 
 def survey(

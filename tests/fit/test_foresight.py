@@ -128,6 +128,20 @@ def test_what_is_not_worth_a_start_is_fitted_in_one_process(town: Scene, monkeyp
     assert side_by_side(large, tiled, 4) == 1
 
 
+def test_what_does_not_fit_at_once_is_cut_without_a_word_of_the_user(
+    town: Scene, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(memory, "available", lambda: 16 * GIB)
+    monkeypatch.setattr(foresight, "available", lambda: 16 * GIB)
+    plain = FitOptions()
+    assert with_tile(of_size(town, 1000), plain) is plain  # 9.7 GiB
+    assert caplog.text == ""
+    assert with_tile(of_size(town, 3000), plain).tile == 512.0
+    assert "needs more memory than is free all at once: fitted in tiles of 512 m" in caplog.text
+    for options in (FitOptions(tile=0.0), FitOptions(brdf="hapke"), FitOptions(field="neural"), FitOptions(budget=9.0)):
+        assert with_tile(of_size(town, 3000), options) is options
+
+
 def test_a_gpu_takes_one_tile_at_a_time(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
     monkeypatch.setattr(foresight, "threads", lambda: 8)

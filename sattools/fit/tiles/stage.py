@@ -14,6 +14,7 @@ import logging
 from dataclasses import replace
 
 from sattools.errors import SceneError
+from sattools.fit.foresight import IN_TILES
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.mosaic import mosaic_tiles
 from sattools.fit.tiles.plan import WHOLE, Plan
@@ -67,12 +68,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
 
 def check(options: FitOptions) -> None:
     """Raise SceneError for options that do not go with tiles."""
-    for name, wanted, why in (
-        ("field", "surface", "a field of rays has no maps to join"),
-        ("brdf", "lambert", "materials are found for an area as a whole"),
-        ("budget", None, "a tile needs the time it needs"),
-        ("reference", None, "the surface is whole only at the end (`sattools compare` scores it)"),
-    ):
+    for name, wanted, why in IN_TILES:
         given = getattr(options, name)
         if given != wanted:
             expected = "none" if wanted is None else f"--{name} {wanted}"

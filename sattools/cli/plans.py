@@ -1,0 +1,86 @@
+"""What commands say before they begin: area, cells, images, memory, CPU time, and what they write.
+
+The figures are straight lines through what `benchmarks/memory.py`, `benchmarks/threads.py` and
+`benchmarks/full_scene.py` have measured (docs/batch.md), from a crop of 0.07 km2 to 27 km2 and images of 40,000 x
+40,000 pixels; `fit` knows its own (`sattools.fit.foresight`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+from sattools.processors import takes
+
+if TYPE_CHECKING:
+    from sattools.scene import Scene
+
+Plan = Callable[["Scene"], str]
+_GIB = 2**30
+
+
+def _on_cells(writes: str, memory: float, start_s: float, cell_s: float, image_s: float = 0.0) -> Plan:
+    """Of a command that reads maps: seconds of its start, for each cell, and for each cell of each image."""
+
+    def said(scene: Scene) -> str:
+        if scene.grid is None:  # the command knows whether it needs one
+            return f"writes {writes}"
+        cells, images = _cells(scene), len(scene.train_items())
+        return f"{_size(scene)}: {takes(memory, start_s + cells * (cell_s + images * image_s))}; writes {writes}"
+
+    return said
+
+
+def of_prior(limit_mb: float) -> Plan:
+    """Of `prior`.
+
+    Args:
+        limit_mb: of the cost volume.
+    """
+
+    def said(scene: Scene) -> str:
+        from sattools.fit.foresight import matching
+
+        if scene.grid is None or scene.height_range_m is None:
+            return "writes prior/"
+        memory, seconds = matching(scene, limit_mb)
+        return f"{_size(scene)}: {takes(memory, seconds)}; writes prior/"
+
+    return said
+
+
+def of_normalise(scene: Scene) -> str:
+    """Of `normalise`."""
+    shapes = [item.properties.get("proj:shape") for item in scene.items]
+    pixels = sum(int(shape[0]) * int(shape[1]) for shape in shapes if shape)
+    taken = takes(0.14 * _GIB, 1.0 + 4e-8 * pixels)
+    return f"{len(scene.items)} images, {pixels / 1e6:.3g} megapixels: {taken}; writes radiance/"
+
+
+def of_prep(shapes: Iterable[tuple[int, int]]) -> str:
+    """Of `prep`: larger images are read at a lower resolution and in windows.
+
+    Args:
+        shapes: rows and columns of the images.
+    """
+    sizes = [rows * cols for rows, cols in shapes]
+    seconds = 1.5 + sum(1e-3 * size**0.5 for size in sizes)
+    memory = min(1.3, 0.35 + 2e-8 * max(sizes, default=0)) * _GIB
+    return f"{len(sizes)} images, {sum(sizes) / 1e6:.3g} megapixels: {takes(memory, seconds)}"
+
+
+def _cells(scene: Scene) -> int:
+    grid = scene.require_grid()
+    return grid.width * grid.height
+
+
+def _size(scene: Scene) -> str:
+    area = _cells(scene) * scene.require_grid().cell_size ** 2 / 1e6
+    return f"{area:.3g} km2, {_cells(scene)} cells, {len(scene.train_items())} images"
+
+
+of_export = _on_cells("export/", 0.4 * _GIB, 1.2, 8e-7, 2e-7)
+of_compare = _on_cells("compare/", 0.3 * _GIB, 1.0, 1.6e-6)
+of_align = _on_cells("the moved scene", 0.21 * _GIB, 2.0, 1.3e-6)
+
+__all__ = ["Plan", "of_align", "of_compare", "of_export", "of_normalise", "of_prep", "of_prior"]

@@ -1,0 +1,100 @@
+"""What a command will take is said before it begins: in a dry run, on a terminal, and in the scene's log."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main, plans
+from sattools.processors import cores, takes
+from sattools.scene import Grid, Scene
+
+AREA = "0.0041 km2, 16384 cells, 6 images"
+
+
+def run(*arguments: object) -> Any:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.stderr
+    return result
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "writes"),
+    [
+        (["prior"], AREA, "prior/"),
+        (["fit"], f"{AREA}, all at once", "fit/model.safetensors and fit/trace.csv"),
+        (["export"], AREA, "export/"),
+        (["compare"], AREA, "compare/"),
+        (["align", "--to", "truth/TOWN_DSM.tif"], AREA, "the moved scene"),
+        (["normalise"], "images, ", "radiance/"),
+    ],
+)
+def test_a_dry_run_says_what_it_will_take_and_write(
+    make_town: Callable[[], Scene], monkeypatch: pytest.MonkeyPatch, command: list[str], words: str, writes: str
+) -> None:
+    scene = make_town()
+    monkeypatch.chdir(scene.root)
+    before = sorted(scene.root.rglob("*"))
+    said = run(*command, "--dry-run", "scene.json").stderr
+    assert words in said
+    assert "GiB of memory and" in said
+    assert said.endswith(f"; writes {writes}\n")
+    assert sorted(scene.root.rglob("*")) == before
+
+
+def test_prep_says_it_of_its_images(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    images = make_town().root / "images"
+    said = run("prep", "--dry-run", "--out", tmp_path / "new", "--id", "X", images).stderr
+    assert "would make X: " in said
+    assert " megapixels: about 0.4 GiB of memory and " in said
+    assert said.endswith(f"; writes {tmp_path}/new/X/\n")
+    assert not (tmp_path / "new").exists()
+
+
+def test_people_see_it_first_and_programs_only_in_the_log(make_town: Callable[[], Scene]) -> None:
+    document = make_town().root / "scene.json"
+    first, *_ = run("--progress", "bar", "prior", document).stderr.splitlines()
+    assert first.startswith("sattools prior: TOWN: 0.0041 km2, 16384 cells, 6 images: about ")
+    for shown in ("json", "none", "auto"):  # the runner's stderr is no terminal
+        assert "GiB of memory" not in run("--progress", shown, "prior", "--overwrite", document).stderr
+    assert (document.parent / "sattools.log").read_text().count("prior TOWN: 0.0041 km2, 16384 cells") == 4
+
+
+@pytest.mark.parametrize("plan", [plans.of_export, plans.of_compare, plans.of_align, plans.of_prior(1500)])
+def test_what_a_scene_lacks_is_for_the_command_to_say(town_source: Scene, plan: plans.Plan) -> None:
+    scene = Scene.from_json(town_source.to_json())
+    scene.grid = None
+    assert plan(scene).startswith("writes ")
+
+
+def test_minutes_are_seconds_while_they_are_few() -> None:
+    there = f"(this machine has {cores()} cores)"
+    assert takes(2**30, 12.3) == f"about 1.0 GiB of memory and 12 CPU seconds {there}"
+    assert takes(2**29, 90) == f"about 0.5 GiB of memory and 1.5 CPU minutes {there}"
+    assert takes(0, 3600) == f"about 0.0 GiB of memory and 60 CPU minutes {there}"
+
+
+@pytest.mark.parametrize(
+    ("plan", "cells", "images", "seconds"),
+    [
+        # measured on one thread, docs/batch.md: 27.1 km2 of three images, and JAX_068
+        (plans.of_export, 27_112_849, 3, 38),
+        (plans.of_export, 295_927, 17, 2.4),
+        (plans.of_compare, 27_112_849, 3, 43),
+        (plans.of_align, 27_112_849, 3, 36),
+        (plans.of_prior(1500), 27_112_849, 3, 319),
+        (plans.of_prior(1500), 295_927, 17, 14.2),
+    ],
+)
+def test_what_is_said_is_what_was_measured(
+    town_source: Scene, monkeypatch: pytest.MonkeyPatch, plan: plans.Plan, cells: int, images: int, seconds: float
+) -> None:
+    scene, told = Scene.from_json(town_source.to_json()), []
+    cell, edge = (1.0, 91.0) if images == 3 else (0.5, 74.3)
+    scene.grid, scene.height_range_m = Grid("EPSG:32617", 0.0, 0.0, cell, cells, 1), (0.0, edge)
+    monkeypatch.setattr(scene, "train_items", lambda: [None] * images)
+    monkeypatch.setattr(plans, "takes", lambda memory, cpu_s: told.append(cpu_s) or "")
+    plan(scene)
+    assert told[0] == pytest.approx(seconds, rel=0.25)
