@@ -71,6 +71,15 @@ def image_id(path: Path) -> str:
     return name
 
 
+def common_name(ids: Sequence[str]) -> str:
+    """What image names have in common, up to a separator; `scene` when that is nothing."""
+    first, last = min(ids), max(ids)
+    n = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
+    head = first[:n]
+    cut = max(head.rfind(s) for s in "_-.")
+    return (head[:cut].rstrip("_-.") if cut > 0 else "") or "scene"
+
+
 def check_ids(images: Sequence[Path]) -> list[str]:
     """Ids of all images; InputError when there are fewer than two images or two have the same id."""
     for path in images:
@@ -339,6 +348,7 @@ __all__ = [
     "SourceImage",
     "block_factor",
     "check_ids",
+    "common_name",
     "image_id",
     "load_source",
     "read_gray",

@@ -28,7 +28,7 @@ from sattools.prep.gate import (
     check_places_and_suns,
     check_sources,
 )
-from sattools.prep.images import SourceImage, check_ids, load_source
+from sattools.prep.images import SourceImage, check_ids, common_name, load_source
 from sattools.prep.large import GrayImages, read_grays, tie_points_by_windows
 from sattools.prep.layout import (
     Bounds,
@@ -243,15 +243,6 @@ def _roles(
     return roles
 
 
-def common_name(ids: Sequence[str]) -> str:
-    """What image names have in common, up to a separator; `scene` when that is nothing."""
-    first, last = min(ids), max(ids)
-    n = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
-    head = first[:n]
-    cut = max(head.rfind(s) for s in "_-.")
-    return (head[:cut].rstrip("_-.") if cut > 0 else "") or "scene"
-
-
 def check_places(sources: Sequence[SourceImage], crs: str) -> None:
     """Raise InputError when images do not lie together, naming the one whose RPC is of another place."""
     polygons = []
@@ -397,4 +388,4 @@ def _grid(
     return grid
 
 
-__all__ = ["PrepOptions", "check_inputs", "check_places", "common_name", "prepare"]
+__all__ = ["PrepOptions", "check_inputs", "check_places", "prepare"]

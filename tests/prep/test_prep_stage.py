@@ -17,8 +17,9 @@ from sattools.camera.ground import from_geographic
 from sattools.cli import main
 from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.prep.dfc2019 import find_images
+from sattools.prep.images import common_name
 from sattools.prep.options import PrepOptions
-from sattools.prep.stage import common_name, prepare
+from sattools.prep.stage import prepare
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
 from sattools.scene import Scene
