@@ -11,7 +11,8 @@ import click
 from sattools.change.options import ChangeOptions
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.options import print_config as show_config
-from sattools.cli.pipe import progress_of, report_error
+from sattools.cli.pipe import is_watched, progress_of, report_error
+from sattools.cli.plans import of_change
 from sattools.errors import SattoolsError
 
 
@@ -30,12 +31,17 @@ def command(before: str, after: str, overwrite: bool, dry_run: bool, print_confi
     if print_config:
         show_config("change", options)
         return
-    if dry_run:
-        click.echo(f"sattools change: would compare {before} with {after} into {options.out}", err=True)
-        return
     from sattools.change.stage import change
+    from sattools.change.surfaces import read_surface
 
     try:
+        if dry_run or is_watched():
+            plan = of_change(read_surface(before).grid)
+            what = f"would compare {before} with {after}" if dry_run else f"{before} {after}"
+            click.echo(f"sattools change: {what}: {plan}; writes {options.out}/", err=True)
+        if dry_run:
+            read_surface(after)
+            return
         table = change(before, after, options, progress_of("change", f"{before} {after}"), overwrite)
     except SattoolsError as error:
         report_error("change", error)

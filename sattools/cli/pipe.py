@@ -92,11 +92,11 @@ def run_scenes(
 def _announce(command: str, label: str, plan: str) -> None:
     """What is begun: a line on a terminal, and with -v; in the scene's log in any case."""
     log.info("%s %s: %s", command, label, plan)
-    if _is_watched():
+    if is_watched():
         click.echo(f"sattools {command}: {label}: {plan}", err=True)
 
 
-def _is_watched() -> bool:
+def is_watched() -> bool:
     """Whether people look on: progress is a bar, and messages of all kinds are not shown anyway."""
     context = click.get_current_context(silent=True)
     root = context.find_root() if context else None
@@ -190,7 +190,7 @@ def run_source(
             plan = check()
             click.echo(f"sattools {run.command}: would make {label}{plan and f': {plan}'}", err=True)
             return
-        if _is_watched() and (plan := check()):
+        if is_watched() and (plan := check()):
             click.echo(f"sattools {run.command}: {label}: {plan}", err=True)
         from sattools.scene.runner import run_first
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from sattools.processors import takes
 
 if TYPE_CHECKING:
-    from sattools.scene import Scene
+    from sattools.scene import Grid, Scene
 
 Plan = Callable[["Scene"], str]
 _GIB = 2**30
@@ -69,6 +69,29 @@ def of_prep(shapes: Iterable[tuple[int, int]]) -> str:
     return f"{len(sizes)} images, {sum(sizes) / 1e6:.3g} megapixels: {takes(memory, seconds)}"
 
 
+def of_simulate(size_m: float, gsd_m: float, views: int) -> str:
+    """Of `simulate`: rays of all images.
+
+    Args:
+        size_m: edge of the scene.
+        gsd_m: edge of a pixel.
+        views: images.
+    """
+    pixels = views * (size_m / gsd_m) ** 2
+    taken = takes(0.2 * _GIB + 80 * pixels, 1.0 + 6.5e-6 * pixels)
+    return f"{size_m**2 / 1e6:.3g} km2, {views} images, {pixels / 1e6:.3g} megapixels: {taken}"
+
+
+def of_change(grid: Grid) -> str:
+    """Of `change`.
+
+    Args:
+        grid: of the earlier surface.
+    """
+    cells = grid.width * grid.height
+    return f"{cells * grid.cell_size**2 / 1e6:.3g} km2, {cells} cells: {takes(0.25 * _GIB, 1.0 + 1.2e-6 * cells)}"
+
+
 def _cells(scene: Scene) -> int:
     grid = scene.require_grid()
     return grid.width * grid.height
@@ -83,4 +106,14 @@ of_export = _on_cells("export/", 0.4 * _GIB, 1.2, 8e-7, 2e-7)
 of_compare = _on_cells("compare/", 0.3 * _GIB, 1.0, 1.6e-6)
 of_align = _on_cells("the moved scene", 0.21 * _GIB, 2.0, 1.3e-6)
 
-__all__ = ["Plan", "of_align", "of_compare", "of_export", "of_normalise", "of_prep", "of_prior"]
+__all__ = [
+    "Plan",
+    "of_align",
+    "of_change",
+    "of_compare",
+    "of_export",
+    "of_normalise",
+    "of_prep",
+    "of_prior",
+    "of_simulate",
+]

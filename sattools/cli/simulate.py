@@ -9,6 +9,7 @@ import click
 
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, run_source
+from sattools.cli.plans import of_simulate
 from sattools.progress import Progress
 from sattools.simulate.options import SimulateOptions
 
@@ -37,4 +38,8 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
         errors = [item.properties["sattools:simulated"]["rpc_fit_error_px"] for item in scene.items]
         return scene, {"rpc_fit_error_px": max(errors)}
 
-    run_source(Run("simulate", options, dry_run, print_config, overwrite, inputs), make, f"scene {options.id}")
+    def check() -> str:
+        whole = of_simulate(options.size, options.gsd, options.views + options.test_views)
+        return f"{whole}; writes {Path(options.out) / options.id}/"
+
+    run_source(Run("simulate", options, dry_run, print_config, overwrite, inputs), make, f"scene {options.id}", check)

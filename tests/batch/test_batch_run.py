@@ -175,13 +175,12 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     run = folder / "cut/runs/tiled/A"
 
     def begun() -> list[dict]:
-        found = [path.read_text().splitlines()[-1] for path in run.glob("fit/tiles/*/attempts.jsonl")]
-        return [json.loads(line) for line in found]
+        found = [path.read_text().splitlines() for path in run.glob("fit/tiles/*/attempts.jsonl")]
+        return [json.loads(lines[-1]) for lines in found if lines]  # none: about to be written
 
     while not begun():
         assert running.poll() is None, running.communicate()
         time.sleep(0.05)
-    time.sleep(0.3)
     os.kill(begun()[0]["pid"], signal.SIGKILL)
     out, said = running.communicate(timeout=HANGING_S)
     assert running.returncode == 0, said

@@ -53,6 +53,21 @@ def test_prep_says_it_of_its_images(make_town: Callable[[], Scene], tmp_path: Pa
     assert not (tmp_path / "new").exists()
 
 
+def test_simulate_says_it_of_its_rays(tmp_path: Path) -> None:
+    said = run("simulate", "--dry-run", "--size", 256, "--out", tmp_path, "--id", "X").stderr
+    # really 22 CPU seconds and 0.45 GiB
+    assert "0.0655 km2, 12 images, 3.15 megapixels: about 0.4 GiB of memory and 21 CPU seconds" in said
+    assert said.endswith(f"; writes {tmp_path}/X/\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_change_says_it_of_the_earlier_surface(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    heights = make_town().root / "truth/TOWN_DSM.tif"
+    said = run("change", heights, heights, "--out", tmp_path / "new", "--dry-run").stderr
+    assert f"would compare {heights} with {heights}: 0.0041 km2, 16384 cells: about 0.2 GiB" in said
+    assert not (tmp_path / "new").exists()
+
+
 def test_people_see_it_first_and_programs_only_in_the_log(make_town: Callable[[], Scene]) -> None:
     document = make_town().root / "scene.json"
     first, *_ = run("--progress", "bar", "prior", document).stderr.splitlines()
