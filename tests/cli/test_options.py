@@ -1,5 +1,7 @@
 """Options: from the command line, from a TOML file, and printed."""
 
+import os
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -7,7 +9,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from sattools.cli import main
+from sattools.cli import main, pipe
 from sattools.fit.options import FitOptions
 
 
@@ -107,3 +109,33 @@ def test_numbers_that_belong_together_stand_apart(call: Any, count: int) -> None
     result = run(*call, "a", "b", "c")
     assert result.exit_code == 2
     assert f"found '{call[-1]}', expected {count} numbers with blanks between them" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "limit_gib"),
+    [
+        (["--max-memory", "2048", "fit"], 2.0),
+        (["fit", "--max-memory", "2048"], 2.0),
+        (["fit", "--memory", "2048"], 2.0),
+        (["--max-memory", "4096", "fit", "--memory", "2048"], 2.0),  # what is said last
+        (["--max-memory", "2048", "prior", "--memory", "300"], 2.0),  # `prior` has a --memory of its own
+    ],
+)
+def test_memory_that_is_granted_is_what_a_command_has_and_no_later_one(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch, arguments: list[str], limit_gib: float
+) -> None:
+    from sattools.scene import memory
+
+    seen: list[int | None] = []
+    monkeypatch.setattr(memory, "_taken", lambda: 0)
+    monkeypatch.setattr(pipe, "apply", lambda run, scene, work: (seen.append(memory.available()), sys.exit(7)))
+    document = str(make_town().root / "scene.json")
+    assert CliRunner().invoke(main, [*arguments, document]).exit_code == 7
+    assert seen == [limit_gib * 2**30]
+    assert memory.LIMIT not in os.environ
+
+
+def test_memory_for_nothing_is_wrong_usage() -> None:
+    result = CliRunner().invoke(main, ["--max-memory", "1", "info"])
+    assert result.exit_code == 2
+    assert "1.0 is not in the range x>=100" in result.stderr
