@@ -272,7 +272,7 @@ def contents(root: Path) -> dict[str, str]:
     for path in sorted(root.rglob("*")):
         name = str(path.relative_to(root))
         skip = (
-            name in ("quick.toml", "sattools.log")
+            path.name in ("quick.toml", "sattools.log")
             or "tmp-sattools" in name
             or path.suffix in (".jsonl", ".png", ".html", ".parquet")
         )
