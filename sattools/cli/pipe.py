@@ -173,7 +173,7 @@ def run_source(
     label: str,
     check: Callable[[], str] = lambda: "",
 ) -> None:
-    """Make one scene and print it; ``check`` raises where the work would, and says what it will take.
+    """Make one scene and print it; ``check`` is what --dry-run does: it raises where the work would, and says what it will take.
 
     Args:
         run: how the command was called.
@@ -190,8 +190,6 @@ def run_source(
             plan = check()
             click.echo(f"sattools {run.command}: would make {label}{plan and f': {plan}'}", err=True)
             return
-        if is_watched() and (plan := check()):
-            click.echo(f"sattools {run.command}: {label}: {plan}", err=True)
         from sattools.scene.runner import run_first
 
         scene = run_first(_step(run, label), make, run.inputs)
