@@ -173,7 +173,7 @@ def run_source(
     label: str,
     check: Callable[[], str] = lambda: "",
 ) -> None:
-    """Make one scene and print it; ``check`` is what --dry-run does: it raises where the work would, and says what it will take.
+    """Make one scene and print it; --dry-run calls ``check``: it raises where the work would, and says what it takes.
 
     Args:
         run: how the command was called.
