@@ -12,6 +12,7 @@ from sattools.prior.visibility.consistency import (
     filled,
     own_pixel_votes,
     standing,
+    supported,
     typical_look,
     update_minima,
 )
@@ -185,7 +186,7 @@ def test_cells_in_which_two_views_agree_by_chance_do_not_stand() -> None:
     agreeing[chance] = 2  # but for a tenth of its cells, at any height
     height[10:30, 10:30] = -50.0
     inside = np.s_[13:27, 13:27]
-    stands = standing(height, agreeing, views, 0.5)
+    stands = supported(standing(agreeing, views), height, agreeing, 0.5)
     assert not stands[inside].any()
     assert stands[:8].all()
     assert (filled(height, stands, 0.5)[inside] == 0.0).all()
@@ -193,11 +194,12 @@ def test_cells_in_which_two_views_agree_by_chance_do_not_stand() -> None:
 
 
 def test_cells_stand_together_at_one_height() -> None:
-    agreeing, views = np.full((20, 20), 2, np.uint8), np.full((20, 20), 3, np.uint8)
+    agreeing, stands = np.full((20, 20), 2, np.uint8), np.ones((20, 20), bool)
     height = np.random.default_rng(0).uniform(-100, 100, (20, 20)).astype(np.float32)
-    assert not standing(height, agreeing, views, 1.0).any()
     slope = np.float32(0.7) * np.arange(20, dtype=np.float32)[:, None] * np.ones((1, 20), np.float32)
-    assert standing(slope, agreeing, views, 1.0).all()
+    for shaded in (None, np.zeros((20, 20), bool), np.ones((20, 20), bool)):
+        assert not supported(stands, height, agreeing, 1.0, shaded).any()
+        assert supported(stands, slope, agreeing, 1.0, shaded).all()
 
 
 def test_what_is_taken_to_stand_needs_support_like_the_others() -> None:
@@ -205,13 +207,27 @@ def test_what_is_taken_to_stand_needs_support_like_the_others() -> None:
     taken = np.zeros((20, 20), bool)
     taken[10:] = True
     taken[3, 3] = True
-    stands = standing(np.zeros((20, 20), np.float32), nothing, nothing, 1.0, taken)
+    stands = supported(standing(nothing, nothing, taken), np.zeros((20, 20), np.float32), nothing, 1.0)
     assert stands[11:].all()
     assert not stands[:9].any()
 
 
-def test_of_many_views_every_cell_stands_for_itself() -> None:
-    agreeing = np.zeros((20, 20), np.uint8)
-    agreeing[10, 10] = 3
-    stands = standing(np.zeros((20, 20), np.float32), agreeing, np.full((20, 20), 5, np.uint8), 1.0, supported=False)
-    assert np.argwhere(stands).tolist() == [[10, 10]]
+def test_four_views_of_many_agree_for_a_reason() -> None:
+    """So small parts keep heights of their own; in shadow, where all looks alike, among others that stand only."""
+    height = np.zeros((40, 40), np.float32)
+    height[10:12, 10:12] = 9.0  # a chimney
+    height[20:36, 20:36] = 12.0
+    views, agreeing = np.full((40, 40), 9, np.uint8), np.full((40, 40), 6, np.uint8)
+    agreeing[20:36, 20:36] = 1  # a place about which the views disagree, but for one cell
+    agreeing[28, 28] = 6
+    stands, light = standing(agreeing, views), np.zeros((40, 40), bool)
+    for shaded, alone in ((light, True), (~light, False)):
+        found = supported(stands, height, agreeing, 0.5, shaded)
+        assert found[10:12, 10:12].all()
+        assert found[28, 28] == alone
+    assert not supported(stands, height, agreeing, 0.5)[10:12, 10:12].any()
+
+
+def test_most_of_the_views_must_agree() -> None:
+    agreeing = np.array([[0, 2, 3]], np.uint8)
+    assert standing(agreeing, np.full((1, 3), 5, np.uint8)).tolist() == [[False, False, True]]

@@ -13,7 +13,7 @@ from sattools.prior.matching.subplane import refine_subplane
 from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
-from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing
+from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing, supported
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
 from sattools.prior.visibility.edges import snap_edges
 from sattools.prior.visibility.occlusion import (
@@ -23,6 +23,7 @@ from sattools.prior.visibility.occlusion import (
     compute_visibility,
     erode,
     measure_dark,
+    mostly_shaded,
 )
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene.regrid import split_cells
@@ -112,8 +113,10 @@ def match(
     # beyond the images nothing is known that could be on the lower side of anything
     everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
     beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
-    few = len(pairs) < FEW_PAIRS
-    stands = standing(height, agreeing, views, frame.cell, beyond_images, supported=few)
+    stands = standing(agreeing, views, beyond_images)
+    if task.robust or len(pairs) < FEW_PAIRS:
+        shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
+        stands = supported(stands, height, agreeing, frame.cell, shaded)
     height = filled(height, stands, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
@@ -184,8 +187,8 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             # few views leave much unseen, and what is wrong there hides what is right in the next pass
             hits = visibility.first_hit_height
             agreeing, views = count_consistent_views(frame, hits, minima, height, options.tolerance, rough.step)
-            height = filled(height, standing(height, agreeing, views, frame.cell), frame.cell)
-            height = median_filter(height, 3, mode="nearest")
+            stands = supported(standing(agreeing, views), height, agreeing, frame.cell)
+            height = median_filter(filled(height, stands, frame.cell), 3, mode="nearest")
         if k == 0:
             rough = replace(
                 rough,

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
@@ -28,6 +29,8 @@ FEWEST_LOOKS = 4  # views that say how a cell looks
 REACH_M = 20.0  # distance within which a standing cell is looked for
 SUPPORT_M = 3.0  # edge of the square around a cell that stands for a reason:
 ALIKE, ALIKE_M = 0.45, 2.0  # this share of the cells there stand, too, within so many metres of its height
+COMPANY = 0.5  # share of the cells there that stand, at any height, of what lies in shadow
+CHANCE = 4  # views; fewer may agree by chance even where many pairs decide
 RANK = 2  # of the heights found in eight directions, from the lowest: one or two may be holes themselves
 
 
@@ -75,36 +78,47 @@ def count_consistent_views(
     return agree.sum(axis=0, dtype=np.uint8), seen.sum(axis=0, dtype=np.uint8)
 
 
-def standing(
+def standing(agreeing: np.ndarray, views: np.ndarray, taken: np.ndarray | bool = False) -> np.ndarray:
+    """Cells ``[H, W]`` bool in which most of the views that see them have their best place.
+
+    Args:
+        agreeing: ``[H, W]`` views that have their best place there.
+        views: ``[H, W]`` views that see it.
+        taken: ``[H, W]`` bool cells that are taken to agree, whatever the views say.
+    """
+    return np.asarray((2 * agreeing.astype(np.int32) > views) | taken)
+
+
+def supported(
+    stands: np.ndarray,
     height: np.ndarray,
     agreeing: np.ndarray,
-    views: np.ndarray,
     cell: float,
-    taken: np.ndarray | bool = False,
-    *,
-    supported: bool = True,
+    shaded: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Cells ``[H, W]`` bool in which most of the views that see them have their best place, and not by chance.
+    """Those of the cells that stand which do not do so by chance, ``[H, W]`` bool.
 
     In a place that is hidden from all views but two or three, or that looks different in all of them, now and then a
     cell is found where two agree, at any height; the heights of the whole place would be taken from such cells. They
     stand alone. Cells of one surface stand together, at one height.
 
+    Where many pairs decide, four views hardly ever agree by chance, and what is small and high stays where they do;
+    only in shadow, where every place looks like the next, such a cell needs others that stand around it.
+
     Args:
+        stands: ``[H, W]`` bool.
         height: ``[H, W]`` float32 [m].
         agreeing: ``[H, W]`` views that have their best place there.
-        views: ``[H, W]`` views that see it.
         cell: edge of a cell [m].
-        taken: ``[H, W]`` bool cells that are taken to agree, whatever the views say.
-        supported: whether chance is looked for: of many views most hardly ever agree by it, and what is small and
-            high would go.
+        shaded: ``[H, W]`` bool cells that lie in shadow, where many pairs decide; None = few do.
     """
-    stands = np.asarray((2 * agreeing.astype(np.int32) > views) | taken)
-    if not supported:
-        return stands
-    firm = np.zeros(stands.shape, bool)
-    _alike(height, stands, max(1, round(SUPPORT_M / cell / 2)), np.float32(ALIKE_M), firm)
-    return firm
+    reach = max(1, round(SUPPORT_M / cell / 2))
+    alike = np.zeros(stands.shape, bool)
+    _alike(height, stands, reach, np.float32(ALIKE_M), alike)
+    if shaded is None:
+        return alike
+    alone = uniform_filter(stands.astype(np.float32), 2 * reach + 1, mode="nearest") < COMPANY
+    return stands & (alike | (agreeing >= CHANCE)) & ~(shaded & alone)
 
 
 def filled(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
@@ -274,6 +288,7 @@ __all__ = [
     "filled",
     "own_pixel_votes",
     "standing",
+    "supported",
     "typical_look",
     "update_minima",
 ]

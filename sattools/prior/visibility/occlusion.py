@@ -111,6 +111,20 @@ def at_surface(
     return value, seen
 
 
+def mostly_shaded(frame: Frame, visibility: Visibility, surface: np.ndarray, tolerance: float) -> np.ndarray:
+    """Whether most of the views that see the surface see it in shadow, ``[H, W]`` bool.
+
+    Args:
+        frame: the views.
+        visibility: what is occluded and shaded.
+        surface: ``[H, W]`` float32 heights [m].
+        tolerance: depth below the visible surface that still counts as seen [m].
+    """
+    _, seen = at_surface(frame, visibility.first_hit_height, surface, tolerance)
+    shaded = seen & (surface < visibility.shadow_height)
+    return np.asarray(2 * shaded.sum(axis=0) > seen.sum(axis=0))
+
+
 def measure_dark(frame: Frame, surface: np.ndarray, tolerance: float, visibility: Visibility) -> np.ndarray:
     """Radiance of shadows in every view where the surface casts them.
 
@@ -165,4 +179,5 @@ __all__ = [
     "disk",
     "erode",
     "measure_dark",
+    "mostly_shaded",
 ]
