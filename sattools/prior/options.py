@@ -51,13 +51,14 @@ class PriorOptions:
     )
     weak: float = option(
         0.05,
-        "Weight of an image from which the surface hides a point, in place of --unseen; with 30 pairs or more.",
+        "Weight of an image from which the surface hides a point, in place of --unseen; with 4 pairs or more, on hills "
+        "30.",
         minimum=0,
         maximum=1,
     )
     mixed: float = option(
         0.1,
-        "Factor of a pair's weight where one image shows sun and the other shadow; with 30 pairs or more.",
+        "Factor of a pair's weight where one image shows sun and the other shadow; with 4 pairs or more, on hills 30.",
         minimum=0,
         maximum=1,
     )
@@ -75,7 +76,7 @@ class PriorOptions:
     erode: float = option(
         2.0,
         "Radius by which the surface is eroded before its occlusions are computed [m]; half as much again with "
-        "fewer than 30 pairs, at least a cell of the rough passes; 0 = not at all.",
+        "fewer than 12 pairs, on hills 30, at least a cell of the rough passes; 0 = not at all.",
         minimum=0,
         maximum=50.0,
     )

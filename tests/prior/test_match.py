@@ -1,5 +1,6 @@
 """Matching of made-up views of a known surface."""
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -11,8 +12,8 @@ from sattools import compiled
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matching.kernels import correlate
-from sattools.prior.matching.match import _prepared, _rough_passes, for_slopes, match
-from sattools.prior.matching.sweep import BLOCK, ROBUST_PAIRS, MatchTask, _blocks, pair_weights
+from sattools.prior.matching.match import _prepared, _rough_passes, for_hills, how_hilly, match
+from sattools.prior.matching.sweep import BLOCK, FEW_PAIRS, MatchTask, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import filled
 from sattools.progress import silent
@@ -113,7 +114,7 @@ def test_nothing_is_filled_where_no_image_reaches(house: Any, monkeypatch: pytes
 
     monkeypatch.setattr("sattools.prior.matching.match.filled", spy)
     match(replace(frame, masks=masks), ALL, RANGE, PriorOptions())
-    assert asked[0][:8, :8].all()
+    assert asked[-1][:8, :8].all()  # of the last pass
     assert not asked[0].all()  # beside the walls something is filled
 
 
@@ -193,14 +194,17 @@ def test_steep_views_and_few_planes_never_read_beyond_the_frame(house: Any, monk
     assert min(seen) >= 0
 
 
-def test_few_pairs_count_only_what_is_surely_seen(house: Any) -> None:
+def test_three_pairs_or_hills_count_only_what_is_surely_seen_and_few_are_not_outvoted(house: Any) -> None:
+    """What a surface hides weighs little where others outvote it; one of three pairs, or of few on hills, decides."""
     _, frame = house
 
-    def weights(pairs: int) -> tuple[Any, ...]:
-        return pair_weights(MatchTask(frame, np.zeros((pairs, 2), np.int64), RANGE, 1.0, PriorOptions()))
+    def weights(pairs: int, *, robust: bool = False, hills: float = 0.0) -> tuple[Any, ...]:
+        indices = np.zeros((pairs, 2), np.int64)
+        return pair_weights(MatchTask(frame, indices, RANGE, 1.0, PriorOptions(), robust=robust, hills=hills))
 
-    assert weights(ROBUST_PAIRS - 1) == (1, 0.0, 0.0)
-    assert weights(ROBUST_PAIRS) == pytest.approx((3, 0.05, 0.1))
+    assert weights(FEW_PAIRS - 1) == weights(20, hills=0.5) == (1, 0.0, 0.0)
+    assert weights(FEW_PAIRS) == pytest.approx((1, 0.05, 0.1))
+    assert weights(20, robust=True) == weights(30, robust=True, hills=1.0) == pytest.approx((3, 0.05, 0.1))
 
 
 def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:
@@ -209,11 +213,29 @@ def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:
     town = np.zeros((20, 20), np.float32)
     town[:, 10:] = 8.0
     everywhere = np.ones((20, 20), bool)
-    assert for_slopes(options, town, everywhere, 1.0) == options
     slope = np.tile(0.5 * np.arange(20, dtype=np.float32), (20, 1))
-    hills = for_slopes(options, slope, everywhere, 1.0)
+    assert how_hilly(town, everywhere, 1.0) == 0.0
+    assert how_hilly(slope, everywhere, 1.0) == 1.0
+    assert how_hilly(slope, ~everywhere, 1.0) == 0.0  # nobody is sure that it is one
+    hills = for_hills(options, 1.0)
     assert (hills.brightness, hills.small_jump, hills.edges) == (pytest.approx(0.3), pytest.approx(0.1), 0.0)
-    assert for_slopes(options, slope, ~everywhere, 1.0) == options  # nobody is sure that it is one
+    assert for_hills(options, 0.0) == options
+
+
+def test_a_town_of_few_views_is_robust_once_it_is_known_to_be_one() -> None:
+    """Fourteen pairs of six views: on level ground they outvote chance, on a slope they are asked as few are."""
+    slopes = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5), (-0.3, 0.4)]
+    pairs = np.array(list(itertools.combinations(range(6), 2)), np.int64)[:14]
+    level = np.zeros((84, 60))
+    level[30:50, 20:40] = 6.0
+    hill = np.tile(0.15 * np.arange(60.0), (84, 1))  # 17 degrees on cells of half a metre
+    for surface, robust in ((level, True), (hill, False)):
+        task = _prepared(views_of(surface, slopes), pairs, RANGE, PriorOptions())
+        assert not task.robust
+        known, _ = _rough_passes(task, silent)
+        assert known.robust == robust
+    known, _ = _rough_passes(_prepared(views_of(level, slopes), pairs[:11], RANGE, PriorOptions()), silent)
+    assert not known.robust  # eleven pairs stay few
 
 
 @pytest.mark.parametrize(("pairs", "walls"), [(ALL, False), (ALL[:9], True)])
@@ -227,6 +249,7 @@ def test_few_pairs_are_not_believed_that_it_is_a_hill(pairs: Any, walls: bool) -
 def test_half_a_hill_keeps_its_walls() -> None:
     half = np.zeros((20, 200), np.float32)
     half[:, 77:] = 0.5 * np.arange(123)  # 61.5 % of the cells: halfway from town to hills
-    found = for_slopes(PriorOptions(brightness=0.1, small_jump=0.2), half, np.ones(half.shape, bool), 1.0)
+    hills = how_hilly(half, np.ones(half.shape, bool), 1.0)
+    found = for_hills(PriorOptions(brightness=0.1, small_jump=0.2), hills)
     assert (found.brightness, found.small_jump) == (pytest.approx(0.2), pytest.approx(0.15))
     assert found.edges == PriorOptions().edges

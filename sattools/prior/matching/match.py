@@ -10,7 +10,15 @@ from scipy.ndimage import median_filter, minimum_filter
 
 from sattools.prior.frame import Frame
 from sattools.prior.matching.subplane import refine_subplane
-from sattools.prior.matching.sweep import BEYOND_PLANES, KEEP_PLANES, MatchTask, narrow, sweep_blocks
+from sattools.prior.matching.sweep import (
+    BEYOND_PLANES,
+    KEEP_PLANES,
+    ROBUST_PAIRS,
+    TOWN_PAIRS,
+    MatchTask,
+    narrow,
+    sweep_blocks,
+)
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing, supported
@@ -31,12 +39,11 @@ from sattools.scene.regrid import split_cells
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
 LEAST_ERODED = 1.0  # cells by which the surface is eroded where `erode` is less
-FEW_ERODE = 1.5  # factor of `erode` where few pairs made a surface that may be anywhere
+FEW_ERODE = 1.5  # factor of `erode` where too few pairs made the surface to be robust
 OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
-FEW_PAIRS = 4  # of three views; below, that a cell's views agree needs cells around of which theirs do, too
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
 HILLS_BRIGHTNESS = 3.0  # factor of `brightness` there: open ground is the brighter, the nearer a view is to the sun
 HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
@@ -113,10 +120,8 @@ def match(
     # beyond the images nothing is known that could be on the lower side of anything
     everything_seen = np.broadcast_to(np.float32(UNKNOWN), frame.images.shape)
     beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
-    stands = standing(agreeing, views, beyond_images)
-    if task.robust or len(pairs) < FEW_PAIRS:
-        shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
-        stands = supported(stands, height, agreeing, frame.cell, shaded)
+    shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
+    stands = supported(standing(agreeing, views, beyond_images), height, agreeing, frame.cell, shaded)
     height = filled(height, stands, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
@@ -144,11 +149,24 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     beyond = 2 * BEYOND_PLANES * step
     reached = (z_range[0] - beyond, z_range[1] + beyond)
     fine = fine.widened(margin_for(fine.parallax, fine.z_ref, reached, options.window))
-    return MatchTask(fine, pairs, z_range, step, options)
+    return MatchTask(fine, pairs, z_range, step, options, robust=len(pairs) >= ROBUST_PAIRS)
 
 
-def for_slopes(options: PriorOptions, height: np.ndarray, sure: np.ndarray, cell: float) -> PriorOptions:
-    """The options for ground that rises and falls as the rough surface does.
+def how_hilly(height: np.ndarray, sure: np.ndarray, cell: float) -> float:
+    """Whether a rough surface is one of hills: 0 a town, 1 hills; between, by the share of slopes.
+
+    Args:
+        height: ``[H, W]`` rough surface [m].
+        sure: ``[H, W]`` bool, where the images agree about it; elsewhere it is noise, which has slopes, too.
+        cell: its cells' edge [m].
+    """
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(height, cell))))
+    share = float(np.mean(((slope > SLOPES_DEG[0]) & (slope < SLOPES_DEG[1]))[sure])) if sure.any() else 0.0
+    return min(max((share - HILLS[0]) / (HILLS[1] - HILLS[0]), 0.0), 1.0)
+
+
+def for_hills(options: PriorOptions, hills: float) -> PriorOptions:
+    """The options for ground that rises and falls.
 
     In a city most cells are level, and surfaces of one brightness each need it to be told apart. Hills have texture
     everywhere, but show every view a brightness of its own, by what their slopes and soils reflect to where it is.
@@ -156,13 +174,8 @@ def for_slopes(options: PriorOptions, height: np.ndarray, sure: np.ndarray, cell
 
     Args:
         options: as they are given, for cities.
-        height: ``[H, W]`` rough surface [m].
-        sure: ``[H, W]`` bool, where the images agree about it; elsewhere it is noise, which has slopes, too.
-        cell: its cells' edge [m].
+        hills: 0 to 1, see `how_hilly`.
     """
-    slope = np.degrees(np.arctan(np.hypot(*np.gradient(height, cell))))
-    share = float(np.mean(((slope > SLOPES_DEG[0]) & (slope < SLOPES_DEG[1]))[sure])) if sure.any() else 0.0
-    hills = min(max((share - HILLS[0]) / (HILLS[1] - HILLS[0]), 0.0), 1.0)
     return replace(
         options,
         brightness=options.brightness * (1 + hills * (HILLS_BRIGHTNESS - 1)),
@@ -171,32 +184,41 @@ def for_slopes(options: PriorOptions, height: np.ndarray, sure: np.ndarray, cell
     )
 
 
+def _known_ground(rough: MatchTask, found: np.ndarray, height: np.ndarray, sure: np.ndarray) -> MatchTask:
+    """The task of the second rough pass, after the first: heights that there are, hills or town.
+
+    Args:
+        rough: of the first pass.
+        found: ``[H, W]`` heights of the matching, which has the slopes [m].
+        height: ``[H, W]`` the same without what stands by chance [m].
+        sure: ``[H, W]`` bool, where the images agree.
+    """
+    z_range = narrow(height[sure], rough.z_range, KEEP_PLANES * rough.step, rough.step)
+    hills = how_hilly(found, sure, rough.frame.cell) if len(rough.pairs) >= HILLS_PAIRS else 0.0
+    robust = rough.robust or (len(rough.pairs) >= TOWN_PAIRS and hills == 0)
+    return replace(rough, z_range=z_range, options=for_hills(rough.options, hills), hills=hills, robust=robust)
+
+
 def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, RoughSurface]:
     """Match at twice the cell until surface and occlusions agree; the task of the last pass, and the surface."""
     frame, options, passes = task.frame.halved(), task.options, task.options.rough_passes
     rough = replace(task, frame=frame, step=2 * task.step)
     visibility = all_visible(frame)
     before = ceiling = None
-    radius = options.erode * (1.0 if task.robust else FEW_ERODE) / frame.cell
     for k in range(passes):
         progress(0.4 * k / passes, f"rough pass {k + 1} of {passes}")
-        minima = RayMinima.unknown(frame) if len(task.pairs) < FEW_PAIRS else None
-        height, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling, minima=minima)
-        height = median_filter(height, 3, mode="nearest")
+        minima = None if rough.robust else RayMinima.unknown(frame)
+        found, score, _ = sweep_blocks(rough, visibility, guide=before, ceiling=ceiling, minima=minima)
+        height = found = median_filter(found, 3, mode="nearest")
         if minima is not None:
             # few views leave much unseen, and what is wrong there hides what is right in the next pass
             hits = visibility.first_hit_height
-            agreeing, views = count_consistent_views(frame, hits, minima, height, options.tolerance, rough.step)
-            stands = supported(standing(agreeing, views), height, agreeing, frame.cell)
-            height = median_filter(filled(height, stands, frame.cell), 3, mode="nearest")
+            agreeing, views = count_consistent_views(frame, hits, minima, found, options.tolerance, rough.step)
+            stands = supported(standing(agreeing, views), found, agreeing, frame.cell)
+            height = median_filter(filled(found, stands, frame.cell), 3, mode="nearest")
         if k == 0:
-            rough = replace(
-                rough,
-                z_range=narrow(height[score > SURE], rough.z_range, KEEP_PLANES * rough.step, rough.step),
-                options=for_slopes(options, height, score > SURE, frame.cell)
-                if len(task.pairs) >= HILLS_PAIRS
-                else options,
-            )
+            rough = _known_ground(rough, found, height, score > SURE)
+        radius = options.erode * (1.0 if rough.robust else FEW_ERODE) / frame.cell
         eroded = erode(height, max(radius, LEAST_ERODED) if options.erode else 0.0)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
         dark = measure_dark(frame, height, options.tolerance, visibility)
@@ -207,7 +229,8 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
         if before is not None and np.mean(np.abs(surface.height - before) > task.step) < CONVERGED:
             break
         before = surface.height
-    return replace(task, z_range=rough.z_range, options=rough.options), surface
+    known = replace(task, z_range=rough.z_range, options=rough.options, hills=rough.hills, robust=rough.robust)
+    return known, surface
 
 
 def plane_distance(frame: Frame, pairs: np.ndarray) -> float:

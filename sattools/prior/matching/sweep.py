@@ -15,6 +15,8 @@ from sattools.progress import Progress, silent
 
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
+TOWN_PAIRS = 12  # the same once a rough surface says what hides what, but not on hills
+FEW_PAIRS = 4  # of three views; fewer pairs must not be decided by one that is hidden
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 REACH_M = 6.0  # distance within which heights of an earlier pass may turn out to be a cell's own
@@ -82,6 +84,8 @@ class MatchTask:
         z_range: lowest and highest height to try [m].
         step: distance of the height planes [m].
         options: see `PriorOptions`.
+        robust: whether so many pairs decide that what one of them says by chance does not.
+        hills: whether the ground rises and falls, 0 to 1.
     """
 
     frame: Frame
@@ -89,11 +93,8 @@ class MatchTask:
     z_range: tuple[float, float]
     step: float
     options: PriorOptions
-
-    @property
-    def robust(self) -> bool:
-        """Whether so many pairs decide that what one of them says by chance does not."""
-        return len(self.pairs) >= ROBUST_PAIRS
+    robust: bool
+    hills: float = 0.0
 
 
 def sweep_blocks(
@@ -262,12 +263,16 @@ def agreement(
 def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
     """Half the exponent of the mean over the pairs, weight of hidden views, and of pairs in different light.
 
-    Many pairs outvote what the surface of an earlier pass got wrong; among few, the one that agrees best by chance or
-    the hidden one would decide, so there the mean is a root mean square of what is surely seen.
+    Many pairs outvote what the surface of an earlier pass got wrong. Among fewer, one that agrees by chance would
+    decide, so there the mean is a root mean square, and among three, or on hills, where little is hidden, the hidden
+    pair would: there it is one of what is surely seen.
     """
-    if not task.robust:
+    weak, mixed = np.float32(task.options.weak), np.float32(task.options.mixed)
+    if task.robust:
+        return 3, weak, mixed
+    if len(task.pairs) < FEW_PAIRS or task.hills > 0:
         return 1, np.float32(0), np.float32(0)
-    return 3, np.float32(task.options.weak), np.float32(task.options.mixed)
+    return 1, weak, mixed
 
 
 def scarcity(pairs: int) -> float:

@@ -20,6 +20,7 @@ from scipy.ndimage import uniform_filter
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
+from sattools.prior.neighbours import relief
 from sattools.prior.visibility.occlusion import at_surface
 
 SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
@@ -114,7 +115,7 @@ def supported(
     """
     reach = max(1, round(SUPPORT_M / cell / 2))
     alike = np.zeros(stands.shape, bool)
-    _alike(height, stands, reach, np.float32(ALIKE_M), alike)
+    _alike(height, stands, reach, np.float32(ALIKE_M * relief(cell)), alike)
     if shaded is None:
         return alike
     alone = uniform_filter(stands.astype(np.float32), 2 * reach + 1, mode="nearest") < COMPANY
