@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StreamedModel
+from sattools.fit.tiles.state import end
 from sattools.fit.trace import Trace
 from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, record
@@ -13,7 +14,6 @@ from sattools.scene.files import all_or_nothing, write_text
 from sattools.scene.jsonio import JsonObject
 
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
-STATE = "fit/tiles/tiles.json"  # of a fit in tiles that is not finished
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None) -> Js
         fitted.model.save(scene.output(MODEL))
         write_text(scene.output(TRACE), trace.to_csv())
     scene.output(CHECKPOINT).unlink(missing_ok=True)
+    end(scene.root)
     scene.products.update(model=MODEL, trace=TRACE)
     used = [item for item in scene.items if item.id in fitted.model.items]
     return {
@@ -50,4 +51,4 @@ def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None) -> Js
     }
 
 
-__all__ = ["CHECKPOINT", "MODEL", "STATE", "TRACE", "Fitted", "save_fit"]
+__all__ = ["CHECKPOINT", "MODEL", "TRACE", "Fitted", "save_fit"]

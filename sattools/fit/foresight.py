@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sattools.fit.options import FitOptions
+from sattools.fit.tiles.state import begun
 from sattools.prior.options import PriorOptions
 from sattools.processors import takes, threads
 from sattools.scene import Grid, Scene
@@ -137,19 +138,22 @@ def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
 def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
     """Edge of a tile [m]; for ``auto`` None where all at once fits into memory, else the largest that does.
 
-    Without a word of the user, tiles are what surely does not fit otherwise, and can be cut.
+    Without a word of the user, tiles are what surely does not fit otherwise, and can be cut. What was begun goes on as
+    it was, whatever memory there is now.
 
     Raises:
-        SceneError: a scene without grid.
+        SceneError: a scene without grid, a damaged list of tiles.
     """
     if options.tile is not None and options.tile != "auto":
         return options.tile or None
+    cannot = any(getattr(options, name) != wanted for name, wanted, _ in IN_TILES)
+    if not cannot and (before := _begun_tile(scene, options)):
+        return before
     grid = scene.require_grid()
     images = len(scene.train_items())
     if options.tile is None:
         free = available()
         everything = _bytes(grid.width * grid.height, images, _finer(grid.cell_size, options))
-        cannot = any(getattr(options, name) != wanted for name, wanted, _ in IN_TILES)
         if free is None or cannot or everything <= free:
             return None
     there = to_spend()
@@ -190,12 +194,20 @@ def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
     return max(1, min(threads(), tiles, int(there // each), int(worth)))
 
 
+def _begun_tile(scene: Scene, options: FitOptions) -> float | None:
+    """Edge of the tiles [m] that an interrupted fit has left for this one to go on with."""
+    state = begun(scene.root) if options.resume else None
+    return state.get("tile") if state else None
+
+
 def with_tile(scene: Scene, options: FitOptions) -> FitOptions:
     """The options with a size of tiles, or none, where that was left open."""
     if options.tile not in ("auto", None):
         return options
     chosen = chosen_tile(scene, options)
-    if options.tile is None and chosen is not None:
+    if chosen is not None and chosen == _begun_tile(scene, options):
+        log.warning("scene %s: goes on in the tiles of %g m that were begun", scene.id, chosen)
+    elif options.tile is None and chosen is not None:
         log.warning("scene %s: needs more memory than is free all at once: fitted in tiles of %g m", scene.id, chosen)
     return options if chosen == options.tile else replace(options, tile=chosen)
 

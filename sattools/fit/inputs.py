@@ -15,9 +15,11 @@ import numpy as np
 from sattools import __version__
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.files import CHECKPOINT
 from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.shared import PRODUCT
+from sattools.fit.tiles.state import begun
 from sattools.progress import Progress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
@@ -68,21 +70,21 @@ def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[No
             item.properties[FIT_ROLE] = "test"
 
 
-def may_write(scene: Scene, options: FitOptions, overwrite: bool, begun: Sequence[str]) -> bool:
+def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
     """Whether the fit may replace a model that is there: asked for, or the end of what was interrupted.
 
     Args:
         scene: of the fit.
         options: of the fit.
         overwrite: what the user said.
-        begun: hrefs of what an interrupted fit leaves.
 
     Raises:
         OutputExistsError: ``resume`` on a fit that is finished.
+        SceneError: a damaged list of tiles.
     """
     if overwrite or not options.resume:
         return overwrite
-    if any(scene.path(href).exists() for href in begun):
+    if scene.path(CHECKPOINT).exists() or begun(scene.root):
         return True
     # without a model in the document the fit was stopped before its end was noted
     if "model" in scene.products:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE
+from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import with_tile
 from sattools.fit.inputs import holding_out, may_write
 from sattools.fit.options import FitOptions
@@ -35,7 +35,7 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
     # a tile is fitted as a whole, a pilot tile too, although each is larger than --tile by what it shares
     if not options.tile or scene.is_part or PRODUCT in scene.products:
         return fit_whole(scene, options, progress, overwrite)
-    begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite, (CHECKPOINT, STATE)))
+    begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite))
     with holding_out(scene, options.holdout, options.views):
         setup = set_up(scene, options)
         return fit_tiled(scene, setup.options, progress)

@@ -11,7 +11,7 @@ import torch
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import COLOURS, Radiance
-from sattools.fit.files import CHECKPOINT, MODEL, STATE, TRACE, Fitted, save_fit
+from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
 from sattools.fit.inputs import holding_out, load_prior, may_write
 from sattools.fit.model import FittedModel
@@ -68,7 +68,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         progress: told the share done and what is being done.
         overwrite: replace outputs that are there.
     """
-    may = may_write(scene, options, overwrite, (CHECKPOINT, STATE))
+    may = may_write(scene, options, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
         setup = set_up(scene, options)

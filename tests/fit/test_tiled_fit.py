@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
-from sattools.errors import SceneError
+from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
@@ -315,3 +315,36 @@ def test_strips_of_any_height_join_to_the_same_model(make_town: Any, monkeypatch
         assert torch.equal(tensor.nan_to_num(-1), other[name].nan_to_num(-1)), name
     for values, others in zip(maps, other_maps, strict=True):
         np.testing.assert_array_equal(values, others)
+
+
+def test_what_was_begun_in_tiles_goes_on_in_them_without_their_size(
+    both: Any, make_town: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As where `fit` had chosen it by the memory that was free then."""
+    scene = make_town("OPEN")
+
+    def stop(fraction: Any, message: Any) -> None:
+        if "tile 2 of 4" in message:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        fit(scene, TILED, stop)
+    said = []
+    fit(scene, replace(TILED, tile=None, resume=True), lambda share, message: said.append(message))
+    assert "goes on in the tiles of 32 m that were begun" in caplog.text
+    assert not any(message.startswith(("whole area", "tile 1 of 4")) for message in said)
+    found, expected = model(scene)[0], model(both[1][0])[0]
+    assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+@pytest.mark.parametrize("last", [{"tile": 0.0}, {"part": "mosaic"}])
+def test_tiles_that_are_left_are_no_reason_to_replace_a_finished_fit(make_town: Any, last: Any) -> None:
+    scene, plain = make_town("LEFT"), replace(TILED, epochs=[2])
+    for name in fit(scene, replace(plain, part="split"))["tiles"]:
+        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), plain)
+    fit(scene, replace(plain, **last))
+    before = (scene.root / "fit/model.safetensors").read_bytes()
+    for tile in (None, 32.0, 0.0):
+        with pytest.raises(OutputExistsError, match="found a finished fit, expected an interrupted one for --resume"):
+            fit(scene, replace(plain, tile=tile, resume=True), overwrite=False)
+    assert (scene.root / "fit/model.safetensors").read_bytes() == before

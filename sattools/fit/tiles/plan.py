@@ -16,9 +16,9 @@ from typing import Any
 import torch
 
 from sattools import __version__
-from sattools.errors import InputError, SceneError
+from sattools.errors import SceneError
 from sattools.fit.described import COLOURS
-from sattools.fit.files import CHECKPOINT, MODEL, STATE
+from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.foresight import side_by_side
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
@@ -26,6 +26,7 @@ from sattools.fit.resume import OTHER_FIT
 from sattools.fit.surface.schedule import schedule
 from sattools.fit.tiles.crew import Part, fit_parts
 from sattools.fit.tiles.shared import PRODUCT
+from sattools.fit.tiles.state import STATE, read_state, write_state
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, subprogress
 from sattools.scene import Asset, Grid, Scene
@@ -33,9 +34,8 @@ from sattools.scene.area import wanted_cells
 from sattools.scene.copies import href_of_part, part_copy
 from sattools.scene.document import PARTS
 from sattools.scene.files import write_text
-from sattools.scene.jsonio import JsonObject, read_json
+from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid
-from sattools.scene.schema import Items, Maybe, Number, Table, Text
 from sattools.scene.tiles import Tile, common_cell, make_tiles
 from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, views_on
 
@@ -47,16 +47,6 @@ FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole sh
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 ONLY_COARSE = ("lines of sight are parallel only", "strayed from the prior")  # notes of a coarse fit
 PRIOR = ("prior_dsm", "prior_confidence", "prior_normals")
-_STATE = Table(
-    {
-        "key": Text(),
-        "tiles": Maybe(Items(Text())),
-        "pilots": Maybe(Items(Text())),
-        "notes": Items(Text()),
-        "seconds": Number(0),
-    },
-    ("key", "tiles", "notes"),
-)
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "part", "device")
 
@@ -100,14 +90,14 @@ class Plan:
 
     def names(self) -> list[str]:
         """Tiles that enough images show; SceneError before `split` has found them."""
-        names = (self._state() or {}).get("tiles")
+        names = (read_state(self.scene.root) or {}).get("tiles")
         if names is None:
             raise SceneError(f"{self.scene.root / STATE}: found no finished --part split, expected one before mosaic")
         return list(names)
 
     def pilots(self) -> list[str]:
         """Pilot tiles that `coarse` has chosen."""
-        return list((self._state() or {}).get("pilots") or [])
+        return list((read_state(self.scene.root) or {}).get("pilots") or [])
 
     def part_scene(self, name: str) -> Scene:
         """The scene of a tile, as `split` left it."""
@@ -118,7 +108,7 @@ class Plan:
     def coarse(self, progress: Progress) -> list[str]:
         """Fit the whole coarsely and write the scenes of the pilot tiles, unless an earlier run has; notes."""
         started = time.perf_counter()
-        state = self._state()
+        state = read_state(self.scene.root)
         if self.options.resume and state is not None:
             self.check_state(state)
             if state.get("pilots") is not None or state["tiles"] is not None:
@@ -148,7 +138,7 @@ class Plan:
         with_pilots = self.factor > FINE_ENOUGH
         notes = self.coarse(subprogress(progress, 0, 0.4 if with_pilots else 1.0))
         started = time.perf_counter()
-        state = self._state()
+        state = read_state(self.scene.root)
         assert state is not None  # `coarse` has written it
         if state["tiles"] is not None:
             return notes
@@ -217,7 +207,7 @@ class Plan:
         entries = [entry for name in parts for entry in self.part_scene(name).history]
         if not entries:
             return {}
-        split = float((self._state() or {}).get("seconds", 0.0))
+        split = float((read_state(self.scene.root) or {}).get("seconds", 0.0))
         return {
             "tiles": len(self.names()),
             "seconds": round(split + sum(entry["seconds"] for entry in entries), 3),
@@ -229,23 +219,14 @@ class Plan:
         if state["key"] != self._key():
             raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
 
-    def _state(self) -> JsonObject | None:
-        path = self.scene.root / STATE
-        try:
-            state = read_json(path) if path.exists() else None
-            if state is not None:
-                _STATE.check(state, str(path))
-            return state
-        except InputError as error:
-            raise SceneError(f"{error} (a list of tiles of `fit --tile`)") from error
-
     def _write_state(
         self, names: list[str] | None, notes: list[str], seconds: float = 0.0, pilots: list[str] | None = None
     ) -> None:
         state = {
-            "key": self._key(), "tiles": names, "pilots": pilots, "notes": notes, "seconds": round(seconds, 3)
+            "key": self._key(), "tile": self.options.tile, "tiles": names, "pilots": pilots, "notes": notes,
+            "seconds": round(seconds, 3),
         }  # fmt: skip
-        write_text(self.scene.output(STATE), json.dumps(state, indent=1) + "\n")
+        write_state(self.scene.output(STATE), state)
 
     def _key(self) -> str:
         """Hash of everything that the tiles depend on."""
