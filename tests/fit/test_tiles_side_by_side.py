@@ -1,8 +1,10 @@
 """Tiles fitted by several processes at a time are the same tiles; a process that is lost costs no more than its own."""
 
+import io
 import json
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,11 +17,12 @@ import pytest
 import torch
 from patience import HANGING_S
 
-from sattools.errors import SattoolsError
+from sattools.cli.safety import explain
+from sattools.errors import SattoolsError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
-from sattools.fit.tiles import crew
+from sattools.fit.tiles import crew, helper
 from sattools.fit.tiles import plan as tile_plan
 from sattools.scene import Scene
 
@@ -141,6 +144,34 @@ def test_an_error_in_a_process_is_that_of_the_command(make_town: Towns, started:
     with pytest.raises(SattoolsError, match=r"height range"):
         plan.fit(lambda share, message: None)
     assert [process.poll() is not None for process in started] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError("all of it"), "too little memory (all of it)"),
+        (RuntimeError("can't allocate memory: 9 bytes"), "too little memory (can't allocate memory: 9 bytes)"),
+        (OSError(28, "No space left on device", "a.tif"), "a.tif: found No space left on device"),
+        (KeyError("x"), "internal error (RuntimeError: KeyError: 'x')"),
+        (SceneError("found x"), "found x"),
+    ],
+)
+def test_what_nobody_has_foreseen_in_a_process_is_no_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any, error: Exception, words: str
+) -> None:
+    """The command says of it what it says of its own."""
+
+    def fail(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(Scene, "from_file", fail)
+    told = io.StringIO()
+    helper.serve([json.dumps({"root": str(tmp_path), "options": {}})], helper.Answers(told))
+    parts = [crew.Part("tile", tmp_path, TILED)]
+    with pytest.raises(Exception, match=re.escape(str(error))) as found:
+        crew._Crew(parts, 1, lambda share, message: None)._heard(crew._Helper(None, 0), told.getvalue())
+    assert words in explain(found.value)
+    assert capfd.readouterr().err == ""
 
 
 def test_messages_of_the_processes_are_told_once(

@@ -6,6 +6,7 @@ the same whatever their number.
 
 from __future__ import annotations
 
+import builtins
 import json
 import logging
 import os
@@ -162,8 +163,8 @@ class _Crew:
         assert helper.part is not None
         part = self.parts[helper.part]
         if kind == "error":
-            name, text = what
-            raise getattr(errors, name, SattoolsError)(text)
+            name, *parts = what
+            raise (getattr(errors, name, None) or getattr(builtins, name))(*parts)
         if kind == "progress":
             self.shares[helper.part] = what[0]
             self.progress(sum(self.shares) / len(self.parts), f"{part.name}: {what[1]}")

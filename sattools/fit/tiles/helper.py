@@ -11,12 +11,15 @@ import logging
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TextIO
 
 from sattools.errors import SattoolsError
 from sattools.processors import end_with_parent
+
+log = logging.getLogger(__name__)
 
 
 class Answers(logging.Handler):
@@ -44,6 +47,20 @@ class Answers(logging.Handler):
         self.tell("progress", [fraction, message])
 
 
+def error_to_tell(error: Exception) -> list[Any]:
+    """Kind of an error, and what another one of that kind is made of.
+
+    Args:
+        error: the error.
+    """
+    if isinstance(error, SattoolsError | MemoryError):
+        return [type(error).__name__, str(error)]
+    if isinstance(error, OSError) and error.strerror:
+        filename = None if error.filename is None else os.fsdecode(error.filename)
+        return ["OSError", error.errno, error.strerror, filename]
+    return ["RuntimeError", str(error) if type(error) is RuntimeError else f"{type(error).__name__}: {error}"]
+
+
 def serve(orders: Iterable[str], answers: Answers) -> None:
     """Fit what is ordered until there is nothing more.
 
@@ -51,18 +68,20 @@ def serve(orders: Iterable[str], answers: Answers) -> None:
         orders: lines with the folder of a scene (`root`) and the `options` of its fit.
         answers: told how it goes.
     """
-    from sattools.fit.options import FitOptions
-    from sattools.fit.whole import fit_whole
-    from sattools.scene import Scene
-    from sattools.scene.memory import give_back
-
     for line in orders:
         order = json.loads(line)
         try:
+            from sattools.fit.options import FitOptions
+            from sattools.fit.whole import fit_whole
+            from sattools.scene import Scene
+            from sattools.scene.memory import give_back
+
             scene = Scene.from_file(Path(order["root"]) / "scene.json")
             result = fit_whole(scene, FitOptions(**order["options"]), answers.progress)
-        except SattoolsError as error:
-            answers.tell("error", [type(error).__name__, str(error)])
+        except Exception as error:  # the command makes one line of it, whatever it is
+            if not isinstance(error, SattoolsError):
+                log.debug("%s", traceback.format_exc())
+            answers.tell("error", error_to_tell(error))
             continue
         answers.tell("done", result["notes"])
         del result, scene
