@@ -17,6 +17,7 @@ from sattools.batch.plan import Task
 from sattools.batch.task import perform
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.memory import granted
 
 TOPIC = "sattools-batch"
 _launcher = Launcher()  # of a worker, which does one task at a time
@@ -85,7 +86,7 @@ def shares(options: BatchOptions, cores: int, runs: int, tiled: bool) -> Shares:
         import psutil
     except ImportError as error:
         raise SattoolsError(_NO_DASK) from error
-    there = psutil.virtual_memory().total / 2**20
+    there = granted(psutil.virtual_memory().total) / 2**20
     fitting = int(there // (options.memory_limit or TASK_MB))
     workers = options.workers or len(gpus) or max(1, min(cores, fitting, cores if tiled else runs))
     memory = options.memory_limit or there / workers

@@ -36,7 +36,8 @@ class BatchOptions:
     )
     memory_limit: float | None = option(
         None,
-        "Memory of a task: its tiles go by it, and above it it is stopped [MB; default: this machine's / workers].",
+        "Memory of a task: its tiles go by it, and above it it is stopped [MB; default: this machine's, "
+        "or that of --max-memory, / workers].",
         minimum=100,
     )
     scheduler: str | None = option(

@@ -30,7 +30,7 @@ from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
-from sattools.scene.files import check_outputs, remove_orphans, write_text
+from sattools.scene.files import check_outputs, locked, make_folder, remove_orphans, write_text
 from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
@@ -49,6 +49,7 @@ class Batch:
         shared: key of a task -> it, and the runs that need what it makes.
         tiled: key of a coarse fit, or of the split after it, -> the run that joins its tiles, and its configuration.
         joined: configuration -> what `join` says of its scenes; None where none is done.
+        overwrite: what is finished is done again; dry_run: it stays as it is all the same.
     """
 
     jobs: list[Job] = field(default_factory=list)
@@ -58,16 +59,22 @@ class Batch:
     shared: dict[str, tuple[Task, list[Job]]] = field(default_factory=dict)
     tiled: dict[str, tuple[Job, Configuration]] = field(default_factory=dict)
     joined: dict[str, JsonObject | None] = field(default_factory=dict)
+    overwrite: bool = False
+    dry_run: bool = False
 
-    def share(self, overwrite: bool) -> None:
+    def earlier(self, task: Task) -> JsonObject | None:
+        """What an earlier run has left of a task; None, and it is forgotten, where all is done again."""
+        if self.overwrite and not self.dry_run:
+            task.record.unlink(missing_ok=True)
+        return None if self.overwrite else task.result()
+
+    def share(self) -> None:
         """Let runs of one scene that differ only later on start from one prior."""
         for task, runs in self.shared.values():
             if len(runs) < 2:
                 continue
-            if overwrite:
-                task.record.unlink(missing_ok=True)
             first = self.jobs.index(runs[0])
-            before = () if task.result() is not None else (Job(task, runs[0].after),)
+            before = () if self.earlier(task) is not None else (Job(task, runs[0].after),)
             for job in runs:
                 self.jobs[self.jobs.index(job)] = replace(
                     job, task=after_shared(job.task, task), after=before or job.after
@@ -183,25 +190,27 @@ def batch(
     inputs = [path for scene in scenes for path in (scene.origin, *files_of(scene)) if path is not None]
     ours = overwrite or (out / DIGESTS).exists()  # a batch is begun again in its own folder
     check_outputs([out / name for name in (*TABLES, FIGURE, DIGESTS)], inputs, ours)
-    plan = make_plan(options, scenes, configurations, overwrite)
-    for pair, (_, error) in plan.errors.items():
-        log.error("%s/%s: %s", *pair, error)
-    for result in plan.results.values():
-        emit(_line(result))
-    state = _Running(plan, out, progress, emit)
-    log.info("%d tasks, %d of them done before", state.total, len(plan.results))
-    try:
-        if plan.jobs:
-            share = shares(options, cores, len(state.open), bool(plan.tiled))
-            run(plan.jobs, options, share, state.finished, state.told)
-    finally:
-        # commands die with their workers, a little later and in the middle of whatever they write
-        remove_orphans(out, patience_s=10)
-    rows = plan.table()
-    write_tables(rows, out)
-    draw(rows, out / FIGURE)
-    if options.join:
-        plan.joined = {c.name: _join(plan, c.name, out) for c in configurations}
+    make_folder(out)
+    with locked(out):  # another batch would begin tiles anew that this one is about to join
+        plan = make_plan(options, scenes, configurations, overwrite)
+        for pair, (_, error) in plan.errors.items():
+            log.error("%s/%s: %s", *pair, error)
+        for result in plan.results.values():
+            emit(_line(result))
+        state = _Running(plan, out, progress, emit)
+        log.info("%d tasks, %d of them done before", state.total, len(plan.results))
+        try:
+            if plan.jobs:
+                share = shares(options, cores, len(state.open), bool(plan.tiled))
+                run(plan.jobs, options, share, state.finished, state.told)
+        finally:
+            # commands die with their workers, a little later and in the middle of whatever they write
+            remove_orphans(out, patience_s=10)
+        rows = plan.table()
+        write_tables(rows, out)
+        draw(rows, out / FIGURE)
+        if options.join:
+            plan.joined = {c.name: _join(plan, c.name, out) for c in configurations}
     return plan
 
 
@@ -228,7 +237,7 @@ def make_plan(
         overwrite: do finished tasks again.
         dry_run: write nothing.
     """
-    names = [c.name for c in configurations]
+    names = [check_id(c.name, "--config") for c in configurations]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise InputError(f"--config: found two files named {sorted(twice)[0]!r}, expected different names")
@@ -239,7 +248,7 @@ def make_plan(
     if options.aoi and options.dfc2019 is None:
         raise InputError("--aoi: found no --dfc2019, expected the root of the contest's data")
     out = Path(options.out).absolute()
-    plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations])
+    plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations], overwrite=overwrite, dry_run=dry_run)
     digests = Digests(out / DIGESTS)
     for scene in scenes:
         truth = scene.products.get("truth_dsm")
@@ -252,10 +261,10 @@ def make_plan(
             except SattoolsError as error:
                 plan.errors[scene.id, c.name] = ("failed", str(error))
                 continue
-            _add(plan, Job(task, gpu=options.gpu), overwrite, c, content)
+            _add(plan, Job(task, gpu=options.gpu), c, content)
     for aoi in options.aoi:
-        _add_area(plan, aoi, options, configurations, digests, overwrite)
-    plan.share(overwrite)
+        _add_area(plan, aoi, options, configurations, digests)
+    plan.share()
     if not dry_run:
         digests.save()
     return plan
@@ -267,7 +276,6 @@ def _add_area(
     options: BatchOptions,
     configurations: Sequence[Configuration],
     digests: Digests,
-    overwrite: bool,
 ) -> None:
     from sattools.prep.dfc2019 import find_images, find_truth, is_crop
 
@@ -292,21 +300,19 @@ def _add_area(
             given = [*given[2:]] if metadata else given
         prep = prep_task(out, aoi, images, given, c, digests)
         task = run_task(out, aoi, Path(prep.folder) / aoi / "scene.json", prep.key, c, truth=truth, digests=digests)
-        earlier = None if overwrite else prep.result()
+        earlier = plan.earlier(prep)
         before: tuple[Job, ...] = ()
         if earlier is None:
             before = (next((job for job in plan.jobs if job.task.key == prep.key), Job(prep)),)
         there = len(plan.jobs)
-        if _add(plan, Job(task, before, options.gpu), overwrite, c, prep.key) and before and before[0] not in plan.jobs:
+        if _add(plan, Job(task, before, options.gpu), c, prep.key) and before and before[0] not in plan.jobs:
             plan.jobs.insert(there, before[0])
 
 
-def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, content: Any) -> bool:
+def _add(plan: Batch, job: Job, configuration: Configuration, content: Any) -> bool:
     """Plan a run unless it is done before: as one job, or beginning with the coarse fit of its scene in tiles."""
     task = job.task
-    if overwrite:
-        (Path(task.folder) / "task.json").unlink(missing_ok=True)
-    earlier = task.result()
+    earlier = plan.earlier(task)
     if earlier is not None:
         plan.results[task.scene, task.configuration] = earlier
         return False
@@ -318,10 +324,8 @@ def _add(plan: Batch, job: Job, overwrite: bool, configuration: Configuration, c
         return True
     coarse = coarse_task(task, content, configuration)
     plan.tiled[coarse.key] = (job, configuration)
-    if overwrite:
-        for before in (coarse, replace(coarse, kind="split")):
-            before.record.unlink(missing_ok=True)
-    if coarse.result() is None:
+    plan.earlier(replace(coarse, kind="split"))
+    if plan.earlier(coarse) is None:
         plan.jobs.append(Job(coarse, job.after, job.gpu))
     else:
         plan.jobs += plan.follow(coarse)

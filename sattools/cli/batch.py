@@ -18,6 +18,7 @@ from sattools.progress import make_progress
 
 if TYPE_CHECKING:
     from sattools.batch.plan import Configuration
+    from sattools.batch.stage import Batch
     from sattools.scene.jsonio import JsonObject
 
 # options that say how a command runs, not what comes out of it
@@ -56,9 +57,7 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
         if not scenes_given and not options.aoi:
             raise click.UsageError("expected scenes, or --dfc2019 ROOT --aoi AREA")
         if dry_run:
-            plan = make_plan(options, scenes_given, configurations, dry_run=True)
-            for job in plan.jobs:
-                click.echo(f"sattools batch: would do {job.task.name} in {job.task.folder}", err=True)
+            _plan(make_plan(options, scenes_given, configurations, overwrite, dry_run=True))
             return
         root = click.get_current_context().find_root()
         most = root.params.get("threads") or cores()
@@ -74,6 +73,18 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
                 click.echo(f"{Path(options.out, 'joined', name)}: {_seams(made)}", err=True)
     if done.errors:
         sys.exit(3 if done.results else 1)
+
+
+def _plan(plan: Batch) -> None:
+    """What a dry run says of a batch; ends with the status that the batch would have at best."""
+    if plan.results:
+        click.echo(f"sattools batch: {len(plan.results)} of {len(plan.rows)} are done", err=True)
+    for job in plan.jobs:
+        click.echo(f"sattools batch: would do {job.task.name} in {job.task.folder}", err=True)
+    for pair, (_, error) in plan.errors.items():
+        report_error("batch", SattoolsError(f"{'/'.join(pair)}: {error}"))
+    if plan.errors:
+        sys.exit(3 if plan.jobs or plan.results else 1)
 
 
 def _seams(made: JsonObject) -> str:

@@ -18,7 +18,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # numbers of GNU's malloc.h
 
 def available() -> int | None:
     """Bytes that this process may still take, by what user (`--max-memory`) and system tell; None where they do not."""
-    limits = []
+    limits = _groups_allow()
     if LIMIT in os.environ:
         limits.append(max(0, int(float(os.environ[LIMIT]) * 2**20) - _taken()))
     try:
@@ -27,15 +27,33 @@ def available() -> int | None:
                 limits.append(int(line.split()[1]) * 1024)
     except (OSError, ValueError, IndexError):
         pass
+    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if soft != resource.RLIM_INFINITY:
+        limits.append(soft)
+    return min(limits, default=None)
+
+
+def granted(installed: int) -> float:
+    """Bytes that processes of this one may take together: the machine's, or less by what user and system say.
+
+    Args:
+        installed: bytes of the machine.
+    """
+    limits = [float(installed), *_groups_allow()]
+    if LIMIT in os.environ:
+        limits.append(float(os.environ[LIMIT]) * 2**20)
+    return min(limits)
+
+
+def _groups_allow() -> list[int]:
+    """Limits of this process's control groups [bytes]."""
+    limits = []
     for path in group_files("memory", "memory.max", "memory.limit_in_bytes"):
         try:
             limits.append(int(path.read_text(encoding="ascii")))
         except (OSError, ValueError):
             continue
-    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if soft != resource.RLIM_INFINITY:
-        limits.append(soft)
-    return min(limits, default=None)
+    return limits
 
 
 def to_spend() -> float | None:
@@ -115,4 +133,6 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
         )
 
 
-__all__ = ["LIMIT", "available", "check_memory", "give_back", "keep_freed", "limited", "share_of_limit", "to_spend"]
+__all__ = [
+    "LIMIT", "available", "check_memory", "give_back", "granted", "keep_freed", "limited", "share_of_limit", "to_spend",
+]  # fmt: skip

@@ -1,5 +1,6 @@
 """What a batch plans: keys that follow the inputs, the contest's layout, and errors before anything is computed."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from sattools.batch.stage import make_plan
 from sattools.batch.table import failed_row, to_csv, to_markdown, write_tables
 from sattools.cli import main
 from sattools.prep.dfc2019 import find_images, find_truth
+from sattools.scene import memory
 from sattools.scene.raster import write_cog
 
 DEFAULT = Configuration("default")
@@ -138,6 +140,34 @@ def test_a_wrong_configuration_ends_the_batch_before_it_starts(tmp_path: Path, t
     assert " batch [OPTIONS] [SCENE]..." in result.stderr
 
 
+def test_a_dry_run_says_what_the_batch_would_say(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    (tmp_path / "näme.toml").write_text("[fit]\nseed = 3")
+    out = ["--out", str(tmp_path / "out"), "--dry-run"]
+    result = CliRunner().invoke(main, ["batch", *out, "--config", str(tmp_path / "näme.toml")], input=scene.to_json())
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.startswith("sattools batch: error: --config: found id 'näme', expected 1-128 letters")
+    scene.path(scene.items[0].assets["image"].href).unlink()
+    result = CliRunner().invoke(main, ["batch", *out], input=scene.to_json())
+    assert result.exit_code == 1
+    assert "sattools batch: error: A/default: " in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_with_overwrite_a_plan_has_what_is_done_and_a_dry_run_leaves_it(make_town: Any, tmp_path: Path) -> None:
+    scene, options = make_town("A"), BatchOptions(out=str(tmp_path / "out"))
+    (job,) = make_plan(options, [scene], [DEFAULT]).jobs
+    done = {"key": job.task.key, "status": "done", "scene_json": str(scene.root / "scene.json")}
+    job.task.record.parent.mkdir(parents=True)
+    job.task.record.write_text(json.dumps(done))
+    scene.write()
+    assert make_plan(options, [scene], [DEFAULT], dry_run=True).jobs == []
+    assert make_plan(options, [scene], [DEFAULT], overwrite=True, dry_run=True).jobs == [job]
+    assert job.task.record.exists()
+    assert make_plan(options, [scene], [DEFAULT], overwrite=True).jobs == [job]
+    assert not job.task.record.exists()
+
+
 def test_areas_need_the_contests_root(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["batch", "--aoi", "JAX_004", "--out", str(tmp_path)], input="")
     assert result.exit_code == 1
@@ -243,9 +273,24 @@ def test_cores_go_to_as_many_tasks_as_there_are_and_memory_allows(
 ) -> None:
     psutil = pytest.importorskip("psutil", reason="needs the extra `batch`")
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(total=gb * 10**9))
+    monkeypatch.setattr(memory, "group_files", lambda *_: [])
     found = shares(BatchOptions(**given), cores, runs, tiled)
     assert (found.workers, found.threads, found.alone) == expected
     assert found.memory_mb == given.get("memory_limit", pytest.approx(gb * 10**9 / 2**20 / found.workers))
+
+
+@pytest.mark.parametrize(("given", "each"), [({}, 4000), ({"workers": 4}, 2000), ({"memory_limit": 900.0}, 900)])
+def test_what_the_user_grants_is_for_all_tasks_together(
+    given: Any, each: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So is what a container may take of its machine's memory."""
+    psutil = pytest.importorskip("psutil", reason="needs the extra `batch`")
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(total=64 * 10**9))
+    with memory.limited(8000.0):
+        assert shares(BatchOptions(**given), 2, 20, False).memory_mb == each
+    (tmp_path / "memory.max").write_text(f"{8000 * 2**20}\n")
+    monkeypatch.setattr(memory, "group_files", lambda *_: [tmp_path / "memory.max"])
+    assert shares(BatchOptions(**given), 2, 20, False).memory_mb == each
 
 
 def test_only_tiles_have_as_many_beside_them_as_there_are_workers() -> None:

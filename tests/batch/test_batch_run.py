@@ -147,6 +147,22 @@ def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
+def test_of_two_batches_in_a_folder_the_second_waits_and_finds_all_done(folder: Any) -> None:
+    (folder / "cut.toml").write_text("[fit]\nepochs = [2]\ntile = 32\noverlap = 8\n")
+    call = ("A/scene.json", "--config", "cut.toml", "--out", "twice", "--workers", "1")
+    first = start(folder, *call)
+    while not (folder / "twice/digests.json").exists():
+        assert first.poll() is None
+        time.sleep(0.05)
+    second = start(folder, *call)
+    said = [running.communicate(timeout=HANGING_S) for running in (first, second)]
+    assert [running.returncode for running in (first, second)] == [0, 0]
+    assert "another sattools process works here, waiting for it" in said[1][1]
+    assert said[0][0] == said[1][0] != ""
+    attempts = (folder / "twice/runs/cut/A/fit/tiles/r0c0/attempts.jsonl").read_text()
+    assert len(attempts.splitlines()) == 1
+
+
 def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     import psutil
 
