@@ -37,10 +37,10 @@ def command(before: str, after: str, overwrite: bool, dry_run: bool, print_confi
     try:
         if dry_run or is_watched():
             plan = of_change(read_surface(before).grid)
+            read_surface(after)  # before anything is said
             what = f"would compare {before} with {after}" if dry_run else f"{before} {after}"
             click.echo(f"sattools change: {what}: {plan}; writes {options.out}/", err=True)
         if dry_run:
-            read_surface(after)
             return
         table = change(before, after, options, progress_of("change", f"{before} {after}"), overwrite)
     except SattoolsError as error:

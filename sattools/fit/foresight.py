@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.state import begun
 from sattools.prior.options import PriorOptions
@@ -77,11 +78,13 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
     """What `fit` will take, with tiles if the options ask for them.
 
     Raises:
-        SceneError: a scene without grid or height range.
+        SceneError: a scene without grid or height range, or options that do not go with tiles.
     """
     grid = scene.require_grid()
     images = len(scene.train_items())
     tile = chosen_tile(scene, options)
+    if tile:
+        check_tiled(options)
     cells = grid.width * grid.height
     tiles, piece, work = _cut(grid, tile, options.overlap)
     seconds = work * _seconds_per_cell(scene, options)
@@ -194,6 +197,15 @@ def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
     return max(1, min(threads(), tiles, int(there // each), int(worth)))
 
 
+def check_tiled(options: FitOptions) -> None:
+    """Raise SceneError for options that do not go with tiles."""
+    for name, wanted, why in IN_TILES:
+        given = getattr(options, name)
+        if given != wanted:
+            expected = "none" if wanted is None else f"--{name} {wanted}"
+            raise SceneError(f"--tile: found --{name} {given}, expected {expected}: {why}")
+
+
 def _begun_tile(scene: Scene, options: FitOptions) -> float | None:
     """Edge of the tiles [m] that an interrupted fit has left for this one to go on with."""
     state = begun(scene.root) if options.resume else None
@@ -222,4 +234,4 @@ def _bytes(cells: float, images: int, finer: float) -> float:
     return BASE_BYTES + cells * (BYTES_PER_CELL + per_image * images)
 
 
-__all__ = ["Foresight", "chosen_tile", "foresee", "matching", "side_by_side", "with_tile"]
+__all__ = ["Foresight", "check_tiled", "chosen_tile", "foresee", "matching", "side_by_side", "with_tile"]

@@ -127,10 +127,16 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
     """
     there = available()
     if there is not None and needed > there:
+        granted_mb = os.environ.get(LIMIT)
+        whose = f"that --max-memory {float(granted_mb):g} MB leaves" if granted_mb else "that are free"
         raise SattoolsError(
-            f"{what}: found a need of {needed / 2**30:.1f} GiB of memory, expected at most the {there / 2**30:.1f} GiB "
-            f"that are free ({remedy})"
+            f"{what}: found a need of {_size(needed)} of memory, expected at most the {_size(there)} {whose} ({remedy})"
         )
+
+
+def _size(number: float) -> str:
+    """Bytes in words; what is less than a tenth of a GiB is not called none."""
+    return f"{number / 2**30:.1f} GiB" if number >= 0.1 * 2**30 or not number else f"{number / 2**20:.3g} MiB"
 
 
 __all__ = [

@@ -68,6 +68,15 @@ def test_change_says_it_of_the_earlier_surface(make_town: Callable[[], Scene], t
     assert not (tmp_path / "new").exists()
 
 
+def test_change_says_nothing_of_a_plan_that_it_cannot_follow(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    scene = make_town()
+    heights, fitted = scene.root / "truth/TOWN_DSM.tif", scene.root / "scene.json"
+    result = CliRunner().invoke(main, ["change", str(heights), str(fitted), "--out", str(tmp_path / "x"), "--dry-run"])
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert "found no product 'dsm', expected a scene after `sattools export`" in line
+
+
 def test_people_see_it_first_and_programs_only_in_the_log(make_town: Callable[[], Scene]) -> None:
     document = make_town().root / "scene.json"
     first, *_ = run("--progress", "bar", "prior", document).stderr.splitlines()

@@ -282,6 +282,7 @@ def test_wrong_use_is_told_at_once(options: Any, words: Any) -> None:
         (["--preset", "eonerf"], "--tile: found --field mlp, expected --field surface: a field of rays has no maps"),
         (["--brdf", "hapke"], "--tile: found --brdf hapke, expected --brdf lambert: materials are found for an area"),
         (["--budget", "9"], "--tile: found --budget 9.0, expected none: a tile needs the time it needs"),
+        (["--budget", "9", "--dry-run"], "--tile: found --budget 9.0, expected none: a tile needs the time it needs"),
         (["--overlap", "2", "--tile", "8"], "--tile: found 8 m, expected at least"),
     ],
 )

@@ -5,6 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
+from sattools.errors import SattoolsError
+from sattools.scene import memory
+
 FAULTS = """
 import resource
 import numpy as np
@@ -29,3 +34,14 @@ def test_arrays_that_come_and_go_are_given_their_memory_once() -> None:
     once = 4 * 3_000_000 / 4096
     assert page_faults(keep=True) < 2 * once
     assert page_faults(keep=False) > 10 * once  # or there is nothing to be gained here
+
+
+def test_what_is_missing_is_told_in_numbers_that_say_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available", lambda: 2**20)
+    with memory.limited(200.0), pytest.raises(SattoolsError) as found:
+        memory.check_memory(45e6, "a.tif", "crop it")
+    expected = "expected at most the 1 MiB that --max-memory 200 MB leaves (crop it)"
+    assert str(found.value) == f"a.tif: found a need of 42.9 MiB of memory, {expected}"
+    monkeypatch.delenv(memory.LIMIT, raising=False)
+    with pytest.raises(SattoolsError, match=r"need of 4\.2 GiB of memory, expected at most the 1 MiB that are free"):
+        memory.check_memory(4.5e9, "a.tif", "crop it")

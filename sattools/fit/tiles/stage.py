@@ -13,8 +13,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 
-from sattools.errors import SceneError
-from sattools.fit.foresight import IN_TILES
+from sattools.fit.foresight import check_tiled
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.mosaic import mosaic_tiles
 from sattools.fit.tiles.plan import WHOLE, Plan
@@ -43,7 +42,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         SceneError: options that do not go with tiles, tiles of another fit with ``resume``, a tile that is not fitted
             with ``part="mosaic"``.
     """
-    check(options)
+    check_tiled(options)
     plan = Plan.make(scene, options)
     if len(plan.tiles) == 1:
         log.info("scene %s is no larger than a tile: fitted all at once", scene.id)
@@ -66,13 +65,4 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
     return mosaic_tiles(plan, notes if options.part == "all" else [], progress)
 
 
-def check(options: FitOptions) -> None:
-    """Raise SceneError for options that do not go with tiles."""
-    for name, wanted, why in IN_TILES:
-        given = getattr(options, name)
-        if given != wanted:
-            expected = "none" if wanted is None else f"--{name} {wanted}"
-            raise SceneError(f"--tile: found --{name} {given}, expected {expected}: {why}")
-
-
-__all__ = ["check", "fit_tiled"]
+__all__ = ["fit_tiled"]
