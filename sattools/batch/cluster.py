@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from typing import Any
 
 from sattools.batch.launch import Launcher
@@ -195,19 +197,31 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
                 yield client
             return
         # the commands that a worker starts are watched one by one (`perform`): the worker itself needs next to nothing
-        cluster = LocalCluster(
-            n_workers=share.workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=0,
-            dashboard_address="127.0.0.1:0",
-            worker_dashboard_address=None,
-            scheduler_kwargs={"dashboard": False},
-            resources={"GPU": 1} if share.gpus else None,
-            silence_logs=50,
-        )
+        with _deaf():
+            cluster = LocalCluster(
+                n_workers=share.workers,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,
+                dashboard_address="127.0.0.1:0",
+                worker_dashboard_address=None,
+                scheduler_kwargs={"dashboard": False},
+                resources={"GPU": 1} if share.gpus else None,
+                silence_logs=50,
+            )
         with cluster, Client(cluster) as client:
             yield client
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """What is started inside does not hear Ctrl-C, which a terminal sends to all processes: the batch ends them."""
+    resource_tracker.ensure_running()  # else started by the first thread that needs it, which would then hear again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _silence() -> None:

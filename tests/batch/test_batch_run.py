@@ -181,6 +181,25 @@ def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     assert not (folder / "stopped/runs/long/A/task.json").exists()
 
 
+def test_ctrl_c_at_a_terminal_which_all_processes_hear_is_no_traceback(folder: Any) -> None:
+    import psutil
+
+    (folder / "long.toml").write_text("[fit]\nepochs = [5000]\n")
+    command = [sys.executable, "-m", "sattools", "batch", "A/scene.json", "--config", "long.toml", "--out", "ctrl_c"]
+    pipe = subprocess.PIPE
+    running = subprocess.Popen(command, cwd=folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+    seen = psutil.Process(running.pid)
+    while "sattools fit" not in [name_of(process) for process in seen.children(recursive=True)]:
+        assert running.poll() is None
+        time.sleep(0.05)
+    family = seen.children(recursive=True)
+    os.killpg(running.pid, signal.SIGINT)
+    assert running.communicate(timeout=HANGING_S) == ("", "")
+    assert running.returncode == 130
+    _, left = psutil.wait_procs(family, timeout=HANGING_S)
+    assert left == []
+
+
 def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(folder: Any) -> None:
     """One of the two workers dies with its tile; the run equals `fit --tile` by hand."""
     (folder / "tiled.toml").write_text(
