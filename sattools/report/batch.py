@@ -74,6 +74,7 @@ def _table(rows: list[JsonObject]) -> Section:
 
 def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     from sattools.compare.picture import difference_figure
+    from sattools.export.datum import vertical_datum
     from sattools.export.hillshade import picture
 
     section = Section("Surfaces")
@@ -82,7 +83,7 @@ def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
         root, name = folder / "runs" / row["configuration"] / row["scene"], f"{row['scene']}, {row['configuration']}"
         if (root / "export/dsm.tif").is_file():
             heights, grid = read_overview(root / "export/dsm.tif")
-            figure = picture(heights[0], grid, name)
+            figure = picture(heights[0], grid, name, vertical_datum(root / "export/dsm.tif"))
             section.parts.append(Picture(figure, f"Heights of {name}", f"{name}: surface model, heights in metres."))
         if (root / "compare/difference.tif").is_file():
             difference, grid = read_overview(root / "compare/difference.tif")

@@ -18,7 +18,7 @@ from sattools.report.parts import number, product, trace_rows
 from sattools.scene.dependencies import drop, stale
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
-from sattools.scene.raster import read_overview, read_some_pixels
+from sattools.scene.raster import raster_grid, read_overview, read_some_pixels
 from sattools.scene.schema import Items, Maybe, Number, Text
 from sattools.scene.schema import Table as Members
 
@@ -200,7 +200,9 @@ def _surface(scene: Scene) -> Section:
     path = product(scene, "dsm")
     if path is not None:
         heights, grid = read_overview(path)
-        caption = f"Surface model, colours over a hillshade lit from the north-west; cells of {grid.cell_size:g} m."
+        cell = raster_grid(path).cell_size
+        cells = f"{cell:g} m" if grid.cell_size == cell else f"{cell:g} m, drawn as means over {grid.cell_size:g} m"
+        caption = f"Surface model, colours over a hillshade lit from the north-west; cells of {cells}."
         figure = picture(heights[0], grid, scene.id, vertical_datum(path))
         section.parts.append(Picture(figure, "Map of the heights", caption))
     path = product(scene, "validity")

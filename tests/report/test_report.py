@@ -23,6 +23,7 @@ from sattools.errors import InputError
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
 from sattools.report.page import Picture, Section, render
+from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -300,6 +301,32 @@ def test_footprints_some_of_whose_corners_have_a_height(make_town: Any) -> None:
     (scene.root / "scene.json").write_text(scene.to_json())
     result = run(scene.root)
     assert result.exit_code == 0, result.output
+
+
+def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finished: Any) -> None:
+    grid = Grid("EPSG:32617", 436500.0, 3357800.0, 0.5, 800, 700)  # more cells than a picture shows
+    write_cog(finished.output("export/dsm.tif"), np.zeros(grid.shape, np.float32), grid)
+    assert run(finished.root).exit_code == 0
+    assert "cells of 0.5 m, drawn as means over 1 m." in Page((finished.root / "report.html").read_text()).text
+
+
+def test_a_batchs_heights_are_above_what_their_files_say(batch: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sattools.export import hillshade
+
+    (batch / "runs/fast/A/export").mkdir()
+    grid = Grid("EPSG:32617", 436500.0, 3357800.0, 1.0, 30, 20)
+    heights = np.zeros(grid.shape, np.float32)
+    write_cog(batch / "runs/fast/A/export/dsm.tif", heights, grid, tags={"VERTICAL_DATUM": "EGM96 geoid"})
+    said, picture = [], hillshade.picture
+
+    def noted(*arguments: Any) -> Any:
+        figure = picture(*arguments)
+        said.extend(axes.get_ylabel() for axes in figure.axes)
+        return figure
+
+    monkeypatch.setattr(hillshade, "picture", noted)
+    assert run(batch).exit_code == 0
+    assert "height above the EGM96 geoid [m]" in said
 
 
 def test_a_page_of_many_maps_is_small(finished: Any) -> None:
