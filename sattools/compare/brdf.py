@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -139,6 +140,7 @@ def brdf_figure(
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     zenith, azimuth, towards = directions()
     sun_at = unit_vector(*sun)
@@ -159,12 +161,15 @@ def brdf_figure(
         axes.set_rticks([20, 40, 60])
         axes.tick_params(labelsize=6)
         axes.set_title(name.replace("$", r"\$"), fontsize=9)
-    figure.colorbar(drawn, ax=figure.axes, shrink=0.9, label="BRF, sun (star), images (dots)", location="right")
+    bar: dict[str, Any] = {"label": "BRF, sun (star), images (dots)", "ticks": MaxNLocator(6)}  # not at odd levels
+    figure.colorbar(drawn, ax=figure.axes, shrink=0.9, location="right", **bar)
     axes = figure.add_subplot(grid[1, :])
     plane = np.linspace(-LIMIT_DEG, LIMIT_DEG, 61)
     along = np.array([unit_vector(sun[0], z) for z in plane])  # positive: the sensor on the sun's side
+    dashes = itertools.cycle(("-", "--", "-.", ":"))  # fits that agree hide each other's lines otherwise
     for name, place in places.items():
-        style: dict[str, Any] = {"color": "black", "linewidth": 2} if name == "truth" else {}
+        truth = name == "truth"
+        style: dict[str, Any] = {"color": "black", "linewidth": 2} if truth else {"linestyle": next(dashes)}
         axes.plot(plane, place.brf(sun_at, along), label=name.replace("$", r"\$"), **style)
     axes.set(xlabel="view from the vertical in the sun's plane, positive on its side [degrees]", ylabel="BRF [1]")
     axes.set_ylim(0, None)

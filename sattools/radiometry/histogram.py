@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 
 from sattools.scene.files import write_figure
 
 COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:purple", "tab:brown", "tab:pink", "tab:olive", "tab:cyan")
+_LETTERS = 48  # of an axis' label in a line: a longer one would be cut off at the picture's edge
 
 
 def histogram_figure(
@@ -40,7 +42,7 @@ def histogram_figure(
         for k, band in enumerate(known):
             share = np.histogram(band, edges)[0] / max(1, band.size)
             axes.stairs(share, edges, color=COLOURS[k % len(COLOURS)], label=f"band {k + 1}")
-        axes.set(xlabel=label, ylabel="share of the pixels", ylim=(0, None))
+        axes.set(xlabel=fill(label, _LETTERS), ylabel="share of the pixels", ylim=(0, None))
         axes.legend()
     figure.suptitle(title)
     write_figure(path, figure)

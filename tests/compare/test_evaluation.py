@@ -12,7 +12,7 @@ import torch
 from click.testing import CliRunner
 
 from sattools.cli import main
-from sattools.compare.brdf import Place, directions, errors, place_in, place_of, unit_vector
+from sattools.compare.brdf import Place, brdf_figure, directions, errors, place_in, place_of, unit_vector
 from sattools.compare.metrics import MAP_FIGURES
 from sattools.errors import InputError
 from sattools.reflectance import hapke
@@ -201,6 +201,15 @@ def test_directions_are_unit_vectors_from_north_clockwise() -> None:
     assert np.linalg.norm(vectors, axis=-1) == pytest.approx(np.ones(vectors.shape[:2]))
     east = vectors[list(zenith).index(30.0), list(azimuth).index(90.0)]
     assert east == pytest.approx([0.5, 0.0, np.sqrt(0.75)])
+
+
+def test_the_plot_has_a_plain_scale_and_shows_fits_that_agree() -> None:
+    place = Place("hapke", 0.6173, (0.3, 0.4, 20.0))
+    figure = brdf_figure({"truth": place, "Hpk": place, "Hpk0": place}, (120.0, 40.0), [], "place")
+    figure.canvas.draw()
+    bar, plane = figure.axes[-2:]
+    assert max(len(label.get_text()) for label in bar.get_yticklabels()) <= len("0.25")  # 0.01367 is nothing to read
+    assert len({line.get_linestyle() for line in plane.get_lines()[1:]}) == 2
 
 
 def test_a_place_needs_all_its_maps() -> None:

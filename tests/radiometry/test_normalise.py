@@ -17,7 +17,7 @@ from sattools.errors import InputError, SceneError
 from sattools.radiometry.calibration import BandCalibration, earth_sun_distance, read_calibration, reflectance
 from sattools.radiometry.linear import invalid_numbers, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
-from sattools.radiometry.stage import normalise
+from sattools.radiometry.stage import LABELS, normalise
 from sattools.scene import Asset, Item, Scene
 from sattools.scene.raster import read_image
 
@@ -215,3 +215,19 @@ def test_real_images(data_dir: Any, tmp_path: Path, folder: Any, bits: Any) -> N
     radiance = read_image(scene.path("radiance/a.tif"))
     assert np.allclose(radiance * (2**bits - 1), read_image(path), atol=1e-3)
     assert json.loads(json.dumps(found))["quantity"] == "relative"
+
+
+@pytest.mark.parametrize("label", LABELS.values())
+def test_the_histograms_labels_stay_within_the_picture(
+    label: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sattools.radiometry import histogram
+
+    figures: list[Any] = []
+    monkeypatch.setattr(histogram, "write_figure", lambda path, figure: figures.append(figure))
+    bands = [np.linspace(0.0, 1.0, 50)]
+    histogram.histogram_figure(bands, bands, ("digital number", label), "scene", tmp_path / "histogram.png")
+    figures[0].canvas.draw()
+    drawn = figures[0].axes[1].xaxis.label.get_window_extent()
+    assert figures[0].bbox.x0 <= drawn.x0 < drawn.x1 <= figures[0].bbox.x1
+    assert drawn.y0 >= figures[0].bbox.y0
