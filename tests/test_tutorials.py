@@ -66,6 +66,7 @@ def test_the_city_of_many_dates_is_scored_against_lidar(tmp_path: Path) -> None:
     assert errors["protocol"] == "dfc2019"
     assert errors["median"] < 0.6
     assert "JAX_068_016_RGB: camera was off by" in said  # `info` shows the notes
+    assert "Map of the height differences" in (tmp_path / "work/JAX_068/report.html").read_text()
 
 
 def test_the_deserts_parameters_are_scored_against_the_truth(tmp_path: Path) -> None:
