@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_figure, write_text
 from sattools.scene.jsonio import JsonObject
 
+log = logging.getLogger(__name__)
 EVALUATION, TABLES = "evaluation.json", ("views.csv", "maps.csv", "points.csv")
 VIEW_COLUMNS = ("fit", *FIGURES, "dsm_mae_m", "dsm_median_m", "fit_seconds")
 MAP_COLUMNS = ("fit", "map", "product", "nrmse", "nrmse_constant", "nrmse_scaled", "correlation", "rmse", "n")
@@ -58,6 +60,11 @@ def evaluate(options: CompareOptions, overwrite: bool = False, progress: Progres
     truth = {name: filed(path) for name, path in references.items()}
     points = read_points(Path(options.points), values_needed=not truth) if options.points else []
     points = with_values_of(points, truth)
+    for point in points:
+        if not point.values:  # a place in another CRS, mostly: the tables would be short of it without a word
+            log.warning(
+                "%s: %s has no value of its own, nor a reference map there: left out", options.points, point.name
+            )
     files = [EVALUATION, "evaluation.md", *TABLES, *(_figure_href(k) for k in range(len(points)))]
     outputs = {href: Path(options.out) / href for href in files}
     given = [options.dsm, options.classes, options.points, *options.lpips_weights, *references.values()]

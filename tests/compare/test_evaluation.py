@@ -115,6 +115,14 @@ def test_a_fit_that_claims_no_c_has_no_figures_of_it(call: Any, tmp_path: Path) 
     assert [row["nrmse"] for row in rows if (row["fit"], row["map"]) == ("Hpk", "c")] == [""]
 
 
+def test_a_point_of_which_nothing_is_known_is_told(call: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "points.csv").write_text("name,x,y,w_1\nmeadow,500010.5,5000010.5,\nelsewhere,14.9,45.1,\n")
+    result = call("--points", str(tmp_path / "points.csv"))
+    assert result.exit_code == 0, result.output
+    assert "elsewhere has no value of its own" in caplog.text
+    assert "meadow" not in caplog.text  # it has those of the reference maps
+
+
 def test_a_second_call_replaces_nothing_unasked(call: Any) -> None:
     assert call().exit_code == 0
     again = call()
