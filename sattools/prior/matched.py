@@ -169,6 +169,15 @@ def _grey(view: View, gain: np.ndarray, offset: np.ndarray) -> np.ndarray:
     return view.target @ weight - np.float32(offset @ weight)
 
 
+def matching_height(z_range: tuple[float, float]) -> float:
+    """Height at which the images are laid over the grid to be matched [m].
+
+    Args:
+        z_range: lowest and highest height [m].
+    """
+    return z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
+
+
 def make_frame(
     sources: list[Source], grid: Grid, z_range: tuple[float, float], window: int
 ) -> tuple[Frame, list[View]]:
@@ -182,7 +191,7 @@ def make_frame(
         z_range: lowest and highest height [m].
         window: half width of the matching window [cells].
     """
-    z_ref = z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
+    z_ref = matching_height(z_range)
     cell = grid.cell_size
     directions = [line_of_sight(s.rpc, grid, z_ref, z_range)[0] for s in sources]
     for source, direction in zip(sources, directions, strict=True):
@@ -215,4 +224,6 @@ def make_frame(
     return Frame(images, masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views)), views
 
 
-__all__ = ["Matched", "common_balance", "crop", "gamma_encode", "make_frame", "match_area", "match_sources"]
+__all__ = [
+    "Matched", "common_balance", "crop", "gamma_encode", "make_frame", "match_area", "match_sources", "matching_height",
+]  # fmt: skip

@@ -28,6 +28,7 @@ from sattools.fit.tiles.crew import Part, fit_parts
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.tiles.state import STATE, read_state, write_state
 from sattools.fit.whole import fit_whole
+from sattools.prior.matched import matching_height
 from sattools.progress import Progress, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.area import wanted_cells
@@ -274,14 +275,20 @@ class Plan:
         return one
 
     def _unseen(self, coarse: Scene, sources: list[Source]) -> dict[str, set[str]]:
-        """Images that show less than `LEAST_SHOWN` of a tile, by its name."""
+        """Images that show less than `LEAST_SHOWN` of a tile, by its name.
+
+        They must show it at the height of the coarse surface and at that at which the matching looks at all images, as
+        a surface that half of the images do not see may have any height.
+        """
         model = FittedModel.load(coarse.root / MODEL)
-        grid = model.grid
-        views = views_on(sources, grid, model.z_ref, coarse.require_height_range())
-        unseen = {}
-        for tile in self.tiles:
-            rows, cols = grid.window(tile.grid)
-            unseen[tile.name] = {view.id for view in views if view.mask[rows, cols].mean() < LEAST_SHOWN}
+        grid, z_range = model.grid, coarse.require_height_range()
+        unseen: dict[str, set[str]] = {tile.name: set() for tile in self.tiles}
+        for z_ref in (model.z_ref, matching_height(z_range)):
+            for view in views_on(sources, grid, z_ref, z_range):
+                for tile in self.tiles:
+                    rows, cols = grid.window(tile.grid)
+                    if view.mask[rows, cols].mean() < LEAST_SHOWN:
+                        unseen[tile.name].add(view.id)
         return unseen
 
     def _chosen(self, unseen: dict[str, set[str]], ids: list[str]) -> list[Tile]:
