@@ -16,7 +16,7 @@ from sattools.progress import Progress, silent
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
 TOWN_PAIRS = 12  # the same once a rough surface says what hides what, but not on hills
-FEW_PAIRS = 4  # of three views; fewer pairs must not be decided by one that is hidden
+FEW_PAIRS = 4  # fewer, those of three views, must not be decided by one that is hidden
 BEYOND_PLANES = 2  # planes above the height range, at most (one below)
 KEEP_PLANES = 3  # planes kept above and below what was found
 REACH_M = 6.0  # distance within which heights of an earlier pass may turn out to be a cell's own
