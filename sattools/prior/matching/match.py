@@ -224,7 +224,8 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
         dark = measure_dark(frame, height, options.tolerance, visibility)
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
         if k < OPENING_PASSES:
-            surface = open_courtyards(rough, surface)
+            # how the views agree about a floor is compared with how they did about the roof: by the same mean
+            surface = open_courtyards(replace(rough, robust=task.robust), surface)
         visibility, ceiling = surface.visibility, surface.ceiling
         if before is not None and np.mean(np.abs(surface.height - before) > task.step) < CONVERGED:
             break
