@@ -324,7 +324,7 @@ def _add(plan: Batch, job: Job, configuration: Configuration, content: Any) -> b
         return True
     coarse = coarse_task(task, content, configuration)
     plan.tiled[coarse.key] = (job, configuration)
-    plan.earlier(replace(coarse, kind="split"))
+    plan.earlier(replace(coarse, kind="split"))  # forgotten with it, where all is done again
     if plan.earlier(coarse) is None:
         plan.jobs.append(Job(coarse, job.after, job.gpu))
     else:

@@ -145,8 +145,6 @@ def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
         process.communicate(timeout=HANGING_S)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
 def test_of_two_batches_in_a_folder_the_second_waits_and_finds_all_done(folder: Any) -> None:
     (folder / "cut.toml").write_text("[fit]\nepochs = [2]\ntile = 32\noverlap = 8\n")
     call = ("A/scene.json", "--config", "cut.toml", "--out", "twice", "--workers", "1")
@@ -163,6 +161,8 @@ def test_of_two_batches_in_a_folder_the_second_waits_and_finds_all_done(folder: 
     assert len(attempts.splitlines()) == 1
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
 def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     import psutil
 
@@ -181,6 +181,7 @@ def test_an_interrupted_batch_leaves_no_process(folder: Any) -> None:
     assert not (folder / "stopped/runs/long/A/task.json").exists()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the commands of a lost worker end by themselves on Linux only")
 def test_ctrl_c_at_a_terminal_which_all_processes_hear_is_no_traceback(folder: Any) -> None:
     import psutil
 
