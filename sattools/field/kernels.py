@@ -36,7 +36,7 @@ def runs_here(points: Tensor, *others: Tensor) -> bool:
 
 
 def frame_of(box: Box, rows: int, cols: int) -> np.ndarray:
-    """What `_place` needs: western edge [m], columns per metre, northern edge [m], rows per metre."""
+    """What `place` needs: western edge [m], columns per metre, northern edge [m], rows per metre."""
     (west, south, _), (east, north, _) = box.low, box.high
     return np.array([west, cols / (east - west), north, rows / (north - south)], np.float32)
 
@@ -50,13 +50,13 @@ def frame_within(box: Box, shape: tuple[int, ...]) -> np.ndarray:
 
 
 @njit
-def _part(chunk, count, chunks=CHUNKS):
+def slice_of(chunk, count, chunks=CHUNKS):
     """Which of `count` points a chunk has."""
     return slice(chunk * count // chunks, (chunk + 1) * count // chunks)
 
 
 @njit(fastmath=FASTMATH)
-def _between(x, count):
+def between(x, count):
     """Lower and upper of the two places that x lies between, and its share of the way; clamped to the ends."""
     x = min(max(x, np.float32(0.0)), np.float32(count - 1))
     low = min(int(x), max(count - 2, 0))
@@ -64,14 +64,14 @@ def _between(x, count):
 
 
 @njit(fastmath=FASTMATH)
-def _sigmoid(x):
+def sigmoid(x):
     """Logistic function; its ends are cut off, where numbers would become too small to compute fast with."""
     x = min(max(x, np.float32(-FAR)), np.float32(FAR))
     return ONE / (ONE + np.float32(math.exp(-x)))
 
 
 @njit(fastmath=FASTMATH)
-def _read(maps, k, at, weights):
+def read_map(maps, k, at, weights):
     """Bilinear value of map k."""
     top, bottom, left, right = at
     a, b, c, d = weights
@@ -79,12 +79,12 @@ def _read(maps, k, at, weights):
 
 
 @njit(fastmath=FASTMATH)
-def _place(points, n, frame, maps):
-    """Cells that point n lies between, and their weights."""
+def place(point, frame, maps):
+    """Cells of maps that a point lies between, and their weights."""
     rows, cols = maps.shape[0], maps.shape[1]
     half = np.float32(0.5)
-    left, right, fx = _between((points[n, 0] - frame[0]) * frame[1] - half, cols)
-    top, bottom, fy = _between((frame[2] - points[n, 1]) * frame[3] - half, rows)
+    left, right, fx = between((point[0] - frame[0]) * frame[1] - half, cols)
+    top, bottom, fy = between((frame[2] - point[1]) * frame[3] - half, rows)
     weights = ((ONE - fx) * (ONE - fy), fx * (ONE - fy), (ONE - fx) * fy, fx * fy)
     return (top, bottom, left, right), weights
 
@@ -93,15 +93,15 @@ def _place(points, n, frame, maps):
 def _density_part(points, maps, frame, softness, sigma, parts):
     inverse, limit = ONE / softness, np.float32(EMPTY) * softness
     for n in range(points.shape[0]):
-        at, weights = _place(points, n, frame, maps)
-        z, high = points[n, 2], _read(maps, 2, at, weights)
+        at, weights = place(points[n], frame, maps)
+        z, high = points[n, 2], read_map(maps, 2, at, weights)
         if z > high + limit:
             sigma[n] = parts[n, 0] = parts[n, 1] = parts[n, 2] = np.float32(0.0)
             continue
-        a, b = _sigmoid(_read(maps, 3, at, weights)), _sigmoid(_read(maps, 4, at, weights))
-        low = _sigmoid((_read(maps, 0, at, weights) - z) * inverse) * (ONE - a)
-        own = _sigmoid((_read(maps, 1, at, weights) - z) * inverse) * (a - a * b)
-        top = _sigmoid((high - z) * inverse) * (a * b)
+        a, b = sigmoid(read_map(maps, 3, at, weights)), sigmoid(read_map(maps, 4, at, weights))
+        low = sigmoid((read_map(maps, 0, at, weights) - z) * inverse) * (ONE - a)
+        own = sigmoid((read_map(maps, 1, at, weights) - z) * inverse) * (a - a * b)
+        top = sigmoid((high - z) * inverse) * (a * b)
         total = low + own + top
         share = ONE / max(total, np.float32(LEAST))
         sigma[n] = total * inverse
@@ -113,7 +113,7 @@ def _density_part(points, maps, frame, softness, sigma, parts):
 def density_at(points, maps, frame, softness, sigma, parts, first_chunk, end_chunk):
     """Density [1/m] and parts of the three heights, filled in; maps: three heights [m], two logits of shares."""
     for chunk in range(first_chunk, end_chunk):
-        i = _part(chunk, len(points))
+        i = slice_of(chunk, len(points))
         _density_part(points[i], maps, frame, softness, sigma[i], parts[i])
 
 
@@ -124,14 +124,14 @@ def _density_gradients_part(points, maps, frame, softness, grad_sigma, grad_part
         g0, g1, g2 = grad_parts[n, 0], grad_parts[n, 1], grad_parts[n, 2]
         if grad_sigma[n] == 0 and g0 == 0 and g1 == 0 and g2 == 0:
             continue
-        at, weights = _place(points, n, frame, maps)
-        z, high = points[n, 2], _read(maps, 2, at, weights)
+        at, weights = place(points[n], frame, maps)
+        z, high = points[n, 2], read_map(maps, 2, at, weights)
         if z > high + limit:
             continue
-        a, b = _sigmoid(_read(maps, 3, at, weights)), _sigmoid(_read(maps, 4, at, weights))
-        low = _sigmoid((_read(maps, 0, at, weights) - z) * inverse)
-        own = _sigmoid((_read(maps, 1, at, weights) - z) * inverse)
-        top = _sigmoid((high - z) * inverse)
+        a, b = sigmoid(read_map(maps, 3, at, weights)), sigmoid(read_map(maps, 4, at, weights))
+        low = sigmoid((read_map(maps, 0, at, weights) - z) * inverse)
+        own = sigmoid((read_map(maps, 1, at, weights) - z) * inverse)
+        top = sigmoid((high - z) * inverse)
         total = low * (ONE - a) + own * (a - a * b) + top * (a * b)
         share = ONE / max(total, np.float32(LEAST))
         mean = np.float32(0.0)
@@ -152,22 +152,22 @@ def _density_gradients_part(points, maps, frame, softness, grad_sigma, grad_part
 def density_gradients(points, maps, frame, softness, grad_sigma, grad_parts, grads, first_chunk, end_chunk):
     """Gradients of the two logits, added to `grads` [CHUNKS, H, W, 2]."""
     for chunk in range(first_chunk, end_chunk):
-        i = _part(chunk, len(points))
+        i = slice_of(chunk, len(points))
         _density_gradients_part(points[i], maps, frame, softness, grad_sigma[i], grad_parts[i], grads[chunk])
 
 
 @njit(fastmath=FASTMATH)
-def _place_within(point, frame, volume):
+def place_within(point, frame, volume):
     """Cells of a volume that a point lies between, and its shares of the way."""
     depth, rows, cols = volume.shape[0], volume.shape[1], volume.shape[2]
-    left, right, fx = _between((point[0] - frame[0]) * frame[1], cols)
-    top, bottom, fy = _between((frame[2] - point[1]) * frame[3], rows)
-    lower, upper, fz = _between((point[2] - frame[4]) * frame[5], depth)
+    left, right, fx = between((point[0] - frame[0]) * frame[1], cols)
+    top, bottom, fy = between((frame[2] - point[1]) * frame[3], rows)
+    lower, upper, fz = between((point[2] - frame[4]) * frame[5], depth)
     return (lower, upper), (top, bottom), (left, right), (fz, fy, fx)
 
 
 @njit(fastmath=FASTMATH)
-def _weight(corner, share):
+def corner_weight(corner, share):
     """Weight of one of the eight corners (bits: depth, row, column)."""
     fz, fy, fx = share
     wz = fz if corner & 4 else ONE - fz
@@ -211,11 +211,11 @@ def _colours_part(features, maps, frame, volumes, frames, colour):
             colour[n] = 0
             continue
         raw[:] = 0
-        _add_maps(raw, features[n], *_place(features, n, frame, maps), maps)
+        _add_maps(raw, features[n], *place(features[n], frame, maps), maps)
         for v in range(len(volumes)):
-            _add_volume(raw, *_place_within(features[n], frames[v], volumes[v]), volumes[v])
+            _add_volume(raw, *place_within(features[n], frames[v], volumes[v]), volumes[v])
         for c in range(bands):
-            colour[n, c] = _sigmoid(raw[c])
+            colour[n, c] = sigmoid(raw[c])
 
 
 @spread(lambda *_: CHUNKS)
@@ -223,7 +223,7 @@ def _colours_part(features, maps, frame, volumes, frames, colour):
 def colours_at(features, maps, frame, volumes, frames, colour, first_chunk, end_chunk):
     """Colours [N, C], filled in; 0 where features [N, 6] have no parts. Maps: logits of three heights, C each."""
     for chunk in range(first_chunk, end_chunk):
-        i = _part(chunk, len(features))
+        i = slice_of(chunk, len(features))
         _colours_part(features[i], maps, frame, volumes, frames, colour[i])
 
 
@@ -240,7 +240,7 @@ def _colour_gradients_part(features, maps, frame, colour, grad, mine, grad_featu
             some += abs(grad[n, c])
         if some == 0:
             continue
-        at, weights = _place(features, n, frame, maps)
+        at, weights = place(features[n], frame, maps)
         for corner in range(4):
             row, col, w = at[corner // 2], at[2 + corner % 2], weights[corner]
             cell, own = maps[row, col], mine[row, col]
@@ -257,7 +257,7 @@ def _colour_gradients_part(features, maps, frame, colour, grad, mine, grad_featu
 def colour_gradients(features, maps, frame, colour, grad, grads, grad_features, first_chunk, end_chunk):
     """Gradients of maps (to `grads` [CHUNKS, H, W, 3 C]) and of parts; `grad` becomes that of the logits."""
     for chunk in range(first_chunk, end_chunk):
-        i = _part(chunk, len(features))
+        i = slice_of(chunk, len(features))
         _colour_gradients_part(features[i], maps, frame, colour[i], grad[i], grads[chunk], grad_features[i])
 
 
@@ -270,10 +270,10 @@ def _volume_gradients_part(features, grad, frame, mine):
             some += abs(grad[n, c])
         if some == 0:
             continue
-        depth, row, col, share = _place_within(features[n], frame, mine)
+        depth, row, col, share = place_within(features[n], frame, mine)
         for corner in range(8):
             cell = mine[depth[corner >> 2], row[(corner >> 1) & 1], col[corner & 1]]
-            w = _weight(corner, share)
+            w = corner_weight(corner, share)
             for c in range(bands):
                 cell[c] += w * grad[n, c]
 
@@ -283,7 +283,7 @@ def _volume_gradients_part(features, grad, frame, mine):
 def volume_gradients(features, grad, frame, grads, first_chunk, end_chunk):
     """Gradients of a volume, added to `grads` [parts, D, H, W, C]; `grad` [N, C] is that of the logits."""
     for chunk in range(first_chunk, end_chunk):
-        i = _part(chunk, len(features), len(grads))
+        i = slice_of(chunk, len(features), len(grads))
         _volume_gradients_part(features[i], grad[i], frame, grads[chunk])
 
 
@@ -291,7 +291,7 @@ def _array(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().numpy())
 
 
-def _packed(maps: Tensor) -> np.ndarray:
+def packed(maps: Tensor) -> np.ndarray:
     """Values ``[K, ...]`` side by side, ``[..., K]``."""
     return _array(maps.detach().movedim(0, -1).contiguous())
 
@@ -307,7 +307,7 @@ class Density(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, logits: Tensor, heights: Tensor, points: Tensor, box: Box, softness: float) -> Any:
         """See `NeuralField.density`, with all of its units."""
-        at, maps = _array(points), _packed(torch.cat([heights, logits.detach()]))
+        at, maps = _array(points), packed(torch.cat([heights, logits.detach()]))
         frame = frame_of(box, *logits.shape[1:])
         sigma, parts = np.empty(len(at), np.float32), np.empty((len(at), 3), np.float32)
         density_at(at, maps, frame, np.float32(softness), sigma, parts)
@@ -329,12 +329,12 @@ class Colours(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, features: Tensor, colour: Tensor, box: Box, *volumes: Tensor) -> Any:
         """See `NeuralField.look`, unitless."""
-        at, maps = _array(features), _packed(colour)
-        packed = tuple(_packed(volume) for volume in volumes)
-        frame, frames = frame_of(box, *colour.shape[1:]), tuple(frame_within(box, v.shape[:3]) for v in packed)
+        at, maps = _array(features), packed(colour)
+        grids = tuple(packed(volume) for volume in volumes)
+        frame, frames = frame_of(box, *colour.shape[1:]), tuple(frame_within(box, v.shape[:3]) for v in grids)
         shown = np.empty((len(at), volumes[0].shape[0]), np.float32)
-        colours_at(at, maps, frame, packed, frames, shown)
-        ctx.kept = at, maps, frame, shown, frames, [v.shape for v in packed]
+        colours_at(at, maps, frame, grids, frames, shown)
+        ctx.kept = at, maps, frame, shown, frames, [v.shape for v in grids]
         return torch.from_numpy(shown)
 
     @staticmethod

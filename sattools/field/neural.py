@@ -55,10 +55,12 @@ class NeuralField:
         self.optical = steps / base.softness  # depths of the parts where they are solid
         self.half = torch.log(math.log(2) / self.optical)
         self.presence = self._first_presence()
-        self.colour = before_sigmoid(colours, 0.0, 1.0).permute(0, 3, 1, 2).flatten(0, 1).contiguous()
+        # values of a place side by side in memory, as the kernels read them
+        self.colour = before_sigmoid(colours, 0.0, 1.0).permute(1, 2, 0, 3).flatten(2).movedim(-1, 0)
         size = [(high - low) for low, high in zip(box.low, box.high, strict=True)][::-1]
         self.grids = [
-            base.colour.new_zeros(self.bands, *(math.ceil(edge / cell) + 1 for edge in size)) for cell in SHADES_M
+            base.colour.new_zeros(*(math.ceil(edge / cell) + 1 for edge in size), self.bands).movedim(-1, 0)
+            for cell in SHADES_M
         ]
 
     def _first_presence(self) -> Tensor:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -13,12 +12,13 @@ from torch import Tensor
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
 from sattools.fit.adam import Adam
-from sattools.fit.depth_prior import depth_std_m
 from sattools.fit.described import Radiance
 from sattools.fit.losses import photometric
 from sattools.fit.options import FitOptions
+from sattools.fit.rays.followed import ColumnSteps
 from sattools.fit.rays.heldout import held_out
 from sattools.fit.rays.losses import beta_loss, depth_loss, solar_correction
+from sattools.fit.rays.rays import SKIP_M, SUN_SAMPLES, RaySet
 from sattools.fit.surface.light import FIRST_EPOCH, WARM_UP_EPOCHS, shadow_regularisation, shadow_weight
 from sattools.reflectance import hapke, rpv
 from sattools.render.volume import RayBatch, composite, guided, stratified, towards_sun
@@ -26,57 +26,8 @@ from sattools.render.volume import RayBatch, composite, guided, stratified, towa
 BETA_MIN, BETA_EPOCH = 0.05, 3  # Sat-NeRF: beta = softplus + 0.05, from the third epoch
 DECAY = 0.9  # of the rate, per epoch
 COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
-SUN_SAMPLES = 24
-# sun rays begin this much higher than the surface, or its soft upper side (2 % of it) would shade it; along the ray, as
-# shadows of surfaces that are lifted are too short
-SKIP_M = 2.0
 HAPKE_B_MAX = 0.95
 ADAM_EPSILON = 1e-8  # torch's own
-
-
-@dataclass
-class RaySet:
-    """All pixels of all views as rays; millions, so that what a view's rays share is held once.
-
-    Attributes:
-        place: ``[P, 2]`` (east, north) where a ray is at the highest height [m].
-        target: ``[P, C]`` radiance; view: ``[P]`` int16, number of the view.
-        depth: ``[P]`` share of the path at which the prior's surface lies; confidence ``[P]`` in [0, 1], 0 = none.
-        normal: ``[P, 3]`` of the prior's surface there; None where no reflectance model asks for it.
-        path: ``[V, 3]`` from the highest height to the lowest [m].
-        suns: ``[V, 3]`` unit vectors, nan where unknown.
-        view_vectors: ``[V, 3]`` unit vectors to the sensor.
-        top: highest height [m].
-        with_depth: whether any confidence is above 0.
-    """
-
-    place: Tensor
-    target: Tensor
-    view: Tensor
-    depth: Tensor
-    confidence: Tensor
-    normal: Tensor | None
-    path: Tensor
-    suns: Tensor
-    view_vectors: Tensor
-    top: float
-    with_depth: bool = True
-
-    def batch(self, chosen: Tensor) -> RayBatch:
-        """Rays of these numbers ``[R]`` [m]."""
-        place = self.place[chosen]
-        start = torch.cat([place, torch.full_like(place[:, :1], self.top)], dim=1)
-        return RayBatch(start, self.path[self.view[chosen].long()])
-
-    def depth_std(self, chosen: Tensor) -> Tensor:
-        """How far off the prior's depth may be ``[R]``, as share of the path."""
-        return depth_std_m(self.confidence[chosen]) / -self.path[0, 2]
-
-    def to(self, device: torch.device) -> RaySet:
-        """The same on a device."""
-        tensors = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        moved: dict[str, Any] = {n: t.to(device) for n, t in tensors.items() if isinstance(t, Tensor)}
-        return replace(self, **moved)
 
 
 @dataclass(frozen=True)
@@ -147,6 +98,7 @@ class RayTrainer:
         gain, offset = gain.to(self.device), offset.to(self.device)
         random = torch.Generator("cpu").manual_seed(options.seed)  # the same beginning on every device
         self.colour = {"gain": gain.clone(), "offset": offset.clone(), "ambient": torch.full_like(gain, 0.2)}
+        self.columns = ColumnSteps.where_possible(field, rays, options, self.colour)
         self.embedding = 0.01 * torch.randn(views, EMBEDDING, generator=random, device="cpu").to(gain)
         self.tensors: dict[str, Tensor] = {f"field.{n}": t for n, t in field.named_tensors().items()}
         self.tensors |= {f"colour.{n}": t for n, t in self.colour.items()} | {"embedding": self.embedding}
@@ -180,6 +132,8 @@ class RayTrainer:
             group["lr"] = group["initial"] * DECAY ** (epoch - 1) if begun else 0.0
         chosen = self._draw(random)
         self.adam.zero_grad(set_to_none=True)
+        if self.columns:
+            self.columns.begin()
         loss, extra = self.losses(chosen, epoch, number / self.steps, random)
         (loss + extra).backward()
         for name in ("gain", "offset"):
@@ -187,6 +141,8 @@ class RayTrainer:
             if grad is not None:
                 grad[self.gauge] = 0
         self.adam.step()
+        if self.columns:
+            self.columns.move(self.adam)
         with torch.no_grad():
             self.colour["ambient"].clamp_(0.02, 1.0)
             self.colour["gain"].clamp_(0.05, 20.0)
@@ -205,6 +161,9 @@ class RayTrainer:
     ) -> tuple[Tensor, Tensor | float]:
         """Photometric loss of rays, and everything else that is held against the field; arguments as of `predict`."""
         options, rays = self.options, self.rays
+        if self.columns and random is not None:
+            shown = self.columns.colours(chosen, random)
+            return photometric(options.loss, shown, rays.target[chosen], options.robust).mean(), self.field.penalty()
         seen = self.predict(chosen, epoch, share, random)
         error = photometric(options.loss, seen.colour, rays.target[chosen], options.robust)
         if options.beta and "beta" in seen.mean and epoch >= BETA_EPOCH:
@@ -367,7 +326,10 @@ class RayTrainer:
             prefix = f"adam.{name}."
             saved = {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
             if saved:
-                self.adam.state[tensor] = {k: v if k == "step" else v.to(tensor.device) for k, v in saved.items()}
+                moments = {k: torch.empty_like(tensor).copy_(v) for k, v in saved.items() if k != "step"}
+                self.adam.state[tensor] = {**saved, **moments}
+        if self.columns:
+            self.columns.go_on(self.adam)
 
 
 __all__ = ["Prediction", "RaySet", "RayTrainer"]
