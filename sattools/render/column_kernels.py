@@ -4,8 +4,9 @@ A ray is followed from sample to sample, and on from where it ends towards the s
 what its gradients will need: one record for every sample in which something is. Most samples are above the columns, and
 a ray ends where nothing more of its colour could be seen. Gradients go back through the records, which then hold what
 each sample adds to the tensors; every tensor is summed by one thread, in the order of the records, so that sums do not
-depend on the number of threads. Arrays as in `sattools.field.kernels`; bands come as a tuple of as many zeros, whose
-length is known when a kernel is compiled, so that its loops have no ends to look for.
+depend on the number of threads. Maps and volumes as in `sattools.field.kernels`, but flat, with their sizes beside
+them: where values lie is then found by a few sums of unsigned numbers, none of which numba asks whether it counts from
+the end.
 """
 
 from __future__ import annotations
@@ -20,10 +21,7 @@ from sattools.field.kernels import (
     EMPTY,
     LEAST,
     ONE,
-    corner_weight,
-    place,
-    place_within,
-    read_map,
+    between,
     sigmoid,
     slice_of,
 )
@@ -34,7 +32,7 @@ DARK = 1e-4  # transmittance at which a ray to the sun ends: nobody sees so litt
 BLOCK = 64  # values of a gradient that are marked together
 # columns of a record: place [m], metres of height, transmittance behind, weight, the three heights' sigmoids, the two
 # shares; then colours, and the logits of colours by height
-X, Y, Z, LENGTH, BEHIND, WEIGHT, LOW, P, Q, COLOUR = 0, 1, 2, 3, 4, 5, 6, 9, 10, 11
+X, Y, Z, LENGTH, BEHIND, WEIGHT, LOW, OWN, TOP, P, Q, COLOUR = range(12)
 SUN_RECORD = COLOUR  # columns of a ray to the sun's
 
 
@@ -52,31 +50,81 @@ def _merged(free, near, t):
         t[i] = value
 
 
+@njit(fastmath=FASTMATH, forceinline=True)
+def _cell(point, frame, sizes):
+    """Number of the first value of the cell that a point lies in, steps to the next ones, and the corners' weights.
+
+    frame: as of `sattools.field.kernels.frame_of`; sizes: rows, columns and values of a cell.
+    """
+    rows, cols, width = sizes[0], sizes[1], np.uintp(sizes[2])
+    half = np.float32(0.5)
+    left, right, fx = between((point[0] - frame[0]) * frame[1] - half, cols)
+    top, bottom, fy = between((frame[2] - point[1]) * frame[3] - half, rows)
+    row = np.uintp(cols) * width
+    steps = (np.uintp(bottom - top) * row, np.uintp(right - left) * width)
+    weights = ((ONE - fx) * (ONE - fy), fx * (ONE - fy), (ONE - fx) * fy, fx * fy)
+    return np.uintp(top) * row + np.uintp(left) * width, steps, weights
+
+
+@njit(fastmath=FASTMATH, forceinline=True)
+def _read(values, at, steps, weights):
+    """Bilinear value of what lies at `at` in the first corner."""
+    a, b, c, d = weights
+    below = at + steps[0]
+    return (values[at] * a + values[at + steps[1]] * b) + (values[below] * c + values[below + steps[1]] * d)
+
+
+@njit(fastmath=FASTMATH, forceinline=True)
+def _cell_within(point, frame, sizes):
+    """The same for a volume; frame as of `frame_within`; sizes: layers, rows, columns and values of a cell."""
+    rows, cols, width = np.uintp(sizes[1]), np.uintp(sizes[2]), np.uintp(sizes[3])
+    left, right, fx = between((point[0] - frame[0]) * frame[1], sizes[2])
+    top, bottom, fy = between((frame[2] - point[1]) * frame[3], sizes[1])
+    lower, upper, fz = between((point[2] - frame[4]) * frame[5], sizes[0])
+    row = cols * width
+    steps = (np.uintp(upper - lower) * (rows * row), np.uintp(bottom - top) * row, np.uintp(right - left) * width)
+    a, b, c, d = (ONE - fx) * (ONE - fy), fx * (ONE - fy), (ONE - fx) * fy, fx * fy
+    below = ONE - fz
+    weights = (a * below, b * below, c * below, d * below, a * fz, b * fz, c * fz, d * fz)
+    return (np.uintp(lower) * rows + np.uintp(top)) * row + np.uintp(left) * width, steps, weights
+
+
+@njit(fastmath=FASTMATH, forceinline=True)
+def _read_within(values, at, steps, weights):
+    """Trilinear value of what lies at `at` in the first corner."""
+    a, b, c, d, e, f, g, h = weights
+    above, dy, dx = at + steps[0], steps[1], steps[2]
+    low = (values[at] * a + values[at + dx] * b) + (values[at + dy] * c + values[at + dy + dx] * d)
+    return low + ((values[above] * e + values[above + dx] * f) + (values[above + dy] * g + values[above + dy + dx] * h))
+
+
 @njit(fastmath=FASTMATH)
-def _optical_depth(point, length, columns, record):
-    """Optical depth of a sample, and its columns' cells and weights; the record gets what its gradient will need."""
-    maps, frame, softness = columns
+def _optical_depth(point, length, columns, records, n):
+    """Optical depth of a sample; record n gets what its gradient will need."""
+    maps, frame, sizes, softness = columns
     inverse = ONE / softness
-    at, weights = place(point, frame, maps)
-    z, high = point[2], read_map(maps, 2, at, weights)
+    at, steps, weights = _cell(point, frame, sizes)
+    z, high = point[2], _read(maps, at + np.uintp(2), steps, weights)
     if z > high + np.float32(EMPTY) * softness:
-        return np.float32(0.0), at, weights
-    p, q = sigmoid(read_map(maps, 3, at, weights)), sigmoid(read_map(maps, 4, at, weights))
-    low = sigmoid((read_map(maps, 0, at, weights) - z) * inverse)
-    own = sigmoid((read_map(maps, 1, at, weights) - z) * inverse)
+        return np.float32(0.0)
+    p = sigmoid(_read(maps, at + np.uintp(3), steps, weights))
+    q = sigmoid(_read(maps, at + np.uintp(4), steps, weights))
+    low = sigmoid((_read(maps, at, steps, weights) - z) * inverse)
+    own = sigmoid((_read(maps, at + np.uintp(1), steps, weights) - z) * inverse)
     top = sigmoid((high - z) * inverse)
-    record[X], record[Y], record[Z], record[LENGTH] = point[0], point[1], z, length
-    record[LOW], record[LOW + 1], record[LOW + 2], record[P], record[Q] = low, own, top, p, q
-    return _total(low, own, top, p, q) * inverse * length, at, weights
+    records[n, X], records[n, Y], records[n, Z], records[n, LENGTH] = point[0], point[1], z, length
+    records[n, LOW], records[n, OWN], records[n, TOP] = low, own, top
+    records[n, P], records[n, Q] = p, q
+    return _total(low, own, top, p, q) * inverse * length
 
 
-@njit(fastmath=FASTMATH)
+@njit(fastmath=FASTMATH, forceinline=True)
 def _total(low, own, top, p, q):
     """Density of the three heights together, per softness."""
     return low * (ONE - p) + own * (p - p * q) + top * (p * q)
 
 
-@njit(fastmath=FASTMATH)
+@njit(fastmath=FASTMATH, forceinline=True)
 def _opacity(optical):
     """1 - exp(-optical), by its series where the difference would have no digits."""
     if optical < np.float32(0.01):
@@ -84,85 +132,84 @@ def _opacity(optical):
     return ONE - np.float32(math.exp(-optical))
 
 
-@njit(fastmath=FASTMATH)
-def _add_colour(record, at, weights, shades, bands):
-    """Put a sample's colours into its record."""
-    colours, _, volumes, frames = shades
-    low, own, top, p, q = record[LOW], record[LOW + 1], record[LOW + 2], record[P], record[Q]
+@njit(fastmath=FASTMATH, forceinline=True)
+def _parts(records, n):
+    """Parts of the three heights in a sample's density, and the factor that made them of their densities."""
+    low, own, top, p, q = records[n, LOW], records[n, OWN], records[n, TOP], records[n, P], records[n, Q]
     share = ONE / max(_total(low, own, top, p, q), np.float32(LEAST))
-    parts = (low * (ONE - p) * share, own * (p - p * q) * share, top * (p * q) * share)
-    top_row, bottom_row, left, right = at
-    wa, wb, wc, wd = weights
-    a, b = colours[top_row, left], colours[top_row, right]
-    c, d = colours[bottom_row, left], colours[bottom_row, right]
-    first = COLOUR + len(bands)
-    for j in range(3 * len(bands)):
-        record[first + j] = (a[j] * wa + b[j] * wb) + (c[j] * wc + d[j] * wd)
-    for i in range(len(bands)):
-        record[COLOUR + i] = (
-            record[first + i] * parts[0]
-            + record[first + len(bands) + i] * parts[1]
-            + record[first + 2 * len(bands) + i] * parts[2]
-        )
-    for v in range(len(volumes)):
-        volume = volumes[v]
-        depth, row, col, way = place_within((record[X], record[Y], record[Z]), frames[v], volume)
-        for layer in range(2):
-            wz = way[0] if layer else ONE - way[0]
-            above, below = volume[depth[layer], row[0]], volume[depth[layer], row[1]]
-            e, f, g, h = above[col[0]], above[col[1]], below[col[0]], below[col[1]]
-            wf, wh = wz * (ONE - way[1]) * way[2], wz * way[1] * way[2]
-            we, wg = wz * (ONE - way[1]) - wf, wz * way[1] - wh
-            for i in range(len(bands)):
-                record[COLOUR + i] += (e[i] * we + f[i] * wf) + (g[i] * wg + h[i] * wh)
-    for i in range(len(bands)):
-        record[COLOUR + i] = sigmoid(record[COLOUR + i])
+    return (low * (ONE - p) * share, own * (p - p * q) * share, top * (p * q) * share), share
+
+
+@njit(fastmath=FASTMATH, forceinline=True)
+def _add_colour(records, n, shades):
+    """Put a sample's colours into its record."""
+    (maps, first, second, third), frames, sizes = shades
+    bands = sizes[1][3]
+    (low, own, top), _ = _parts(records, n)
+    point = (records[n, X], records[n, Y], records[n, Z])
+    at, steps, weights = _cell(point, frames[0], sizes[0])
+    at1, steps1, weights1 = _cell_within(point, frames[1], sizes[1])
+    at2, steps2, weights2 = _cell_within(point, frames[2], sizes[2])
+    at3, steps3, weights3 = _cell_within(point, frames[3], sizes[3])
+    for c in range(np.uintp(bands)):
+        u = _read(maps, at + c, steps, weights)
+        v = _read(maps, at + np.uintp(bands) + c, steps, weights)
+        w = _read(maps, at + np.uintp(2 * bands) + c, steps, weights)
+        k = COLOUR + bands + np.intp(c)
+        records[n, k], records[n, k + bands], records[n, k + 2 * bands] = u, v, w
+        raw = u * low + v * own + w * top + _read_within(first, at1 + c, steps1, weights1)
+        raw += _read_within(second, at2 + c, steps2, weights2) + _read_within(third, at3 + c, steps3, weights3)
+        records[n, COLOUR + np.intp(c)] = sigmoid(raw)
+
+
+@njit(fastmath=FASTMATH, forceinline=True)
+def _length(t, i, rise, begin):
+    """Where the part of the path that sample i stands for ends, and how many metres of height it has."""
+    end = (t[i] + t[i + 1]) * np.float32(0.5) if i + 1 < len(t) else ONE
+    return end, (end - begin) * rise
 
 
 @njit(fastmath=FASTMATH)
-def _view_ray(start, path, t, columns, shades, records, mean, bands):
-    """Colours seen along a ray, added to `mean`; the share of the path at which it ends, and how many records."""
-    half, count, begin = np.float32(0.5), 0, np.float32(0.0)
-    transmittance, depth = ONE, np.float32(0.0)
+def _view_ray(start, path, t, columns, shades, records, first, mean):
+    """Colours seen along a ray, added to `mean`; the share of the path at which it ends, and its records' end."""
+    n, begin, transmittance, depth = first, np.float32(0.0), ONE, np.float32(0.0)
     rise = abs(path[2])
     for i in range(len(t)):
-        end = (t[i] + t[i + 1]) * half if i + 1 < len(t) else ONE
-        length, begin = (end - begin) * rise, end
+        end, length = _length(t, i, rise, begin)
+        begin = end
         point = (start[0] + t[i] * path[0], start[1] + t[i] * path[1], start[2] + t[i] * path[2])
-        record = records[count]
-        optical, at, weights = _optical_depth(point, length, columns, record)
+        optical = _optical_depth(point, length, columns, records, n)
         if not optical > 0:
             continue
-        count += 1
-        _add_colour(record, at, weights, shades, bands)
+        _add_colour(records, n, shades)
         weight = transmittance * _opacity(optical)
         transmittance *= np.float32(math.exp(-optical))
-        record[BEHIND], record[WEIGHT] = transmittance, weight
+        records[n, BEHIND], records[n, WEIGHT] = transmittance, weight
         depth += weight * t[i]
-        for c in range(len(bands)):
-            mean[c] += weight * record[COLOUR + c]
+        for c in range(len(mean)):
+            mean[c] += weight * records[n, COLOUR + c]
+        n += 1
         if transmittance <= np.float32(HIDDEN):
-            return depth + transmittance * end, count
-    return depth + transmittance, count
+            return depth + transmittance * end, n
+    return depth + transmittance, n
 
 
 @njit(fastmath=FASTMATH)
-def _sun_ray(start, path, t, columns, records):
-    """Transmittance of a ray to the sun, and how many records; none where it is dark."""
-    half, count, begin = np.float32(0.5), 0, np.float32(0.0)
-    total, rise = np.float32(0.0), abs(path[2])
-    dark = np.float32(-math.log(DARK))
+def _sun_ray(start, path, t, columns, records, first):
+    """Transmittance of a ray to the sun, and its records' end; it has none where it is dark."""
+    n, begin, total = first, np.float32(0.0), np.float32(0.0)
+    rise, dark = abs(path[2]), np.float32(-math.log(DARK))
     for i in range(len(t)):
-        end = (t[i] + t[i + 1]) * half if i + 1 < len(t) else ONE
-        length, begin = (end - begin) * rise, end
+        end, length = _length(t, i, rise, begin)
+        begin = end
         point = (start[0] + t[i] * path[0], start[1] + t[i] * path[1], start[2] + t[i] * path[2])
-        optical, _, _ = _optical_depth(point, length, columns, records[count])
+        optical = _optical_depth(point, length, columns, records, n)
         if optical > 0:
-            count += 1
+            n += 1
             total += optical
             if total > dark:
-                return np.float32(0.0), 0
-    return np.float32(math.exp(-total)), count
+                return np.float32(0.0), first
+    return np.float32(math.exp(-total)), n
 
 
 @njit(fastmath=FASTMATH)
@@ -176,13 +223,14 @@ def _towards_sun(surface, sun, top, skip):
 
 @spread(lambda *_: CHUNKS)
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def follow(rays, shares, columns, shades, seen, records, counts, bands, first_chunk, end_chunk):
+def follow(rays, shares, columns, shades, seen, records, counts, first_chunk, end_chunk):
     """Colours and sunlight of rays, filled in.
 
-    rays: places [R, 2], paths [R, 3], suns [R, 3] (not above the horizon: all is lit), top and skip [m]. shares: free and near ones of
-    the path [R, S], those to the sun [R, S]. columns: maps of heights and logits, frame, softness. shades: maps and
-    volumes of logits of colours with their frames. seen: colours [R, C] and visibility of the sun [R]. records: of
-    views and suns [R S, K], each chunk's from where its first ray's begin; counts [R, 2] how many a ray has.
+    rays: places [R, 2], paths [R, 3], suns [R, 3] (not above the horizon: all is lit), top and skip [m]. shares: free
+    and near ones of the path [R, S], those to the sun [R, S]. columns: maps of heights and logits, their frame and
+    sizes, softness. shades: maps and three volumes of logits of colours, their frames and sizes. seen: colours [R, C] and visibility of the sun
+    [R]. records: of views and suns [R S + 1, K], each chunk's from where its first ray's begin; counts [R, 2] how many
+    a ray has.
     """
     places, paths, suns, top, skip = rays
     free, near, up = shares
@@ -193,125 +241,120 @@ def follow(rays, shares, columns, shades, seen, records, counts, bands, first_ch
         at, at_sun = part.start * samples, part.start * up.shape[1]
         for r in range(part.start, part.stop):
             _merged(free[r], near[r], t)
-            start, path, mean = (places[r, 0], places[r, 1], top), paths[r], seen[0][r]
-            mean[:] = 0
-            depth, counts[r, 0] = _view_ray(start, path, t, columns, shades, records[0][at:], mean, bands)
-            at += counts[r, 0]
+            start, path = (places[r, 0], places[r, 1], top), (paths[r, 0], paths[r, 1], paths[r, 2])
+            seen[0][r] = 0
+            depth, end = _view_ray(start, path, t, columns, shades, records[0], at, seen[0][r])
+            counts[r, 0], at = end - at, end
             seen[1][r], counts[r, 1] = ONE, 0
             if up.shape[1] > 0 and suns[r, 2] > 0:
                 surface = (start[0] + depth * path[0], start[1] + depth * path[1], start[2] + depth * path[2])
                 above, climb = _towards_sun(surface, suns[r], top, skip)
-                seen[1][r], counts[r, 1] = _sun_ray(above, climb, up[r], columns, records[1][at_sun:])
-                at_sun += counts[r, 1]
+                seen[1][r], end = _sun_ray(above, climb, up[r], columns, records[1], at_sun)
+                counts[r, 1], at_sun = end - at_sun, end
 
 
 @njit(fastmath=FASTMATH)
-def _logit_gradients(record, of_total, parts, of_parts):
+def _logit_gradients(records, n, of_total, of_parts):
     """Gradients of a sample's two shares' logits, from those of its density and parts, into their place."""
-    low, own, top, p, q = record[LOW], record[LOW + 1], record[LOW + 2], record[P], record[Q]
-    total = _total(low, own, top, p, q)
-    share = ONE / max(total, np.float32(LEAST))
+    low, own, top, p, q = records[n, LOW], records[n, OWN], records[n, TOP], records[n, P], records[n, Q]
+    parts, share = _parts(records, n)
     mean = np.float32(0.0)
-    if total > np.float32(LEAST):
+    if share * np.float32(LEAST) < ONE:
         mean = of_parts[0] * parts[0] + of_parts[1] * parts[1] + of_parts[2] * parts[2]
     common = of_total - mean * share
     p0, p1, p2 = common + of_parts[0] * share, common + of_parts[1] * share, common + of_parts[2] * share
-    record[P] = (own * (ONE - q) * p1 + top * q * p2 - low * p0) * p * (ONE - p)
-    record[Q] = (top * p2 - own * p1) * p * q * (ONE - q)
+    records[n, P] = (own * (ONE - q) * p1 + top * q * p2 - low * p0) * p * (ONE - p)
+    records[n, Q] = (top * p2 - own * p1) * p * q * (ONE - q)
 
 
 @njit(fastmath=FASTMATH)
-def _view_gradients(records, of_colour, inverse, bands):
+def _view_gradients(records, first, end, of_colour, inverse):
     """Turn the records of a ray into gradients: of shares' logits, colours' logits; and the parts, for the maps."""
-    behind, none = np.float32(0.0), np.float32(0.0)
-    for i in range(len(records) - 1, -1, -1):
-        record = records[i]
-        low, own, top, p, q = record[LOW], record[LOW + 1], record[LOW + 2], record[P], record[Q]
-        share = ONE / max(_total(low, own, top, p, q), np.float32(LEAST))
-        parts = (low * (ONE - p) * share, own * (p - p * q) * share, top * (p * q) * share)
-        weight, towards, g0, g1, g2 = record[WEIGHT], none, none, none, none
-        first = COLOUR + len(bands)
-        for c in range(len(bands)):
-            colour = record[COLOUR + c]
+    behind, none, bands = np.float32(0.0), np.float32(0.0), len(of_colour)
+    for n in range(end - 1, first - 1, -1):
+        weight, towards, g0, g1, g2 = records[n, WEIGHT], none, none, none, none
+        for c in range(bands):
+            colour, at = records[n, COLOUR + c], COLOUR + bands + c
             towards += of_colour[c] * colour
             raw = weight * of_colour[c] * colour * (ONE - colour)
-            g0 += raw * record[first + c]
-            g1 += raw * record[first + len(bands) + c]
-            g2 += raw * record[first + 2 * len(bands) + c]
-            record[COLOUR + c] = raw
-        of_optical = towards * record[BEHIND] - behind
+            g0 += raw * records[n, at]
+            g1 += raw * records[n, at + bands]
+            g2 += raw * records[n, at + 2 * bands]
+            records[n, COLOUR + c] = raw
+        of_optical = towards * records[n, BEHIND] - behind
         behind += weight * towards
-        _logit_gradients(record, of_optical * record[LENGTH] * inverse, parts, (g0, g1, g2))
-        record[LOW], record[LOW + 1], record[LOW + 2] = parts
+        parts, _ = _parts(records, n)
+        _logit_gradients(records, n, of_optical * records[n, LENGTH] * inverse, (g0, g1, g2))
+        records[n, LOW], records[n, OWN], records[n, TOP] = parts
 
 
 @spread(lambda *_: CHUNKS)
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def go_back(of_seen, visible, softness, records, counts, shape, bands, first_chunk, end_chunk):
-    """Turn the records of `follow` into gradients, from those of colours and visibility; shape: samples of a ray."""
-    none = np.float32(0.0)
-    inverse = ONE / softness
+def go_back(of_seen, visible, softness, records, counts, samples, first_chunk, end_chunk):
+    """Turn the records of `follow` into gradients, from those of colours and visibility; samples: of either ray."""
+    none, inverse = np.float32(0.0), ONE / softness
     for chunk in range(first_chunk, end_chunk):
         part = slice_of(chunk, len(counts))
-        at, at_sun = part.start * shape[0], part.start * shape[1]
+        at, at_sun = part.start * samples[0], part.start * samples[1]
         for r in range(part.start, part.stop):
-            _view_gradients(records[0][at : at + counts[r, 0]], of_seen[0][r], inverse, bands)
+            _view_gradients(records[0], at, at + counts[r, 0], of_seen[0][r], inverse)
             at += counts[r, 0]
-            of_optical = -of_seen[1][r] * visible[r]
+            of_optical = -of_seen[1][r] * visible[r] * inverse
             for n in range(at_sun, at_sun + counts[r, 1]):
-                record = records[1][n]
-                of_total = of_optical * record[LENGTH] * inverse
-                _logit_gradients(record, of_total, (none, none, none), (none, none, none))
+                _logit_gradients(records[1], n, of_optical * records[1][n, LENGTH], (none, none, none))
             at_sun += counts[r, 1]
 
 
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def add_shares(records, ends, frame, grad):
-    """Add what records say of the logits of shares to their gradient [H, W, 2]; ends: of the chunks' records."""
+def add_shares(records, ends, frame, sizes, grad):
+    """Add what records say of the logits of shares to their gradient [H W 2]; ends: of the chunks' records."""
     for chunk in range(len(ends)):
         for n in range(ends[chunk, 0], ends[chunk, 1]):
-            record = records[n]
-            at, weights = place(record, frame, grad)
+            at, steps, weights = _cell((records[n, X], records[n, Y]), frame, sizes)
             for corner in range(4):
-                cell = grad[at[corner // 2], at[2 + corner % 2]]
-                cell[0] += record[P] * weights[corner]
-                cell[1] += record[Q] * weights[corner]
+                k = at + (steps[0] if corner & 2 else np.uintp(0)) + (steps[1] if corner & 1 else np.uintp(0))
+                grad[k] += records[n, P] * weights[corner]
+                grad[k + np.uintp(1)] += records[n, Q] * weights[corner]
+
+
+@njit(fastmath=FASTMATH, forceinline=True)
+def _mark(touched, first, width):
+    """Mark the blocks of so many values from `first` on."""
+    touched[first // np.uintp(BLOCK)] = touched[(first + np.uintp(width - 1)) // np.uintp(BLOCK)] = 1
 
 
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def add_colours(records, ends, frame, grad, touched, bands):
-    """Add what records say of the colours of columns to their gradient [H, W, 3 C], and mark its blocks."""
-    width = 3 * len(bands)
+def add_colours(records, ends, frame, sizes, grad, touched):
+    """Add what records say of the colours of columns to their gradient [H W 3 C], and mark its blocks."""
+    bands = np.uintp(sizes[2] // 3)
     for chunk in range(len(ends)):
         for n in range(ends[chunk, 0], ends[chunk, 1]):
-            record = records[n]
-            at, weights = place(record, frame, grad)
+            at, steps, weights = _cell((records[n, X], records[n, Y]), frame, sizes)
             for corner in range(4):
-                row, col = at[corner // 2], at[2 + corner % 2]
-                first = (row * grad.shape[1] + col) * width
-                touched[first // BLOCK] = touched[(first + width - 1) // BLOCK] = 1
-                cell = grad[row, col]
-                for k in range(3):
-                    part = record[LOW + k] * weights[corner]
-                    for c in range(len(bands)):
-                        cell[k * len(bands) + c] += part * record[COLOUR + c]
+                k = at + (steps[0] if corner & 2 else np.uintp(0)) + (steps[1] if corner & 1 else np.uintp(0))
+                _mark(touched, k, sizes[2])
+                w = weights[corner]
+                low, own, top = records[n, LOW] * w, records[n, OWN] * w, records[n, TOP] * w
+                for c in range(bands):
+                    raw = records[n, COLOUR + np.intp(c)]
+                    grad[k + c] += low * raw
+                    grad[k + bands + c] += own * raw
+                    grad[k + bands + bands + c] += top * raw
 
 
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def add_volume(records, ends, frame, grad, touched, bands):
-    """Add what records say of a volume of colours to its gradient [D, H, W, C], and mark its blocks."""
-    width = len(bands)
+def add_volume(records, ends, frame, sizes, grad, touched):
+    """Add what records say of a volume of colours to its gradient [D H W C], and mark its blocks."""
+    none, bands = np.uintp(0), np.uintp(sizes[3])
     for chunk in range(len(ends)):
         for n in range(ends[chunk, 0], ends[chunk, 1]):
-            record = records[n]
-            depth, row, col, share = place_within(record, frame, grad)
+            at, steps, weights = _cell_within((records[n, X], records[n, Y], records[n, Z]), frame, sizes)
             for corner in range(8):
-                k, i, j = depth[corner >> 2], row[(corner >> 1) & 1], col[corner & 1]
-                first = ((k * grad.shape[1] + i) * grad.shape[2] + j) * width
-                touched[first // BLOCK] = touched[(first + width - 1) // BLOCK] = 1
-                cell, w = grad[k, i, j], corner_weight(corner, share)
-                for c in range(len(bands)):
-                    cell[c] += w * record[COLOUR + c]
+                k = at + (steps[0] if corner & 4 else none) + (steps[1] if corner & 2 else none)
+                k += steps[2] if corner & 1 else none
+                _mark(touched, k, sizes[3])
+                for c in range(bands):
+                    grad[k + c] += weights[corner] * records[n, COLOUR + np.intp(c)]
 
 
 __all__ = ["BLOCK", "COLOUR", "SUN_RECORD", "add_colours", "add_shares", "add_volume", "follow", "go_back"]

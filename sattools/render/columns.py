@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,55 +96,48 @@ class _Followed(torch.autograd.Function):
     def forward(
         ctx: Any, logits: Tensor, columns: NeuralField, rays: ColumnRays, gradients: Sequence[BlockGradient]
     ) -> Any:
-        maps, colours = packed(torch.cat([columns.heights, logits])), packed(columns.colour)
-        volumes = tuple(packed(grid) for grid in columns.grids)
+        maps, shades = packed(torch.cat([columns.heights, logits])), [packed(columns.colour)]
+        shades += [packed(grid) for grid in columns.grids]
         frame = frame_of(columns.box, *logits.shape[1:])
-        frames = tuple(frame_within(columns.box, v.shape[:3]) for v in volumes)
-        softness, bands = np.float32(columns.base.softness), (0,) * columns.bands
-        count, steps = len(rays.places), (rays.free.shape[1] + rays.near.shape[1], rays.up.shape[1])
-        seen = np.empty((count, len(bands)), np.float32), np.empty(count, np.float32)
+        frames = (frame, *(frame_within(columns.box, values.shape[:3]) for values in shades[1:]))
+        softness, bands = np.float32(columns.base.softness), columns.bands
+        count, samples = len(rays.places), (rays.free.shape[1] + rays.near.shape[1], rays.up.shape[1])
+        seen = np.empty((count, bands), np.float32), np.empty(count, np.float32)
         records = (
-            np.empty((count * steps[0] + 1, kernels.COLOUR + 4 * len(bands)), np.float32),
-            np.empty((count * steps[1] + 1, kernels.SUN_RECORD), np.float32),
+            np.empty((count * samples[0] + 1, kernels.COLOUR + 4 * bands), np.float32),
+            np.empty((count * samples[1] + 1, kernels.SUN_RECORD), np.float32),
         )
         counts = np.empty((count, 2), np.int32)
         lines = tuple(t.contiguous().numpy() for t in (rays.places, rays.paths, rays.suns))
         kernels.follow(
             (*lines, np.float32(rays.top), np.float32(rays.skip)),
             tuple(t.contiguous().numpy() for t in (rays.free, rays.near, rays.up)),
-            (maps, frame, softness),
-            (colours, frame, volumes, frames),
-            seen, records, counts, bands,
+            (maps.reshape(-1), frame, maps.shape, softness),
+            (tuple(values.reshape(-1) for values in shades), frames, tuple(values.shape for values in shades)),
+            seen, records, counts,
         )  # fmt: skip
-        ctx.kept = records, counts, steps, softness, bands, frame, frames, seen[1], gradients
+        ctx.kept = records, counts, samples, softness, frames, seen[1], gradients
         return torch.from_numpy(seen[0]), torch.from_numpy(seen[1])
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
-        records, counts, steps, softness, bands, frame, frames, visible, gradients = ctx.kept
+        records, counts, samples, softness, frames, visible, gradients = ctx.kept
         of_seen = tuple(grad.contiguous().numpy() for grad in grads)
-        kernels.go_back(of_seen, visible, softness, records, counts, steps, bands)
-        colours, volumes = gradients[0], gradients[1:]
-        of_shares = np.zeros((*colours.values.shape[:2], 2), np.float32)
-        ends = [_ends(counts[:, kind], steps[kind]) for kind in range(2)]
+        kernels.go_back(of_seen, visible, softness, records, counts, samples)
+        of_shares = np.zeros((*gradients[0].values.shape[:2], 2), np.float32)
+        ends = [_ends(counts[:, kind], samples[kind]) for kind in range(2)]
 
         def shares() -> None:
             for kind in range(2):
-                kernels.add_shares(records[kind], ends[kind], frame, of_shares)
+                kernels.add_shares(records[kind], ends[kind], frames[0], of_shares.shape, of_shares.reshape(-1))
 
-        def volume(gradient: BlockGradient, where: np.ndarray) -> None:
-            kernels.add_volume(records[0], ends[0], where, gradient.values, gradient.touched, bands)
+        def colours(gradient: BlockGradient, frame: np.ndarray) -> None:
+            add = kernels.add_colours if gradient is gradients[0] else kernels.add_volume
+            flat = gradient.values.reshape(-1)
+            add(records[0], ends[0], frame, gradient.values.shape, flat, gradient.touched)
 
-        at_once(
-            lambda: kernels.add_colours(records[0], ends[0], frame, colours.values, colours.touched, bands),
-            *(_call(volume, *one) for one in zip(volumes, frames, strict=True)),
-            shares,
-        )
+        at_once(*(partial(colours, *one) for one in zip(gradients, frames, strict=True)), shares)
         return torch.from_numpy(of_shares).movedim(-1, 0), None, None, None
-
-
-def _call(function: Any, *arguments: Any) -> Any:
-    return lambda: function(*arguments)
 
 
 def _ends(counts: np.ndarray, samples: int) -> np.ndarray:
