@@ -6,7 +6,7 @@ a ray ends where nothing more of its colour could be seen. Gradients go back thr
 each sample adds to the tensors; every tensor is summed by one thread, in the order of the records, so that sums do not
 depend on the number of threads. Maps and volumes as in `sattools.field.kernels`, but flat, with their sizes beside
 them: where values lie is then found by a few sums of unsigned numbers, none of which numba asks whether it counts from
-the end.
+the end. Bands come as a tuple of as many zeros, whose length is known when a kernel is compiled.
 """
 
 from __future__ import annotations
@@ -141,25 +141,26 @@ def _parts(records, n):
 
 
 @njit(fastmath=FASTMATH, forceinline=True)
-def _add_colour(records, n, shades):
+def _add_colour(records, n, shades, bands):
     """Put a sample's colours into its record."""
-    (maps, first, second, third), frames, sizes = shades
-    bands = sizes[1][3]
+    (maps, one, two, three), frames, sizes = shades
     (low, own, top), _ = _parts(records, n)
     point = (records[n, X], records[n, Y], records[n, Z])
     at, steps, weights = _cell(point, frames[0], sizes[0])
     at1, steps1, weights1 = _cell_within(point, frames[1], sizes[1])
     at2, steps2, weights2 = _cell_within(point, frames[2], sizes[2])
     at3, steps3, weights3 = _cell_within(point, frames[3], sizes[3])
-    for c in range(np.uintp(bands)):
+    count = len(bands)
+    for k in range(count):
+        c = np.uintp(k)
         u = _read(maps, at + c, steps, weights)
-        v = _read(maps, at + np.uintp(bands) + c, steps, weights)
-        w = _read(maps, at + np.uintp(2 * bands) + c, steps, weights)
-        k = COLOUR + bands + np.intp(c)
-        records[n, k], records[n, k + bands], records[n, k + 2 * bands] = u, v, w
-        raw = u * low + v * own + w * top + _read_within(first, at1 + c, steps1, weights1)
-        raw += _read_within(second, at2 + c, steps2, weights2) + _read_within(third, at3 + c, steps3, weights3)
-        records[n, COLOUR + np.intp(c)] = sigmoid(raw)
+        v = _read(maps, at + np.uintp(count) + c, steps, weights)
+        w = _read(maps, at + np.uintp(2 * count) + c, steps, weights)
+        first = COLOUR + count + k
+        records[n, first], records[n, first + count], records[n, first + 2 * count] = u, v, w
+        raw = u * low + v * own + w * top + _read_within(one, at1 + c, steps1, weights1)
+        raw += _read_within(two, at2 + c, steps2, weights2) + _read_within(three, at3 + c, steps3, weights3)
+        records[n, COLOUR + k] = sigmoid(raw)
 
 
 @njit(fastmath=FASTMATH, forceinline=True)
@@ -170,7 +171,7 @@ def _length(t, i, rise, begin):
 
 
 @njit(fastmath=FASTMATH)
-def _view_ray(start, path, t, columns, shades, records, first, mean):
+def _view_ray(start, path, t, columns, shades, records, first, mean, bands):
     """Colours seen along a ray, added to `mean`; the share of the path at which it ends, and its records' end."""
     n, begin, transmittance, depth = first, np.float32(0.0), ONE, np.float32(0.0)
     rise = abs(path[2])
@@ -181,12 +182,12 @@ def _view_ray(start, path, t, columns, shades, records, first, mean):
         optical = _optical_depth(point, length, columns, records, n)
         if not optical > 0:
             continue
-        _add_colour(records, n, shades)
+        _add_colour(records, n, shades, bands)
         weight = transmittance * _opacity(optical)
         transmittance *= np.float32(math.exp(-optical))
         records[n, BEHIND], records[n, WEIGHT] = transmittance, weight
         depth += weight * t[i]
-        for c in range(len(mean)):
+        for c in range(len(bands)):
             mean[c] += weight * records[n, COLOUR + c]
         n += 1
         if transmittance <= np.float32(HIDDEN):
@@ -223,7 +224,7 @@ def _towards_sun(surface, sun, top, skip):
 
 @spread(lambda *_: CHUNKS)
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def follow(rays, shares, columns, shades, seen, records, counts, first_chunk, end_chunk):
+def follow(rays, shares, columns, shades, seen, records, counts, bands, first_chunk, end_chunk):
     """Colours and sunlight of rays, filled in.
 
     rays: places [R, 2], paths [R, 3], suns [R, 3] (not above the horizon: all is lit), top and skip [m]. shares: free
@@ -243,7 +244,7 @@ def follow(rays, shares, columns, shades, seen, records, counts, first_chunk, en
             _merged(free[r], near[r], t)
             start, path = (places[r, 0], places[r, 1], top), (paths[r, 0], paths[r, 1], paths[r, 2])
             seen[0][r] = 0
-            depth, end = _view_ray(start, path, t, columns, shades, records[0], at, seen[0][r])
+            depth, end = _view_ray(start, path, t, columns, shades, records[0], at, seen[0][r], bands)
             counts[r, 0], at = end - at, end
             seen[1][r], counts[r, 1] = ONE, 0
             if up.shape[1] > 0 and suns[r, 2] > 0:
@@ -268,18 +269,18 @@ def _logit_gradients(records, n, of_total, of_parts):
 
 
 @njit(fastmath=FASTMATH)
-def _view_gradients(records, first, end, of_colour, inverse):
+def _view_gradients(records, first, end, of_colour, inverse, bands):
     """Turn the records of a ray into gradients: of shares' logits, colours' logits; and the parts, for the maps."""
-    behind, none, bands = np.float32(0.0), np.float32(0.0), len(of_colour)
+    behind, none, count = np.float32(0.0), np.float32(0.0), len(bands)
     for n in range(end - 1, first - 1, -1):
         weight, towards, g0, g1, g2 = records[n, WEIGHT], none, none, none, none
-        for c in range(bands):
-            colour, at = records[n, COLOUR + c], COLOUR + bands + c
+        for c in range(count):
+            colour, at = records[n, COLOUR + c], COLOUR + count + c
             towards += of_colour[c] * colour
             raw = weight * of_colour[c] * colour * (ONE - colour)
             g0 += raw * records[n, at]
-            g1 += raw * records[n, at + bands]
-            g2 += raw * records[n, at + 2 * bands]
+            g1 += raw * records[n, at + count]
+            g2 += raw * records[n, at + 2 * count]
             records[n, COLOUR + c] = raw
         of_optical = towards * records[n, BEHIND] - behind
         behind += weight * towards
@@ -290,14 +291,14 @@ def _view_gradients(records, first, end, of_colour, inverse):
 
 @spread(lambda *_: CHUNKS)
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def go_back(of_seen, visible, softness, records, counts, samples, first_chunk, end_chunk):
+def go_back(of_seen, visible, softness, records, counts, samples, bands, first_chunk, end_chunk):
     """Turn the records of `follow` into gradients, from those of colours and visibility; samples: of either ray."""
     none, inverse = np.float32(0.0), ONE / softness
     for chunk in range(first_chunk, end_chunk):
         part = slice_of(chunk, len(counts))
         at, at_sun = part.start * samples[0], part.start * samples[1]
         for r in range(part.start, part.stop):
-            _view_gradients(records[0], at, at + counts[r, 0], of_seen[0][r], inverse)
+            _view_gradients(records[0], at, at + counts[r, 0], of_seen[0][r], inverse, bands)
             at += counts[r, 0]
             of_optical = -of_seen[1][r] * visible[r] * inverse
             for n in range(at_sun, at_sun + counts[r, 1]):
@@ -324,37 +325,37 @@ def _mark(touched, first, width):
 
 
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def add_colours(records, ends, frame, sizes, grad, touched):
+def add_colours(records, ends, frame, sizes, grad, touched, bands):
     """Add what records say of the colours of columns to their gradient [H W 3 C], and mark its blocks."""
-    bands = np.uintp(sizes[2] // 3)
+    count, none = np.uintp(len(bands)), np.uintp(0)
     for chunk in range(len(ends)):
         for n in range(ends[chunk, 0], ends[chunk, 1]):
             at, steps, weights = _cell((records[n, X], records[n, Y]), frame, sizes)
             for corner in range(4):
-                k = at + (steps[0] if corner & 2 else np.uintp(0)) + (steps[1] if corner & 1 else np.uintp(0))
-                _mark(touched, k, sizes[2])
+                k = at + (steps[0] if corner & 2 else none) + (steps[1] if corner & 1 else none)
+                _mark(touched, k, 3 * len(bands))
                 w = weights[corner]
                 low, own, top = records[n, LOW] * w, records[n, OWN] * w, records[n, TOP] * w
-                for c in range(bands):
-                    raw = records[n, COLOUR + np.intp(c)]
-                    grad[k + c] += low * raw
-                    grad[k + bands + c] += own * raw
-                    grad[k + bands + bands + c] += top * raw
+                for c in range(len(bands)):
+                    raw, i = records[n, COLOUR + c], k + np.uintp(c)
+                    grad[i] += low * raw
+                    grad[i + count] += own * raw
+                    grad[i + count + count] += top * raw
 
 
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def add_volume(records, ends, frame, sizes, grad, touched):
+def add_volume(records, ends, frame, sizes, grad, touched, bands):
     """Add what records say of a volume of colours to its gradient [D H W C], and mark its blocks."""
-    none, bands = np.uintp(0), np.uintp(sizes[3])
+    none = np.uintp(0)
     for chunk in range(len(ends)):
         for n in range(ends[chunk, 0], ends[chunk, 1]):
             at, steps, weights = _cell_within((records[n, X], records[n, Y], records[n, Z]), frame, sizes)
             for corner in range(8):
                 k = at + (steps[0] if corner & 4 else none) + (steps[1] if corner & 2 else none)
                 k += steps[2] if corner & 1 else none
-                _mark(touched, k, sizes[3])
-                for c in range(bands):
-                    grad[k + c] += weights[corner] * records[n, COLOUR + np.intp(c)]
+                _mark(touched, k, len(bands))
+                for c in range(len(bands)):
+                    grad[k + np.uintp(c)] += weights[corner] * records[n, COLOUR + c]
 
 
 __all__ = ["BLOCK", "COLOUR", "SUN_RECORD", "add_colours", "add_shares", "add_volume", "follow", "go_back"]

@@ -114,7 +114,7 @@ class _Followed(torch.autograd.Function):
             tuple(t.contiguous().numpy() for t in (rays.free, rays.near, rays.up)),
             (maps.reshape(-1), frame, maps.shape, softness),
             (tuple(values.reshape(-1) for values in shades), frames, tuple(values.shape for values in shades)),
-            seen, records, counts,
+            seen, records, counts, (0,) * bands,
         )  # fmt: skip
         ctx.kept = records, counts, samples, softness, frames, seen[1], gradients
         return torch.from_numpy(seen[0]), torch.from_numpy(seen[1])
@@ -122,8 +122,9 @@ class _Followed(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         records, counts, samples, softness, frames, visible, gradients = ctx.kept
+        bands = (0,) * grads[0].shape[1]
         of_seen = tuple(grad.contiguous().numpy() for grad in grads)
-        kernels.go_back(of_seen, visible, softness, records, counts, samples)
+        kernels.go_back(of_seen, visible, softness, records, counts, samples, bands)
         of_shares = np.zeros((*gradients[0].values.shape[:2], 2), np.float32)
         ends = [_ends(counts[:, kind], samples[kind]) for kind in range(2)]
 
@@ -134,7 +135,7 @@ class _Followed(torch.autograd.Function):
         def colours(gradient: BlockGradient, frame: np.ndarray) -> None:
             add = kernels.add_colours if gradient is gradients[0] else kernels.add_volume
             flat = gradient.values.reshape(-1)
-            add(records[0], ends[0], frame, gradient.values.shape, flat, gradient.touched)
+            add(records[0], ends[0], frame, gradient.values.shape, flat, gradient.touched, bands)
 
         at_once(*(partial(colours, *one) for one in zip(gradients, frames, strict=True)), shares)
         return torch.from_numpy(of_shares).movedim(-1, 0), None, None, None
