@@ -140,27 +140,30 @@ def _parts(records, n):
     return (low * (ONE - p) * share, own * (p - p * q) * share, top * (p * q) * share), share
 
 
-@njit(fastmath=FASTMATH, forceinline=True)
-def _add_colour(records, n, shades, bands):
-    """Put a sample's colours into its record."""
-    (maps, one, two, three), frames, sizes = shades
-    (low, own, top), _ = _parts(records, n)
-    point = (records[n, X], records[n, Y], records[n, Z])
-    at, steps, weights = _cell(point, frames[0], sizes[0])
-    at1, steps1, weights1 = _cell_within(point, frames[1], sizes[1])
-    at2, steps2, weights2 = _cell_within(point, frames[2], sizes[2])
-    at3, steps3, weights3 = _cell_within(point, frames[3], sizes[3])
+@njit(fastmath=FASTMATH)
+def _begin_colours(records, first, end, maps, frame, sizes, bands):
+    """Put the logits of colours by height into records, and their means by the parts."""
     count = len(bands)
-    for k in range(count):
-        c = np.uintp(k)
-        u = _read(maps, at + c, steps, weights)
-        v = _read(maps, at + np.uintp(count) + c, steps, weights)
-        w = _read(maps, at + np.uintp(2 * count) + c, steps, weights)
-        first = COLOUR + count + k
-        records[n, first], records[n, first + count], records[n, first + 2 * count] = u, v, w
-        raw = u * low + v * own + w * top + _read_within(one, at1 + c, steps1, weights1)
-        raw += _read_within(two, at2 + c, steps2, weights2) + _read_within(three, at3 + c, steps3, weights3)
-        records[n, COLOUR + k] = sigmoid(raw)
+    for n in range(first, end):
+        (low, own, top), _ = _parts(records, n)
+        at, steps, weights = _cell((records[n, X], records[n, Y]), frame, sizes)
+        for c in range(count):
+            k = at + np.uintp(c)
+            u = _read(maps, k, steps, weights)
+            v = _read(maps, k + np.uintp(count), steps, weights)
+            w = _read(maps, k + np.uintp(2 * count), steps, weights)
+            i = COLOUR + count + c
+            records[n, i], records[n, i + count], records[n, i + 2 * count] = u, v, w
+            records[n, COLOUR + c] = u * low + v * own + w * top
+
+
+@njit(fastmath=FASTMATH)
+def _go_on_with_colours(records, first, end, values, frame, sizes, bands):
+    """Add a volume's logits to the colours of records."""
+    for n in range(first, end):
+        at, steps, weights = _cell_within((records[n, X], records[n, Y], records[n, Z]), frame, sizes)
+        for c in range(len(bands)):
+            records[n, COLOUR + c] += _read_within(values, at + np.uintp(c), steps, weights)
 
 
 @njit(fastmath=FASTMATH, forceinline=True)
@@ -171,8 +174,8 @@ def _length(t, i, rise, begin):
 
 
 @njit(fastmath=FASTMATH)
-def _view_ray(start, path, t, columns, shades, records, first, mean, bands):
-    """Colours seen along a ray, added to `mean`; the share of the path at which it ends, and its records' end."""
+def _view_ray(start, path, t, columns, records, first):
+    """Weights of a ray's samples; the share of the path at which it ends, and its records' end."""
     n, begin, transmittance, depth = first, np.float32(0.0), ONE, np.float32(0.0)
     rise = abs(path[2])
     for i in range(len(t)):
@@ -182,17 +185,29 @@ def _view_ray(start, path, t, columns, shades, records, first, mean, bands):
         optical = _optical_depth(point, length, columns, records, n)
         if not optical > 0:
             continue
-        _add_colour(records, n, shades, bands)
         weight = transmittance * _opacity(optical)
         transmittance *= np.float32(math.exp(-optical))
         records[n, BEHIND], records[n, WEIGHT] = transmittance, weight
         depth += weight * t[i]
-        for c in range(len(bands)):
-            mean[c] += weight * records[n, COLOUR + c]
         n += 1
         if transmittance <= np.float32(HIDDEN):
             return depth + transmittance * end, n
     return depth + transmittance, n
+
+
+@njit(fastmath=FASTMATH)
+def _colours(records, first, end, shades, mean, bands):
+    """Colours of a ray's samples, and their mean by weight: grid by grid, or there would be too much to keep at hand."""
+    maps, volumes, frames, sizes, volume_sizes = shades
+    _begin_colours(records, first, end, maps, frames[0], sizes, bands)
+    for v in range(len(volumes)):
+        _go_on_with_colours(records, first, end, volumes[v], frames[1 + v], volume_sizes[v], bands)
+    mean[:] = 0
+    for n in range(first, end):
+        for c in range(len(bands)):
+            colour = sigmoid(records[n, COLOUR + c])
+            records[n, COLOUR + c] = colour
+            mean[c] += records[n, WEIGHT] * colour
 
 
 @njit(fastmath=FASTMATH)
@@ -229,7 +244,7 @@ def follow(rays, shares, columns, shades, seen, records, counts, bands, first_ch
 
     rays: places [R, 2], paths [R, 3], suns [R, 3] (not above the horizon: all is lit), top and skip [m]. shares: free
     and near ones of the path [R, S], those to the sun [R, S]. columns: maps of heights and logits, their frame and
-    sizes, softness. shades: maps and three volumes of logits of colours, their frames and sizes. seen: colours [R, C] and visibility of the sun
+    sizes, softness. shades: maps and volumes of logits of colours, the frames and sizes of both. seen: colours [R, C] and visibility of the sun
     [R]. records: of views and suns [R S + 1, K], each chunk's from where its first ray's begin; counts [R, 2] how many
     a ray has.
     """
@@ -243,8 +258,8 @@ def follow(rays, shares, columns, shades, seen, records, counts, bands, first_ch
         for r in range(part.start, part.stop):
             _merged(free[r], near[r], t)
             start, path = (places[r, 0], places[r, 1], top), (paths[r, 0], paths[r, 1], paths[r, 2])
-            seen[0][r] = 0
-            depth, end = _view_ray(start, path, t, columns, shades, records[0], at, seen[0][r], bands)
+            depth, end = _view_ray(start, path, t, columns, records[0], at)
+            _colours(records[0], at, end, shades, seen[0][r], bands)
             counts[r, 0], at = end - at, end
             seen[1][r], counts[r, 1] = ONE, 0
             if up.shape[1] > 0 and suns[r, 2] > 0:

@@ -98,6 +98,7 @@ class _Followed(torch.autograd.Function):
     ) -> Any:
         maps, shades = packed(torch.cat([columns.heights, logits])), [packed(columns.colour)]
         shades += [packed(grid) for grid in columns.grids]
+        flat = [values.reshape(-1) for values in shades]
         frame = frame_of(columns.box, *logits.shape[1:])
         frames = (frame, *(frame_within(columns.box, values.shape[:3]) for values in shades[1:]))
         softness, bands = np.float32(columns.base.softness), columns.bands
@@ -113,7 +114,7 @@ class _Followed(torch.autograd.Function):
             (*lines, np.float32(rays.top), np.float32(rays.skip)),
             tuple(t.contiguous().numpy() for t in (rays.free, rays.near, rays.up)),
             (maps.reshape(-1), frame, maps.shape, softness),
-            (tuple(values.reshape(-1) for values in shades), frames, tuple(values.shape for values in shades)),
+            (flat[0], tuple(flat[1:]), frames, shades[0].shape, tuple(values.shape for values in shades[1:])),
             seen, records, counts, (0,) * bands,
         )  # fmt: skip
         ctx.kept = records, counts, samples, softness, frames, seen[1], gradients
