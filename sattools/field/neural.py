@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
 from sattools.field.kernels import EMPTY, LEAST, Colours, Density, runs_here
+from sattools.field.penalty import Penalty, plain_penalty
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid
 
@@ -18,7 +19,6 @@ BLOCK = 64  # rows whose surroundings are searched at once
 LEAST_STEP_M = 0.25  # between two heights of a column; below it a share means nothing
 START = 4.0  # logit of what the prior says is there, and the negative one of what it says is not
 SHADES_M = (4.0, 2.0, 1.0)  # cells of the grids of colours
-STAY, EDGES = 2e-3, 1e-3  # in the penalty: changed parts, the length of edges
 # steps of Adam: logits of shares and of colours
 RATES = {"presence": 0.1, "colour": 0.02} | {f"grid.{k}": 0.02 for k in range(len(SHADES_M))}
 BEGIN = {"presence": 0.35}  # share of the training that colours have to themselves: they explain much that is no shape
@@ -129,11 +129,9 @@ class NeuralField:
 
     def penalty(self) -> Tensor:
         """What an unfounded change costs, unitless: parts that are no more, new ones as far as they hide, edges."""
-        present = torch.sigmoid(self.presence)
-        edges = present.diff(dim=1).abs().mean() + present.diff(dim=2).abs().mean()
-        lower, upper = torch.sigmoid(self.presence + self.half)
-        changed = (1 - lower).mean() - torch.expm1(-upper * self.optical[1]).mean()
-        return STAY * changed / 2 + EDGES * edges
+        if runs_here(self.half, self.presence) and min(self.half.shape) > 1:
+            return Penalty.apply(self.presence, self.half, self.optical)
+        return plain_penalty(self.presence, self.half, self.optical)
 
     def start_density(self) -> dict[str, Tensor]:
         """See `Field.start_density`: every column at its own height."""

@@ -373,4 +373,12 @@ def add_volume(records, ends, frame, sizes, grad, touched, bands):
                     grad[k + np.uintp(c)] += weights[corner] * records[n, COLOUR + c]
 
 
-__all__ = ["BLOCK", "COLOUR", "SUN_RECORD", "add_colours", "add_shares", "add_volume", "follow", "go_back"]
+@njit(cache=True, nogil=True)
+def clear(values, touched):
+    """Zeros in all blocks that are marked."""
+    for block in range(len(touched)):
+        if touched[block]:
+            values[block * BLOCK : (block + 1) * BLOCK] = 0
+
+
+__all__ = ["BLOCK", "COLOUR", "SUN_RECORD", "add_colours", "add_shares", "add_volume", "clear", "follow", "go_back"]

@@ -69,10 +69,7 @@ class BlockGradient:
 
     def clear(self) -> None:
         """Take everything out of it."""
-        whole = self.values.size // BLOCK * BLOCK
-        blocks = self.values.reshape(-1)[:whole].reshape(-1, BLOCK)
-        blocks[self.touched[: len(blocks)] > 0] = 0
-        self.values.reshape(-1)[whole:] = 0
+        kernels.clear(self.values.reshape(-1), self.touched)
 
 
 def follow(columns: NeuralField, rays: ColumnRays, gradients: Sequence[BlockGradient]) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Adam on the CPU for tensors of which most values are never reached: what was never touched is not looked at.
+"""Adam on the CPU without what it costs to call: tensors of which most values are never reached are moved where they are.
 
 Where no gradient has ever been, Adam's moments are 0 and so is its step. `torch.optim.Adam` is the twin.
 """
@@ -40,39 +40,52 @@ def _move_blocks(values, gradient, mean, square, touched, keep, scale):
             _move(values[i], gradient[i], mean[i], square[i], keep, scale)
 
 
-def move(tensor: Tensor, gradient: BlockGradient, state: dict[str, Any], group: dict[str, Any]) -> None:
-    """One step of Adam, in place.
+class BlockAdam:
+    """Adam's steps of one tensor, in place.
 
     Args:
-        tensor: ``[K, ...]`` of any unit, with its first axis innermost in memory.
-        gradient: of it.
-        state: of Adam: ``step``, and ``exp_avg`` and ``exp_avg_sq`` that lie as the tensor; begun where it is empty.
-        group: of Adam: ``lr``, ``betas``, ``eps``.
+        tensor: ``[K, ...]`` of any unit, dense in memory.
+        group: of `torch.optim.Adam`, with ``lr``, ``betas`` and ``eps``.
+        state: of it: ``step``, and ``exp_avg`` and ``exp_avg_sq`` that lie as the tensor; begun where it is empty.
+        gradient: of the tensor, as it lies in memory; None: the one that automatic differentiation has left there.
     """
-    if not state:
-        state |= {"step": torch.zeros((), device="cpu")}
-        state |= {name: torch.zeros_like(tensor).detach() for name in ("exp_avg", "exp_avg_sq")}
-    state["step"] += 1
-    step, (first, second) = int(state["step"]), group["betas"]
-    scale = group["lr"] / (1 - first**step), 1 / math.sqrt(1 - second**step), group["eps"]
-    _move_blocks(
-        flat(tensor), gradient.values.reshape(-1), flat(state["exp_avg"]), flat(state["exp_avg_sq"]), gradient.touched,
-        tuple(np.float32(x) for x in (first, 1 - first, second, 1 - second)), tuple(np.float32(x) for x in scale),
-    )  # fmt: skip
 
+    def __init__(
+        self, tensor: Tensor, group: dict[str, Any], state: dict[str, Any], gradient: BlockGradient | None = None
+    ) -> None:
+        self.tensor, self.group, self.state, self.gradient = tensor, group, state, gradient
+        self.touched = np.ones(math.ceil(tensor.numel() / BLOCK), np.uint8) if gradient is None else gradient.touched
+        self.lying: list[np.ndarray] = []
 
-def mark(gradient: BlockGradient, state: dict[str, Any]) -> None:
-    """Count as touched what has moments of Adam."""
-    for name in ("exp_avg", "exp_avg_sq"):
-        some = flat(state[name])
-        first = np.arange(0, len(some), BLOCK)
-        gradient.touched[np.add.reduceat(some != 0, first) > 0] = 1
+    def _begin(self) -> None:
+        if not self.state:
+            self.state |= {"step": torch.zeros((), device="cpu")}
+            self.state |= {name: torch.zeros_like(self.tensor).detach() for name in ("exp_avg", "exp_avg_sq")}
+        self.lying = [flat(one) for one in (self.tensor, self.state["exp_avg"], self.state["exp_avg_sq"])]
+        begun = (self.lying[1] != 0) | (self.lying[2] != 0)  # where an interrupted fit had been
+        self.touched[np.add.reduceat(begun, np.arange(0, len(begun), BLOCK)) > 0] = 1
+
+    def step(self) -> None:
+        """Do one, if there is a gradient."""
+        if self.gradient is not None:
+            slopes = self.gradient.values.reshape(-1)
+        elif self.tensor.grad is not None:
+            slopes = flat(self.tensor.grad)
+        else:
+            return
+        if not self.lying:
+            self._begin()
+        self.state["step"] += 1
+        step, (first, second) = int(self.state["step"]), self.group["betas"]
+        keep = first, 1 - first, second, 1 - second
+        scale = self.group["lr"] / (1 - first**step), 1 / math.sqrt(1 - second**step), self.group["eps"]
+        values, mean, square = self.lying
+        _move_blocks(values, slopes, mean, square, self.touched, np.array(keep, np.float32), np.array(scale, np.float32))
 
 
 def flat(tensor: Tensor) -> np.ndarray:
-    """The values ``[...]`` of a tensor ``[K, ...]`` of any unit as they lie in memory, its first axis innermost."""
-    values = tensor.detach().movedim(0, -1)
-    return values.view(-1).numpy()
+    """The values of a tensor of any unit, dense in memory, in the order in which they lie there."""
+    return torch.as_strided(tensor.detach(), (tensor.numel(),), (1,)).numpy()
 
 
-__all__ = ["flat", "mark", "move"]
+__all__ = ["BlockAdam", "flat"]

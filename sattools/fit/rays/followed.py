@@ -6,13 +6,14 @@ from collections.abc import Mapping
 
 import torch
 from torch import Tensor
+from torch.nn.functional import embedding
 
 from sattools.field.kernels import runs_here
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Field
 from sattools.fit.adam import Adam
 from sattools.fit.options import FitOptions
-from sattools.fit.rays import block_adam
+from sattools.fit.rays.block_adam import BlockAdam
 from sattools.fit.rays.rays import SKIP_M, SUN_SAMPLES, RaySet
 from sattools.render.columns import BlockGradient, ColumnRays, follow
 from sattools.render.volume import guided, stratified
@@ -30,6 +31,8 @@ class ColumnSteps:
 
     def __init__(self, field: NeuralField, rays: RaySet, options: FitOptions, colour: Mapping[str, Tensor]) -> None:
         self.field, self.rays, self.options, self.colour = field, rays, options, colour
+        self.suns = rays.suns.nan_to_num(0.0)  # not above the horizon: all is lit
+        self.movers: list[BlockAdam] = []
         self.gradients = {n: BlockGradient.of(t) for n, t in field.named_tensors().items() if n != "presence"}
 
     @classmethod
@@ -52,17 +55,16 @@ class ColumnSteps:
         view = rays.view[chosen].long()
         free = stratified(len(chosen), options.samples, random)
         near = guided(rays.depth[chosen], rays.depth_std(chosen), options.guided, random)
-        lit = options.shadow == "none"
-        up = free[:, :0] if lit else stratified(len(chosen), SUN_SAMPLES, random)
-        suns = rays.suns.nan_to_num(0.0)[view]
-        where = rays.place[chosen], rays.path[view], suns, free, near, up
-        albedo, visible = follow(
-            self.field, ColumnRays(*where, top=rays.top, skip=SKIP_M), list(self.gradients.values())
-        )
-        if not lit:
-            s, ambient = visible[:, None], self.colour["ambient"][view]
+        up = free[:, :0] if options.shadow == "none" else stratified(len(chosen), SUN_SAMPLES, random)
+        where = rays.place[chosen], rays.path[view], self.suns[view], free, near, up
+        gradients = list(self.gradients.values())
+        albedo, visible = follow(self.field, ColumnRays(*where, top=rays.top, skip=SKIP_M), gradients)
+        relations = torch.cat([self.colour[name] for name in ("gain", "offset", "ambient")], dim=1)
+        gain, offset, ambient = embedding(view, relations).chunk(3, dim=1)  # the way back of an index takes long
+        if options.shadow != "none":
+            s = visible[:, None]
             albedo = albedo * (s + (1 - s) * ambient)
-        return self.colour["gain"][view] * albedo + self.colour["offset"][view]
+        return torch.addcmul(offset, gain, albedo)
 
     def begin(self) -> None:
         """Forget the gradients of the last step."""
@@ -70,18 +72,19 @@ class ColumnSteps:
             gradient.clear()
 
     def move(self, adam: Adam) -> None:
-        """Move the tensors whose gradients are kept here by the rates and moments of `adam`."""
-        tensors = self.field.named_tensors()
-        groups = {id(group["params"][0]): group for group in adam.param_groups}
-        for name, gradient in self.gradients.items():
-            tensor = tensors[name]
-            block_adam.move(tensor, gradient, adam.state[tensor], groups[id(tensor)])
+        """Do a step of `adam`, with its rates and moments."""
+        if not self.movers:
+            names = {id(tensor): name for name, tensor in self.field.named_tensors().items()}
+            for group in adam.param_groups:
+                for tensor in group["params"]:
+                    gradient = self.gradients.get(names.get(id(tensor), ""))
+                    self.movers.append(BlockAdam(tensor, group, adam.state[tensor], gradient))
+        for mover in self.movers:
+            mover.step()
 
-    def go_on(self, adam: Adam) -> None:
-        """Take moments of `adam` that come from a checkpoint."""
-        for name, gradient in self.gradients.items():
-            if state := adam.state.get(self.field.named_tensors()[name]):
-                block_adam.mark(gradient, state)
+    def go_on(self) -> None:
+        """Take the moments that Adam has been given from a checkpoint."""
+        self.movers.clear()
 
 
 __all__ = ["ColumnSteps"]

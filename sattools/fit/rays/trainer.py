@@ -140,9 +140,10 @@ class RayTrainer:
             grad = self.colour[name].grad
             if grad is not None:
                 grad[self.gauge] = 0
-        self.adam.step()
         if self.columns:
             self.columns.move(self.adam)
+        else:
+            self.adam.step()
         with torch.no_grad():
             self.colour["ambient"].clamp_(0.02, 1.0)
             self.colour["gain"].clamp_(0.05, 20.0)
@@ -329,7 +330,7 @@ class RayTrainer:
                 moments = {k: torch.empty_like(tensor).copy_(v) for k, v in saved.items() if k != "step"}
                 self.adam.state[tensor] = {**saved, **moments}
         if self.columns:
-            self.columns.go_on(self.adam)
+            self.columns.go_on()
 
 
 __all__ = ["Prediction", "RaySet", "RayTrainer"]
