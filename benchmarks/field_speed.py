@@ -5,8 +5,8 @@
 Every field gets the same seconds of training on the same simulated city (six views, exact cameras) with one thread,
 the surface ends sooner if its 16 epochs are done; surface and grid start from the depth prior, whose seconds are
 given beside; so do the networks, but for those marked "noise", which start as in their papers. Samples are
-positions at which a field was evaluated forward in a training step, those of rays to the sun included; scoring does
-not count. CPU seconds are those of the whole fit, start and reading-off included: on a busy machine they say more than
+positions on the rays of training steps, those of rays to the sun included, whether or not a field has to be evaluated
+there: it need not be where a column is empty, or behind the last that is seen; scoring does not count. CPU seconds are those of the whole fit, start and reading-off included: on a busy machine they say more than
 the seconds. The last line is how many points a CPU second torch's `grid_sample` reads, forward and alone, of as many
 values as the neural field has at a point. Not measured on a GPU.
 """
@@ -77,6 +77,7 @@ def run(scene: Any, name: str, options: argparse.Namespace) -> dict[str, Any]:
     from sattools.field.voxel import VoxelField
     from sattools.fit.presets import resolve
     from sattools.fit.stage import fit
+    from sattools.render.columns import COUNTER as FOLLOWED
     from sattools.render.surface import COUNTER
 
     counted = {"points": 0}
@@ -101,8 +102,9 @@ def run(scene: Any, name: str, options: argparse.Namespace) -> dict[str, Any]:
         fit(scene, resolve("fast", {"epochs": [1], "resolution": 1.0}))  # compiles
         before = COUNTER["forward"]
     ends: list[int] = []
+    followed = FOLLOWED["forward"]  # by kernels that do not ask the field
     begun = time.process_time()
-    fit(scene, chosen, lambda share, text: ends.append(counted["points"]))
+    fit(scene, chosen, lambda share, text: ends.append(counted["points"] + FOLLOWED["forward"] - followed))
     used = time.process_time() - begun
     for cls, density in kept.items():
         cls.density = density  # type: ignore[method-assign]

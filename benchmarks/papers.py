@@ -166,9 +166,10 @@ def counted_points() -> Any:
     from sattools.field.mlp import MlpField
     from sattools.field.neural import NeuralField
     from sattools.field.voxel import VoxelField
+    from sattools.render.columns import COUNTER as FOLLOWED
     from sattools.render.surface import COUNTER
 
-    counted, before = {"points": 0}, COUNTER["forward"]
+    counted, before, followed = {"points": 0}, COUNTER["forward"], FOLLOWED["forward"]
     kinds: tuple[Any, ...] = (MlpField, NeuralField, VoxelField)
     for kind in kinds:
 
@@ -178,7 +179,7 @@ def counted_points() -> Any:
 
         kind.density = count
     # what a volume's rays see of the prior is rendered as a surface, and no sample of the field
-    return lambda: counted["points"] or COUNTER["forward"] - before
+    return lambda: counted["points"] + FOLLOWED["forward"] - followed or COUNTER["forward"] - before
 
 
 def table(rows: list[dict[str, Any]]) -> str:
