@@ -4,11 +4,12 @@
 
 Every field gets the same seconds of training on the same simulated city (six views, exact cameras) with one thread,
 the surface ends sooner if its 16 epochs are done; surface and grid start from the depth prior, whose seconds are
-given beside; so do the networks, but for those marked "noise", which start as in their papers. Samples are
-positions on the rays of training steps, those of rays to the sun included, whether or not a field has to be evaluated
-there: it need not be where a column is empty, or behind the last that is seen; scoring does not count. CPU seconds are those of the whole fit, start and reading-off included: on a busy machine they say more than
-the seconds. The last line is how many points a CPU second torch's `grid_sample` reads, forward and alone, of as many
-values as the neural field has at a point. Not measured on a GPU.
+given beside; so do the networks, but for those marked "noise", which start as in their papers. Samples are positions on
+the rays of training steps, those of rays to the sun included, whether or not a field has to be evaluated there: it need
+not be where a column is empty, or behind the last that is seen; scoring does not count. CPU seconds are those of the
+whole fit, start and reading-off included: on a busy machine they say more than the seconds. The last line is how many
+points a CPU second torch's `grid_sample` reads, forward and alone, of as many values as the neural field has at a
+point. Not measured on a GPU.
 """
 
 from __future__ import annotations

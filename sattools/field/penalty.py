@@ -1,4 +1,4 @@
-"""What changed columns cost the neural field, value and gradient in one pass on the CPU; `plain_penalty` is the twin."""
+"""What changed columns cost the neural field: value and gradient in one pass on a CPU; `plain_penalty` is the twin."""
 
 from __future__ import annotations
 

@@ -16,15 +16,7 @@ import math
 import numpy as np
 
 from sattools.compiled import FASTMATH, njit, spread
-from sattools.field.kernels import (
-    CHUNKS,
-    EMPTY,
-    LEAST,
-    ONE,
-    between,
-    sigmoid,
-    slice_of,
-)
+from sattools.field.kernels import CHUNKS, EMPTY, LEAST, ONE, between, sigmoid, slice_of
 from sattools.render.volume import LOW_SUN
 
 HIDDEN = 1e-3  # transmittance at which a ray ends: there `NeuralField.shown` asks for no colour
@@ -197,7 +189,7 @@ def _view_ray(start, path, t, columns, records, first):
 
 @njit(fastmath=FASTMATH)
 def _colours(records, first, end, shades, mean, bands):
-    """Colours of a ray's samples, and their mean by weight: grid by grid, or there would be too much to keep at hand."""
+    """Colours of a ray's samples, and their mean by weight: grid by grid, so that there is less to keep at hand."""
     maps, volumes, frames, sizes, volume_sizes = shades
     _begin_colours(records, first, end, maps, frames[0], sizes, bands)
     for v in range(len(volumes)):
@@ -244,9 +236,9 @@ def follow(rays, shares, columns, shades, seen, records, counts, bands, first_ch
 
     rays: places [R, 2], paths [R, 3], suns [R, 3] (not above the horizon: all is lit), top and skip [m]. shares: free
     and near ones of the path [R, S], those to the sun [R, S]. columns: maps of heights and logits, their frame and
-    sizes, softness. shades: maps and volumes of logits of colours, the frames and sizes of both. seen: colours [R, C] and visibility of the sun
-    [R]. records: of views and suns [R S + 1, K], each chunk's from where its first ray's begin; counts [R, 2] how many
-    a ray has.
+    sizes, softness. shades: maps and volumes of logits of colours, the frames and sizes of both. seen: colours [R, C]
+    and visibility of the sun [R]. records: of views and suns [R S + 1, K], each chunk's from where its first ray's
+    begin; counts [R, 2] how many a ray has.
     """
     places, paths, suns, top, skip = rays
     free, near, up = shares

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -120,6 +121,7 @@ class _Followed(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Any:
         records, counts, samples, softness, frames, visible, gradients = ctx.kept
+        ctx.kept = None  # the records become gradients, once
         bands = (0,) * grads[0].shape[1]
         of_seen = tuple(grad.contiguous().numpy() for grad in grads)
         kernels.go_back(of_seen, visible, softness, records, counts, samples, bands)
@@ -143,7 +145,7 @@ def _ends(counts: np.ndarray, samples: int) -> np.ndarray:
     """First record of every chunk and the one after its last, ``[CHUNKS, 2]``."""
     bounds = [chunk * len(counts) // CHUNKS for chunk in range(CHUNKS + 1)]
     first = np.array(bounds[:-1]) * samples
-    total = [int(counts[a:b].sum()) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    total = [int(counts[a:b].sum()) for a, b in pairwise(bounds)]
     return np.stack([first, first + total], axis=1)
 
 

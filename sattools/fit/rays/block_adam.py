@@ -1,4 +1,4 @@
-"""Adam on the CPU without what it costs to call: tensors of which most values are never reached are moved where they are.
+"""Adam on a CPU for tensors of which most values are never reached: they are moved where something has come by.
 
 Where no gradient has ever been, Adam's moments are 0 and so is its step. `torch.optim.Adam` is the twin.
 """
@@ -33,7 +33,8 @@ def _move(values, grad, mean, square, keep, scale):
 
 
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
-def _move_blocks(values, gradient, mean, square, touched, keep, scale):
+def _move_blocks(values, gradient, moments, touched, keep, scale):
+    mean, square = moments
     for block in range(len(touched)):
         if touched[block]:
             i = slice(block * BLOCK, min((block + 1) * BLOCK, len(values)))
@@ -70,7 +71,7 @@ class BlockAdam:
         if self.gradient is not None:
             slopes = self.gradient.values.reshape(-1)
         elif self.tensor.grad is not None:
-            slopes = flat(self.tensor.grad)
+            slopes = flat(torch.empty_like(self.tensor).copy_(self.tensor.grad).detach())
         else:
             return
         if not self.lying:
@@ -80,7 +81,8 @@ class BlockAdam:
         keep = first, 1 - first, second, 1 - second
         scale = self.group["lr"] / (1 - first**step), 1 / math.sqrt(1 - second**step), self.group["eps"]
         values, mean, square = self.lying
-        _move_blocks(values, slopes, mean, square, self.touched, np.array(keep, np.float32), np.array(scale, np.float32))
+        factors = (np.array(some, np.float32) for some in (keep, scale))
+        _move_blocks(values, slopes, (mean, square), self.touched, *factors)
 
 
 def flat(tensor: Tensor) -> np.ndarray:

@@ -40,9 +40,10 @@ class ColumnSteps:
         cls, field: Field, rays: RaySet, options: FitOptions, colour: Mapping[str, Tensor]
     ) -> ColumnSteps | None:
         """None where there are no kernels for these; arguments as of the class."""
-        if not isinstance(field, NeuralField) or not runs_here(rays.target, field.colour) or options.depth_weight > 0:
+        if not isinstance(field, NeuralField) or not runs_here(rays.target, field.colour):
             return None
-        return cls(field, rays, options, colour)
+        plain = options.depth_weight == 0 and options.brdf == "lambert"
+        return cls(field, rays, options, colour) if plain else None
 
     def colours(self, chosen: Tensor, random: torch.Generator) -> Tensor:
         """What rays ``[R]`` show ``[R, C]`` as the images have it, see `RayTrainer.predict`.

@@ -113,7 +113,7 @@ def fit_rays(
                 learned = options.shadow == "learned"
                 base = replace(base, light=known_light(views, base, coloured.surface.ambient, learned=learned))
         base = base.to(device)
-    # whatever is made from here on, is made there; asking so of the place where it is made anyway takes a tenth of a fit
+    # whatever is made from here on, is made there; where it is made anyway, to ask for it takes a tenth of a fit
     with device if device != torch.get_default_device() else contextlib.nullcontext():
         there = None if prior_here is None else prior_here.to(device)
         field = make_field(options, grid, z_range, z_ref, views[0].target.shape[-1], there, base=base)
