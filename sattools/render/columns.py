@@ -64,7 +64,7 @@ class BlockGradient:
 
     @classmethod
     def of(cls, tensor: Tensor) -> BlockGradient:
-        """An empty one of a tensor ``[K, ...]`` of any unit."""
+        """An empty one of an unbounded tensor ``[K, ...]``."""
         shape = (*tensor.shape[1:], tensor.shape[0])
         return cls(np.zeros(shape, np.float32), np.zeros(math.ceil(tensor.numel() / BLOCK), np.uint8))
 

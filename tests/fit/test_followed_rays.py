@@ -112,7 +112,7 @@ def test_every_gradient_lies_in_a_block_that_is_marked() -> None:
 
 
 def test_steps_are_those_of_torchs_adam() -> None:
-    """Ten of them lead no value further apart than a tenth of one step of a colour, the smallest rate of the field's."""
+    """Ten of them lead no value further apart than a tenth of one step of a colour, the field's smallest rate."""
     one, other = house(), house()
     other.columns = None
     for number in range(30, 40):

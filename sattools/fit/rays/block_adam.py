@@ -6,6 +6,7 @@ Where no gradient has ever been, Adam's moments are 0 and so is its step. `torch
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, MutableMapping
 from typing import Any
 
 import numpy as np
@@ -45,14 +46,18 @@ class BlockAdam:
     """Adam's steps of one tensor, in place.
 
     Args:
-        tensor: ``[K, ...]`` of any unit, dense in memory.
+        tensor: ``[K, ...]``, unbounded, dense in memory.
         group: of `torch.optim.Adam`, with ``lr``, ``betas`` and ``eps``.
         state: of it: ``step``, and ``exp_avg`` and ``exp_avg_sq`` that lie as the tensor; begun where it is empty.
         gradient: of the tensor, as it lies in memory; None: the one that automatic differentiation has left there.
     """
 
     def __init__(
-        self, tensor: Tensor, group: dict[str, Any], state: dict[str, Any], gradient: BlockGradient | None = None
+        self,
+        tensor: Tensor,
+        group: Mapping[str, Any],
+        state: MutableMapping[str, Any],
+        gradient: BlockGradient | None = None,
     ) -> None:
         self.tensor, self.group, self.state, self.gradient = tensor, group, state, gradient
         self.touched = np.ones(math.ceil(tensor.numel() / BLOCK), np.uint8) if gradient is None else gradient.touched
@@ -60,8 +65,8 @@ class BlockAdam:
 
     def _begin(self) -> None:
         if not self.state:
-            self.state |= {"step": torch.zeros((), device="cpu")}
-            self.state |= {name: torch.zeros_like(self.tensor).detach() for name in ("exp_avg", "exp_avg_sq")}
+            self.state["step"] = torch.zeros((), device="cpu")
+            self.state.update({name: torch.zeros_like(self.tensor).detach() for name in ("exp_avg", "exp_avg_sq")})
         self.lying = [flat(one) for one in (self.tensor, self.state["exp_avg"], self.state["exp_avg_sq"])]
         begun = (self.lying[1] != 0) | (self.lying[2] != 0)  # where an interrupted fit had been
         self.touched[np.add.reduceat(begun, np.arange(0, len(begun), BLOCK)) > 0] = 1
@@ -86,7 +91,7 @@ class BlockAdam:
 
 
 def flat(tensor: Tensor) -> np.ndarray:
-    """The values of a tensor of any unit, dense in memory, in the order in which they lie there."""
+    """The unbounded values of a tensor, dense in memory, in the order in which they lie there."""
     return torch.as_strided(tensor.detach(), (tensor.numel(),), (1,)).numpy()
 
 

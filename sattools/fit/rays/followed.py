@@ -39,14 +39,21 @@ class ColumnSteps:
     def where_possible(
         cls, field: Field, rays: RaySet, options: FitOptions, colour: Mapping[str, Tensor]
     ) -> ColumnSteps | None:
-        """None where there are no kernels for these; arguments as of the class."""
+        """None where there are no kernels for these.
+
+        Args:
+            field: perhaps another than the neural one, or on another device.
+            rays: the pixels.
+            options: of the fit.
+            colour: relations of the views' radiance.
+        """
         if not isinstance(field, NeuralField) or not runs_here(rays.target, field.colour):
             return None
         plain = options.depth_weight == 0 and options.brdf == "lambert"
         return cls(field, rays, options, colour) if plain else None
 
     def colours(self, chosen: Tensor, random: torch.Generator) -> Tensor:
-        """What rays ``[R]`` show ``[R, C]`` as the images have it, see `RayTrainer.predict`.
+        """What rays ``[R]`` show, radiance ``[R, C]`` as the images have it, see `RayTrainer.predict`.
 
         Args:
             chosen: their numbers.
