@@ -17,6 +17,8 @@ from sattools.progress import Progress, silent
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 
+PATCH = 50  # cells that agree about their height by more than chance, whose patches have those of a window or two
+
 
 @dataclass(frozen=True)
 class HeightOptions:
@@ -27,6 +29,7 @@ class HeightOptions:
     min_margin_m: float = 6.0
     max_cells: int = 40_000  # of the coarse plane sweep
     max_planes: int = 96
+    towers_m: float = 150.0  # height above the tie points to which roofs are looked for, at least
 
 
 def tie_point_range(heights: Array, options: HeightOptions | None = None) -> tuple[float, float]:
@@ -52,8 +55,8 @@ def estimate_height_range(
     """Heights (lowest, highest, m above the ellipsoid) between which the surface lies, without any ground truth.
 
     Tie points give the bulk. They seldom lie on the few highest roofs, so a coarse plane sweep (correlation of all
-    views on the ground, height by height) over twice the range above and half below looks for coherent patches
-    beyond it.
+    views on the ground, height by height) over twice the range above, or as high as towers stand, and half below looks
+    for patches beyond it that agree about their height.
 
     Args:
         heights: of tie points `[n]` [m].
@@ -67,38 +70,34 @@ def estimate_height_range(
     options = options or HeightOptions()
     low, high = tie_point_range(heights, options)
     span = max(high - low, 2.0 * options.min_margin_m)
-    search = (low - 0.5 * span, high + 2.0 * span)
+    search = (low - 0.5 * span, high + max(2.0 * span, options.towers_m))
     planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
-    counts = sweep_histogram(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
-    low, high = extend_range(low, high, planes, counts)
+    patches = sweep_patches(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
+    low, high = extend_range(low, high, planes, patches)
     margin = max(options.margin * (high - low), options.min_margin_m)
     return low - margin, high + margin
 
 
-def extend_range(low: float, high: float, planes: Array, counts: Array) -> tuple[float, float]:
-    """Widen [low, high] to the planes outside it on which clearly more cells agree than by chance.
+def extend_range(low: float, high: float, planes: Array, patches: NDArray[Any]) -> tuple[float, float]:
+    """Widen [low, high] to the planes outside it on which a patch lies that is too large for chance.
 
-    Chance is what nine tenths of the planes outside stay below; a plane counts from five Poisson deviations above
-    it and from one in two thousand cells on.
+    One roof that agrees counts, however few cells it has beside the whole area; cells that agree by chance are as many
+    on every plane, but lie apart from each other.
 
     Args:
         low: lowest height so far [m].
         high: highest height so far [m].
         planes: ``[D]`` heights [m].
-        counts: ``[D]`` number of cells that agree on each.
+        patches: ``[D]`` cells of the largest patch on each.
     """
     outside = (planes < low) | (planes > high)
-    if not outside.any():
-        return low, high
-    chance = float(np.quantile(counts[outside], 0.9))
-    needed = max(chance + 5.0 * np.sqrt(chance + 1.0), counts.sum() / 2000.0)
-    supported = planes[outside & (counts >= needed)]
+    supported = planes[outside & (patches >= PATCH)]
     if supported.size == 0:
         return low, high
     return min(low, float(supported.min())), max(high, float(supported.max()))
 
 
-def sweep_histogram(
+def sweep_patches(
     grays: Sequence[NDArray[np.float32]],
     rpcs: Sequence[RPC],
     crs: str,
@@ -107,8 +106,8 @@ def sweep_histogram(
     max_cells: int = 40_000,
     *,
     progress: Progress = silent,
-) -> Array:
-    """Number of ground cells `[planes]` whose best correlation lies on each plane, coherent with its neighbours.
+) -> NDArray[np.int64]:
+    """Number of ground cells ``[D]`` of the largest patch whose best correlation lies on each plane or next to it.
 
     The score of a cell at a height is the mean zero-mean normalised correlation of all pairs of views in a window of
     5 x 5 cells, which costs one pass over the views: (|sum z|^2 - sum |z|^2) / (n (n - 1)).
@@ -159,7 +158,7 @@ def sweep_histogram(
         score = np.where(views >= 2, pairs / np.maximum(views * (views - 1), 1), -1.0)
         better = score > best
         best[better], winner[better], least[better] = score[better], k, by_chance(views[better])
-    return _coherent_counts(winner, best, len(planes), least)
+    return _largest_patches(winner, best, len(planes), least)
 
 
 def by_chance(views: Array) -> Array:
@@ -175,8 +174,13 @@ def by_chance(views: Array) -> Array:
     return np.maximum(0.2, 0.2 * 3.5 / np.sqrt(pairs))
 
 
-def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int, least: Array) -> Array:
-    """Cells per plane with a score over `least` whose winner at least 6 of 8 neighbours have within two planes."""
+def _largest_patches(winner: NDArray[np.int32], score: Array, n: int, least: Array) -> NDArray[np.int64]:
+    """Cells of the largest patch per plane, of those with a score over `least` that agree with their neighbours.
+
+    At least 6 of 8 neighbours must have their winner within two planes; a patch lies within one.
+    """
+    import cv2
+
     padded = np.pad(winner, 1, constant_values=-100)
     height, width = winner.shape
     agree = np.zeros(winner.shape, int)
@@ -186,7 +190,12 @@ def _coherent_counts(winner: NDArray[np.int32], score: Array, n: int, least: Arr
                 agree += np.abs(padded[dr : dr + height, dc : dc + width] - winner) <= 2
     # A winner at either end of the search may have its true maximum outside.
     good = (agree >= 6) & (score > least) & (winner > 0) & (winner < n - 1)
-    return np.bincount(winner[good], minlength=n).astype(np.float64)
+    patches = np.zeros(n, np.int64)
+    for k in range(n):
+        near = good & (np.abs(winner - k) <= 1)
+        cells = cv2.connectedComponentsWithStats(near.view(np.uint8), connectivity=4)[2][1:, cv2.CC_STAT_AREA]
+        patches[k] = cells.max(initial=0)
+    return patches
 
 
 def _blurred(
@@ -213,4 +222,4 @@ def _to_affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any])
     return np.linalg.pinv(np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)], 1))
 
 
-__all__ = ["HeightOptions", "by_chance", "estimate_height_range", "extend_range", "sweep_histogram", "tie_point_range"]
+__all__ = ["HeightOptions", "by_chance", "estimate_height_range", "extend_range", "sweep_patches", "tie_point_range"]
