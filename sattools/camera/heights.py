@@ -107,7 +107,7 @@ def sweep_patches(
     *,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
-    """Number of ground cells ``[D]`` of the largest patch whose best correlation lies on each plane or next to it.
+    """Number of ground cells ``[D]`` of the largest patch whose best correlation lies on each plane or beside it.
 
     The score of a cell at a height is the mean zero-mean normalised correlation of all pairs of views in a window of
     5 x 5 cells, which costs one pass over the views: (|sum z|^2 - sum |z|^2) / (n (n - 1)).
@@ -177,7 +177,8 @@ def by_chance(views: Array) -> Array:
 def _largest_patches(winner: NDArray[np.int32], score: Array, n: int, least: Array) -> NDArray[np.int64]:
     """Cells of the largest patch per plane, of those with a score over `least` that agree with their neighbours.
 
-    At least 6 of 8 neighbours must have their winner within two planes; a patch lies within one.
+    At least 6 of 8 neighbours must have their winner within two planes. A patch lies within one of its plane, and not
+    mostly on one of the next: a roof would lie on three.
     """
     import cv2
 
@@ -193,8 +194,9 @@ def _largest_patches(winner: NDArray[np.int32], score: Array, n: int, least: Arr
     patches = np.zeros(n, np.int64)
     for k in range(n):
         near = good & (np.abs(winner - k) <= 1)
-        cells = cv2.connectedComponentsWithStats(near.view(np.uint8), connectivity=4)[2][1:, cv2.CC_STAT_AREA]
-        patches[k] = cells.max(initial=0)
+        _, label = cv2.connectedComponents(near.view(np.uint8), connectivity=4)
+        cells, above = np.bincount(label[near]), np.bincount(label[near], winner[near] - k)
+        patches[k] = cells[2 * np.abs(above) <= cells].max(initial=0)
     return patches
 
 
