@@ -28,6 +28,10 @@ class SceneError(SattoolsError, ValueError):
     """A scene document is malformed or does not hold what a command needs."""
 
 
+class MissingProductError(SceneError):
+    """A scene has not been through a command that must come before; in a pipe of dry runs it never has."""
+
+
 class OutputExistsError(SattoolsError, FileExistsError):
     """An output is already there and overwriting was not asked for."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -62,17 +63,47 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     def before(scene: Scene) -> Scene:
         """The DSM is exported where a new fit has left it behind, as a stage that was left out is done."""
         from sattools.export.stage import export
-        from sattools.scene.dependencies import stale
 
-        reason = stale(scene, "export") if "dsm" in scene.products else "no DSM of the last fit"
-        if reason is None or "model" not in scene.products:
+        reason = _left_out(scene)
+        if reason is None:
             return scene
+        _check(options, deepcopy(scene), overwrite)
         click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
     run = Run("compare", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, emit, "score the DSM", before, foreseen=plans.of_compare)
+    run_scenes(
+        run,
+        scenes,
+        work,
+        emit,
+        "score the DSM",
+        before,
+        foreseen=plans.of_compare,
+        check=lambda s: _check(options, s, overwrite),
+    )
+
+
+def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
+    """What is in the way of scoring a scene, or of the export that comes first."""
+    from sattools.compare.stage import check_asked, check_start, read_truth
+    from sattools.export.stage import check_start as check_export
+
+    if _left_out(scene):
+        check_asked(options, scene, exported=False)
+        check_export(scene, ExportOptions(), overwrite)
+        read_truth(options, scene, scene.root)
+    else:
+        check_start(options, scene, overwrite)
+
+
+def _left_out(scene: Scene) -> str | None:
+    """Why the DSM has to be exported first; None where it has not, or there is nothing to export."""
+    from sattools.scene.dependencies import stale
+
+    reason = stale(scene, "export") if "dsm" in scene.products else "no DSM of the last fit"
+    return reason if "model" in scene.products else None
 
 
 def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:
@@ -82,15 +113,16 @@ def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:
 
 
 def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:
-    from sattools.compare.stage import compare_file, table, to_json
+    from sattools.compare.stage import check_file, compare_file, table, to_json
 
     if show:
         print_config("compare", options)
         return
-    if dry_run:
-        click.echo(f"sattools compare: would score {options.predicted}", err=True)
-        return
     try:
+        if dry_run:
+            check_file(options, overwrite)
+            click.echo(f"sattools compare: would score {options.predicted}", err=True)
+            return
         figures = compare_file(options, overwrite)
     except SattoolsError as error:
         report_error("compare", error)
@@ -103,13 +135,22 @@ def _compare_fits(options: CompareOptions, overwrite: bool, dry_run: bool, show:
     if show:
         print_config("compare", options)
         return
-    if dry_run:
-        click.echo(f"sattools compare: would score {', '.join(options.fit)}", err=True)
-        return
-    from sattools.compare.evaluation import MAP_COLUMNS, VIEW_COLUMNS, evaluate, map_rows, markdown, view_rows
+    from sattools.compare.evaluation import (
+        MAP_COLUMNS,
+        VIEW_COLUMNS,
+        check_fits,
+        evaluate,
+        map_rows,
+        markdown,
+        view_rows,
+    )
     from sattools.compare.stage import to_json
 
     try:
+        if dry_run:
+            check_fits(options, overwrite)
+            click.echo(f"sattools compare: would score {', '.join(options.fit)}", err=True)
+            return
         result = evaluate(options, overwrite, progress_of("compare", "fits"))
     except SattoolsError as error:
         report_error("compare", error)

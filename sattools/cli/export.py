@@ -30,5 +30,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return export(scene, options, progress, overwrite)
 
+    def check(scene: Scene) -> None:
+        from sattools.export.stage import check_start
+
+        check_start(scene, options, overwrite)
+
     run = Run("export", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="write the DSM and maps", foreseen=plans.of_export)
+    run_scenes(run, scenes, work, plan="write the DSM and maps", foreseen=plans.of_export, check=check)

@@ -70,6 +70,11 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return fit(scene, options, progress, overwrite)
 
+    def check(scene: Scene) -> None:
+        from sattools.fit.stage import check_start
+
+        check_start(scene, options, overwrite)
+
     def foreseen(scene: Scene) -> str:
         from sattools.fit.foresight import foresee
 
@@ -80,4 +85,4 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         click.echo("".join(f"# {line}\n" for line in DIFFERENCES.splitlines()), nl=False)
     run = Run("fit", options, dry_run, print_config, overwrite, at_once=False)
-    run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen)
+    run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen, check=check)

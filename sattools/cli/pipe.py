@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -18,7 +19,7 @@ import click
 from sattools.cli.interrupts import checked
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
-from sattools.errors import InputError, SattoolsError, SceneError
+from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError
 from sattools.progress import Progress, make_progress
 from sattools.settings import specs
 
@@ -52,6 +53,7 @@ def run_scenes(
     before: Callable[[Scene], Scene] | None = None,
     *,
     foreseen: Callable[[Scene], str] | None = None,
+    check: Callable[[Scene], None] | None = None,
 ) -> None:
     """Apply ``work`` to every scene and pass the results on as soon as they are done.
 
@@ -63,6 +65,7 @@ def run_scenes(
         plan: for --dry-run, what would be done.
         before: does what the command needs and the scene has not.
         foreseen: what it will take: for --dry-run, and for the first line where people look on (`_announce`).
+        check: for --dry-run, raises what ``work`` would raise at its start; may change the scene.
     """
     if run.print_config:
         print_config(run.command, run.options)
@@ -75,6 +78,8 @@ def run_scenes(
         _check_place(scene)
         if run.dry_run:
             takes = f": {foreseen(scene)}" if foreseen else ""
+            if check:
+                _rehearse(run, scene, check)
             click.echo(f"sattools {run.command}: would {plan} for scene {scene.id} in {scene.root}{takes}", err=True)
             return _shown(scene, None)
 
@@ -87,6 +92,21 @@ def run_scenes(
         return emit(scene, entry) if emit else _shown(scene, entry)
 
     each_scene(run.command, scenes, handle)
+
+
+def _rehearse(run: Run, scene: Scene, check: Callable[[Scene], None]) -> None:
+    """Raise what the run would raise before its work.
+
+    But for what commands before it have not made: on a pipe they were dry runs, too.
+    """
+    from sattools.scene.runner import document_of
+
+    document_of(scene, run.overwrite)
+    try:
+        check(deepcopy(scene))
+    except MissingProductError:
+        if scene.origin is not None:
+            raise
 
 
 def _announce(command: str, label: str, plan: str) -> None:

@@ -33,5 +33,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return prior(scene, options, progress, overwrite)
 
+    def check(scene: Scene) -> None:
+        from sattools.prior.gate import check_start
+
+        check_start(scene, options, overwrite)
+
     run = Run("prior", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="match the images", foreseen=plans.of_prior(options.memory))
+    run_scenes(run, scenes, work, plan="match the images", foreseen=plans.of_prior(options.memory), check=check)

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,6 +50,48 @@ def evaluate(options: CompareOptions, overwrite: bool = False, progress: Progres
     Raises:
         InputError: no name twice, no reserved one; unreadable scenes or references.
     """
+    scenes, references, truth, points, outputs = check_fits(options, overwrite)
+    result: dict[str, Any] = {"fits": {}, "points": {}, "brdf": _light(scenes, points)}
+    for number, (name, scene) in enumerate(scenes.items()):
+        progress(0.8 * number / len(scenes), name)
+        result["fits"][name] = _scored(options, scene, references, points)
+    result["points"] = {
+        name: {point: _point_nrmse(rows, truth) for point, rows in _by_name(figures["points"]).items()}
+        for name, figures in result["fits"].items()
+        if "points" in figures
+    }
+    _add_places(result, scenes, points, truth)
+    progress(0.8, "tables and figures")
+    with all_or_nothing():
+        _write(result, outputs, [point.name for point in points])
+    progress(1.0, "done")
+    return result
+
+
+class Plan(NamedTuple):
+    """What `evaluate` is about to do.
+
+    Attributes:
+        scenes: by the names of their fits.
+        references: files of reference maps by name; truth: what they hold.
+        points: samples.
+        outputs: files to write, by href.
+    """
+
+    scenes: dict[str, Scene]
+    references: dict[str, Path]
+    truth: dict[str, Values]
+    points: list[Point]
+    outputs: dict[str, Path]
+
+
+def check_fits(options: CompareOptions, overwrite: bool = False) -> Plan:
+    """What `evaluate` looks at before its work; arguments and errors as of `evaluate`.
+
+    Args:
+        options: of the stage.
+        overwrite: replace outputs that are there.
+    """
     assert options.out is not None  # the command has looked
     scenes = {name: Scene.from_file(path) for name, path in name_and_file(options.fit, "--fit").items()}
     if TRUTH in scenes:
@@ -71,21 +113,7 @@ def evaluate(options: CompareOptions, overwrite: bool = False, progress: Progres
     read = [path for scene in scenes.values() for path in files_of(scene)]
     check_outputs(outputs.values(), [*read, *(Path(path) for path in given if path)], overwrite)
 
-    result: dict[str, Any] = {"fits": {}, "points": {}, "brdf": _light(scenes, points)}
-    for number, (name, scene) in enumerate(scenes.items()):
-        progress(0.8 * number / len(scenes), name)
-        result["fits"][name] = _scored(options, scene, references, points)
-    result["points"] = {
-        name: {point: _point_nrmse(rows, truth) for point, rows in _by_name(figures["points"]).items()}
-        for name, figures in result["fits"].items()
-        if "points" in figures
-    }
-    _add_places(result, scenes, points, truth)
-    progress(0.8, "tables and figures")
-    with all_or_nothing():
-        _write(result, outputs, [point.name for point in points])
-    progress(1.0, "done")
-    return result
+    return Plan(scenes, references, truth, points, outputs)
 
 
 def _figure_href(number: int) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sattools.compare.metrics import WINDOW_PX, ImageErrors, image_errors
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, MissingProductError
 from sattools.radiometry.bands import BANDS_MEMBER, chosen_bands
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene.document import Item, Scene
@@ -31,13 +31,12 @@ def compare_views(scene: Scene, weights: Sequence[str] = ()) -> JsonObject:
         weights: files with those of LPIPS.
     """
     views: dict[str, dict[str, float | None]] = {}
+    check_views(scene)
     for item in scene.items:
-        if "rendered" in item.assets and {"radiance", "image"} & item.assets.keys():
+        if _is_rendered(item):
             figures = _figures(scene, item, weights)
             role = "test" if item.held_out else "train"
             views[item.id] = {"role": role, **figures}  # type: ignore[dict-item]
-    if not views:
-        raise SceneError(f"scene {scene.id}: found no rendered view, expected some made by `sattools export --view ID`")
     held_out = [figures for figures in views.values() if figures["role"] == "test"] or list(views.values())
     means: dict[str, Any] = {}
     for key in FIGURES:
@@ -45,6 +44,17 @@ def compare_views(scene: Scene, weights: Sequence[str] = ()) -> JsonObject:
         known = [value for value in values if value is not None]
         means[key] = float(np.mean(known)) if len(known) == len(values) else None
     return {**means, "views": views}
+
+
+def check_views(scene: Scene) -> None:
+    """Raise SceneError where no item has a rendered view to score."""
+    if not any(_is_rendered(item) for item in scene.items):
+        expected = "expected some made by `sattools export --view ID`"
+        raise MissingProductError(f"scene {scene.id}: found no rendered view, {expected}")
+
+
+def _is_rendered(item: Item) -> bool:
+    return "rendered" in item.assets and bool({"radiance", "image"} & item.assets.keys())
 
 
 def _figures(scene: Scene, item: Item, weights: Sequence[str]) -> dict[str, float | None]:

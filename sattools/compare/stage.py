@@ -12,26 +12,28 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sattools.compare.images import compare_views
+from sattools.compare.images import check_views, compare_views
 from sattools.compare.maps import Pair, compare_map
 from sattools.compare.options import CompareOptions
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.steps import step_text
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.truth import Truth, open_reference, read_dfc2019
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, MissingProductError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
-from sattools.scene.dependencies import begin, check_current
+from sattools.scene.dependencies import begin, check_current, may_begin
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.location import is_remote
 from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
+BESIDE = ("difference.tif", "difference.png")  # of a file that is scored without a scene
 DIFFERENCE, PICTURE, ERRORS = "compare/difference.tif", "compare/difference.png", "compare/errors.json"
 
 
@@ -110,13 +112,8 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
         progress: told the share done and what is being done.
         overwrite: replace outputs that are there.
     """
-    maps = name_and_file(options.map, "--map")
-    check_scene(scene)
-    given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps.values()]
-    outputs = begin(
-        scene, "compare", [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in maps)], overwrite,
-        [Path(path) for path in given if path],
-    )  # fmt: skip
+    hrefs, given = _begun(options, scene)
+    outputs = begin(scene, "compare", hrefs, overwrite, given)
     scored = score(options, scene, progress, scene.root)
     figures, result = scored.figures, scored.surface
     for name, (found, reference) in scored.maps.items():
@@ -130,10 +127,55 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
     return figures
 
 
+def check_start(options: CompareOptions, scene: Scene, overwrite: bool = False) -> None:
+    """What `compare` looks at before its work, for a dry run; arguments and errors as of `compare`.
+
+    Args:
+        options: of the stage.
+        scene: is changed.
+        overwrite: replace outputs that are there.
+    """
+    hrefs, given = _begun(options, scene)
+    may_begin(scene, "compare", hrefs, overwrite, given)
+    read_truth(options, scene, scene.root)
+
+
+def _begun(options: CompareOptions, scene: Scene) -> tuple[list[str], list[Path]]:
+    """Hrefs of what will be written, and the files given beside the scene's; raises where the scene lacks some."""
+    maps = name_and_file(options.map, "--map")
+    check_scene(scene)
+    check_asked(options, scene)
+    given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps.values()]
+    hrefs = [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in maps)]
+    return hrefs, [Path(path) for path in given if path]
+
+
+def check_asked(options: CompareOptions, scene: Scene, *, exported: bool = True) -> None:
+    """Raise where a map, a rendered view or a sample that is to be scored is not there.
+
+    Args:
+        options: of the stage.
+        scene: the scene.
+        exported: whether it has all its maps; else they are about to be made, as `sattools export` does by default.
+    """
+    for name, path in name_and_file(options.map, "--map").items():
+        if exported and name not in scene.products:
+            expected = "expected one made by `sattools export`"
+            raise MissingProductError(f"scene {scene.id}: found no product {name!r}, {expected}")
+        if not is_remote(str(path)) and not path.exists():
+            raise InputError(f"{path}: no such file, expected one for --map {name}")
+    if options.views:
+        check_views(scene if exported else replace(scene, items=[]))
+    if options.points:
+        from sattools.compare.points import read_points
+
+        read_points(Path(options.points))
+
+
 def check_scene(scene: Scene) -> None:
     """Raises SceneError, StaleError: a scene without a DSM, or whose DSM is not of its last fit."""
     if "dsm" not in scene.products:
-        raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
+        raise MissingProductError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
     check_current(scene, "export")
 
 
@@ -172,19 +214,33 @@ def score(options: CompareOptions, scene: Scene, progress: Progress = silent, fo
 def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject:
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
-    truth = read_truth(options)
+    truth, surface = check_file(options, overwrite)
     about = _datums(Path(options.predicted), options)
-    result = compare_surface(FiledSurface(Path(options.predicted)), truth, options.register)
+    result = compare_surface(surface, truth, options.register)
     if options.out:
-        from sattools.scene.document import Scene as Folder
-
-        place = Folder(id="compare", root=Path(options.out))
-        outputs = [place.output(name) for name in ("difference.tif", "difference.png")]
-        given = [options.predicted, options.dsm, options.classes]
-        check_outputs(outputs, [Path(path) for path in given if path], overwrite)
+        place = Scene(id="compare", root=Path(options.out))
+        outputs = [place.output(name) for name in BESIDE]
         with all_or_nothing():
             write_difference(result, *outputs)
     return {"predicted": options.predicted, **result.figures, **about}
+
+
+def check_file(options: CompareOptions, overwrite: bool = False) -> tuple[Truth, FiledSurface]:
+    """What `compare_file` looks at before its work: the reference and the surface that it scores.
+
+    Args:
+        options: of the stage.
+        overwrite: replace outputs that are there.
+    """
+    assert options.predicted is not None
+    truth = read_truth(options)
+    surface = FiledSurface(Path(options.predicted))
+    surface.check()
+    if options.out:
+        given = [options.predicted, options.dsm, options.classes]
+        outputs = [Path(options.out) / name for name in BESIDE]
+        check_outputs(outputs, [Path(path) for path in given if path], overwrite)
+    return truth, surface
 
 
 def _datums(predicted: Path, options: CompareOptions) -> JsonObject:
@@ -214,8 +270,6 @@ def _scatter_href(name: str) -> str:
 
 
 def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> tuple[JsonObject, Pair]:
-    if name not in scene.products:
-        raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools export`")
     east, north, _ = result.registration.metres(result.grid.cell_size)
     return compare_map(name, scene.path(scene.products[name]), reference, (east, north))
 

@@ -81,8 +81,9 @@ class FiledSurface:
         return str(self.path)
 
     def check(self) -> None:
-        """Raises InputError where the two are on different grids."""
-        if self.validity is not None and raster_grid(self.validity) != raster_grid(self.path):
+        """Raises InputError where a file is no raster, or the two are on different grids."""
+        grid = raster_grid(self.path)
+        if self.validity is not None and raster_grid(self.validity) != grid:
             raise InputError(f"{self.validity}: found another grid than the DSM's, expected the same")
 
     def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:

@@ -50,6 +50,17 @@ def to_datum(height: np.ndarray, grid: Grid, vertical: str) -> tuple[np.ndarray,
     return np.asarray(above).reshape(height.shape), datum_name(vertical)
 
 
+def check_datum(grid: Grid, vertical: str) -> None:
+    """Raise SattoolsError where PROJ has no grid for a geoid at the middle of an area.
+
+    Args:
+        grid: ground grid.
+        vertical: name of the datum.
+    """
+    middle = grid.part(*(slice(n // 2, n // 2 + 1) for n in grid.shape))
+    to_datum(np.zeros((1, 1)), middle, vertical)
+
+
 def datum_name(vertical: str) -> str:
     """What a datum is called in the tags of a raster."""
     return ELLIPSOID if vertical == "ellipsoid" else GEOIDS[vertical][1]
@@ -86,4 +97,4 @@ def _transformer(vertical: str) -> Transformer:
     return Transformer.from_crs("EPSG:4979", GEOIDS[vertical][0], always_xy=True, only_best=True, allow_ballpark=False)
 
 
-__all__ = ["ELLIPSOID", "GEOIDS", "datum_name", "has_grid", "to_datum", "vertical_crs", "vertical_datum"]
+__all__ = ["ELLIPSOID", "GEOIDS", "check_datum", "datum_name", "has_grid", "to_datum", "vertical_crs", "vertical_datum"]

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, MissingProductError, SceneError
 from sattools.export.blocks import Block, Surroundings, blocks
 from sattools.export.context import RELIT, Exported, shadow_suns, view_href
+from sattools.export.datum import check_datum
 from sattools.export.options import ExportOptions
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
@@ -31,7 +32,7 @@ from sattools.fit.stored import StoredModel
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
 from sattools.scene.area import wanted_cells
-from sattools.scene.dependencies import MADE, begin, check_current, record
+from sattools.scene.dependencies import MADE, begin, check_current, may_begin, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.stored import new_map
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
@@ -65,10 +66,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         StaleError: the model was made from something else than the scene holds now.
         InputError: the model file is damaged.
     """
-    check_libraries(options.wanted)
-    stored = _open_model(scene, options)
+    stored, model = _opened(scene, options)
     views = bool(options.view or options.sun is not None)
-    model = stored.load() if _needs_whole(options, stored) else None
     begin(scene, "export", _outputs(scene, options, stored, model), overwrite)
     progress(0.05, "what the images show")
     witnesses = Witnesses(scene, stored.about.items)
@@ -113,6 +112,25 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     }  # fmt: skip
 
 
+def check_start(scene: Scene, options: ExportOptions, overwrite: bool = True) -> None:
+    """What `export` looks at before its work, for a dry run; arguments and errors as of `export`.
+
+    Args:
+        scene: is changed.
+        options: of the export.
+        overwrite: replace files that are there.
+    """
+    may_begin(scene, "export", _outputs(scene, options, *_opened(scene, options)), overwrite)
+
+
+def _opened(scene: Scene, options: ExportOptions) -> tuple[StoredModel, FittedModel | None]:
+    """The scene's model, as a whole, too, where that is needed; raises what is in the way of exporting it."""
+    check_libraries(options.wanted)
+    stored = _open_model(scene, options)
+    check_datum(stored.grid, options.vertical)
+    return stored, stored.load() if _needs_whole(options, stored) else None
+
+
 def _write_block(
     scene: Scene, stored: StoredModel, block: Block, what: tuple[Surroundings, Witnesses, SurfaceFiles], fill: bool
 ) -> tuple[Exported, NDArray[np.int64]]:
@@ -135,7 +153,8 @@ def _write_block(
 def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:
     """The scene's model, checked to be of what the scene holds now."""
     if "model" not in scene.products:
-        raise SceneError(f"scene {scene.id}: found no product 'model', expected one made by `sattools fit`")
+        expected = "expected one made by `sattools fit`"
+        raise MissingProductError(f"scene {scene.id}: found no product 'model', {expected}")
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
         known = ", ".join(item.id for item in scene.items)[:200]
@@ -200,4 +219,4 @@ def _views(scene: Scene, parts: Parts, options: ExportOptions, progress: Progres
             write_view(shown, name, options.sun)
 
 
-__all__ = ["export"]
+__all__ = ["check_start", "export"]

@@ -118,17 +118,15 @@ def load_prior(
     """
     if options.prior_weight == 0:
         return None, {}
-    made = latest(scene, "prior")
     ids = [item.id for item in scene.train_items()]
-    if made is not None and "prior_dsm" in scene.products:
-        if made.get("implicit") and (made["items"] != ids or stale(scene, "prior")):
-            log.info("scene %s: the prior is made anew, for %d images", scene.id, len(ids))
-            drop(scene, "prior")
-            overwrite = True
-        else:
-            check_current(scene, "prior")
-            if leaked := sorted(set(made["items"]) - set(ids)):
-                log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
+    if _is_left_over(scene):
+        log.info("scene %s: the prior is made anew, for %d images", scene.id, len(ids))
+        drop(scene, "prior")
+        overwrite = True
+    check_prior(scene, options)
+    made = latest(scene, "prior")
+    if made is not None and "prior_dsm" in scene.products and (leaked := sorted(set(made["items"]) - set(ids))):
+        log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
     from sattools.prior.files import read_prior
 
     new: JsonObject = {}
@@ -138,6 +136,25 @@ def load_prior(
 
         new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
     return DepthPrior.from_arrays(*read_prior(scene, _part_of_prior(scene))), new
+
+
+def check_prior(scene: Scene, options: FitOptions) -> None:
+    """Raise StaleError where the fit would take a prior that the user asked for and that is out of date."""
+    if options.prior_weight > 0 and "prior_dsm" in scene.products and not _is_left_over(scene):
+        check_current(scene, "prior")
+
+
+def makes_prior(scene: Scene, options: FitOptions) -> bool:
+    """Whether the fit will make the prior itself, as none is there or an earlier fit made it of something else."""
+    return options.prior_weight > 0 and ("prior_dsm" not in scene.products or _is_left_over(scene))
+
+
+def _is_left_over(scene: Scene) -> bool:
+    """Whether an earlier fit has made the prior of other images, or of images as they are no more."""
+    made = latest(scene, "prior")
+    if made is None or "prior_dsm" not in scene.products or not made.get("implicit"):
+        return False
+    return made["items"] != [item.id for item in scene.train_items()] or stale(scene, "prior") is not None
 
 
 def _part_of_prior(scene: Scene) -> Grid | None:
@@ -175,4 +192,4 @@ def _hash(array: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-__all__ = ["fingerprint", "holding_out", "load_prior", "may_write"]
+__all__ = ["check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write"]

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from sattools.fit.files import MODEL, TRACE
-from sattools.fit.foresight import with_tile
-from sattools.fit.inputs import holding_out, may_write
+from sattools.fit.foresight import check_tiled, with_tile
+from sattools.fit.inputs import holding_out, makes_prior, may_write
 from sattools.fit.options import FitOptions
+from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.tiles.stage import fit_tiled
 from sattools.fit.whole import choose_device, fit_whole, set_up
+from sattools.prior import PriorOptions
+from sattools.prior.gate import check_start as check_prior_start
 from sattools.progress import Progress, silent
 from sattools.scene import Scene
-from sattools.scene.dependencies import begin
+from sattools.scene.dependencies import begin, may_begin
 from sattools.scene.jsonio import JsonObject
 
 
@@ -41,4 +44,24 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         return fit_tiled(scene, setup.options, progress)
 
 
-__all__ = ["choose_device", "fit"]
+def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> None:
+    """What `fit` looks at before its work, for a dry run; arguments and errors as of `fit`.
+
+    Args:
+        scene: is changed.
+        options: of the fit.
+        overwrite: replace outputs that are there.
+    """
+    options = with_tile(scene, options)
+    may = may_write(scene, options, overwrite)
+    may_begin(scene, "fit", [MODEL, TRACE], may)
+    with holding_out(scene, options.holdout, options.views):
+        set_up(scene, options)
+        if options.tile and not scene.is_part and PRODUCT not in scene.products:
+            check_tiled(options)
+            Plan.make(scene, options)
+        elif makes_prior(scene, options):
+            check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
+
+
+__all__ = ["check_start", "choose_device", "fit"]

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import torch
 
 from sattools.errors import SceneError
+from sattools.fit.combinations import check_combination, check_step
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import COLOURS, Radiance
 from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import holding_out, load_prior, may_write
+from sattools.fit.inputs import check_prior, holding_out, load_prior, may_write
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.start import Beginning
@@ -24,10 +25,11 @@ from sattools.fit.surface.trainer import StageSettings
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
 from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
+from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin
 from sattools.scene.jsonio import JsonObject
-from sattools.views import Source, load_sources, with_bands
+from sattools.views import Opened, Source, load_sources, open_images, with_bands
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class FitSetup:
         options: with the weights that go with it.
         device: to compute on.
         notes: for the history.
+        images: files of the images.
     """
 
     items: list[Item]
@@ -47,16 +50,32 @@ class FitSetup:
     options: FitOptions
     device: torch.device
     notes: list[str]
+    images: Opened
 
 
 def set_up(scene: Scene, options: FitOptions) -> FitSetup:
-    """Raises SceneError: fewer than two training images, or options that do not go with them."""
+    """All that may be in the way of a fit, before a pixel is read; a dry run ends with it.
+
+    Raises:
+        SceneError: fewer than two training images, or options that do not go with them or with each other.
+        InputError: a file of the scene that is none.
+    """
     items = scene.train_items()
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
     radiance = radiance_kind(scene, items)
     notes = check_light(scene, items, radiance, options.brdf)
-    return FitSetup(items, radiance, calibrated(options, radiance), choose_device(options.device), notes)
+    device = choose_device(options.device)
+    images = open_images(scene, items)
+    bands = [len(chosen_bands(item, options.bands, images.bands)) for item in items]
+    check_combination(options, bands[0])
+    if options.field == "surface":
+        grid = scene.require_grid()
+        schedule(options, grid.cell_size, scene.require_height_range(), options.prior_weight > 0)
+    elif device.type == "cpu":
+        check_step(options)
+    check_prior(scene, options)
+    return FitSetup(items, radiance, calibrated(options, radiance), device, notes, images)
 
 
 def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
@@ -72,14 +91,13 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
     begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
         setup = set_up(scene, options)
-        sources = load_sources(scene, setup.items)
+        sources = load_sources(scene, setup.items, setup.images)
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
         sources = with_bands(sources, setup.items, options.bands)  # the prior matches whatever the images show
         told = subprogress(progress, 0.2 if prior else 0.0, 1.0)
         if options.field == "surface":
             fitted = _fit_surface(scene, setup, sources, prior, told)
         else:
-            check_sky(setup.options, sources[0].radiance.shape[0])
             from sattools.fit.rays.stage import fit_rays
 
             trace = Trace()
@@ -138,7 +156,6 @@ def _fit_surface(
     lasting: bool = True,
 ) -> Fitted:
     options, radiance = setup.options, setup.radiance
-    check_sky(options, sources[0].radiance.shape[0])
     notes: list[str] = []
     grid, z_range = scene.require_grid(), scene.require_height_range()
     # amplitudes of a reflectance model and what tiles share have the unit of the images
@@ -198,18 +215,6 @@ def _fit_surface(
     return Fitted(model, job.trace, notes + more)
 
 
-def check_sky(options: FitOptions, bands: int) -> None:
-    """Raise SceneError where a sky is asked for without a reflectance model, or of another number of bands."""
-    if options.sky == "none" and not options.sky_share:
-        return
-    if options.brdf == "lambert" or options.field != "surface":
-        raise SceneError(
-            f"--sky: found --brdf {options.brdf} and --field {options.field}, expected rpv, hapke or auto on a surface"
-        )
-    if options.sky_share and len(options.sky_share) not in (1, bands):
-        raise SceneError(f"--sky-share: found {len(options.sky_share)} values, expected 1 or {bands}, one per band")
-
-
 def choose_device(name: str) -> torch.device:
     """The device of that name; auto = CUDA where there is one."""
     if name == "cuda" and not torch.cuda.is_available():
@@ -219,4 +224,4 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-__all__ = ["FitSetup", "check_sky", "choose_device", "fit_whole", "set_up"]
+__all__ = ["FitSetup", "choose_device", "fit_whole", "set_up"]

@@ -7,7 +7,8 @@ import logging
 import numpy as np
 
 from sattools.errors import SceneError
-from sattools.prior.files import CONFIDENCE, DSM, MAPS, MapFiles, write_sensor_map
+from sattools.prior.files import CONFIDENCE, DSM, MapFiles, write_sensor_map
+from sattools.prior.gate import NO_STEREO, check_count, outputs, per_image_href
 from sattools.prior.matched import Matched, match_area
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
@@ -51,12 +52,8 @@ def prior(
         OutputExistsError: a product exists and ``overwrite`` is False.
     """
     items = scene.train_items()
-    outputs = list(MAPS.values())
-    if options.per_image:
-        outputs += [_per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
-    begin(scene, "prior", outputs, overwrite)
-    if len(items) < 2:
-        raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+    begin(scene, "prior", outputs(items, options), overwrite)
+    check_count(scene, items)
     whole = scene.require_grid()
     grid = whole.resized(options.resolution or whole.cell_size)
     z_range = scene.require_height_range()
@@ -69,7 +66,7 @@ def prior(
         check_extent(grid)
         found = match_area(sources, grid, z_range, options, part)
     if found is None:
-        raise SceneError(f"scene {scene.id}: found no two images from different directions, expected stereo images")
+        raise SceneError(f"scene {scene.id}: {NO_STEREO}")
 
     progress(0.9, "writing")
     write_maps(scene, found.height, found.confidence, grid)
@@ -138,13 +135,9 @@ def _per_image(
             source.rpc, source.radiance.shape[1:], grid, height, [confidence], (low, high)
         )
         for name, array, unit in (("depth", depth, "m"), ("confidence", image_confidence, "1")):
-            href = _per_image_href(name, source.id)
+            href = per_image_href(name, source.id)
             write_sensor_map(scene.output(href), array, source.rpc, name, unit)
             items[source.id].assets[name] = Asset(href, GEOTIFF_TYPE)
-
-
-def _per_image_href(name: str, item_id: str) -> str:
-    return f"prior/{name}/{item_id}.tif"
 
 
 def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:

@@ -78,8 +78,7 @@ def begin(
 ) -> dict[str, Path]:
     """Get ready to write a stage's outputs: nothing is written yet, but nothing can be in the way any more.
 
-    What the stage and all after it have left is dropped from the scene in memory; its files stay. All other files that
-    the scene names count as inputs.
+    As `may_begin`, and their folders are made.
 
     Args:
         scene: is changed.
@@ -95,10 +94,19 @@ def begin(
         OutputIsInputError, OutputExistsError: see `check_outputs`.
         SceneError: an href leads out of the scene's root.
     """
-    drop(scene, stage)
     outputs = list(outputs)
-    check_outputs([scene.path(href) for href in outputs], [*files_of(scene), *inputs], overwrite)
+    may_begin(scene, stage, outputs, overwrite, inputs)
     return {href: scene.output(href) for href in outputs}
+
+
+def may_begin(scene: Scene, stage: str, outputs: Iterable[str], overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Raise where a stage's outputs must not be written; leaves the scene's folder as it is.
+
+    What the stage and all after it have left is dropped from the scene in memory; its files stay. All other files that
+    the scene names count as inputs. Arguments and errors as of `begin`.
+    """
+    drop(scene, stage)
+    check_outputs([scene.path(href) for href in outputs], [*files_of(scene), *inputs], overwrite)
 
 
 def drop(scene: Scene, stage: str) -> list[str]:
@@ -257,6 +265,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "MADE", "STAGES", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "names_of", "record",
-    "stale",
+    "MADE", "STAGES", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "may_begin", "names_of",
+    "record", "stale",
 ]  # fmt: skip

@@ -64,7 +64,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         log.place(scene.root)
         if scene.origin is not None:
             scene = Scene.from_file(scene.origin)
-        there = _document_of(scene, step.overwrite)
+        there = document_of(scene, step.overwrite)
         if there is not None and there.history[: len(scene.history)] == scene.history:
             scene.history = there.history
         start = _Clock.now()
@@ -103,8 +103,13 @@ def _settings(step: Step) -> JsonObject:
     return _plain(as_dict(step.options)) if step.options is not None else {}
 
 
-def _document_of(scene: Scene, overwrite: bool) -> Scene | None:
-    """The document in the scene's folder, None where there is none; SceneError where it is of something else."""
+def document_of(scene: Scene, overwrite: bool) -> Scene | None:
+    """The document in the scene's folder, None where there is none; SceneError where it is of something else.
+
+    Args:
+        scene: whose folder it is.
+        overwrite: whether it may be of something else.
+    """
     path = scene.path("scene.json")
     if not path.exists():
         return None
@@ -172,4 +177,4 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-__all__ = ["Step", "Work", "run_first", "run_on"]
+__all__ = ["Step", "Work", "document_of", "run_first", "run_on"]

@@ -2,10 +2,12 @@
 
 from sattools.views.load import (
     BALANCE_PROPERTY,
+    Opened,
     RadiometricBalance,
     Source,
     check_seen,
     load_sources,
+    open_images,
     views_on,
     with_bands,
 )
@@ -13,6 +15,7 @@ from sattools.views.resample import View, line_of_sight, make_view, match_colour
 
 __all__ = [
     "BALANCE_PROPERTY",
+    "Opened",
     "RadiometricBalance",
     "Source",
     "View",
@@ -21,6 +24,7 @@ __all__ = [
     "load_sources",
     "make_view",
     "match_colours",
+    "open_images",
     "read_at",
     "shown_on",
     "views_on",

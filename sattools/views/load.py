@@ -16,7 +16,7 @@ from sattools.errors import SceneError
 from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
-from sattools.scene.pixels import image_part
+from sattools.scene.pixels import ImagePart, image_part
 from sattools.views.check import check_cells, check_extent, check_scene
 from sattools.views.resample import View, line_of_sight, make_view
 
@@ -62,16 +62,25 @@ def with_bands(sources: Sequence[Source], items: Sequence[Item], wanted: Sequenc
     return found
 
 
-def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
-    """Read the radiance (asset `radiance`, else the normalised `image`) and the camera of every item.
+@dataclass(frozen=True)
+class Opened:
+    """Items whose files are there and go with each other, before a pixel is read.
 
-    Only the window that shows the scene's grid is read, and where a cell has many pixels, their means; the camera is
-    that of what was read.
-
-    Raises:
-        SceneError: an item without image or camera, or images with different numbers of bands.
-        InputError: a file that cannot be read.
+    Attributes:
+        names: of the assets with the pixels.
+        cameras: of the images.
+        parts: where the pixels are.
+        bands: of every image.
     """
+
+    names: list[str]
+    cameras: list[RPC]
+    parts: list[ImagePart]
+    bands: int
+
+
+def open_images(scene: Scene, items: Sequence[Item]) -> Opened:
+    """Find the radiance (asset `radiance`, else `image`) and the camera of every item; see `load_sources`."""
     for item in items:
         if "rpc" not in item.assets:
             raise SceneError(f"scene {scene.id}: item {item.id} has no asset 'rpc', expected a corrected camera")
@@ -81,6 +90,33 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
     names = ["radiance" if "radiance" in item.assets else "image" for item in items]
     parts = [image_part(scene, item, name) for item, name in zip(items, names, strict=True)]
     check_scene(scene, items, cameras, [part.shape for part in parts])
+    counts = [part.bands for part in parts]
+    usual = Counter(counts).most_common(1)[0][0] if counts else 0
+    for part, count in zip(parts, counts, strict=True):
+        if count != usual:
+            raise SceneError(
+                f"{part.path}: found {count} bands, expected {usual} bands as most of the other images have"
+            )
+    return Opened(names, cameras, parts, usual)
+
+
+def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = None) -> list[Source]:
+    """Read the radiance (asset `radiance`, else the normalised `image`) and the camera of every item.
+
+    Only the window that shows the scene's grid is read, and where a cell has many pixels, their means; the camera is
+    that of what was read.
+
+    Args:
+        scene: of the items.
+        items: the images.
+        opened: what `open_images` has found of them, if it has looked already.
+
+    Raises:
+        SceneError: an item without image or camera, or images with different numbers of bands.
+        InputError: a file that cannot be read.
+    """
+    opened = opened or open_images(scene, items)
+    names, cameras, parts = opened.names, opened.cameras, opened.parts
     around = _surroundings(scene, cameras)
     sources = []
     for item, camera, name, part in zip(items, cameras, names, parts, strict=True):
@@ -96,14 +132,6 @@ def load_sources(scene: Scene, items: Sequence[Item]) -> list[Source]:
         linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
         given = item.properties.get(BALANCE_PROPERTY)
         sources.append(Source(item.id, radiance, rpc, item.sun, linear, RadiometricBalance(**given) if given else None))
-    bands = Counter(s.radiance.shape[0] for s in sources)
-    if len(bands) > 1:
-        usual = bands.most_common(1)[0][0]
-        odd = next(k for k, s in enumerate(sources) if s.radiance.shape[0] != usual)
-        raise SceneError(
-            f"{parts[odd].path}: found {sources[odd].radiance.shape[0]} bands, expected {usual} bands as most of the "
-            "other images have"
-        )
     return sources
 
 
@@ -179,4 +207,14 @@ def check_seen(item_id: str, mask: np.ndarray, remedy: str | None = None) -> Non
         )
 
 
-__all__ = ["BALANCE_PROPERTY", "RadiometricBalance", "Source", "check_seen", "load_sources", "views_on", "with_bands"]
+__all__ = [
+    "BALANCE_PROPERTY",
+    "Opened",
+    "RadiometricBalance",
+    "Source",
+    "check_seen",
+    "load_sources",
+    "open_images",
+    "views_on",
+    "with_bands",
+]

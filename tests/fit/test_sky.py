@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from sattools.errors import SceneError
+from sattools.fit.combinations import check_sky
 from sattools.fit.illumination import material_notes
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, diffuse
 from sattools.fit.materials.scene import ReflectiveScene, restored
@@ -14,7 +15,6 @@ from sattools.fit.materials.sky import deep_shade, share_in_shade, sky_direction
 from sattools.fit.materials.start import ambient_in_shade, reflective
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.scene import start_scene
-from sattools.fit.whole import check_sky
 from sattools.scene.raster import read_raster
 from sattools.simulate import SimulateOptions, simulate
 from sattools.views import load_sources, views_on

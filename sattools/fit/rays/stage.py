@@ -12,10 +12,9 @@ from pathlib import Path
 
 import torch
 
-from sattools.errors import SceneError
 from sattools.field import neural
-from sattools.field.networks import NETWORKS
 from sattools.field.surface_base import SurfaceBase
+from sattools.fit.combinations import starts_from_prior
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import Radiance
 from sattools.fit.files import CHECKPOINT, Fitted
@@ -38,7 +37,6 @@ from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Scene
-from sattools.scene.memory import check_memory
 from sattools.views import Source, View, match_colours, views_on
 
 log = logging.getLogger(__name__)
@@ -48,7 +46,6 @@ ROWS_TRIED = 4  # to know how long reading all off takes
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
-LEAST_HELD = 16  # place, density, colour, and what is made of them
 STEPS = {
     "voxel": FieldSteps({"logits": 0.1, "albedo": 0.03}),
     "neural": FieldSteps(neural.RATES, neural.BEGIN, neural.EPSILON),
@@ -72,23 +69,17 @@ def fit_rays(
     Args:
         scene: with grid and height range.
         sources: the training images.
-        options: of the fit.
+        options: of the fit, checked (`sattools.fit.combinations`).
         prior: depth supervision, or None.
         device: where the field is trained and read off.
         progress: told the share done.
         radiance: what the images' numbers are.
         start: what the field begins as, instead of the prior's surface.
         trace: of what has been done already.
-
-    Raises:
-        SceneError: a combination of options that cannot work.
     """
     trace = trace or Trace()
-    check(options, prior is not None, sources)
-    if device.type == "cpu":
-        _check_step(options)
     whole, z_range = scene.require_grid(), scene.require_height_range()
-    warm = _starts_from_prior(options)  # and so as detailed as the prior
+    warm = starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
     z_ref = reference_height(prior, z_range)
     views = views_on(sources, grid, z_ref, z_range)
@@ -99,13 +90,11 @@ def fit_rays(
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
     if absolute:  # the images have one scale already
         gain, offset = torch.ones_like(gain), torch.zeros_like(offset)
-    if options.shadow == "auto" or options.transient == "auto":
-        raise SceneError("--shadow auto, --transient auto: expected --field surface; name the model for other fields")
     # a field with neither shadows nor slopes has to begin with the mean image
     coloured = start if start is not None and (options.shadow != "none" or start.reflective is not None) else None
     base = None
     if warm:
-        assert prior_here is not None  # `check`
+        assert prior_here is not None  # `check_combination`
         base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
         if coloured:
             base, gain, offset = coloured.coloured(base, grid), coloured.surface.gain, coloured.surface.offset
@@ -144,7 +133,7 @@ def _model_of(
     extra["box"] = torch.tensor([box.low, box.high])
     if options.brdf_at == "sample":
         extra["brdf_at_sample"] = torch.ones(1)
-    assert options.brdf != "auto"  # `check`
+    assert options.brdf != "auto"  # `check_combination`
     return FittedModel(
         grid=grid,
         items=[v.id for v in views],
@@ -170,57 +159,6 @@ def _model_of(
         beta=maps.images.get("beta") if options.beta else None,
         extra=extra,
     )
-
-
-def check(options: FitOptions, has_prior: bool, sources: list[Source]) -> None:
-    """Refuse what cannot work.
-
-    Args:
-        options: of the fit.
-        has_prior: whether there is one.
-        sources: the images.
-    """
-    if options.guided and not has_prior:
-        raise SceneError("--guided: found no prior to sample around, expected --prior-weight above 0")
-    if options.field == "neural" and options.start == "noise":
-        raise SceneError("--field neural: found --start noise, expected --start surface or prior")
-    if _starts_from_prior(options) and not has_prior:
-        raise SceneError(f"--start {options.start}: found no prior, expected --prior-weight above 0 (or --start noise)")
-    if options.field == "mlp" and options.shadow == "learned" and "sun" not in NETWORKS[options.network].heads:
-        raise SceneError(f"--shadow learned: network {options.network} has no head for it, expected --shadow geometric")
-    if options.solar_weight > 0 and (options.field != "mlp" or "sun" not in NETWORKS[options.network].heads):
-        raise SceneError("--solar-weight: expected a network with learned shadows, --network satnerf")
-    if options.field in STEPS and options.shadow == "learned":
-        raise SceneError(f"--shadow learned: a {options.field} field has no head for it, expected --shadow geometric")
-    if options.brdf == "lambert":
-        return
-    if options.brdf == "auto":
-        raise SceneError("--brdf auto: expected --field surface; name the model for other fields")
-    if options.field in STEPS:
-        raise SceneError(f"--brdf {options.brdf}: a {options.field} field has no head for it, expected --brdf lambert")
-    if options.network != options.brdf:
-        raise SceneError(
-            f"--brdf {options.brdf}: network {options.network} has no head for it, expected --network {options.brdf}"
-        )
-    if options.normals != "prior" or not has_prior:
-        raise SceneError(
-            f"--brdf {options.brdf} with --field mlp: found no prior for its normals, expected --normals prior and a "
-            "--prior-weight above 0"
-        )
-
-
-def _check_step(options: FitOptions) -> None:
-    """Raise SattoolsError where the samples of one step are surely more than memory holds."""
-    samples = options.rays * (options.samples + options.guided)
-    held = LEAST_HELD  # numbers of a sample that wait for the way back
-    if options.field == "mlp":
-        network = NETWORKS[options.network]
-        held = network.depth * (options.width or network.width)
-    check_memory(4.0 * held * samples, f"--rays {options.rays}: {samples} samples a step", "fewer --rays or --samples")
-
-
-def _starts_from_prior(options: FitOptions) -> bool:
-    return options.field in ("mlp", "neural") and options.start != "noise"
 
 
 @dataclass

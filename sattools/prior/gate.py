@@ -1,0 +1,59 @@
+"""What may be in the way of a matching, asked before an image is read."""
+
+from __future__ import annotations
+
+from sattools.errors import SceneError
+from sattools.prior.files import MAPS
+from sattools.prior.matching.pairs import choose_pairs
+from sattools.prior.options import PriorOptions
+from sattools.prior.tiled import AT_ONCE
+from sattools.scene import Item, Scene
+from sattools.scene.dependencies import may_begin
+from sattools.views import line_of_sight, open_images
+from sattools.views.check import check_extent
+
+NO_STEREO = "found no two images from different directions, expected stereo images"
+
+
+def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> None:
+    """What `prior` looks at before its work, for a dry run; arguments and errors as of `sattools.prior.stage.prior`.
+
+    Args:
+        scene: is changed.
+        options: of the matching.
+        overwrite: replace products that are there.
+    """
+    items = scene.train_items()
+    may_begin(scene, "prior", outputs(items, options), overwrite)
+    check_count(scene, items)
+    whole = scene.require_grid()
+    grid = whole.resized(options.resolution or whole.cell_size)
+    z_range = scene.require_height_range()
+    images = open_images(scene, items)
+    if grid.width * grid.height <= AT_ONCE:
+        check_extent(grid)
+    slopes = [line_of_sight(camera, grid, z_range[0], z_range)[0] for camera in images.cameras]
+    if not len(choose_pairs(slopes, [None] * len(items), options.pairs)):
+        raise SceneError(f"scene {scene.id}: {NO_STEREO}")
+
+
+def check_count(scene: Scene, items: list[Item]) -> None:
+    """Raise SceneError where fewer than two images are left to match."""
+    if len(items) < 2:
+        raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+
+
+def outputs(items: list[Item], options: PriorOptions) -> list[str]:
+    """All files that will be written."""
+    found = list(MAPS.values())
+    if options.per_image:
+        found += [per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
+    return found
+
+
+def per_image_href(name: str, item_id: str) -> str:
+    """File of what an image sees of the matched surface."""
+    return f"prior/{name}/{item_id}.tif"
+
+
+__all__ = ["NO_STEREO", "check_count", "check_start", "outputs", "per_image_href"]

@@ -1,0 +1,130 @@
+"""A dry run refuses what the run would refuse before its work, in the same words and with the same exit code."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.scene import Scene
+
+QUICK = ["--resolution", "2", "--epochs", "1"]
+
+
+def run(*arguments: object, text: str = "") -> Any:
+    return CliRunner().invoke(main, ["--quiet", *map(str, arguments)], input=text)
+
+
+def refused(*arguments: object) -> str:
+    """The line with which a command refuses, dry and for real."""
+    dry, real = run(*arguments, "--dry-run"), run(*arguments)
+    assert (dry.exit_code, dry.stderr) == (real.exit_code, real.stderr)
+    assert dry.stdout == real.stdout == ""
+    assert dry.exit_code == 1
+    (line,) = dry.stderr.splitlines()
+    return str(line)
+
+
+@pytest.fixture(scope="module")
+def fitted_source(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("dry") / "TOWN"
+    shutil.copytree(town_source.root, root)
+    document = root / "scene.json"
+    for command in (["prior", "--resolution", "2", "--rough-passes", "0"], ["fit", *QUICK]):
+        assert run(*command, document).exit_code == 0
+    return document
+
+
+@pytest.fixture
+def fitted(fitted_source: Path, tmp_path: Path) -> Path:
+    shutil.copytree(fitted_source.parent, tmp_path / "TOWN")
+    return tmp_path / "TOWN/scene.json"
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--preset", "rpv-nerf", "--brdf", "hapke"], "network rpv has no head for it, expected --network hapke"),
+        (["--preset", "eonerf", "--shadow", "learned"], "network eonerf has no head for it"),
+        (["--preset", "eonerf", "--sky", "auto"], "--sky: found --brdf lambert and --field mlp"),
+        (["--preset", "spsnerf", "--prior-weight", "0"], "--guided: found no prior to sample around"),
+        (["--preset", "satnerf", "--transient", "auto"], "--transient auto: expected --field surface"),
+        (["--field", "neural", "--start", "noise"], "--field neural: found --start noise"),
+        (["--field", "voxel", "--brdf", "rpv"], "a voxel field has no head for it"),
+        (["--brdf", "auto", "--prior-weight", "0"], "--brdf auto: found no prior, expected one"),
+        (["--brdf", "hapke", "--sky-share", "0.1", "--sky-share", "0.2"], "found 2 values, expected 1 or 3"),
+        (["--bands", "pink"], "--bands: found 'pink'"),
+        (["--holdout", "nobody"], "found no item 'nobody' to hold out"),
+        (["--views", "nearest-nadir:1"], "found 1 training image, expected at least 2"),
+        (["--softness", "1"], "--softness: found [1.0]"),
+        (["--tile", "32", "--overlap", "8", "--brdf", "rpv"], "--tile: found --brdf rpv"),
+        ([], "exists already; give --overwrite to replace it"),
+    ],
+    ids=" ".join,
+)
+def test_a_fit(fitted: Path, options: list[str], why: str) -> None:
+    given = [*options, "--overwrite"] if options else options
+    assert why in refused("fit", *given, fitted)
+
+
+def test_a_network_with_more_rays_than_memory_holds(fitted: Path) -> None:
+    line = refused("--max-memory", 1000, "fit", "--overwrite", "--preset", "eonerf", "--rays", 1 << 20, fitted)
+    assert "samples a step: found a need of" in line
+
+
+def test_a_matching(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    document = scene.root / "scene.json"
+    assert "cells of 100 m for the whole area" in refused("prior", "--resolution", 100, document)
+    alike = scene.items[0].assets["rpc"].href
+    for item in scene.items[1:]:
+        shutil.copy(scene.path(alike), scene.path(item.assets["rpc"].href))
+        item.properties |= {n: v for n, v in scene.items[0].properties.items() if n.startswith("view:")}
+    scene.write()
+    assert "found no two images from different directions" in refused("prior", document)
+    assert "found no two images from different directions" in refused("fit", document)
+
+
+def test_an_export(fitted: Path, make_town: Callable[[str], Scene]) -> None:
+    assert "found no item 'nobody'" in refused("export", "--view", "nobody", fitted)
+    assert "found no product 'model'" in refused("export", make_town("PLAIN").root / "scene.json")
+    assert run("export", fitted).exit_code == 0
+    assert "exists already; give --overwrite" in refused("export", fitted)
+
+
+def test_a_comparison(fitted: Path, make_town: Callable[[str], Scene], tmp_path: Path) -> None:
+    nowhere = tmp_path / "nowhere"
+    # what has to be exported first is not, where its scores could not be had
+    assert "no such folder" in refused("compare", "--truth", nowhere, fitted)
+    assert "found no rendered view" in refused("compare", "--views", fitted)
+    assert not (fitted.parent / "export").exists()
+    assert "found no DSM" in refused("compare", make_town("PLAIN").root / "scene.json")
+    assert run("export", fitted).exit_code == 0
+    for options, why in (
+        (["--map", "w=w.tif"], "found no product 'w'"),
+        (["--map", "albedo=nowhere.tif"], "nowhere.tif: no such file, expected one for --map albedo"),
+        (["--views"], "found no rendered view"),
+        (["--region", "here"], "region: found 'here'"),
+    ):
+        assert why in refused("compare", *options, fitted)
+
+
+def test_comparisons_without_a_scene(fitted: Path, tmp_path: Path) -> None:
+    heights = fitted.parent / "truth/TOWN_DSM.tif"
+    assert "no such file" in refused("compare", "--predicted", tmp_path / "no.tif", "--dsm", heights)
+    assert "found no reference" in refused("compare", "--predicted", heights)
+    assert "found no DSM" in refused("compare", "--fit", f"Lam={fitted}", "--out", tmp_path / "out")
+
+
+def test_a_pipe_of_dry_runs_needs_none_of_what_they_would_have_made(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    before = sorted(scene.root.rglob("*"))
+    text = (scene.root / "scene.json").read_text().replace('"root":"."', f'"root":"{scene.root}"')
+    for command in ("prior", "fit", "export", "compare"):
+        result = run(command, "--dry-run", text=text)
+        assert result.exit_code == 0, result.stderr
+        text = result.stdout
+    assert sorted(scene.root.rglob("*")) == before
