@@ -1,12 +1,14 @@
 """Matching of made-up views of a known surface."""
 
 import itertools
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from rendered import CELL, RANGE, views_of
+from scipy.ndimage import grey_erosion
 
 from sattools import compiled
 from sattools.prior.confidence import match_confidence
@@ -16,6 +18,7 @@ from sattools.prior.matching.match import _prepared, _rough_passes, for_hills, h
 from sattools.prior.matching.sweep import BLOCK, FEW_PAIRS, MatchTask, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import filled
+from sattools.prior.visibility.occlusion import disk, erode
 from sattools.progress import silent
 
 
@@ -71,6 +74,22 @@ def test_on_wide_cells_the_surface_is_eroded_by_one_of_them(house: Any) -> None:
 
     np.testing.assert_array_equal(hiding(0.1), hiding(2 / 3))  # times 1.5, the rough passes' cells are a metre wide
     assert (hiding(0.0) > 8).sum() > 1.3 * (hiding(0.1) > 8).sum()  # 11 x 10 cells, less their rim
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.0, 2.9, 5.0, 12.3])
+def test_erosion_takes_the_lowest_height_of_a_disk(radius: float) -> None:
+    surface = np.random.default_rng(0).random((31, 47), np.float32)
+    expected = grey_erosion(surface, footprint=disk(radius), mode="nearest")
+    np.testing.assert_array_equal(erode(surface, radius), expected)
+
+
+def test_erosion_by_a_wide_disk_takes_no_more_memory_than_some_surfaces() -> None:
+    surface = np.random.default_rng(0).random((200, 200), np.float32)
+    tracemalloc.start()
+    erode(surface, 71.0)  # 50 m on cells of 0.7 m
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10 * surface.nbytes
 
 
 def test_two_views_are_enough_for_open_ground(house: Any) -> None:
