@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -67,7 +66,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         reason = _left_out(scene)
         if reason is None:
             return scene
-        _check(options, deepcopy(scene), overwrite)
+        _check_asked(options, scene)
         click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
@@ -87,15 +86,22 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
 def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
     """What is in the way of scoring a scene, or of the export that comes first."""
-    from sattools.compare.stage import check_asked, check_start, read_truth
+    from sattools.compare.stage import check_start
     from sattools.export.stage import check_start as check_export
 
     if _left_out(scene):
-        check_asked(options, scene, exported=False)
+        _check_asked(options, scene)
         check_export(scene, ExportOptions(), overwrite)
-        read_truth(options, scene, scene.root)
     else:
         check_start(options, scene, overwrite)
+
+
+def _check_asked(options: CompareOptions, scene: Scene) -> None:
+    """What would be in the way after the export."""
+    from sattools.compare.stage import check_asked, read_truth
+
+    check_asked(options, scene, exported=False)
+    read_truth(options, scene, scene.root)
 
 
 def _left_out(scene: Scene) -> str | None:

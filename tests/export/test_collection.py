@@ -127,6 +127,7 @@ def test_without_dates_there_is_a_collection_and_no_item(scene: Any) -> None:
 
 def test_a_compound_crs_is_given_as_text(scene: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sattools.export.surface_files.to_datum", lambda height, *_: (height, "EGM96 geoid"))
+    monkeypatch.setattr("sattools.export.stage.check_datum", lambda *_: None)
     export(scene, ExportOptions(vertical="egm96"))
     assets = read(scene, "collection")["assets"]
     assert assets["dsm"]["proj:code"] is None
