@@ -388,6 +388,7 @@ def _twenty(tags: Mapping[str, Any], key: str, source: str) -> Array:
     except (TypeError, ValueError):
         values = np.full(len(raw), np.nan)
     if values.size != 20 or not np.isfinite(values).all():
-        raise InputError(f"{source}: found {values.size} usable {key} members, expected 20 finite numbers")
+        usable = int(np.isfinite(values).sum())
+        raise InputError(f"{source}: found {usable} usable {key} members of {values.size}, expected 20 finite numbers")
     values.flags.writeable = False
     return values

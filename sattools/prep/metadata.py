@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Mapping
@@ -14,8 +15,9 @@ from sattools.camera import RPC
 from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
 from sattools.errors import InputError
 from sattools.scene.jsonio import read_json
-from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant
+from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant, shown
 
+log = logging.getLogger(__name__)
 PLATFORMS = {
     "WV01": "WorldView-1",
     "WV02": "WorldView-2",
@@ -96,6 +98,18 @@ def parse_time(text: Any) -> datetime | None:
             except ValueError:
                 return None
     return None
+
+
+def _time_of(text: Any, path: Path) -> datetime | None:
+    """The same of a metadata file, where a text that is no time is told: the image would be one of no date."""
+    found = parse_time(text)
+    if found is None and re.search(r"\d", str(text)):
+        log.warning(
+            "%s: found the time %s, expected YYYY-MM-DDThh:mm:ss or YYYYMMDDhhmmss: taken for unknown",
+            path,
+            shown(text),
+        )
+    return found
 
 
 def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> float | None:
@@ -181,7 +195,7 @@ def _from_json(path: Path) -> Metadata:
         properties = document.get("properties") or {}
         sun = parse_sun(properties.get("view:sun_azimuth"), properties.get("view:sun_elevation"), str(path))
         return Metadata(
-            time=parse_time(properties.get("datetime")), platform=properties.get("platform") or None, sun=sun
+            time=_time_of(properties.get("datetime"), path), platform=properties.get("platform") or None, sun=sun
         )
     _SATNERF_JSON.check(document, str(path))
     known = _SATNERF_JSON.members.keys()
@@ -197,7 +211,7 @@ def _from_json(path: Path) -> Metadata:
         rpc=RPC.from_file(path) if has_rpc else None,
         rpc_source=str(path) if has_rpc else None,
         size=size,
-        time=parse_time(document.get("acquisition_date", document.get("datetime"))),
+        time=_time_of(document.get("acquisition_date", document.get("datetime")), path),
         sun=parse_sun(document.get("sun_azimuth"), document.get("sun_elevation"), str(path)),
     )
 
@@ -226,7 +240,7 @@ def _from_xml(path: Path) -> Metadata:
         return Metadata(
             rpc=RPC.from_file(path) if model else None,
             rpc_source=str(path) if model else None,
-            time=parse_time(f"{date}T{clock}") if date and clock else None,
+            time=_time_of(f"{date}T{clock}", path) if date and clock else None,
             platform=find_platform(code),
             bits=int(bits) if bits and bits.isdigit() and 0 < int(bits) <= 32 else None,
             sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION"), str(path)),
@@ -235,7 +249,7 @@ def _from_xml(path: Path) -> Metadata:
     return Metadata(
         rpc=RPC.from_file(path) if model else None,
         rpc_source=str(path) if model else None,
-        time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME", "acquisitionDateTime") or ""),
+        time=_time_of(first("FIRSTLINETIME", "EARLIESTACQTIME", "acquisitionDateTime") or "", path),
         platform=find_platform(first("SATID") or ""),
         sun=parse_sun(
             first("MEANSUNAZ", "SUNAZ", "illuminationAzimuthAngle"),
@@ -254,7 +268,7 @@ def _from_imd(path: Path) -> Metadata:
         return next((values[n] for n in names if n in values), None)
 
     return Metadata(
-        time=parse_time(first("FIRSTLINETIME", "EARLIESTACQTIME") or ""),
+        time=_time_of(first("FIRSTLINETIME", "EARLIESTACQTIME") or "", path),
         platform=find_platform(first("SATID") or ""),
         sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL"), str(path)),
     )

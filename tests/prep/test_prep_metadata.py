@@ -30,6 +30,19 @@ def test_times(text: Any, time: Any) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("text", "told"), [("31.02.2014", True), ("20141399999999", True), ("", False), ("N/A", False)]
+)
+def test_a_time_that_is_none_is_told_and_a_missing_one_is_not(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str, told: bool
+) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"acquisition_date": text, "sun_azimuth": 158.0, "sun_elevation": 33.0}))
+    assert read_sidecar(path).time is None
+    wanted = [f"{path}: found the time '{text}', expected YYYY-MM-DDThh:mm:ss or YYYYMMDDhhmmss: taken for unknown"]
+    assert caplog.messages == (wanted if told else [])
+
+
 def test_sun_angles_may_be_text_with_a_sign_and_come_in_pairs() -> None:
     assert parse_sun("158.9", "+33.5") == (158.9, 33.5)
     assert parse_sun("-10", 20) == (350.0, 20.0)
