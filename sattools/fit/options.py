@@ -116,7 +116,9 @@ class FitOptions(RayOptions):
     prior_weight: float = option(0.2, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
     pose: bool = option(True, "Refine one shift per view during the fit.")
-    budget: float | None = option(None, "Seconds after which the fit stops and keeps what it has.", minimum=0)
+    budget: float | None = option(
+        None, "Seconds after which the fit stops and keeps what it has; 0 = no such limit.", minimum=0
+    )
     holdout: list[str] = option([], "Item id to leave out of training (repeatable).")
     reference: str | None = option(
         None, "DSM to score the surface against after every epoch (never used by the fit).", path="file"

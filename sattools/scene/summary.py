@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sattools.errors import printable
 from sattools.scene.dependencies import STAGES, names_of
-from sattools.scene.document import Scene
+from sattools.scene.document import Item, Scene
 from sattools.scene.jsonio import JsonObject
 
 
@@ -18,7 +18,7 @@ def summary(scene: Scene) -> str:
         )
     if scene.height_range_m:
         lines.append("  heights {:.1f} ... {:.1f} m above the ellipsoid".format(*scene.height_range_m))
-    lines.append(f"  {len(scene.items)} images, {len(scene.train_items())} for training")
+    lines.append(f"  {len(scene.items)} images, {len(scene.train_items())} for training{_left_out(scene)}")
     for item in scene.items:
         p = item.properties
         parts = [f"    {item.id:24s} {str(p.get('datetime') or 'no date')[:16]:16s}"]
@@ -28,7 +28,7 @@ def summary(scene: Scene) -> str:
             parts.append(f"off-nadir {p['view:off_nadir']:4.1f}")
         if p.get("gsd") is not None:
             parts.append(f"gsd {p['gsd']:.2f} m")
-        parts.append(item.role)
+        parts.append(f"{item.role}, held out by the fit" if item in _held_out_by_the_fit(scene) else item.role)
         lines.append("  ".join(parts))
     for name, href in scene.products.items():
         lines.append(f"  product {name:16s} {href}")
@@ -37,6 +37,15 @@ def summary(scene: Scene) -> str:
         lines.append(f"  {entry['command']:10s} {seconds:8.1f} s  {memory:7.0f} MB")
         lines.extend(f"    {note}" for note in entry.get("notes", []))
     return printable("\n".join(line.replace("\n", " ") for line in lines))
+
+
+def _held_out_by_the_fit(scene: Scene) -> list[Item]:
+    return [item for item in scene.train_items() if item.held_out]
+
+
+def _left_out(scene: Scene) -> str:
+    count = len(_held_out_by_the_fit(scene))
+    return f", {count} of them held out by the last fit" if count else ""
 
 
 def brief(scene: Scene, entry: JsonObject | None) -> str:

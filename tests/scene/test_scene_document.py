@@ -10,6 +10,8 @@ import pytest
 
 from sattools.errors import SceneError
 from sattools.scene import Asset, Grid, Item, Scene
+from sattools.scene.document import FIT_ROLE
+from sattools.scene.summary import summary
 
 RING = [[-81.7, 30.3], [-81.6, 30.3], [-81.6, 30.4], [-81.7, 30.4], [-81.7, 30.3]]
 
@@ -214,3 +216,11 @@ def test_what_a_command_needs_and_the_scene_lacks_is_named(tmp_path: Path) -> No
         scene.require_grid()
     with pytest.raises(SceneError, match="found no height range"):
         scene.require_height_range()
+
+
+def test_a_summary_marks_what_the_last_fit_held_out(tmp_path: Path) -> None:
+    roles: list[dict[str, Any]] = [{}, {FIT_ROLE: "test"}, {"sattools:role": "test"}]
+    scene = Scene("A", tmp_path, [Item(f"i{k}", None, None, role) for k, role in enumerate(roles)])
+    lines = summary(scene).splitlines()
+    assert lines[1] == "  3 images, 2 for training, 1 of them held out by the last fit"
+    assert [line.split("no date")[1].strip() for line in lines[2:5]] == ["train", "train, held out by the fit", "test"]
