@@ -115,8 +115,8 @@ def test_the_unit_of_linear_radiance_does_not_matter(make_town: Any, monkeypatch
         prior(scene, PriorOptions())
     fit(whole, QUICK)
 
-    def darker(scene: Any, items: Any) -> Any:
-        return [replace(source, radiance=source.radiance / 2) for source in load_sources(scene, items)]
+    def darker(scene: Any, items: Any, *more: Any) -> Any:
+        return [replace(source, radiance=source.radiance / 2) for source in load_sources(scene, items, *more)]
 
     monkeypatch.setattr("sattools.fit.whole.load_sources", darker)
     fit(dim, QUICK)
