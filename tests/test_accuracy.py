@@ -39,8 +39,8 @@ def test_the_real_tile(data_dir: Path, tmp_path: Path) -> None:
     images = sorted((contest / "Track3-RGB-crops/JAX_068").glob("*.tif"))
     run("prep", *images, "--metadata", contest / "rpc_raw/JAX_068", "--id", "JAX_068", "--out", tmp_path)
     found = surface(tmp_path / "JAX_068/scene.json", contest / "Track3-Truth/JAX_068_DSM.tif")
-    assert found["mae"] < 1.03 * 1.030
-    assert found["mae_capped_5m"] < 1.03 * 0.726
+    assert found["mae"] < 1.03 * 1.040
+    assert found["mae_capped_5m"] < 1.03 * 0.733
     assert abs(found["near_steps"]["signed"]) < 0.15  # a gain of one sign by the other is none
 
 
@@ -49,7 +49,7 @@ def test_a_city_of_another_simulator(data_dir: Path, tmp_path: Path) -> None:
     images = sorted((city / "images").glob("*.tif"))
     run("prep", *images, "--metadata", city / "metadata", "--id", "city_214", "--out", tmp_path)
     found = surface(tmp_path / "city_214/scene.json", city / "truth/JAX_214_DSM.tif")
-    assert found["mae"] < 1.03 * 0.504
+    assert found["mae"] < 1.03 * 0.501
     assert found["mae_capped_5m"] < 1.03 * 0.385
     assert abs(found["near_steps"]["signed"]) < 0.15  # a gain of one sign by the other is none
 
@@ -60,8 +60,8 @@ def test_seven_views_of_that_city(data_dir: Path, tmp_path: Path) -> None:
     images = [city / f"images/JAX_214_{k:03d}_RGB.tif" for k in (1, 3, 6, 9, 13, 18, 19)]
     run("prep", *images, "--metadata", city / "metadata", "--id", "city_214", "--out", tmp_path)
     found = surface(tmp_path / "city_214/scene.json", city / "truth/JAX_214_DSM.tif")
-    assert found["mae"] < 1.03 * 0.629
-    assert found["mae_capped_5m"] < 1.03 * 0.420
+    assert found["mae"] < 1.03 * 0.630
+    assert found["mae_capped_5m"] < 1.03 * 0.422
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def hills(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return scene
 
 
-@pytest.mark.parametrize(("brdf", "psnr"), [("hapke", 41.59), ("rpv", 40.59), ("lambert", 32.91)])
+@pytest.mark.parametrize(("brdf", "psnr"), [("hapke", 41.55), ("rpv", 40.47), ("lambert", 32.92)])
 def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, brdf: str, psnr: float) -> None:
     truth = data_dir / "external/natural_12/truth"
     run("fit", "--overwrite", "--brdf", brdf, "--resolution", 2, hills)
@@ -85,7 +85,7 @@ def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, b
     run("compare", "--overwrite", "--views", "--dsm", truth / "HAP_DSM.tif", *maps, hills)
     found = errors(hills)
     assert found["views"]["HAP_003"]["psnr"] > psnr - 0.3
-    for name, nrmse in {"w": 0.161, "b": 0.231, "theta": 0.238}.items() if maps else ():
+    for name, nrmse in {"w": 0.163, "b": 0.236, "theta": 0.238}.items() if maps else ():
         assert found["parameters"][name]["nrmse"] < 1.03 * nrmse, name
 
 
