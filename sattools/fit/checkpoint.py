@@ -14,6 +14,7 @@ import numpy as np
 
 from sattools.errors import InputError
 from sattools.scene.files import write_bytes, write_with
+from sattools.scene.jsonio import JsonObject
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -109,12 +110,23 @@ def verify(path: Path) -> None:
     Raises:
         InputError: missing, damaged, or not written by sattools.
     """
+    describe(path)
+
+
+def describe(path: Path) -> JsonObject:
+    """`verify` a file; its description, as it was written.
+
+    Raises:
+        InputError: missing, damaged, or not written by sattools.
+    """
     try:
         with open(path, "rb") as file:
             table, _ = _table(file)
-        expected = json.loads(table["__metadata__"][KEY]).get(CHECKSUM)
+        description = dict(json.loads(table["__metadata__"][KEY]))
+        expected = description.get(CHECKSUM)
         if expected is not None and expected != _checksum_of(path):
             raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
+        return description
     except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
         raise InputError(f"{path}: found no sattools model ({error})") from error
 
@@ -194,4 +206,4 @@ def _checksum(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> 
     return known.hexdigest()
 
 
-__all__ = ["Put", "load", "save", "save_in_pieces", "verify"]
+__all__ = ["Put", "describe", "load", "save", "save_in_pieces", "verify"]

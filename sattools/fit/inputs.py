@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sattools import __version__
+from sattools.camera.rpc import RPC
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT
@@ -188,8 +189,32 @@ def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], pr
     return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
 
+def basis_of(scene: Scene, options: FitOptions, cameras: Sequence[RPC]) -> JsonObject:
+    """What of `fingerprint` is known before an image is read, for people: options as ``--name``, the rest in words.
+
+    Args:
+        scene: the scene.
+        options: as asked for.
+        cameras: of the training images.
+    """
+    items = scene.train_items()
+    found: JsonObject = {
+        f"--{name.replace('_', '-')}": value for name, value in asdict(options).items() if name not in _HOUSEKEEPING
+    }
+    found |= {
+        "versions of sattools": __version__,
+        "images": [item.id for item in items],
+        "ground cells": scene.require_grid().to_dict(),
+        "height ranges": scene.require_height_range(),
+        "cameras": [hashlib.sha256(camera.to_rpc_txt().encode()).hexdigest() for camera in cameras],
+        "suns": [item.sun for item in items],
+        "kinds of radiance": [item.properties.get("sattools:radiance") for item in items],
+    }
+    return dict(json.loads(json.dumps(found, default=str)))  # as a checkpoint gives it back
+
+
 def _hash(array: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-__all__ = ["check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write"]
+__all__ = ["basis_of", "check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write"]

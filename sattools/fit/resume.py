@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
 from torch import Tensor
 
 from sattools.errors import InputError, SceneError
-from sattools.fit.checkpoint import load, save
+from sattools.fit.checkpoint import describe, load, save
 from sattools.fit.trace import Row
+from sattools.scene.jsonio import JsonObject
+from sattools.scene.schema import shown
 
 log = logging.getLogger(__name__)
 OTHER_FIT = "found a checkpoint of other options, images or cameras, expected the same; drop --resume"
@@ -36,6 +38,7 @@ class Interrupted:
         rows: of the trace so far.
         stage, epoch: where a surface is; step: where a field of rays is.
         illumination: of a surface.
+        basis: what was known before an image was read, see `sattools.fit.inputs.basis_of`; older checkpoints have none.
     """
 
     tensors: Mapping[str, Tensor]
@@ -45,6 +48,7 @@ class Interrupted:
     epoch: int = 0
     step: int = 0
     illumination: IlluminationOptions | None = None
+    basis: JsonObject = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write a checkpoint.
@@ -80,4 +84,32 @@ class Interrupted:
             raise InputError(f"{path}: found no checkpoint of a fit ({error})") from error
 
 
-__all__ = ["OTHER_FIT", "IlluminationOptions", "Interrupted"]
+def check_checkpoint(path: Path, basis: JsonObject) -> None:
+    """Whether a fit on that basis may go on with a checkpoint, as far as it can be said before images are read.
+
+    Args:
+        path: of the checkpoint; nothing is said where there is none.
+        basis: of the fit, see `sattools.fit.inputs.basis_of`.
+
+    Raises:
+        SceneError: a checkpoint of another fit.
+        InputError: a damaged one.
+    """
+    if not path.exists():
+        return
+    found = describe(path).get("basis")
+    if not isinstance(found, dict) or not found:  # of an older version, told when all is known
+        return
+    for name in found | basis:
+        old, new = found.get(name), basis.get(name)
+        if old == new:
+            continue
+        if name.startswith("--"):
+            raise SceneError(
+                f"{path}: found a checkpoint of other options ({name} {shown(old)}), expected {name} {shown(new)}; "
+                "drop --resume"
+            )
+        raise SceneError(f"{path}: found a checkpoint of other {name}, expected the same; drop --resume")
+
+
+__all__ = ["OTHER_FIT", "IlluminationOptions", "Interrupted", "check_checkpoint"]

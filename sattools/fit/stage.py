@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import check_tiled, with_tile
 from sattools.fit.inputs import holding_out, makes_prior, may_write
@@ -9,7 +11,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.tiles.stage import fit_tiled
-from sattools.fit.whole import choose_device, fit_whole, set_up
+from sattools.fit.whole import choose_device, fit_whole, set_up, set_up_whole
 from sattools.prior import PriorOptions
 from sattools.prior.gate import check_start as check_prior_start
 from sattools.progress import Progress, silent
@@ -56,11 +58,17 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
     may = may_write(scene, options, overwrite)
     may_begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
-        set_up(scene, options)
         if options.tile and not scene.is_part and PRODUCT not in scene.products:
-            check_tiled(options)
-            Plan.make(scene, options)
-        elif makes_prior(scene, options):
+            setup = set_up(scene, options)
+            check_tiled(setup.options)
+            plan = Plan.make(scene, setup.options)
+            if len(plan.tiles) > 1 and options.part != "mosaic":
+                plan.begun()
+            if len(plan.tiles) > 1 or options.part in ("coarse", "split"):
+                return
+            options = replace(setup.options, tile=None, part="all")
+        set_up_whole(scene, options)
+        if makes_prior(scene, options):
             check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
 
 

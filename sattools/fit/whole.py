@@ -12,12 +12,13 @@ from sattools.errors import SceneError
 from sattools.fit.combinations import check_combination, check_step
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import COLOURS, Radiance
-from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
+from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import check_prior, holding_out, load_prior, may_write
+from sattools.fit.inputs import basis_of, check_prior, holding_out, load_prior, may_write
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.start import Beginning
+from sattools.fit.resume import check_checkpoint
 from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.schedule import schedule
@@ -43,6 +44,7 @@ class FitSetup:
         device: to compute on.
         notes: for the history.
         images: files of the images.
+        basis: what a checkpoint of this fit is known by.
     """
 
     items: list[Item]
@@ -51,6 +53,7 @@ class FitSetup:
     device: torch.device
     notes: list[str]
     images: Opened
+    basis: JsonObject
 
 
 def set_up(scene: Scene, options: FitOptions) -> FitSetup:
@@ -75,7 +78,16 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     elif device.type == "cpu":
         check_step(options)
     check_prior(scene, options)
-    return FitSetup(items, radiance, calibrated(options, radiance), device, notes, images)
+    basis = basis_of(scene, options, images.cameras)
+    return FitSetup(items, radiance, calibrated(options, radiance), device, notes, images, basis)
+
+
+def set_up_whole(scene: Scene, options: FitOptions) -> FitSetup:
+    """`set_up` of a fit of the whole area; SceneError, InputError where it cannot go on with a checkpoint, too."""
+    setup = set_up(scene, options)
+    if options.resume:
+        check_checkpoint(scene.path(CHECKPOINT), setup.basis)
+    return setup
 
 
 def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, overwrite: bool = True) -> JsonObject:
@@ -90,7 +102,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
     may = may_write(scene, options, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
-        setup = set_up(scene, options)
+        setup = set_up_whole(scene, options)
         sources = load_sources(scene, setup.items, setup.images)
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
         sources = with_bands(sources, setup.items, options.bands)  # the prior matches whatever the images show
@@ -105,7 +117,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             if prior is not None and starts_from_surface(setup.options):
                 start = _beginning(scene, setup, sources, prior)
             given = (scene, sources, setup.options, prior, setup.device, told)
-            fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace)
+            fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace, basis=setup.basis)
         fitted.notes[:0] = setup.notes
         return save_fit(scene, fitted, made)
 
@@ -170,6 +182,7 @@ def _fit_surface(
 
     stages = stages_of(options)
     job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance, lasting=lasting)
+    job.basis = setup.basis
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
@@ -224,4 +237,4 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-__all__ = ["FitSetup", "choose_device", "fit_whole", "set_up"]
+__all__ = ["FitSetup", "choose_device", "fit_whole", "set_up", "set_up_whole"]

@@ -20,7 +20,7 @@ from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.losses import beta_loss, depth_loss, solar_correction
-from sattools.fit.stage import fit
+from sattools.fit.stage import check_start, fit
 from sattools.scene import Grid
 
 PAPERS = [name for name in PRESETS if name != "fast"]
@@ -134,6 +134,8 @@ def test_an_interrupted_fit_goes_on_to_the_same_end(make_town: Any) -> None:
     with pytest.raises(KeyboardInterrupt):
         fit(broken, options, stop)
     assert not broken.path("fit/model.safetensors").exists()
+    with pytest.raises(SceneError, match=r"found a checkpoint of other options \(--seed 0\), expected --seed 1"):
+        check_start(broken, replace(options, resume=True, seed=1))
     fit(broken, replace(options, resume=True))
     one, other = (load(s.path("fit/model.safetensors"))[0] for s in (whole, broken))
     assert set(one) == set(other)

@@ -16,9 +16,10 @@ import torch
 
 from sattools.camera import RPC
 from sattools.errors import InputError, OutputExistsError, SceneError
+from sattools.fit import whole as whole_fit
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
-from sattools.fit.stage import fit
+from sattools.fit.stage import check_start, fit
 from sattools.scene import Scene
 from sattools.scene.raster import write_cog
 
@@ -110,7 +111,8 @@ def test_resuming_with_other_options_is_refused(make_town: Any) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
-    with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
+    why = r"fit/checkpoint\.safetensors: found a checkpoint of other options \(--seed 0\), expected --seed 3; drop --resume"
+    with pytest.raises(SceneError, match=why):
         fit(scene, replace(SHORT, resume=True, seed=3))
 
 
@@ -124,22 +126,48 @@ def darken(scene: Scene) -> None:
         data.write((data.read() * 0.9).astype(data.dtypes[0]))
 
 
+def test_resuming_with_another_image_is_refused(make_town: Any) -> None:
+    """Its pixels are no more the same: known when they have been read."""
+    scene = make_town()
+    with pytest.raises(Interrupted):
+        fit(scene, SHORT, interrupt_after(6))
+    darken(scene)
+    with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
+        fit(scene, replace(SHORT, resume=True))
+
+
+def another_height_range(scene: Scene) -> None:
+    scene.height_range_m = (-40.0, 60.0)
+
+
+def without_an_image(scene: Scene) -> None:
+    del scene.items[0]
+
+
+def another_sun(scene: Scene) -> None:
+    scene.items[0].properties["view:sun_azimuth"] = 99.0
+
+
 @pytest.mark.parametrize(
-    "change",
+    ("change", "why"),
     [
-        lambda scene: scene.items[0].properties.update({"view:sun_azimuth": 99.0}),
-        shift_camera,
-        darken,
-        lambda scene: setattr(scene, "height_range_m", (-40.0, 60.0)),
+        (shift_camera, "other cameras"),
+        (another_sun, "other suns"),
+        (another_height_range, "other height ranges"),
+        (without_an_image, "other images"),
     ],
 )
-def test_resuming_with_another_sun_camera_image_or_height_range_is_refused(make_town: Any, change: Any) -> None:
+def test_a_checkpoint_of_another_scene_is_refused_before_an_image_is_read(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch, change: Any, why: str
+) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
     change(scene)
-    with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
-        fit(scene, replace(SHORT, resume=True))
+    monkeypatch.setattr(whole_fit, "load_sources", lambda *_: pytest.fail("an image was read"))
+    for begin in (check_start, fit):
+        with pytest.raises(SceneError, match=f"found a checkpoint of {why}, expected the same; drop --resume"):
+            begin(scene, replace(SHORT, resume=True))
 
 
 def test_resuming_on_another_prior_is_refused(make_town: Any) -> None:

@@ -16,7 +16,7 @@ from sattools.compare import compare_dsm, read_reference
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
-from sattools.fit.stage import fit
+from sattools.fit.stage import check_start, fit
 from sattools.fit.surface import job
 from sattools.fit.tiles import mosaic
 from sattools.fit.tiles import plan as tile_plan
@@ -97,10 +97,12 @@ def test_an_interrupted_tiled_fit_does_only_what_is_left(both: Any, make_town: A
     assert said[0][1].startswith("whole area, coarsely: ")
     assert [(scene.root / f"fit/tiles/{n}/fit/model.safetensors").exists() for n in ("r0c1", "r1c0")] == [True, False]
     said.clear()
-    with pytest.raises(
-        SceneError, match="found a checkpoint of other options, images or cameras, expected the same; drop --resume"
-    ):
-        fit(scene, replace(TILED, seed=1, resume=True))
+    for begin in (check_start, fit):
+        with pytest.raises(
+            SceneError, match="found a checkpoint of other options, images or cameras, expected the same; drop --resume"
+        ):
+            begin(scene, replace(TILED, seed=1, resume=True))
+    check_start(scene, replace(TILED, resume=True))
     fit(scene, replace(TILED, resume=True), lambda share, message: said.append((share, message)))
     assert {message.split(":")[0] for _, message in said if ":" in message} == {"tile 3 of 4", "tile 4 of 4"}
     # the same as without interruption, bit for bit

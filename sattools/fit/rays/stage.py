@@ -37,6 +37,7 @@ from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Scene
+from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, View, match_colours, views_on
 
 log = logging.getLogger(__name__)
@@ -63,6 +64,7 @@ def fit_rays(
     radiance: Radiance = "relative",
     start: Beginning | None = None,
     trace: Trace | None = None,
+    basis: JsonObject | None = None,
 ) -> Fitted:
     """Train a field ray by ray.
 
@@ -76,6 +78,7 @@ def fit_rays(
         radiance: what the images' numbers are.
         start: what the field begins as, instead of the prior's surface.
         trace: of what has been done already.
+        basis: of a checkpoint, see `Interrupted`.
     """
     trace = trace or Trace()
     whole, z_range = scene.require_grid(), scene.require_height_range()
@@ -112,7 +115,8 @@ def fit_rays(
             trainer.colour["ambient"].data.copy_(coloured.surface.ambient)
         begin_uncertainty(trainer)
         mark = fingerprint(scene, options, sources, prior)
-        notes = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace).run(options, progress)
+        job = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace, basis)
+        notes = job.run(options, progress)
         notes += judge_heights(trainer)
         model = _model_of(trainer, base, views, grid, z_range)
     if prior_here is not None and prior_here.normal is not None:
@@ -170,6 +174,7 @@ class _RayJob:
         trainer: of the field.
         grid, z_range: where its surface is read off to be scored.
         trace: of the fit.
+        basis: of the checkpoint, too.
     """
 
     path: Path
@@ -178,6 +183,7 @@ class _RayJob:
     grid: Grid
     z_range: tuple[float, float]
     trace: Trace
+    basis: JsonObject | None = None
 
     def run(self, options: FitOptions, progress: Progress) -> list[str]:
         """Train; notes."""
@@ -216,7 +222,9 @@ class _RayJob:
             if due and done < options.steps and not over:
                 saved_at = trace.seconds()
                 trainer.unsaid = torch.tensor([total, count], dtype=torch.float64, device="cpu")
-                Interrupted(trainer.state(), self.fingerprint, trace.rows, step=done).save(self.path)
+                Interrupted(trainer.state(), self.fingerprint, trace.rows, step=done, basis=self.basis or {}).save(
+                    self.path
+                )
             if over:
                 return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"]
         return []

@@ -31,6 +31,7 @@ from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
+from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, View, match_colours, shown_on, views_on
 
 log = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ class SurfaceJob:
     light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
     chosen: IlluminationOptions | None = None
     coarse: Coarse | None = None
+    basis: JsonObject = field(default_factory=dict)  # of a checkpoint, see `Interrupted`
     lasting: bool = True  # leaves checkpoints; the start of another field is fitted anew
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
@@ -307,7 +309,8 @@ class SurfaceJob:
     def _save(self, trainer: StageTrainer, stage: int, epoch: int) -> None:
         if not self.lasting:
             return
-        state = Interrupted(trainer.state(), self._print, self.trace.rows, stage, epoch, illumination=self.chosen)
+        where = (self.trace.rows, stage, epoch)
+        state = Interrupted(trainer.state(), self._print, *where, illumination=self.chosen, basis=self.basis)
         state.save(self.scene.output(CHECKPOINT))
 
     def _resume(self) -> Interrupted | None:

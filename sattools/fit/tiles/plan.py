@@ -109,13 +109,11 @@ class Plan:
     def coarse(self, progress: Progress) -> list[str]:
         """Fit the whole coarsely and write the scenes of the pilot tiles, unless an earlier run has; notes."""
         started = time.perf_counter()
-        state = read_state(self.scene.root)
-        if self.options.resume and state is not None:
-            self.check_state(state)
-            if state.get("pilots") is not None or state["tiles"] is not None:
-                return list(state["notes"])
-        else:
+        state = self.begun()
+        if state is None:
             self.begin(None)
+        elif state.get("pilots") is not None or state["tiles"] is not None:
+            return list(state["notes"])
         coarse = self._coarse_scene()
         options = replace(self._own_options(), tile=None, resolution=self.finest * self.factor)
         options = replace(options, resume=(coarse.root / CHECKPOINT).exists())
@@ -215,10 +213,12 @@ class Plan:
             "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
         }
 
-    def check_state(self, state: JsonObject) -> None:
-        """Raise SceneError where the tiles on disk belong to another fit."""
-        if state["key"] != self._key():
+    def begun(self) -> JsonObject | None:
+        """What an earlier run has left for this one to go on with; SceneError where it is of another fit."""
+        state = read_state(self.scene.root) if self.options.resume else None
+        if state is not None and state["key"] != self._key():
             raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
+        return state
 
     def _write_state(
         self, names: list[str] | None, notes: list[str], seconds: float = 0.0, pilots: list[str] | None = None
