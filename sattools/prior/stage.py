@@ -8,7 +8,7 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DSM, MapFiles, write_sensor_map
-from sattools.prior.gate import NO_STEREO, check_count, outputs, per_image_href
+from sattools.prior.gate import NO_STEREO, check_count, outputs, per_image_href, warn_of_window
 from sattools.prior.matched import Matched, match_area
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
@@ -57,6 +57,7 @@ def prior(
     whole = scene.require_grid()
     grid = whole.resized(options.resolution or whole.cell_size)
     z_range = scene.require_height_range()
+    notes = warn_of_window(scene, grid, options)
     progress(0.0, "reading images")
     part = subprogress(progress, 0.2, 0.9)
     if sources is None and grid.width * grid.height > AT_ONCE:
@@ -76,7 +77,7 @@ def prior(
         _per_image(scene, sources, grid, *maps, z_range, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
     return {
-        "notes": _notes(scene, found, len(items), grid),
+        "notes": notes + _notes(scene, found, len(items), grid),
         "prior": {
             "pairs": [list(pair) for pair in found.pairs],
             "seen_by_two": round(found.seen_by_two, 4),

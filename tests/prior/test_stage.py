@@ -14,6 +14,7 @@ from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
 from sattools.prior import PriorOptions
+from sattools.prior.gate import check_start
 from sattools.prior.stage import prior
 from sattools.progress import silent
 from sattools.scene.raster import read_raster
@@ -61,6 +62,28 @@ def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched: Any) -
     error = error[known][order]
     half = error.size // 2
     assert error[:half].mean() < 0.4 * error[half:].mean()
+
+
+def test_a_window_that_blurs_what_it_is_to_find_is_warned_of(make_town: Any, caplog: pytest.LogCaptureFixture) -> None:
+    scene = make_town()  # of cells of 0.5 m, matched on 0.35 m
+    for window, wide in ((1, False), (4, False), (5, True), (16, True)):
+        caplog.clear()
+        check_start(scene, PriorOptions(window=window))
+        assert bool(caplog.records) == wide
+    (record,) = caplog.records
+    why = "--window 16 compares 33 x 33 cells, 11.5 m on the ground, and blurs what is narrower"
+    assert record.message.startswith(f"scene TOWN: {why}")
+    found = prior(scene, PriorOptions(window=16, rough_passes=0))
+    assert found["notes"][0].startswith(why)
+
+
+def test_cells_may_be_large_and_windows_of_small_cells_have_many(
+    make_town: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene = make_town()
+    check_start(scene, PriorOptions(resolution=8.0))
+    check_start(scene, PriorOptions(resolution=0.2, window=8))  # 2.4 m
+    assert not caplog.records
 
 
 def test_the_probability_is_about_the_share_of_heights_that_are_right_to_a_metre(matched: Any) -> None:
