@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -66,7 +67,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         reason = _left_out(scene)
         if reason is None:
             return scene
-        _check_asked(options, scene)
+        _check_with_export(options, deepcopy(scene), overwrite)
         click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
@@ -86,22 +87,23 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
 def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
     """What is in the way of scoring a scene, or of the export that comes first."""
-    from sattools.compare.stage import check_start
-    from sattools.export.stage import check_start as check_export
+    from sattools.compare.stage import check_ahead, check_start
 
     if _left_out(scene):
-        _check_asked(options, scene)
-        check_export(scene, ExportOptions(), overwrite)
-    else:
-        check_start(options, scene, overwrite)
+        _check_with_export(options, scene, overwrite)
+        return
+    if scene.origin is None and "dsm" not in scene.products:  # on a pipe of dry runs it would be there
+        check_ahead(options, scene, overwrite)
+    check_start(options, scene, overwrite)
 
 
-def _check_asked(options: CompareOptions, scene: Scene) -> None:
-    """What would be in the way after the export."""
-    from sattools.compare.stage import check_asked, read_truth
+def _check_with_export(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
+    """What is in the way of an export and of scoring what it makes, which must not replace what it is scored by."""
+    from sattools.compare.stage import check_ahead, given_files
+    from sattools.export.stage import check_start as check_export
 
-    check_asked(options, scene, exported=False)
-    read_truth(options, scene, scene.root)
+    made = check_export(scene, ExportOptions(), overwrite, given_files(options))
+    check_ahead(options, scene, overwrite, made)
 
 
 def _left_out(scene: Scene) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +29,7 @@ from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import is_remote
-from sattools.scene.raster import heights_above
+from sattools.scene.raster import heights_above, raster_grid
 from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
@@ -140,36 +140,64 @@ def check_start(options: CompareOptions, scene: Scene, overwrite: bool = False) 
     read_truth(options, scene, scene.root)
 
 
+def check_ahead(
+    options: CompareOptions, scene: Scene, overwrite: bool = False, made: Collection[str] | None = None
+) -> None:
+    """What `compare` will look at, of a scene whose maps are about to be made; arguments and errors as of `compare`.
+
+    Args:
+        options: of the stage.
+        scene: is changed.
+        overwrite: replace outputs that are there.
+        made: hrefs of what `export` will write; None = nobody knows yet.
+    """
+    may_begin(scene, "compare", _hrefs(options), overwrite, given_files(options))
+    read_truth(options, scene, scene.root)
+    _check_asked(options, replace(scene, items=[]), made)
+
+
+def given_files(options: CompareOptions) -> list[Path]:
+    """The files that the options name, beside a scene's own."""
+    maps = name_and_file(options.map, "--map").values()
+    given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps]
+    return [Path(path) for path in given if path]
+
+
+def _hrefs(options: CompareOptions) -> list[str]:
+    """What will be written."""
+    return [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in name_and_file(options.map, "--map"))]
+
+
 def _begun(options: CompareOptions, scene: Scene) -> tuple[list[str], list[Path]]:
     """Hrefs of what will be written, and the files given beside the scene's; raises where the scene lacks some."""
-    maps = name_and_file(options.map, "--map")
+    hrefs, given = _hrefs(options), given_files(options)
     check_scene(scene)
-    check_asked(options, scene)
-    given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps.values()]
-    hrefs = [DIFFERENCE, PICTURE, ERRORS, *(_scatter_href(name) for name in maps)]
-    return hrefs, [Path(path) for path in given if path]
+    _check_asked(options, scene)
+    return hrefs, given
 
 
-def check_asked(options: CompareOptions, scene: Scene, *, exported: bool = True) -> None:
-    """Raise where a map, a rendered view or a sample that is to be scored is not there.
+def _check_asked(options: CompareOptions, scene: Scene, made: Collection[str] | None = ()) -> None:
+    """Raise where a map, a sample or a rendered view that is to be scored is not there.
 
     Args:
         options: of the stage.
         scene: the scene.
-        exported: whether it has all its maps; else they are about to be made, as `sattools export` does by default.
+        made: hrefs of maps that are about to be made; None = nobody knows which.
     """
     for name, path in name_and_file(options.map, "--map").items():
-        if exported and name not in scene.products:
+        if made is not None and name not in scene.products and f"export/{name}.tif" not in made:
             expected = "expected one made by `sattools export`"
             raise MissingProductError(f"scene {scene.id}: found no product {name!r}, {expected}")
-        if not is_remote(str(path)) and not path.exists():
-            raise InputError(f"{path}: no such file, expected one for --map {name}")
-    if options.views:
-        check_views(scene if exported else replace(scene, items=[]))
+        if not is_remote(str(path)):
+            if not path.exists():
+                raise InputError(f"{path}: no such file, expected one for --map {name}")
+            raster_grid(path)
     if options.points:
         from sattools.compare.points import read_points
 
         read_points(Path(options.points))
+    if options.views:  # last: on a pipe of dry runs they would be there
+        check_views(scene)
 
 
 def check_scene(scene: Scene) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,15 +114,21 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     }  # fmt: skip
 
 
-def check_start(scene: Scene, options: ExportOptions, overwrite: bool = True) -> None:
+def check_start(scene: Scene, options: ExportOptions, overwrite: bool = True, inputs: Iterable[Path] = ()) -> list[str]:
     """What `export` looks at before its work, for a dry run; arguments and errors as of `export`.
 
     Args:
         scene: is changed.
         options: of the export.
         overwrite: replace files that are there.
+        inputs: more files that must not be written onto.
+
+    Returns:
+        Hrefs of what will be written.
     """
-    may_begin(scene, "export", _outputs(scene, options, *_opened(scene, options)), overwrite)
+    outputs = _outputs(scene, options, *_opened(scene, options))
+    may_begin(scene, "export", outputs, overwrite, inputs)
+    return outputs
 
 
 def _opened(scene: Scene, options: ExportOptions) -> tuple[StoredModel, FittedModel | None]:
@@ -152,13 +160,13 @@ def _write_block(
 
 def _open_model(scene: Scene, options: ExportOptions) -> StoredModel:
     """The scene's model, checked to be of what the scene holds now."""
-    if "model" not in scene.products:
-        expected = "expected one made by `sattools fit`"
-        raise MissingProductError(f"scene {scene.id}: found no product 'model', {expected}")
     unknown = set(options.view) - {item.id for item in scene.items}
     if unknown:
         known = ", ".join(item.id for item in scene.items)[:200]
         raise SceneError(f"scene {scene.id}: found no item {sorted(unknown)[0]!r}, expected --view with one of {known}")
+    if "model" not in scene.products:  # asked last: on a pipe of dry runs it would be there
+        expected = "expected one made by `sattools fit`"
+        raise MissingProductError(f"scene {scene.id}: found no product 'model', {expected}")
     stored = StoredModel.open(scene.path(scene.products["model"]))
     check_current(scene, "fit")
     return stored

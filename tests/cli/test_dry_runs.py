@@ -90,6 +90,7 @@ def test_a_matching(make_town: Callable[[], Scene]) -> None:
 
 def test_an_export(fitted: Path, make_town: Callable[[str], Scene]) -> None:
     assert "found no item 'nobody'" in refused("export", "--view", "nobody", fitted)
+    assert "found no item 'nobody'" in refused("export", "--view", "nobody", make_town("OTHER").root / "scene.json")
     assert "found no product 'model'" in refused("export", make_town("PLAIN").root / "scene.json")
     assert run("export", fitted).exit_code == 0
     assert "exists already; give --overwrite" in refused("export", fitted)
@@ -110,6 +111,53 @@ def test_a_comparison(fitted: Path, make_town: Callable[[str], Scene], tmp_path:
         (["--region", "here"], "region: found 'here'"),
     ):
         assert why in refused("compare", *options, fitted)
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--map", "w={folder}/truth/TOWN_DSM.tif"], "found no product 'w', expected one made by `sattools export`"),
+        (["--map", "albedo={folder}/scene.json"], "scene.json: found no readable image"),
+        (["--points", "{folder}/scene.json"], "scene.json: found"),
+        (["--region", "0,0,1,1"], "found no reference cell in '0,0,1,1'"),
+    ],
+    ids=str,
+)
+def test_a_comparison_that_begins_with_an_export_is_refused_before_it(
+    fitted: Path, options: list[str], why: str
+) -> None:
+    assert why in refused("compare", *(text.format(folder=fitted.parent) for text in options), fitted)
+    assert not (fitted.parent / "export").exists()
+
+
+def test_a_comparison_does_not_export_what_it_could_not_score_or_onto_its_reference(fitted: Path) -> None:
+    reference = fitted.parent / "truth/TOWN_DSM.tif"
+    scores, surface = fitted.parent / "compare/errors.json", fitted.parent / "export/dsm.tif"
+    scores.parent.mkdir()
+    scores.write_text("{}")
+    assert "compare/errors.json: exists already; give --overwrite" in refused("compare", fitted)
+    assert not surface.exists()
+    surface.parent.mkdir()
+    shutil.copy(reference, surface)
+    assert "export/dsm.tif: is an input too" in refused("compare", "--overwrite", "--dsm", surface, fitted)
+    assert surface.read_bytes() == reference.read_bytes()
+
+
+def test_on_a_pipe_of_dry_runs_a_comparison_is_refused_that_could_not_be_made(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    (scene.root / "points.csv").write_text("name,x,y\nroof,1,2\n")
+    for options, why in (
+        (["--truth", scene.root / "nowhere"], "nowhere: no such folder"),
+        (["--region", "here"], "region: found 'here'"),
+        (["--map", f"w={scene.root}/nowhere.tif"], "nowhere.tif: no such file, expected one for --map w"),
+        (["--points", scene.root / "points.csv"], "found no value beside the places"),
+    ):
+        result = run("compare", *options, "--dry-run", text=scene.to_json())
+        assert (result.exit_code, result.stdout) == (1, "")
+        assert why in result.stderr
+    # views may have been rendered, and maps made, by the dry runs before it
+    asked = ["--views", "--map", f"w={scene.root}/truth/TOWN_DSM.tif"]
+    assert run("compare", *asked, "--dry-run", text=scene.to_json()).exit_code == 0
 
 
 def test_comparisons_without_a_scene(fitted: Path, tmp_path: Path) -> None:
