@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import Any
 
@@ -37,6 +38,10 @@ class Job:
     task: Task
     after: tuple[Job, ...] = ()
     gpu: bool = False
+
+    def needs(self) -> list[Job]:
+        """All that must be done before it, near and far."""
+        return [needed for before in self.after for needed in (before, *before.needs())]
 
 
 Finished = Callable[[Task, dict[str, Any]], list[Job]]
@@ -94,6 +99,16 @@ def shares(options: BatchOptions, cores: int, runs: int, tiled: bool) -> Shares:
     memory = options.memory_limit or there / workers
     each, alone = (options.task_threads or max(1, cores // n) for n in (workers, max(1, min(workers, runs))))
     return Shares(workers, each, alone, memory, gpus)
+
+
+def check_cluster(options: BatchOptions, cores: int, runs: int, tiled: bool) -> None:
+    """Raise what is in the way of starting tasks, for a dry run; arguments and errors as of `shares` and `run`."""
+    share = shares(options, cores, runs, tiled)
+    if find_spec("distributed") is None:
+        raise SattoolsError(_NO_DASK)
+    if options.scheduler is not None:
+        with _client(options, share):
+            pass
 
 
 def run(jobs: list[Job], options: BatchOptions, share: Shares, finished: Finished, told: Told) -> None:
@@ -247,4 +262,4 @@ def _gpus() -> list[str]:
     ]
 
 
-__all__ = ["Job", "Shares", "run", "shares"]
+__all__ = ["Job", "Shares", "check_cluster", "run", "shares"]

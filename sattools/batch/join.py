@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 HEIGHTS = "dsm"
 MAPS = (HEIGHTS, "dsm_std", "dsm_error95")  # where all scenes have them
 SEAMS = "seams.json"
+FILES = (*(f"{name}.tif" for name in MAPS), SEAMS)  # at most
 ROWS = 256  # of the whole that are put together at a time
 LARGE_STEP_M = 0.5  # between two scenes that should know the same ground
 

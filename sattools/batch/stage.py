@@ -10,7 +10,7 @@ from typing import Any
 
 from sattools.batch.cluster import Job, run, shares
 from sattools.batch.figure import draw
-from sattools.batch.join import join
+from sattools.batch.join import FILES, join
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import (
     Configuration,
@@ -48,6 +48,7 @@ class Batch:
         errors: (scene, configuration) -> why there is no result.
         shared: key of a task -> it, and the runs that need what it makes.
         tiled: key of a coarse fit, or of the split after it, -> the run that joins its tiles, and its configuration.
+        runs: (scene, configuration) -> the task of what is not finished, before its steps are shared or cut into tiles.
         joined: configuration -> what `join` says of its scenes; None where none is done.
         overwrite: what is finished is done again; dry_run: it stays as it is all the same.
     """
@@ -58,6 +59,7 @@ class Batch:
     errors: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
     shared: dict[str, tuple[Task, list[Job]]] = field(default_factory=dict)
     tiled: dict[str, tuple[Job, Configuration]] = field(default_factory=dict)
+    runs: dict[tuple[str, str], Task] = field(default_factory=dict)
     joined: dict[str, JsonObject | None] = field(default_factory=dict)
     overwrite: bool = False
     dry_run: bool = False
@@ -94,6 +96,17 @@ class Batch:
         tiles, joined = tile_tasks(run.task, begun, configuration)
         jobs = tuple(Job(task, gpu=run.gpu) for task in tiles if task.result() is None)
         return [*jobs, Job(joined, jobs, run.gpu)]
+
+    def refuse(self, errors: dict[tuple[str, str], str]) -> None:
+        """Take out what would fail at its start, and what would be done for nothing else.
+
+        Args:
+            errors: (scene, configuration) -> why.
+        """
+        self.errors |= {pair: ("failed", error) for pair, error in errors.items()}
+        runs = [j for j in self.jobs if j.task.kind != "prep" and (j.task.scene, j.task.configuration) not in errors]
+        needed = [before for job in runs for before in job.needs()]
+        self.jobs = [job for job in self.jobs if job in runs or job in needed]
 
     def table(self) -> list[Row]:
         """The rows that are known by now."""
@@ -186,10 +199,8 @@ def batch(
         overwrite: do finished tasks again.
         emit: called with the scene document of every finished task as soon as it is there.
     """
+    check_folder(options, scenes, configurations, overwrite)
     out = Path(options.out).absolute()
-    inputs = [path for scene in scenes for path in (scene.origin, *files_of(scene)) if path is not None]
-    ours = overwrite or (out / DIGESTS).exists()  # a batch is begun again in its own folder
-    check_outputs([out / name for name in (*TABLES, FIGURE, DIGESTS)], inputs, ours)
     make_folder(out)
     with locked(out):  # another batch would begin tiles anew that this one is about to join
         plan = make_plan(options, scenes, configurations, overwrite)
@@ -214,11 +225,32 @@ def batch(
     return plan
 
 
+def check_folder(
+    options: BatchOptions, scenes: Sequence[Scene], configurations: Sequence[Configuration], overwrite: bool = False
+) -> None:
+    """Whether a batch may write what is of all its tasks together; arguments as of `batch`.
+
+    Raises:
+        SattoolsError: see `check_outputs`.
+    """
+    out = Path(options.out).absolute()
+    inputs = [path for scene in scenes for path in (scene.origin, *files_of(scene)) if path is not None]
+    outputs = [out / name for name in (*TABLES, FIGURE, DIGESTS)]
+    if options.join:
+        outputs += [_joined(out, c.name) / name for c in configurations for name in FILES]
+    ours = overwrite or (out / DIGESTS).exists()  # a batch is begun again in its own folder
+    check_outputs(outputs, inputs, ours)
+
+
+def _joined(out: Path, configuration: str) -> Path:
+    return out / JOINED / check_id(configuration, "configuration")
+
+
 def _join(plan: Batch, configuration: str, out: Path) -> JsonObject | None:
     """Join what a configuration has made of all scenes; see `join`. None where it has made nothing."""
     done = [plan.results[pair] for pair in plan.rows if pair[1] == configuration and pair in plan.results]
     scenes = [Scene.from_file(result["scene_json"]) for result in done]
-    return join(scenes, out / JOINED / check_id(configuration, "configuration")) if scenes else None
+    return join(scenes, _joined(out, configuration)) if scenes else None
 
 
 def make_plan(
@@ -258,10 +290,9 @@ def make_plan(
                 source = _document(scene, out, dry_run)
                 truth_path = scene.path(truth) if truth else None
                 task = run_task(out, scene.id, source, content, c, truth=truth_path, digests=digests)
+                _add(plan, Job(task, gpu=options.gpu), c, content)
             except SattoolsError as error:
                 plan.errors[scene.id, c.name] = ("failed", str(error))
-                continue
-            _add(plan, Job(task, gpu=options.gpu), c, content)
     for aoi in options.aoi:
         _add_area(plan, aoi, options, configurations, digests)
     plan.share()
@@ -316,6 +347,8 @@ def _add(plan: Batch, job: Job, configuration: Configuration, content: Any) -> b
     if earlier is not None:
         plan.results[task.scene, task.configuration] = earlier
         return False
+    check_outputs([task.record], overwrite=True)  # before anything is done for it
+    plan.runs[task.scene, task.configuration] = task
     if configuration.resolved.get("fit", {}).get("tile") in (None, 0, "auto"):  # auto: tiles within the run's own task
         plan.jobs.append(job)
         shared = shared_task(Path(task.folder).parents[2], task, content, configuration)
@@ -336,6 +369,7 @@ def _document(scene: Scene, out: Path, dry_run: bool) -> Path:
     """A file with the scene's document: what came on stdin may not be the one in its folder."""
     path = out / "scenes" / f"{scene.id}.json"
     same = scene.origin is not None and path.exists() and scene.origin.samefile(path)
+    check_outputs([path], overwrite=True)
     if not dry_run and not same:
         write_text(path, scene.to_json() + "\n")
     return path

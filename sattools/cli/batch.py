@@ -49,18 +49,25 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
     """
     options = build(BatchOptions, values)
     configurations = [configuration(path) for path in configs] or [configuration(None)]
-    from sattools.batch.stage import batch, make_plan
+    from sattools.batch.cluster import check_cluster
+    from sattools.batch.stage import batch, check_folder, make_plan
+    from sattools.cli.rehearsal import refusals
 
+    root = click.get_current_context().find_root()
+    most = root.params.get("threads") or cores()
     try:
         names = scenes if scenes or options.dfc2019 else ("-",)
         scenes_given = [parse(source, text) for source, text in (documents(names) if names else ())]
         if not scenes_given and not options.aoi:
             raise click.UsageError("expected scenes, or --dfc2019 ROOT --aoi AREA")
         if dry_run:
-            _plan(make_plan(options, scenes_given, configurations, overwrite, dry_run=True))
+            check_folder(options, scenes_given, configurations, overwrite)
+            plan = make_plan(options, scenes_given, configurations, overwrite, dry_run=True)
+            if plan.jobs:
+                check_cluster(options, most, len(plan.runs), bool(plan.tiled))
+            plan.refuse(refusals(plan, scenes_given))
+            _plan(plan)
             return
-        root = click.get_current_context().find_root()
-        most = root.params.get("threads") or cores()
         progress = checked(make_progress(root.obj["progress"], "batch"))
         done = batch(options, scenes_given, configurations, most, progress, overwrite=overwrite, emit=click.echo)
     except SattoolsError as error:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from sattools.batch import cluster
 from sattools.batch.cluster import Shares, shares
 from sattools.batch.figure import means, pareto_front, speed_error_figure
 from sattools.batch.options import BatchOptions
@@ -152,6 +153,87 @@ def test_a_dry_run_says_what_the_batch_would_say(make_town: Any, tmp_path: Path)
     assert result.exit_code == 1
     assert "sattools batch: error: A/default: " in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def dry_batch(*arguments: Any, text: str = "") -> Any:
+    return CliRunner().invoke(main, ["batch", *map(str, arguments), "--dry-run"], input=text)
+
+
+@pytest.mark.parametrize(
+    ("place", "options", "why"),
+    [
+        ("out", [], "out: cannot be written to, expected a writable folder for table.csv"),
+        ("out/table.csv", [], "table.csv: exists already; give --overwrite to replace it"),
+        ("out/joined", ["--join"], "joined: cannot be written to, expected a writable folder for dsm.tif"),
+        ("out/scenes", [], "scenes: cannot be written to, expected a writable folder for A.json"),
+        ("out/runs", [], "runs: cannot be written to, expected a writable folder for task.json"),
+    ],
+)
+def test_a_batch_and_its_dry_run_refuse_a_folder_with_something_else_in_it(
+    make_town: Any, tmp_path: Path, place: str, options: list[str], why: str
+) -> None:
+    path, document = tmp_path / place, make_town("A").root / "scene.json"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("somebody's")
+    given = [str(document), "--out", str(tmp_path / "out"), *options]
+    for found in (dry_batch(*given), CliRunner().invoke(main, ["batch", *given])):
+        assert (found.exit_code, found.stdout) == (1, "")
+        assert why in found.stderr
+    assert path.read_text() == "somebody's"
+
+
+def test_a_dry_run_looks_for_what_its_tasks_would_run_on(
+    make_town: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = [make_town("A").root / "scene.json", "--out", tmp_path / "out"]
+    monkeypatch.setattr(cluster, "_gpus", list)
+    assert "--gpu: found no GPU by nvidia-smi" in dry_batch(*given, "--gpu").stderr
+    assert "--scheduler nonsense: found no Dask scheduler" in dry_batch(*given, "--scheduler", "nonsense").stderr
+    monkeypatch.setattr(cluster, "find_spec", lambda name: None)
+    assert "found no Dask, expected the extra" in dry_batch(*given).stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[prior]\nresolution = 100.0", "sattools prior: error: grid: found 1 x 1 cells of 100 m"),
+        ("[fit]\nholdout = ['nobody']", "sattools fit: error: scene A: found no item 'nobody' to hold out"),
+        ("[fit]\npreset = 'rpv-nerf'\nbrdf = 'hapke'", "sattools fit: error: --brdf hapke: network rpv has no head"),
+        ("[fit]\ntile = 20.0\noverlap = 10.0", "sattools fit: error: Invalid value for --overlap"),
+        ("[fit]\ntile = 32.0\noverlap = 8.0\nbrdf = 'rpv'", "sattools fit: error: --tile: found --brdf rpv"),
+        ("[export]\nview = ['nobody']", "sattools export: error: scene A: found no item 'nobody'"),
+        ("[align]\nmethod = 'z'", "sattools align: error: "),
+        ("[compare]\ntruth = 'nowhere'", "sattools compare: error: nowhere: no such folder"),
+    ],
+)
+def test_a_dry_run_says_what_a_command_would_refuse_at_its_start(
+    make_town: Any, tmp_path: Path, text: str, why: str
+) -> None:
+    scene = make_town("A")
+    before = sorted(tmp_path.rglob("*"))
+    (tmp_path / "good.toml").write_text("[fit]\nseed = 3")
+    (tmp_path / "bad.toml").write_text(text)
+    configs = [f"--config={tmp_path / name}" for name in ("bad.toml", "good.toml")]
+    result = dry_batch(*configs, "--out", tmp_path / "out", text=scene.to_json())
+    *planned, refused = result.stderr.splitlines()
+    assert refused.startswith(f"sattools batch: error: A/bad: {why}")
+    # after the prior that both would have shared, if it was to be made
+    assert planned[-1].startswith("sattools batch: would do A/good in ")
+    assert "A/bad" not in " ".join(planned)
+    assert (result.exit_code, result.stdout) == (3, "")
+    assert sorted(set(tmp_path.rglob("*")) - set(before)) == [tmp_path / "bad.toml", tmp_path / "good.toml"]
+
+
+def test_a_dry_run_looks_at_an_areas_images(tmp_path: Path) -> None:
+    images = tmp_path / "Track3-RGB-1"
+    images.mkdir()
+    for number in range(3):
+        (images / f"JAX_004_{number:03d}_RGB.tif").write_text("no image")
+    result = dry_batch("--dfc2019", tmp_path, "--aoi", "JAX_004", "--out", tmp_path / "out")
+    assert (result.exit_code, result.stdout) == (1, "")
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("sattools batch: error: JAX_004/default: sattools prep: error: ")
+    assert "JAX_004_000_RGB.tif: found no readable image" in line
 
 
 def test_with_overwrite_a_plan_has_what_is_done_and_a_dry_run_leaves_it(make_town: Any, tmp_path: Path) -> None:
