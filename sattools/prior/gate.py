@@ -17,7 +17,7 @@ from sattools.views.check import check_extent
 log = logging.getLogger(__name__)
 NO_STEREO = "found no two images from different directions, expected stereo images"
 # Heights of simulated cities, downtowns (cells of 0.35 m) and hills (1.4 m), seven views: with a window of 9 x 9 cells
-# twice as wrong as with 3 x 3, with 13 x 13 about 3, with 33 x 33 up to 9 times. Below 3 m it is still narrower than
+# twice as wrong as with 3 x 3, with 13 x 13 2.4 to 3.3, with 33 x 33 6 to 9.5 times. Below 3 m it is narrower than
 # streets and houses, however small the cells are.
 WIDE_CELLS, WIDE_M = 9, 3.0
 
