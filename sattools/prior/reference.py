@@ -61,9 +61,13 @@ def correlate(
             floor, veil = (shadow_noise, dark[a] - dark[b]) if both_dark else (noise, 0.0)
             powers += own * agreement(windows[a] - veil, windows[b], floor, brightness) ** (2 * power)
             weight += own
-        volume[row, col, k] = (powers / weight) ** (1 / (2 * power)) if weight > 0 else -1
+        beyond = sum(valid) < 2 and base is None
+        volume[row, col, k] = (powers / weight) ** (1 / (2 * power)) if weight > 0 else (-2 if beyond else -1)
     best = np.maximum(volume.max(axis=2, keepdims=True), 0)  # [H, W, 1]
-    return np.where(volume < 0, np.minimum(unseen, 0.9 * best), volume)  # [H, W, D]
+    open_sky = (volume == -2) | (volume == 0)  # [H, W, D]
+    above = np.logical_and.accumulate(open_sky[..., ::-1], axis=2)[..., ::-1]  # nothing is shown there or higher up
+    worth = np.where(above, 0.6 * unseen, unseen)  # [H, W, D]
+    return np.where(volume < 0, np.minimum(worth, 0.9 * best), volume)  # [H, W, D]
 
 
 def aggregate(score: np.ndarray, small: float, large: float) -> np.ndarray:

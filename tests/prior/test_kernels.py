@@ -193,6 +193,19 @@ def test_an_unseen_height_never_beats_what_is_seen() -> None:
     assert (volume[..., 0] <= volume[..., 2]).all()
 
 
+def test_above_all_that_the_images_show_an_unseen_height_is_worth_less_than_below_it() -> None:
+    images, masks, _, first_hit_height = a_frame(views=2)
+    images[:], masks[:], first_hit_height[:] = 0, 1, LOW  # plain, so everything that is shown agrees
+    masks[1, :, 8:] = 0  # the second image ends in the fourth column of cells, its lines of sight lean by 3 cells
+    heights, leaning, pairs = np.array([-5.0, 1.0, 7.0]), np.array([(0.0, 0.0), (0.0, 0.5)]), np.array([(0, 1)])
+    volume = run_correlate(images, masks, leaning, first_hit_height, pairs, heights)
+    np.testing.assert_allclose(volume[:, :3], np.broadcast_to([1.0, 1.0, 0.18], (7, 3, 3)), rtol=1e-6)
+    np.testing.assert_allclose(volume[:, 3:6], np.broadcast_to([1.0, 0.18, 0.18], (7, 3, 3)), rtol=1e-6)
+    # leaning the other way, cells are shown above the ground alone, which stays as likely as any hidden place
+    volume = run_correlate(images, masks, -leaning, first_hit_height, pairs, heights)
+    np.testing.assert_allclose(volume[:, 3:6], np.broadcast_to([0.3, 0.3, 1.0], (7, 3, 3)), rtol=1e-6)
+
+
 def test_aggregation_is_that_of_the_plain_twin() -> None:
     score = np.random.default_rng(3).random((7, 9, 6)).astype(np.float32)
     total = np.empty_like(by_cell(score))

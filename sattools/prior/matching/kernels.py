@@ -15,6 +15,8 @@ import numpy as np
 from sattools.compiled import FASTMATH, njit, spread
 
 GUARD = np.float32(0.9)  # an unseen height counts at most this share of the best agreement seen in its cell
+ABOVE = np.float32(0.6)  # share that is left of the agreement of an unseen height above all that the images show there
+HIDDEN, BEYOND = np.float32(-1), np.float32(-2)  # scores that say why no pair sees a place
 TILE, TILE_COLS = 24, 96  # cells
 
 
@@ -178,7 +180,7 @@ def _cube_roots(values, guess):
 
 @njit(cache=True, fastmath=FASTMATH)
 def _mean_over_pairs(total, weight, power, best, line):
-    """Turn a row's sums over the pairs into their power mean, -1 where no pair sees the place; note the ``best``.
+    """Turn a row's sums over the pairs into their power mean, `HIDDEN` where no pair sees the place; note the ``best``.
 
     Returns: whether there is such a place.
     """
@@ -189,20 +191,38 @@ def _mean_over_pairs(total, weight, power, best, line):
         _cube_roots(total, line)
     for j in range(total.shape[0]):
         best[j] = max(best[j], total[j])
-        total[j] = total[j] if weight[j] > 0 else np.float32(-1)
+        total[j] = total[j] if weight[j] > 0 else HIDDEN
         hidden |= not weight[j] > 0
     return hidden
 
 
+@njit(cache=True)
+def _mark_beyond(row, masks, parallax, dz, frame_row, frame_col):
+    """Of a row at one height, tell what is hidden from what fewer than two images show at all."""
+    shown = np.zeros(row.shape[0], np.int64)
+    for v in range(masks.shape[0]):
+        nr, nc = frame_row + round(parallax[v, 0] * dz), frame_col + round(parallax[v, 1] * dz)
+        for j in range(row.shape[0]):
+            shown[j] += np.int64(masks[v, nr, nc + j])
+    for j in range(row.shape[0]):
+        if row[j] < 0 and shown[j] < 2:
+            row[j] = BEYOND
+
+
 @njit(cache=True, fastmath=FASTMATH)
 def _fill_unseen(row, unseen, best):
-    """Replace the negative scores of a row of cells ``[D, W]`` (heights that no pair sees).
+    """Replace the negative scores of a row of cells ``[D, W]``: heights that no pair sees.
 
-    A hidden height must stay possible, but not beat what is seen to agree, however poorly.
+    A hidden height must stay possible, but not beat what is seen to agree, however poorly. One above all that is shown
+    of a cell is worth less, as lines of sight leave an image upwards, too: up there a level surface would beat ground
+    on which images agree weakly. Below what is shown, ground is likelier than what agrees by chance above it.
     """
-    for k in range(row.shape[0]):
+    above = np.ones(row.shape[1], np.bool_)
+    for k in range(row.shape[0] - 1, -1, -1):
         for j in range(row.shape[1]):
-            row[k, j] = min(unseen, GUARD * best[j]) if row[k, j] < 0 else row[k, j]
+            above[j] &= (row[k, j] == BEYOND) | (row[k, j] == 0)  # 0: not looked at
+            if row[k, j] < 0:
+                row[k, j] = min(unseen * (ABOVE if above[j] else np.float32(1)), GUARD * best[j])
 
 
 @njit(cache=True, fastmath=FASTMATH)
@@ -287,7 +307,10 @@ def _correlate_tile(
             )  # fmt: skip
         for i in range(rows):
             row = totals[i, :cols]
-            hidden[i] |= _mean_over_pairs(row, weights[i, :cols], power, best[i], line[:cols])
+            if _mean_over_pairs(row, weights[i, :cols], power, best[i], line[:cols]):
+                hidden[i] = True
+                if not len(base):
+                    _mark_beyond(row, masks, parallax, heights[k] - z_ref, margin + r0 + i, margin + c0)
             volume[i, k] = row
     for i in range(rows):
         if hidden[i]:
@@ -350,7 +373,7 @@ def correlate(
         shadow_noise: the same for windows in shadow.
         brightness: difference of two windows' means at which their agreement is halved.
         margin: cells between the border of the frame and that of the grid.
-        unseen: score where no pair sees the point, but never above the best one that is seen in the cell.
+        unseen: score where no pair sees the point, at most the best one seen in the cell; less above all that is shown.
         power: half the exponent of the mean over the pairs, 1 or 3.
         weak: weight of a view from which the surface hides the point; above 0, a place that no image can contradict
             is worth what the images show there, not a constant.
