@@ -168,7 +168,7 @@ def run_task(
                     continue
                 arguments += ["--truth", str(truth)] if truth.is_dir() else []
         commands.append(arguments)
-    references = sorted(_reference_files(configuration, truth, scene))
+    references = sorted(reference_files(configuration, truth, scene))
     wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
     key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
     folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
@@ -309,7 +309,14 @@ def task_parts(task: Task) -> JsonObject:
     return asdict(task)
 
 
-def _reference_files(configuration: Configuration, truth: Path | None, scene: str) -> Iterable[Path]:
+def reference_files(configuration: Configuration, truth: Path | None, scene: str) -> Iterable[Path]:
+    """Files that the options of a configuration name, which none of its commands makes.
+
+    Args:
+        configuration: the configuration.
+        truth: folder of the reference, or None.
+        scene: its id.
+    """
     given = configuration.resolved.get("compare", {})
     for folder in {given.get("truth"), truth}:
         if folder and Path(folder).is_dir():
@@ -331,5 +338,5 @@ def _toml(configuration: Configuration, commands: list[str]) -> str:
 
 __all__ = [
     "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "key_of", "pilot_tasks", "prep_task",
-    "run_task", "scene_content", "shared_task", "tile_tasks",
+    "reference_files", "run_task", "scene_content", "shared_task", "tile_tasks",
 ]  # fmt: skip

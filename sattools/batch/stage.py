@@ -10,7 +10,8 @@ from typing import Any
 
 from sattools.batch.cluster import Job, run, shares
 from sattools.batch.figure import draw
-from sattools.batch.join import FILES, join
+from sattools.batch.gate import DIGESTS, FIGURE, check_folder, check_references, document_of, is_own, joined_folder
+from sattools.batch.join import join
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import (
     Configuration,
@@ -25,16 +26,14 @@ from sattools.batch.plan import (
     shared_task,
     tile_tasks,
 )
-from sattools.batch.table import TABLES, Row, failed_row, write_tables
+from sattools.batch.table import Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
-from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import check_outputs, locked, make_folder, remove_orphans, write_text
 from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
-FIGURE, DIGESTS, JOINED = "speed_error.png", "digests.json", "joined"
 
 
 @dataclass
@@ -225,32 +224,11 @@ def batch(
     return plan
 
 
-def check_folder(
-    options: BatchOptions, scenes: Sequence[Scene], configurations: Sequence[Configuration], overwrite: bool = False
-) -> None:
-    """Whether a batch may write what is of all its tasks together; arguments as of `batch`.
-
-    Raises:
-        SattoolsError: see `check_outputs`.
-    """
-    out = Path(options.out).absolute()
-    inputs = [path for scene in scenes for path in (scene.origin, *files_of(scene)) if path is not None]
-    outputs = [out / name for name in (*TABLES, FIGURE, DIGESTS)]
-    if options.join:
-        outputs += [_joined(out, c.name) / name for c in configurations for name in FILES]
-    ours = overwrite or (out / DIGESTS).exists()  # a batch is begun again in its own folder
-    check_outputs(outputs, inputs, ours)
-
-
-def _joined(out: Path, configuration: str) -> Path:
-    return out / JOINED / check_id(configuration, "configuration")
-
-
 def _join(plan: Batch, configuration: str, out: Path) -> JsonObject | None:
     """Join what a configuration has made of all scenes; see `join`. None where it has made nothing."""
     done = [plan.results[pair] for pair in plan.rows if pair[1] == configuration and pair in plan.results]
     scenes = [Scene.from_file(result["scene_json"]) for result in done]
-    return join(scenes, _joined(out, configuration)) if scenes else None
+    return join(scenes, joined_folder(out, configuration)) if scenes else None
 
 
 def make_plan(
@@ -282,6 +260,8 @@ def make_plan(
     out = Path(options.out).absolute()
     plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations], overwrite=overwrite, dry_run=dry_run)
     digests = Digests(out / DIGESTS)
+    if not dry_run:
+        digests.save()  # from here on the folder is known as a batch's
     for scene in scenes:
         truth = scene.products.get("truth_dsm")
         for c in configurations:
@@ -295,6 +275,8 @@ def make_plan(
                 plan.errors[scene.id, c.name] = ("failed", str(error))
     for aoi in options.aoi:
         _add_area(plan, aoi, options, configurations, digests)
+    known = {c.name: c for c in configurations}
+    check_references([(run, known[run.configuration]) for run in plan.runs.values()])
     plan.share()
     if not dry_run:
         digests.save()
@@ -367,10 +349,8 @@ def _add(plan: Batch, job: Job, configuration: Configuration, content: Any) -> b
 
 def _document(scene: Scene, out: Path, dry_run: bool) -> Path:
     """A file with the scene's document: what came on stdin may not be the one in its folder."""
-    path = out / "scenes" / f"{scene.id}.json"
-    same = scene.origin is not None and path.exists() and scene.origin.samefile(path)
-    check_outputs([path], overwrite=True)
-    if not dry_run and not same:
+    path = document_of(scene, out)
+    if not dry_run and not is_own(scene, out):
         write_text(path, scene.to_json() + "\n")
     return path
 

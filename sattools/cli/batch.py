@@ -50,7 +50,8 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
     options = build(BatchOptions, values)
     configurations = [configuration(path) for path in configs] or [configuration(None)]
     from sattools.batch.cluster import check_cluster
-    from sattools.batch.stage import batch, check_folder, make_plan
+    from sattools.batch.gate import check_folder
+    from sattools.batch.stage import batch, make_plan
     from sattools.cli.rehearsal import refusals
 
     root = click.get_current_context().find_root()
