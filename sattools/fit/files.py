@@ -12,6 +12,7 @@ from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, record
 from sattools.scene.files import all_or_nothing, write_text
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.runner import at_the_end
 
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
 
@@ -40,15 +41,24 @@ def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None) -> Js
     with all_or_nothing():
         fitted.model.save(scene.output(MODEL))
         write_text(scene.output(TRACE), trace.to_csv())
-    scene.output(CHECKPOINT).unlink(missing_ok=True)
-    end(scene.root)
-    scene.products.update(model=MODEL, trace=TRACE)
-    used = [item for item in scene.items if item.id in fitted.model.items]
+        scene.products.update(model=MODEL, trace=TRACE)
+        used = [item for item in scene.items if item.id in fitted.model.items]
+        made = {**(made or {}), **record(scene, "fit", used)}  # takes seconds, in which the model before still counts
+    if scene.is_part:  # its document says nothing of what is left to do
+        _forget_interrupted(scene)
+    else:
+        at_the_end(lambda: _forget_interrupted(scene))
     return {
         "notes": fitted.notes,
         "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)},
-        MADE: {**(made or {}), **record(scene, "fit", used)},
+        MADE: made,
     }
+
+
+def _forget_interrupted(scene: Scene) -> None:
+    """What a fit would go on with, had this one been interrupted."""
+    scene.output(CHECKPOINT).unlink(missing_ok=True)
+    end(scene.root)
 
 
 __all__ = ["CHECKPOINT", "MODEL", "TRACE", "Fitted", "save_fit"]

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from sattools import __version__
 from sattools.camera.rpc import RPC
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.files import CHECKPOINT
+from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.shared import PRODUCT
@@ -24,7 +25,7 @@ from sattools.fit.tiles.state import begun
 from sattools.progress import Progress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
-from sattools.scene.document import FIT_ROLE
+from sattools.scene.document import FIT_ROLE, PARTS
 from sattools.scene.files import digest
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid
@@ -80,9 +81,14 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
         overwrite: what the user said.
 
     Raises:
-        OutputExistsError: ``resume`` on a fit that is finished.
+        OutputExistsError: ``resume`` on a fit that is finished; tiles that are finished without ``resume``.
         SceneError: a damaged list of tiles.
     """
+    anew = options.tile and options.part != "mosaic" and not (overwrite or options.resume)
+    if anew and (tile := _finished_tile(scene)):
+        raise OutputExistsError(
+            f"{tile}: found a finished tile of an interrupted fit; give --resume to go on, or --overwrite to fit anew"
+        )
     if overwrite or not options.resume:
         return overwrite
     if scene.path(CHECKPOINT).exists() or begun(scene.root):
@@ -94,6 +100,13 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
             "give --overwrite to fit anew"
         )
     return True
+
+
+def _finished_tile(scene: Scene) -> Path | None:
+    """The folder of a tile that an interrupted fit has finished; to begin anew would remove it."""
+    names = (begun(scene.root) or {}).get("tiles") or []
+    roots = (scene.root / PARTS / name for name in names)
+    return next((root for root in roots if (root / MODEL).exists()), None)
 
 
 def load_prior(

@@ -6,10 +6,11 @@ It is alone in the scene, all its files appear together, and an entry goes to th
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.settings import as_dict
 
 Work = Callable[[Scene, Progress], dict[str, Any] | None]
+_last: contextvars.ContextVar[list[Callable[[], object]] | None] = contextvars.ContextVar("last", default=None)
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         if there is not None and there.history[: len(scene.history)] == scene.history:
             scene.history = there.history
         start = _Clock.now()
-        with all_or_nothing() if step.at_once else contextlib.nullcontext():
+        with _last_things(), all_or_nothing() if step.at_once else contextlib.nullcontext():
             entry = _note(scene, step, start, work(scene, log.told(step.progress)))
         log.done(entry)
         scene.origin = None  # from here on the scene knows more than that file
@@ -80,19 +82,50 @@ def run_first(
 ) -> Scene:
     """Make a scene; ``inputs`` are files that it must not write onto.
 
+    Its files appear while no other command works in its folder: one that has begun with those from before ends with
+    them, and what it notes is true.
+
     Args:
         step: what is run, and how.
         make: gives the scene and its history entry.
         inputs: see above.
     """
     start = _Clock.now()
-    with _log_of(step) as log:
+    with _log_of(step) as log, contextlib.ExitStack() as alone:
         with all_or_nothing(inputs, step.overwrite):
             scene, extra = make(log.told(step.progress))
             entry = _note(scene, step, start, extra)
+            alone.enter_context(locked(scene.root))
         log.place(scene.root)
         log.done(entry)
     return scene
+
+
+def at_the_end(call: Callable[[], object]) -> None:
+    """Do something once the scene's document is written, such as to remove what a lost one would be made of again.
+
+    Where no command works on a scene it is done at once.
+
+    Args:
+        call: what is done.
+    """
+    waiting = _last.get()
+    if waiting is None:
+        call()
+    else:
+        waiting.append(call)
+
+
+@contextlib.contextmanager
+def _last_things() -> Iterator[None]:
+    waiting: list[Callable[[], object]] = []
+    token = _last.set(waiting)
+    try:
+        yield
+    finally:
+        _last.reset(token)
+    for call in waiting:
+        call()
 
 
 def _log_of(step: Step) -> RunLog:
@@ -177,4 +210,4 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-__all__ = ["Step", "Work", "document_of", "run_first", "run_on"]
+__all__ = ["Step", "Work", "at_the_end", "document_of", "run_first", "run_on"]

@@ -14,8 +14,9 @@ import pytest
 import rasterio
 import torch
 
+from sattools import api
 from sattools.camera import RPC
-from sattools.errors import InputError, OutputExistsError, SceneError
+from sattools.errors import InputError, OutputExistsError, SattoolsError, SceneError
 from sattools.fit import whole as whole_fit
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
@@ -201,6 +202,28 @@ def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole: Any, make_town: 
         fit(scene, SHORT, overwrite=False)
     fit(scene, replace(SHORT, resume=True), overwrite=False)
     assert_same(model(scene), whole)
+
+
+def test_a_fit_whose_end_cannot_be_noted_is_not_lost(
+    whole: Any, make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its checkpoint is there until the document names the model, and the little that is left is done again."""
+    scene, write = make_town("AGAIN"), Scene.write
+
+    def fails(scene: Scene) -> Path:
+        raise SattoolsError("scene.json: cannot be written (No space left on device)")
+
+    monkeypatch.setattr(Scene, "write", fails)
+    with pytest.raises(SattoolsError, match="No space left"):
+        api.fit(scene, SHORT)
+    monkeypatch.setattr(Scene, "write", write)
+    assert (scene.root / "fit/checkpoint.safetensors").exists()
+    said: list[str] = []
+    again = api.fit(scene.root / "scene.json", replace(SHORT, resume=True), progress=lambda _, text: said.append(text))
+    assert not any("epoch 1 of" in text for text in said)
+    assert again.products["model"] == "fit/model.safetensors"
+    assert not (scene.root / "fit/checkpoint.safetensors").exists()
+    assert_same(model(again), whole)
 
 
 @pytest.mark.parametrize("place", [0.3, 0.6, 0.9])

@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 import torch
 from click.testing import CliRunner
 
+from sattools import api
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
-from sattools.errors import OutputExistsError, SceneError
+from sattools.errors import OutputExistsError, SattoolsError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
@@ -338,6 +340,42 @@ def test_what_was_begun_in_tiles_goes_on_in_them_without_their_size(
     assert not any(message.startswith(("whole area", "tile 1 of 4")) for message in said)
     found, expected = model(scene)[0], model(both[1][0])[0]
     assert all(torch.equal(found[name], expected[name]) for name in expected)
+
+
+def test_finished_tiles_are_removed_only_where_that_is_asked_for(make_town: Any) -> None:
+    """A call from the history of a shell, without --resume, would cost hours of an area that was nearly done."""
+    scene, plain = make_town("NEARLY"), replace(TILED, epochs=[2])
+    first, *_ = fit(scene, replace(plain, part="split"))["tiles"]
+    fit(Scene.from_file(scene.root / f"fit/tiles/{first}/scene.json"), plain)
+    for begin in (check_start, fit):
+        with pytest.raises(
+            OutputExistsError, match=r"r0c0: found a finished tile .* give --resume to go on, or --over"
+        ):
+            begin(scene, plain, overwrite=False)
+    assert (scene.root / f"fit/tiles/{first}/fit/model.safetensors").exists()
+    check_start(scene, plain, overwrite=True)
+    check_start(scene, replace(plain, resume=True), overwrite=False)
+
+
+def test_tiles_stay_until_the_document_names_what_they_were_joined_to(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, write = make_town("NEARLY"), Scene.write
+
+    def fails(scene: Scene) -> Path:
+        if scene.id != "NEARLY":
+            return write(scene)
+        raise SattoolsError("scene.json: cannot be written (No space left on device)")
+
+    monkeypatch.setattr(Scene, "write", fails)
+    with pytest.raises(SattoolsError, match="No space left"):
+        api.fit(scene, replace(TILED, epochs=[2]))
+    monkeypatch.setattr(Scene, "write", write)
+    said: list[str] = []
+    given = replace(TILED, epochs=[2], resume=True)
+    api.fit(scene.root / "scene.json", given, progress=lambda _, text: said.append(text))
+    assert [text for text in said if "epoch" in text] == []
+    assert not (scene.root / "fit/tiles").exists()
 
 
 @pytest.mark.parametrize("last", [{"tile": 0.0}, {"part": "mosaic"}])

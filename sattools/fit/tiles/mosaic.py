@@ -24,6 +24,7 @@ from sattools.scene.dependencies import record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import sample_map
+from sattools.scene.runner import at_the_end
 from sattools.scene.tiles import Tile
 
 STRIP_ROWS = 256  # of the whole that are put together at a time, or fewer where they are wide:
@@ -128,7 +129,7 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
     if spent := plan.spent():
         result["parts"] = spent
     if plan.options.part == "all":
-        shutil.rmtree(scene.root / FOLDER)
+        at_the_end(lambda: shutil.rmtree(scene.root / FOLDER))
     return result
 
 
