@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from sattools.errors import SattoolsError
 from sattools.runlog import FORMAT, PlainFormatter
 
 log = logging.getLogger("sattools.run")
+_BEGINNING = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d")  # of `FORMAT`
 
 
 class LogFile(logging.FileHandler):
@@ -30,6 +32,8 @@ def open_log(path: str) -> None:
     if any(isinstance(handler, LogFile) and handler.baseFilename == target for handler in root.handlers):
         return
     close_log()
+    if not _may_be_log(Path(target)):
+        raise SattoolsError(f"{path}: found a file that is no log, expected a new file, a log, or a name in .log")
     try:
         handler = LogFile(target, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
@@ -38,6 +42,18 @@ def open_log(path: str) -> None:
     root.addHandler(handler)
     logging.getLogger("sattools").setLevel(logging.DEBUG)
     log.info("sattools %s: %s", __version__, shlex.join(sys.argv))
+
+
+def _may_be_log(path: Path) -> bool:
+    """Whether lines may be added to what is there: a scene document or an image would be good for nothing then."""
+    try:
+        if not path.is_file() or path.suffix.lower() == ".log":  # pipes and terminals hold nothing to be lost
+            return True
+        with open(path, "rb") as file:
+            start = file.read(len("2026-01-31 12:00:00"))
+    except OSError:  # told where it is opened
+        return True
+    return not start or _BEGINNING.fullmatch(start) is not None
 
 
 def close_log() -> None:

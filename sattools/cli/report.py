@@ -45,6 +45,11 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
         done = False
         for origin, text in documents((name,)):
             scene = parse(origin, text)
+            if done and out is not None:
+                raise SceneError(
+                    f"{out}: the page of scene {scene.id} would replace that of the one before, expected one scene "
+                    "with --out"
+                )
             done = True
             page = scene_page(scene)
             write(out or scene.output("report.html"), page, overwrite, [scene.path("scene.json"), *files_of(scene)])

@@ -1,0 +1,144 @@
+"""What a command writes beside its own outputs, or while others work, costs nobody a file."""
+
+import shutil
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+from sattools.cli.logfile import close_log
+from sattools.progress import Progress
+from sattools.scene import Scene
+from sattools.scene.files import locked, write_text
+from sattools.scene.runner import Step, run_first
+
+
+def run(*arguments: Any, text: str | None = None) -> Any:
+    return CliRunner().invoke(main, ["--threads", "1", *map(str, arguments)], input=text)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_the_page_of_a_scene_does_not_replace_that_of_another(make_town: Any, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    text = "".join(make_town(name).to_json() + "\n" for name in ("FIRST", "SECOND"))
+    result = run("report", "--out", page, "--overwrite", text=text)
+    assert (result.exit_code, result.stdout) == (1, f"{page}\n")
+    assert "page.html: the page of scene SECOND would replace that of the one before" in result.stderr
+    assert "<title>Scene FIRST" in page.read_text()
+
+
+# ---- logs ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["scene.json", "images/TOWN_001.tif", "truth/TOWN_DSM.txt"])
+def test_nothing_is_added_to_a_file_that_is_no_log(make_town: Any, name: str) -> None:
+    town = make_town()
+    before = contents(town.root)
+    result = run("--log-file", town.root / name, "info", town.root / "scene.json")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert f"{name}: found a file that is no log, expected a new file, a log, or a name in .log" in result.stderr
+    assert contents(town.root) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("run.log", "somebody's words\n"), ("run.txt", "2026-01-31 12:00:00,000 INFO\n"), ("run.txt", "")],
+)
+def test_a_log_goes_on_in_what_there_is_of_it(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    assert run("--log-file", tmp_path / name, "doctor").exit_code in (0, 1)
+    close_log()
+    found = (tmp_path / name).read_text()
+    assert found.startswith(text)
+    assert "INFO sattools.run: sattools" in found
+
+
+# ---- batches ------------------------------------------------------------------------------------------------------
+
+
+def batch(*arguments: Any) -> tuple[int, str]:
+    """Exit code and messages of a batch that is refused, which its dry run is by the same words."""
+    results = [run("batch", *arguments, *dry) for dry in (["--dry-run"], [])]
+    lines = [[line for line in result.stderr.splitlines() if "error:" in line] for result in results]
+    assert lines[0] == lines[1]
+    return results[1].exit_code, lines[1][0]
+
+
+@pytest.mark.parametrize("place", ["runs/default/TOWN/scene.json", "scenes/TOWN.json"])
+def test_a_batch_asks_before_it_replaces_a_scene_that_it_has_not_made(
+    make_town: Any, tmp_path: Path, place: str
+) -> None:
+    town, out = make_town(), tmp_path / "work"
+    (out / place).parent.mkdir(parents=True)
+    (out / place).write_text("somebody's")
+    code, said = batch(town.root / "scene.json", "--out", out)
+    assert code == 1
+    assert f"{place}: exists already; give --overwrite to replace it" in said
+    assert contents(out) == {place: b"somebody's"}
+
+
+@pytest.mark.parametrize("flags", [[], ["--overwrite"]])
+def test_a_batch_never_runs_in_the_folder_of_a_scene_that_it_is_given(
+    make_town: Any, tmp_path: Path, flags: list[str]
+) -> None:
+    town, out = make_town(), tmp_path / "work"
+    (out / "runs/default").mkdir(parents=True)
+    town.root.rename(out / "runs/default/TOWN")
+    before = contents(out)
+    code, said = batch(out / "runs/default/TOWN/scene.json", "--out", out, *flags)
+    assert code == 1
+    assert "runs/default/TOWN/scene.json: is an input too" in said
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        ("runs/rough/TOWN/export/dsm.tif", "which this batch writes, expected a reference in another place"),
+        ("joined/fine/dsm.tif", "is an input too"),
+    ],
+)
+def test_a_batch_replaces_no_reference_of_its_own(make_town: Any, tmp_path: Path, place: str, why: str) -> None:
+    """The surface of one configuration as the reference of another, and the joined one as that of the next batch."""
+    town, out = make_town(), tmp_path / "work"
+    (out / place).parent.mkdir(parents=True)
+    shutil.copy(town.root / "truth/TOWN_DSM.tif", out / place)
+    (tmp_path / "rough.toml").write_text("[fit]\nseed = 1\n")
+    (tmp_path / "fine.toml").write_text(f"[compare]\ndsm = '{out / place}'\n")
+    before = (out / place).read_bytes()
+    given = ["--config", tmp_path / "rough.toml", "--config", tmp_path / "fine.toml", "--overwrite", "--join"]
+    code, said = batch(town.root / "scene.json", "--out", out, *given)
+    assert code == 1
+    assert f"{out / place}: " in said
+    assert why in said
+    assert (out / place).read_bytes() == before
+
+
+# ---- two at a time ------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_is_not_made_anew_under_a_command_that_works_on_it(make_town: Any) -> None:
+    """Else `fit` would note that it was made of images that came while it ran."""
+    town = make_town()
+
+    def make(progress: Progress) -> tuple[Scene, None]:
+        write_text(town.output("images/TOWN_001.tif"), "new")
+        made.set()
+        return Scene(town.id, town.root), None
+
+    made, before = threading.Event(), contents(town.root)
+    again = threading.Thread(target=lambda: run_first(Step("prep", overwrite=True), make))
+    with locked(town.root):
+        again.start()
+        assert made.wait(60)
+        again.join(0.3)
+        assert again.is_alive()
+        assert {name: text for name, text in contents(town.root).items() if "tmp-sattools" not in name} == before
+    again.join(60)
+    assert (town.root / "images/TOWN_001.tif").read_text() == "new"
