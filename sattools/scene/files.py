@@ -284,9 +284,13 @@ def _check(path: Path, data: memoryview) -> None:
 
 
 def _rename(pairs: list[tuple[Path, Path]]) -> None:
-    for temporary, path in pairs:
-        os.replace(temporary, path)
-        _temporary.discard(temporary)
+    try:
+        _rename_all(pairs)
+    except OSError:
+        raise
+    except BaseException:  # an interrupt among the names: what is half old and half new would be neither
+        _rename_all([(temporary, path) for temporary, path in pairs if temporary.exists()])
+        raise
     for folder in {path.parent for _, path in pairs}:
         with suppress(OSError):  # not every file system can sync a folder
             handle = os.open(folder, os.O_RDONLY)
@@ -294,6 +298,12 @@ def _rename(pairs: list[tuple[Path, Path]]) -> None:
                 os.fsync(handle)
             finally:
                 os.close(handle)
+
+
+def _rename_all(pairs: list[tuple[Path, Path]]) -> None:
+    for temporary, path in pairs:
+        os.replace(temporary, path)
+        _temporary.discard(temporary)
 
 
 def _discard(temporary: Path) -> None:

@@ -147,6 +147,26 @@ def test_a_failure_at_the_last_file_leaves_the_first_as_it_was(tmp_path: Path) -
     assert (names(tmp_path), (tmp_path / "a.txt").read_text()) == (["a.txt"], "old")
 
 
+def test_an_interrupt_while_files_get_their_names_waits_for_the_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the first would be new and the last old, and what is new of the last would be gone."""
+    replace = os.replace
+
+    def interrupted(source: Any, target: Any) -> None:
+        replace(source, target)
+        if Path(target).name == "b":
+            raise SystemExit(143)
+
+    for name in "abc":
+        (tmp_path / name).write_text("old")
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(SystemExit), all_or_nothing():
+        for name in "abc":
+            write_text(tmp_path / name, "new")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new", "c": "new"}
+
+
 def test_threads_take_part_in_a_copy_of_the_context(tmp_path: Path) -> None:
     with pytest.raises(KeyError), all_or_nothing():  # noqa: PT012
         run = contextvars.copy_context().run
