@@ -29,7 +29,7 @@ def check_folder(
     ids = [*(scene.id for scene in scenes), *options.aoi]
     pairs = [(name, c) for name in ids for c in configurations]
     inputs = [path for scene in scenes for path in (scene.root / "scene.json", scene.origin, *files_of(scene)) if path]
-    inputs += [path for name, c in pairs for path in reference_files(c, None, name)]
+    inputs += [path for name, c in pairs for path in _given(c, name)]
     outputs = [out / name for name in (*TABLES, FIGURE, DIGESTS)]
     outputs += [document_of(scene, out) for scene in scenes if not is_own(scene, out)]
     # the commands of a run replace whatever there is
@@ -48,12 +48,18 @@ def check_references(runs: Sequence[tuple[Task, Configuration]]) -> None:
     """
     folders = [Path(task.folder).resolve() for task, _ in runs]
     for task, configuration in runs:
-        for path in reference_files(configuration, None, task.scene):
+        for path in _given(configuration, task.scene):
             within = next((folder for folder in folders if path.resolve().is_relative_to(folder)), None)
             if within is not None:
                 raise OutputIsInputError(
                     f"{path}: lies in {within}, which this batch writes, expected a reference in another place"
                 )
+
+
+def _given(configuration: Configuration, scene: str) -> list[Path]:
+    """Files that the options of a configuration name."""
+    scored = configuration.resolved.get("fit", {}).get("reference")  # changes nothing that a result is known by
+    return [*reference_files(configuration, None, scene), *([Path(scored)] if scored else [])]
 
 
 def joined_folder(out: Path, configuration: str) -> Path:

@@ -67,8 +67,9 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         reason = _left_out(scene)
         if reason is None:
             return scene
-        _check_with_export(options, deepcopy(scene), overwrite)
+        # said before the export may be refused: a file that is there is in the way for that reason only
         click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
+        _check_with_export(options, deepcopy(scene), overwrite)
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
@@ -102,7 +103,7 @@ def _check_with_export(options: CompareOptions, scene: Scene, overwrite: bool) -
     from sattools.compare.stage import check_ahead, given_files
     from sattools.export.stage import check_start as check_export
 
-    made = check_export(scene, ExportOptions(), overwrite, given_files(options))
+    made = check_export(scene, ExportOptions(), overwrite, given_files(options, scene))
     check_ahead(options, scene, overwrite, made)
 
 

@@ -151,16 +151,17 @@ def check_ahead(
         overwrite: replace outputs that are there.
         made: hrefs of what `export` will write; None = nobody knows yet.
     """
-    may_begin(scene, "compare", _hrefs(options), overwrite, given_files(options))
+    may_begin(scene, "compare", _hrefs(options), overwrite, given_files(options, scene))
     read_truth(options, scene, scene.root)
     _check_asked(options, replace(scene, items=[]), made)
 
 
-def given_files(options: CompareOptions) -> list[Path]:
-    """The files that the options name, beside a scene's own."""
+def given_files(options: CompareOptions, scene: Scene) -> list[Path]:
+    """The files that the options name, beside the scene's own."""
     maps = name_and_file(options.map, "--map").values()
     given = [options.dsm, options.classes, options.points, *options.lpips_weights, *maps]
-    return [Path(path) for path in given if path]
+    tile = Path(options.truth).glob(f"{options.aoi or scene.id}_*") if options.truth else ()
+    return [*(Path(path) for path in given if path), *tile]
 
 
 def _hrefs(options: CompareOptions) -> list[str]:
@@ -170,7 +171,7 @@ def _hrefs(options: CompareOptions) -> list[str]:
 
 def _begun(options: CompareOptions, scene: Scene) -> tuple[list[str], list[Path]]:
     """Hrefs of what will be written, and the files given beside the scene's; raises where the scene lacks some."""
-    hrefs, given = _hrefs(options), given_files(options)
+    hrefs, given = _hrefs(options), given_files(options, scene)
     check_scene(scene)
     _check_asked(options, scene)
     return hrefs, given

@@ -26,7 +26,7 @@ from sattools.progress import Progress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
 from sattools.scene.document import FIT_ROLE, PARTS
-from sattools.scene.files import digest
+from sattools.scene.files import check_outputs, digest
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid
 from sattools.views import Source
@@ -153,8 +153,22 @@ def load_prior(
 
 
 def check_prior(scene: Scene, options: FitOptions) -> None:
-    """Raise StaleError where the fit would take a prior that the user asked for and that is out of date."""
-    if options.prior_weight > 0 and "prior_dsm" in scene.products and not _is_left_over(scene):
+    """What of the prior is in the way of a fit.
+
+    Args:
+        scene: of the fit.
+        options: of the fit.
+
+    Raises:
+        StaleError: the fit would take a prior that the user asked for and that is out of date.
+        OutputIsInputError: it would make one in place of that which it is to be scored by.
+    """
+    if makes_prior(scene, options):
+        from sattools.prior.files import MAPS
+
+        if options.reference:
+            check_outputs([scene.path(href) for href in MAPS.values()], [Path(options.reference)], overwrite=True)
+    elif options.prior_weight > 0:
         check_current(scene, "prior")
 
 

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.cli.logfile import close_log
 from sattools.progress import Progress
+from sattools.runlog import NAME
 from sattools.scene import Scene
 from sattools.scene.files import locked, write_text
 from sattools.scene.runner import Step, run_first
@@ -21,7 +22,9 @@ def run(*arguments: Any, text: str | None = None) -> Any:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    """Every file below a folder but the log, which tells of runs that failed, too."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != NAME]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def test_the_page_of_a_scene_does_not_replace_that_of_another(make_town: Any, tmp_path: Path) -> None:
@@ -31,6 +34,43 @@ def test_the_page_of_a_scene_does_not_replace_that_of_another(make_town: Any, tm
     assert (result.exit_code, result.stdout) == (1, f"{page}\n")
     assert "page.html: the page of scene SECOND would replace that of the one before" in result.stderr
     assert "<title>Scene FIRST" in page.read_text()
+
+
+# ---- stages that are done on the way ------------------------------------------------------------------------------
+
+
+def test_what_a_tile_of_the_contest_leads_to_is_not_exported_onto(make_town: Any, tmp_path: Path) -> None:
+    """`compare` makes the export that a new fit has left behind: not onto the surface by which that is scored."""
+    town = make_town()
+    document, folder = town.root / "scene.json", tmp_path / "truth"
+    quick = ["--resolution", "2", "--coarsest", "2", "--epochs", "2", "--prior-weight", "0"]
+    assert run("fit", *quick, document).exit_code == 0
+    assert run("export", document).exit_code == 0
+    folder.mkdir()
+    (folder / "TOWN_DSM.tif").symlink_to(town.root / "export/dsm.tif")
+    for name in ("TOWN_DSM.txt", "TOWN_CLS.tif"):
+        shutil.copy(town.root / "truth" / name, folder)
+    assert run("fit", *quick, "--seed", "1", "--overwrite", document).exit_code == 0
+    before = contents(town.root)
+    result = run("compare", "--truth", folder, "--overwrite", document)
+    assert result.exit_code == 1
+    assert f"export/dsm.tif: is the input {folder}/TOWN_DSM.tif" in result.stderr
+    assert contents(town.root) == before
+
+
+@pytest.mark.parametrize("dry", [["--dry-run"], []])
+def test_a_fit_makes_no_prior_onto_what_it_is_scored_by(make_town: Any, dry: list[str]) -> None:
+    town = make_town()
+    (town.root / "prior").mkdir()
+    (town.root / "truth/TOWN_DSM.tif").rename(town.root / "prior/dsm.tif")
+    del town.products["truth_dsm"]
+    (town.root / "scene.json").write_text(town.to_json())
+    before = contents(town.root)
+    given = ["--reference", town.root / "prior/dsm.tif", "--overwrite", *dry]
+    result = run("fit", "--resolution", "2", *given, town.root / "scene.json")
+    assert result.exit_code == 1
+    assert "prior/dsm.tif: is an input too" in result.stderr
+    assert contents(town.root) == before
 
 
 # ---- logs ---------------------------------------------------------------------------------------------------------

@@ -158,12 +158,16 @@ def test_an_interrupt_while_files_get_their_names_waits_for_the_last(
         if Path(target).name == "b":
             raise SystemExit(143)
 
+    @all_or_nothing()
+    def write_all() -> None:
+        for name in "abc":
+            write_text(tmp_path / name, "new")
+
     for name in "abc":
         (tmp_path / name).write_text("old")
     monkeypatch.setattr(os, "replace", interrupted)
-    with pytest.raises(SystemExit), all_or_nothing():
-        for name in "abc":
-            write_text(tmp_path / name, "new")
+    with pytest.raises(SystemExit):
+        write_all()
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new", "c": "new"}
 
 
