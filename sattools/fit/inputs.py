@@ -103,9 +103,9 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
 
 
 def _finished_tile(scene: Scene) -> Path | None:
-    """The folder of a tile that an interrupted fit has finished; to begin anew would remove it."""
-    names = (begun(scene.root) or {}).get("tiles") or []
-    roots = (scene.root / PARTS / name for name in names)
+    """The folder of a tile, or a pilot tile, that an interrupted fit has finished; to begin anew would remove it."""
+    state = begun(scene.root) or {}
+    roots = (scene.root / PARTS / name for part in ("pilots", "tiles") for name in state.get(part) or ())
     return next((root for root in roots if (root / MODEL).exists()), None)
 
 
