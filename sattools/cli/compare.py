@@ -12,7 +12,7 @@ from sattools.cli import plans
 from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
 from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
 from sattools.compare.options import CompareOptions
-from sattools.errors import SattoolsError
+from sattools.errors import OutputExistsError, SattoolsError
 from sattools.export.options import ExportOptions
 from sattools.progress import Progress
 
@@ -67,9 +67,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         reason = _left_out(scene)
         if reason is None:
             return scene
-        # said before the export may be refused: a file that is there is in the way for that reason only
-        click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
         _check_with_export(options, deepcopy(scene), overwrite)
+        click.echo(f"sattools compare: scene {scene.id}: {reason}; exporting it first", err=True)
         run = Run("export", ExportOptions(), overwrite=overwrite)
         return apply(run, scene, lambda scene, progress: export(scene, ExportOptions(), progress, overwrite))[0]
 
@@ -103,7 +102,11 @@ def _check_with_export(options: CompareOptions, scene: Scene, overwrite: bool) -
     from sattools.compare.stage import check_ahead, given_files
     from sattools.export.stage import check_start as check_export
 
-    made = check_export(scene, ExportOptions(), overwrite, given_files(options, scene))
+    reason = _left_out(scene)
+    try:
+        made = check_export(scene, ExportOptions(), overwrite, given_files(options, scene))
+    except OutputExistsError as error:  # which nobody has asked to replace
+        raise OutputExistsError(f"{error} (it would be exported first: {reason})") from None
     check_ahead(options, scene, overwrite, made)
 
 

@@ -52,7 +52,8 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
                 )
             done = True
             page = scene_page(scene)
-            write(out or scene.output("report.html"), page, overwrite, [scene.path("scene.json"), *files_of(scene)])
+            read = [scene.path("scene.json"), *([scene.origin] if scene.origin else []), *files_of(scene)]
+            write(out or scene.output("report.html"), page, overwrite, read)
         if not done:
             raise SceneError("stdin: found nothing, expected a scene document (did the command before fail?)")
     except SattoolsError as error:

@@ -110,7 +110,7 @@ def check_fits(options: CompareOptions, overwrite: bool = False) -> Plan:
     files = [EVALUATION, "evaluation.md", *TABLES, *(_figure_href(k) for k in range(len(points)))]
     outputs = {href: Path(options.out) / href for href in files}
     given = [options.dsm, options.classes, options.points, *options.lpips_weights, *references.values()]
-    read = [path for scene in scenes.values() for path in files_of(scene)]
+    read = [path for scene in scenes.values() for path in (scene.origin, *files_of(scene)) if path]
     check_outputs(outputs.values(), [*read, *(Path(path) for path in given if path)], overwrite)
 
     return Plan(scenes, references, truth, points, outputs)

@@ -36,6 +36,16 @@ def test_the_page_of_a_scene_does_not_replace_that_of_another(make_town: Any, tm
     assert "<title>Scene FIRST" in page.read_text()
 
 
+def test_a_page_does_not_replace_the_document_that_it_shows(make_town: Any, tmp_path: Path) -> None:
+    document = tmp_path / "kept.json"
+    document.write_text(make_town().to_json())
+    before = document.read_text()
+    result = run("report", document, "--out", document, "--overwrite")
+    assert result.exit_code == 1
+    assert "kept.json: is an input too" in result.stderr
+    assert document.read_text() == before
+
+
 # ---- stages that are done on the way ------------------------------------------------------------------------------
 
 
