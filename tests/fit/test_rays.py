@@ -217,7 +217,7 @@ def test_every_preset_learns_the_town(make_town: Any, preset: Any) -> None:
         },
     )
     losses = []
-    fit(scene, replace(options, budget=60.0), lambda share, text: losses.append(text))
+    fit(scene, options, lambda share, text: losses.append(text))
     steps = [float(text.split("loss ")[1]) for text in losses if "loss" in text]
     assert steps[-1] < 0.7 * steps[1]
     tensors, meta = load(scene.path("fit/model.safetensors"))
