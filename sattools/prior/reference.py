@@ -61,7 +61,7 @@ def correlate(
             floor, veil = (shadow_noise, dark[a] - dark[b]) if both_dark else (noise, 0.0)
             powers += own * agreement(windows[a] - veil, windows[b], floor, brightness) ** (2 * power)
             weight += own
-        beyond = sum(valid) < 2 and base is None
+        beyond = sum(valid) < 2 and base is None and len(pairs) > 2
         volume[row, col, k] = (powers / weight) ** (1 / (2 * power)) if weight > 0 else (-2 if beyond else -1)
     best = np.maximum(volume.max(axis=2, keepdims=True), 0)  # [H, W, 1]
     open_sky = (volume == -2) | (volume == 0)  # [H, W, D]

@@ -194,16 +194,20 @@ def test_an_unseen_height_never_beats_what_is_seen() -> None:
 
 
 def test_above_all_that_the_images_show_an_unseen_height_is_worth_less_than_below_it() -> None:
-    images, masks, _, first_hit_height = a_frame(views=2)
+    images, masks, _, first_hit_height = a_frame(views=3)
     images[:], masks[:], first_hit_height[:] = 0, 1, LOW  # plain, so everything that is shown agrees
-    masks[1, :, 8:] = 0  # the second image ends in the fourth column of cells, its lines of sight lean by 3 cells
-    heights, leaning, pairs = np.array([-5.0, 1.0, 7.0]), np.array([(0.0, 0.0), (0.0, 0.5)]), np.array([(0, 1)])
+    masks[1:, :, 8:] = 0  # two images end in the fourth column of cells, their lines of sight lean by 3 cells
+    heights, leaning = np.array([-5.0, 1.0, 7.0]), np.array([(0.0, 0.0), (0.0, 0.5), (0.0, 0.5)])
+    pairs = np.array([(0, 1), (0, 2), (1, 2)])
     volume = run_correlate(images, masks, leaning, first_hit_height, pairs, heights)
     np.testing.assert_allclose(volume[:, :3], np.broadcast_to([1.0, 1.0, 0.18], (7, 3, 3)), rtol=1e-6)
     np.testing.assert_allclose(volume[:, 3:6], np.broadcast_to([1.0, 0.18, 0.18], (7, 3, 3)), rtol=1e-6)
     # leaning the other way, cells are shown above the ground alone, which stays as likely as any hidden place
     volume = run_correlate(images, masks, -leaning, first_hit_height, pairs, heights)
     np.testing.assert_allclose(volume[:, 3:6], np.broadcast_to([0.3, 0.3, 1.0], (7, 3, 3)), rtol=1e-6)
+    # of two images, which have no third to ask, it is worth what a hidden one is
+    volume = run_correlate(images[:2], masks[:2], leaning[:2], first_hit_height[:2], pairs[:1], heights)
+    np.testing.assert_allclose(volume[:, 3:6], np.broadcast_to([1.0, 0.3, 0.3], (7, 3, 3)), rtol=1e-6)
 
 
 def test_aggregation_is_that_of_the_plain_twin() -> None:

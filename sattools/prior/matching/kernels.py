@@ -309,7 +309,7 @@ def _correlate_tile(
             row = totals[i, :cols]
             if _mean_over_pairs(row, weights[i, :cols], power, best[i], line[:cols]):
                 hidden[i] = True
-                if not len(base):
+                if not len(base) and len(pairs) > 2:  # two images have no third to ask
                     _mark_beyond(row, masks, parallax, heights[k] - z_ref, margin + r0 + i, margin + c0)
             volume[i, k] = row
     for i in range(rows):
