@@ -44,8 +44,8 @@ class PriorOptions:
     )
     unseen: float = option(
         0.35,
-        "Agreement assumed where no pair of images sees a point, 0 to 1; of three or more pairs 0.6 times that above all "
-        "that they show: less keeps the surface away from such points, more lets it pass through them.",
+        "Agreement assumed where no pair of images sees a point, 0 to 1; of three or more pairs 0.6 times that above "
+        "all that they show: less keeps the surface away from such points, more lets it pass through them.",
         minimum=0,
         maximum=1,
     )
