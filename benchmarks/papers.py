@@ -2,6 +2,8 @@
 
     python benchmarks/papers.py [--seconds 300] [--seed 1] [--size 64] [--width N] [--threads 1] [--fields ...]
         [--scene SCENE.json=REFERENCE.tif[@REGION]] [--out FILE.json]
+    python benchmarks/papers.py --tables hdr|natural --scene SCENE.json=REFERENCE.tif [--seconds 300] [--width N]
+        [--fields ...] [--out FILE.json]
 
 Without `--scene`: a simulated city with exact cameras and seven views of three dates, one of them held out. Every field
 starts from the same prior in a process of its own, trains for the given seconds (start and reading-off included) and is
@@ -10,6 +12,9 @@ signed and absolute, away from them; PSNR of the held-out views, colours matched
 eastern half; seconds and CPU seconds of the fit; points at which the field was evaluated in training, per CPU second
 (rays to the sun included, reading-off in the seconds but not in the points); largest memory of the process. The prior
 has a row of its own, and one of its means over cells of 1 m. Not measured on a GPU.
+
+`--tables`: those of the papers by their networks (`paper_tables.py`), in the same seconds each, with maps (w.tif, ...
+beside the reference) and held-out views where the scene has them; rows that are in `--out` already are kept.
 """
 
 from __future__ import annotations
@@ -25,6 +30,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from paper_tables import TABLES, write_tables
 from steps import averaged, reference
 
 PRESETS = ("satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf")
@@ -43,16 +49,21 @@ def main() -> None:
     parser.add_argument("--width", type=int, help="of the networks (default: the papers')")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
-        "--fields", nargs="*", default=FIELDS, help="surface (also with rpv or hapke), neural, voxel, a preset"
+        "--fields", nargs="*", help="surface (also with rpv or hapke), neural, voxel, a preset; with --tables its rows"
     )
+    parser.add_argument("--tables", choices=list(TABLES), help="of a paper, instead of --fields")
     parser.add_argument("--scene", metavar="SCENE=REFERENCE[@REGION]", help="instead of a simulated city")
     parser.add_argument("--out", type=Path, help="all figures as JSON")
     options = parser.parse_args()
+    if options.tables:
+        if not options.scene:
+            parser.error("--tables: found no --scene, expected SCENE=REFERENCE")
+        return write_tables(options)
     with tempfile.TemporaryDirectory() as folder:
         path, against = scene_of(options, Path(folder))
         rows = starts(path, against)
         print(table(rows), flush=True)
-        for name in options.fields:
+        for name in options.fields or FIELDS:
             given = (name, path, against, Path(folder) / name, options.seconds, options.width, options.threads)
             # a process of its own: its memory is its own, and nothing is warm
             with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:

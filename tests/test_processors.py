@@ -1,6 +1,7 @@
 """A process knows what its container allows it."""
 
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -83,3 +84,63 @@ def test_a_variable_of_the_environment_is_as_before_afterwards() -> None:
         with processors.in_environment("SATTOOLS_X", "new"):
             assert os.environ["SATTOOLS_X"] == "new"
         assert os.environ.pop("SATTOOLS_X", None) == before
+
+
+@pytest.fixture
+def four_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "4")
+
+
+def test_side_by_side_keeps_the_order_of_the_items(four_threads: None) -> None:
+    third_is_done = threading.Event()
+
+    def first_waits_for_third(k: int) -> int:
+        assert k != 0 or third_is_done.wait(60)  # would never end with one after the other
+        if k == 2:
+            third_is_done.set()
+        return 10 * k
+
+    assert list(processors.side_by_side(first_waits_for_third, range(5))) == [0, 10, 20, 30, 40]
+
+
+@pytest.mark.parametrize(("threads", "most"), [("1", None), ("4", 1)])
+def test_with_one_thread_or_memory_for_one_nothing_is_begun_before_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, threads: str, most: int | None
+) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    begun: list[int] = []
+    results = processors.side_by_side(begun.append, range(3), most)
+    next(results)
+    assert begun == [0]
+
+
+def test_no_more_than_most_are_made_at_a_time(four_threads: None) -> None:
+    lock, now, most = threading.Lock(), [0], [0]
+
+    def count(item: int) -> None:
+        with lock:
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+        threading.Event().wait(0.01)
+        with lock:
+            now[0] -= 1
+
+    list(processors.side_by_side(count, range(12), 2))
+    assert most[0] <= 2
+
+
+def test_the_first_error_by_order_is_raised_and_the_rest_is_left_alone(four_threads: None) -> None:
+    begun = []
+
+    def fail(k: int) -> int:
+        begun.append(k)
+        if k == 0:
+            raise ValueError("of the first")
+        threading.Event().wait(0.05)
+        if k == 1:
+            raise ValueError("of the second")
+        return k
+
+    with pytest.raises(ValueError, match="of the first"):
+        list(processors.side_by_side(fail, range(1000)))
+    assert len(begun) < 1000

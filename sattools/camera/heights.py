@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sattools.camera.ground import project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
+from sattools.processors import side_by_side
 from sattools.progress import Progress, silent
 
 Array = NDArray[np.float64]
@@ -137,8 +138,8 @@ def sweep_patches(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     best, least = np.full((height, width), -1.0), np.ones((height, width))
     winner = np.full((height, width), -1, np.int32)
-    for k in range(len(planes)):
-        progress(k / len(planes), "height range")
+
+    def agreement(k: int) -> tuple[Array, Array]:
         total, own, views = (np.zeros((height, width)) for _ in range(3))
         for gray, at in zip(smoothed, seen_at, strict=True):
             to_image = (to_pixels @ at[k]).T
@@ -155,7 +156,10 @@ def sweep_patches(
             total += z_v
             own += z_v * z_v
         pairs = cv2.blur(total * total, (5, 5)) - cv2.blur(own, (5, 5))
-        score = np.where(views >= 2, pairs / np.maximum(views * (views - 1), 1), -1.0)
+        return np.where(views >= 2, pairs / np.maximum(views * (views - 1), 1), -1.0), views
+
+    for k, (score, views) in enumerate(side_by_side(agreement, range(len(planes)))):
+        progress(k / len(planes), "height range")
         better = score > best
         best[better], winner[better], least[better] = score[better], k, by_chance(views[better])
     return _largest_patches(winner, best, len(planes), least)

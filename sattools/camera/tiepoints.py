@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 
 from sattools.camera.bundle import robust_gauge
 from sattools.camera.ground import localize, project
-from sattools.camera.matching import corridor_matches, free_matches, vote
+from sattools.camera.matching import Matches, corridor_matches, free_matches, vote
 from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks, build_tracks
 from sattools.errors import InputError
+from sattools.processors import side_by_side
 from sattools.progress import Progress, silent, subprogress
 
 Array = NDArray[np.float64]
+AT_ONCE = 8  # pairs, of up to 100 MB each
 
 
 @dataclass(frozen=True)
@@ -200,11 +202,18 @@ def find_tie_points(
         raise InputError(f"tie points: found {len(views)} image, expected at least 2")
     if z_ref is None:
         z_ref = float(np.median([v.rpc.alt_offset for v in views]))
+
+    def found_in(view: TiePointImage) -> Features:
+        features = extract_features(view, crs, z_ref, options)
+        features.place(view.rpc, crs, z_ref)
+        return features
+
     features = []
-    for k, view in enumerate(views):
-        progress(0.5 * k / len(views), f"features of {view.name}")
-        features.append(extract_features(view, crs, z_ref, options))
-        features[-1].place(view.rpc, crs, z_ref)
+    # all at a time need no more memory than one of the largest
+    largest = min(max(view.gray.size for view in views), options.max_image_px)
+    for found in side_by_side(found_in, views, max(1, options.max_image_px // max(largest, 1))):
+        features.append(found)
+        progress(0.5 * len(features) / len(views), f"features of {views[len(features) - 1].name}")
     tangents = np.array([f.tangent for f in features])
     pairs = choose_pairs(tangents, options.max_pairs)
     pixel_m = np.array([_pixel_size(v, crs, z_ref) for v in views])
@@ -216,11 +225,10 @@ def find_tie_points(
     z_mid = 0.5 * (low + high)
     for f, view in zip(features, views, strict=True):
         f.place(view.rpc, crs, z_mid)
-    matches = []
-    for k, (a, b) in enumerate(pairs):
-        progress(0.75 + 0.25 * k / len(pairs), "fine matching")
-        fa, fb = features[a], features[b]
-        matched, score = corridor_matches(
+
+    def in_corridors(pair: tuple[int, int]) -> tuple[Matches, NDArray[np.float32]]:
+        (a, b), (fa, fb) = pair, (features[k] for k in pair)
+        return corridor_matches(
             fa.ground - bias[a],
             fa.descriptor,
             fb.ground - bias[b],
@@ -229,7 +237,11 @@ def find_tie_points(
             half_height=0.5 * (high - low),
             half_width=options.corridor_px * max(pixel_m[a], pixel_m[b]),
         )
-        matches.append((a, b, matched, score))
+
+    matches = []
+    for (a, b), matched in zip(pairs, side_by_side(in_corridors, pairs, AT_ONCE), strict=True):
+        matches.append((a, b, *matched))
+        progress(0.75 + 0.25 * len(matches) / len(pairs), "fine matching")
     progress(1.0, "tie points")
     return build_tracks([f.pixel for f in features], matches)
 
@@ -249,10 +261,10 @@ def _coarse(
     """
     shifts, seen = [], []
     most = options.coarse_features
-    for k, (a, b) in enumerate(pairs):
-        progress(k / len(pairs), "coarse matching")
-        fa, fb = features[a], features[b]
-        matched = free_matches(
+
+    def anywhere(pair: tuple[int, int]) -> Matches:
+        (a, b), (fa, fb) = pair, (features[k] for k in pair)
+        return free_matches(
             fa.ground[:most],
             fa.descriptor[:most],
             fb.ground[:most],
@@ -261,7 +273,11 @@ def _coarse(
             half_height=options.max_height_m,
             half_bias=2 * options.max_bias_px * max(pixel_m[a], pixel_m[b]),
         )
+
+    for (a, b), matched in zip(pairs, side_by_side(anywhere, pairs, AT_ONCE), strict=True):
+        fa, fb = features[a], features[b]
         seen.append(matched)
+        progress(len(seen) / len(pairs), "coarse matching")
         shifts.append(vote(fa.ground[matched[:, 0]], fb.ground[matched[:, 1]], fb.tangent - fa.tangent, pixel_m[a]))
     bias = coarse_bias(pairs, shifts, np.array([f.tangent for f in features]))
     depths = []

@@ -13,6 +13,7 @@ import numpy as np
 from sattools.camera.ground import ground_sample_distance, project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
+from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.scene import Grid, Item, Scene
@@ -22,6 +23,7 @@ from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
 BALANCE_PROPERTY = "sattools:radiometric_balance"
+AT_ONCE = 4  # images that are resampled at a time: each needs its memory
 _SPARE_CELLS = 40  # around what is looked at: windows of the matching reach over the border
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about what `prep` chooses a cell by
 
@@ -186,7 +188,11 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
         lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
         pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)
         check_cells(grid, pixel, sources[0].radiance.shape[0], len(sources))
-    views = [make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, sun=s.sun) for s in sources]
+
+    def view_of(s: Source) -> View:
+        return make_view(s.id, s.radiance, s.rpc, grid, z_ref, z_range, sun=s.sun)
+
+    views = list(side_by_side(view_of, sources, AT_ONCE))
     for view in views:
         check_seen(view.id, view.mask)
     return views

@@ -16,7 +16,7 @@ from sattools.camera.tiepoints import (
     normalised_contrast,
     spread_evenly,
 )
-from sattools.camera.tracks import build_tracks
+from sattools.camera.tracks import Tracks, build_tracks
 from sattools.errors import InputError
 
 
@@ -145,10 +145,16 @@ def test_one_view_has_no_tie_points() -> None:
         find_tie_points([TiePointImage("a", np.ones((64, 64), np.float32), parallel_rpc())], "EPSG:32633")
 
 
-def test_tie_points_are_the_same_on_every_run() -> None:
+def test_tie_points_are_the_same_on_every_run_and_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     ground = texture()
-    runs = [(0.3, 0.0), (-0.2, 0.2)]
+    runs = [(0.3, 0.0), (-0.2, 0.2), (0.1, -0.3)]
     views = [TiePointImage(str(k), render(ground, r), parallel_rpc(r)) for k, r in enumerate(runs)]
-    first, second = (find_tie_points(views, "EPSG:32633", TiePointOptions(max_height_m=60)) for _ in range(2))
+
+    def found(threads: int) -> Tracks:
+        monkeypatch.setenv("NUMBA_NUM_THREADS", str(threads))
+        return find_tie_points(views, "EPSG:32633", TiePointOptions(max_height_m=60))
+
+    first = found(1)
     assert first.n_points > 100
-    assert np.array_equal(first.pixel, second.pixel)
+    for threads in (1, 3):
+        assert np.array_equal(first.pixel, found(threads).pixel)
