@@ -68,7 +68,7 @@ def write_tables(options: argparse.Namespace) -> None:
         for k, (name, row) in enumerate(TABLES[options.tables].items()):
             if name in rows or (options.fields and name not in options.fields):
                 continue
-            given = (row, scene, against, Path(folder) / str(k), options.seconds, options.width, options.threads)
+            given = (row, scene, against, Path(folder) / str(k), options)
             with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
                 rows[name] = pool.submit(run, given).result()
             store.write_text(json.dumps(rows, indent=1) + "\n")
@@ -108,9 +108,10 @@ def chosen(figures: dict[str, Any]) -> dict[str, Any]:
     return {name: figures[name] for name in ERRORS} | classes
 
 
-def run(given: tuple[Row, str, str, Path, float, int | None, int]) -> dict[str, Any]:
+def run(given: tuple[Row, str, str, Path, argparse.Namespace]) -> dict[str, Any]:
     """One row: fitted within the seconds, exported, compared."""
-    (preset, beside), path, against, folder, seconds, width, threads = given
+    (preset, beside), path, against, folder, asked = given
+    seconds, width, cell, threads = asked.seconds, asked.width, asked.resolution, asked.threads
     import sattools
     from sattools.cli import set_threads
     from sattools.scene import Scene
@@ -125,7 +126,7 @@ def run(given: tuple[Row, str, str, Path, float, int | None, int]) -> dict[str, 
         options["resolution"] = scene.require_grid().cell_size if "brdf" in beside else None
         sattools.fit(scene, {**options, "epochs": [1]}, overwrite=True)
     else:
-        options |= {"width": width, "steps": 10**6}
+        options |= {"width": width, "resolution": cell, "steps": 10**6}
     told: list[str] = []
     begun, used = time.perf_counter(), time.process_time()
     sattools.fit(scene, options, overwrite=True, progress=lambda share, message: told.append(message))

@@ -3,7 +3,7 @@
     python benchmarks/papers.py [--seconds 300] [--seed 1] [--size 64] [--width N] [--threads 1] [--fields ...]
         [--scene SCENE.json=REFERENCE.tif[@REGION]] [--out FILE.json]
     python benchmarks/papers.py --tables hdr|natural --scene SCENE.json=REFERENCE.tif [--seconds 300] [--width N]
-        [--fields ...] [--out FILE.json]
+        [--resolution M] [--fields ...] [--out FILE.json]
 
 Without `--scene`: a simulated city with exact cameras and seven views of three dates, one of them held out. Every field
 starts from the same prior in a process of its own, trains for the given seconds (start and reading-off included) and is
@@ -14,7 +14,8 @@ eastern half; seconds and CPU seconds of the fit; points at which the field was 
 has a row of its own, and one of its means over cells of 1 m. Not measured on a GPU.
 
 `--tables`: those of the papers by their networks (`paper_tables.py`), in the same seconds each, with maps (w.tif, ...
-beside the reference) and held-out views where the scene has them; rows that are in `--out` already are kept.
+beside the reference) and held-out views where the scene has them; rows that are in `--out` already are kept. On a CPU
+most of the seconds of a large network go into reading it off, which `--width` and `--resolution` reduce.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--size", type=float, default=64.0)
     parser.add_argument("--width", type=int, help="of the networks (default: the papers')")
+    parser.add_argument("--resolution", type=float, help="of networks with --tables [m] (default: the prior's cells)")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
         "--fields", nargs="*", help="surface (also with rpv or hapke), neural, voxel, a preset; with --tables its rows"

@@ -137,6 +137,11 @@ class MlpField:
             features = torch.cat([features, colour], dim=-1)
         return softplus(raw) * self.per_metre, features
 
+    def at_rest(self, points: Tensor) -> Tensor:
+        """Density ``[N]`` [1/m] at points ``[N, 3]`` [m] while the network adds nothing to that of its base."""
+        assert self.base is not None
+        return softplus(before_softplus(self.base.at(points)[0] / self.per_metre)) * self.per_metre
+
     def shown(self, features: Tensor, transmittance: Tensor) -> Tensor:
         """See `Field.shown`: all of them, whatever the share in [0, 1]."""
         return features

@@ -113,10 +113,13 @@ def test_a_training_step_of_every_preset_stays_on_its_device(name: str) -> None:
     assert len(moved) >= len(trainer.field.named_tensors()) // 2
 
 
-def test_reading_off_a_field_stays_on_its_device() -> None:
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_reading_off_a_field_stays_on_its_device(at_rest: bool) -> None:
     options = replace(FitOptions(), **PRESETS["eonerf"], width=16)
+    trainer = trainer_on_meta(options)
+    trainer.at_rest = at_rest
     with META:
-        maps = read_maps(trainer_on_meta(options), Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8), (0.0, 20.0))
+        maps = read_maps(trainer, Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8), (0.0, 20.0))
     assert {maps.height.device, maps.albedo.device, *(image.device for image in maps.images.values())} == {META}
 
 

@@ -88,6 +88,26 @@ def test_a_field_that_begins_as_a_plane_has_its_height_from_any_angle(name: str)
     assert float(height.mean()) == pytest.approx(HEIGHT, abs=0.03)
 
 
+@pytest.mark.parametrize("name", [name for name in FIELDS if name != "neural"])
+def test_a_network_that_keeps_the_heights_it_starts_from_is_read_off_as_any_other(name: str) -> None:
+    """Its density asks no network then; colours are those of the samples that count."""
+    trainer = plane(name, rate=1e-3)
+    for number in range(5):
+        trainer.step(number)
+    for part, tensor in trainer.field.start_density().items():
+        trainer.tensors[f"field.{part}"].data.copy_(tensor)
+    slowly = read_maps(trainer, GRID, Z_RANGE)
+    trainer.at_rest = True
+    quickly = read_maps(trainer, GRID, Z_RANGE)
+    torch.testing.assert_close(quickly.height, slowly.height, rtol=0, atol=1e-4)  # float32 of 30 m
+    torch.testing.assert_close(quickly.height_std, slowly.height_std, rtol=0, atol=1e-4)
+    torch.testing.assert_close(quickly.albedo, slowly.albedo, rtol=0, atol=1e-5)
+    for own, other in ((quickly.heads, slowly.heads), (quickly.images, slowly.images)):
+        assert own.keys() == other.keys()
+        for part in own:
+            torch.testing.assert_close(own[part], other[part], rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", FIELDS)
 def test_images_of_a_plane_leave_it_where_it_is(name: str) -> None:
     """Forty steps ten times as long as the default's, from every term of the preset's loss."""

@@ -41,6 +41,7 @@ def judge_heights(trainer: RayTrainer) -> list[str]:
     better, text = verdict(with_own, held_out_losses(trainer, chosen), block)
     if better:
         _put(trainer, trained)
+    trainer.at_rest = not better
     text = f"{trainer.options.field}: {text}"
     log.warning(text)
     return [text]

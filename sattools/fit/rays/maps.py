@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from sattools.field.mlp import MlpField
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Field
 from sattools.fit.rays.trainer import BETA_MIN, HAPKE_B_MAX, RayTrainer
@@ -18,6 +19,7 @@ COARSE, FINE = 64, 48  # samples per vertical ray, and around its median
 REACH = 2.0  # of the fine samples, in distances of the coarse ones
 FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: anywhere, around it, around the median
 AROUND_M, FINE_M = 4.0, 1.0
+SHOWN = 16  # samples of a vertical ray whose colours count
 ROWS = 32  # of columns that are read at once
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
 IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
@@ -62,20 +64,18 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
         y, z = -(part + 0.5) * grid.cell_size, x.new_tensor(high)
         start = torch.stack(torch.broadcast_tensors(x, y[:, None], z), dim=-1).flatten(0, 1)
         batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
-        t, reach, fine = _first_samples(trainer, start, z_range)
-        known = _seen(trainer, batch, t)
-        more = _around(median_share(_weights(batch, t, known[0]), t), reach, fine)
-        t, (sigma, features) = _merged(t, known, more, _seen(trainer, batch, more))
-        weights = _weights(batch, t, sigma)
-        features = features.flatten(0, 1)
+        t, weights, features = _columns(trainer, batch, *_first_samples(trainer, start, z_range))
         share, total = median_share(weights, t), weights.sum(dim=1).clamp_min(1e-6)
         centre = (weights * t).sum(dim=1) / total
         spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt()
         found = {"height": high - (high - low) * share, "height_std": spread * (high - low)}
-        answers = trainer.field.look(features, None, None)
+        weights, features = _shown(trainer, batch, t, weights, features)
+        total = weights.sum(dim=1).clamp_min(1e-6)
+        answers = trainer.field.look(features.flatten(0, 1), None, None)
         for name in ("albedo", *MAP_HEADS):
             if name in answers:
-                found[name] = (weights[..., None] * answers[name].reshape(*t.shape, -1)).sum(dim=1) / total[:, None]
+                values = answers[name].reshape(*weights.shape, -1)
+                found[name] = (weights[..., None] * values).sum(dim=1) / total[:, None]
         if per_image:
             found |= _per_image(trainer, torch.cat([start[:, :2], found["height"][:, None]], dim=1))
         rows.append(found)
@@ -114,6 +114,42 @@ def _around(share: Tensor, reach: float, count: int) -> Tensor:
     """``count`` shares ``[R, count]`` in [0, 1], evenly within ``reach`` of ``share`` ``[R]``, ascending."""
     near = (torch.arange(count) + 0.5) / count * 2 - 1
     return (share[:, None] + reach * near).clamp(0, 1)
+
+
+def _columns(
+    trainer: RayTrainer, batch: RayBatch, t: Tensor, reach: float, fine: int
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Samples ``[R, S]``, their weights and their features ``[R, S, F]``.
+
+    There are none of a network at rest: its density is that of the surface it starts from, which asks no network.
+    """
+    field = trainer.field
+    if trainer.at_rest and isinstance(field, MlpField):
+
+        def weights(t: Tensor) -> Tensor:
+            return _weights(batch, t, field.at_rest(batch.points(t).reshape(-1, 3)).reshape(t.shape))
+
+        t = torch.cat([t, _around(median_share(weights(t), t), reach, fine)], dim=1).sort(dim=1).values
+        return t, weights(t), None
+    known = _seen(trainer, batch, t)
+    more = _around(median_share(_weights(batch, t, known[0]), t), reach, fine)
+    t, (sigma, features) = _merged(t, known, more, _seen(trainer, batch, more))
+    return t, _weights(batch, t, sigma), features
+
+
+def _shown(
+    trainer: RayTrainer, batch: RayBatch, t: Tensor, weights: Tensor, features: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """Weights ``[R, K]`` and features ``[R, K, F]`` of the samples that are seen most.
+
+    The others cost a network as much, and change nothing.
+    """
+    if not isinstance(trainer.field, MlpField) and features is not None:
+        return weights, features
+    weights, most = weights.topk(min(SHOWN, t.shape[1]), dim=1)
+    if features is None:
+        return weights, _seen(trainer, batch, t.gather(1, most))[1]
+    return weights, features.gather(1, most[..., None].expand(-1, -1, features.shape[-1]))
 
 
 Answers = tuple[Tensor, Tensor]  # densities [R, S], features [R, S, F]

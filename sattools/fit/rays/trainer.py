@@ -91,6 +91,7 @@ class RayTrainer:
         self.field, self.rays, self.options = field, rays, options
         self.radiance = radiance
         self.judged = bool(field.start_density())  # whether some rays are held out
+        self.at_rest = False  # whether the field's density is known to be that of the surface it starts from
         self.first_lit = 1 if self.judged else FIRST_EPOCH  # a surface to start from casts its shadows at once
         self.gauge = slice(1) if radiance == "relative" else slice(None)  # images whose gain and offset stay
         views = len(rays.suns)
