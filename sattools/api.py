@@ -153,7 +153,7 @@ def fit(
         )
         options = {**with_preset(*asked), **options}
     own = _options(FitOptions, options)
-    step = Step("fit", own, overwrite, _progress(progress, "fit"), at_once=False)
+    step = Step("fit", own, overwrite, _progress(progress, "fit"))
     return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
 
 
