@@ -11,7 +11,7 @@ from sattools.fit.stored import StreamedModel
 from sattools.fit.tiles.state import end
 from sattools.fit.trace import Trace
 from sattools.scene import Scene
-from sattools.scene.dependencies import MADE, record
+from sattools.scene.dependencies import MADE, Seen, record
 from sattools.scene.files import all_or_nothing, together, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import at_the_end
@@ -28,13 +28,14 @@ class Fitted:
     notes: list[str]
 
 
-def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None) -> JsonObject:
+def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None, read: Seen | None = None) -> JsonObject:
     """Write model and trace below the scene's root.
 
     Args:
         scene: gets the products.
         fitted: what to write.
         made: record of a prior that the fit has made.
+        read: the images as they were when the fit began.
 
     Returns:
         Figures for the history, with what was made from what.
@@ -44,7 +45,7 @@ def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None) -> Js
     write_text(scene.output(TRACE), trace.to_csv())
     scene.products.update(model=MODEL, trace=TRACE)
     used = [item for item in scene.items if item.id in fitted.model.items]
-    made = {**(made or {}), **record(scene, "fit", used)}
+    made = {**(made or {}), **record(scene, "fit", used, read)}
     return {
         "notes": fitted.notes,
         "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)},

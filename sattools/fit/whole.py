@@ -29,7 +29,7 @@ from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
 from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Item, Scene
-from sattools.scene.dependencies import begin
+from sattools.scene.dependencies import begin, seen
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, with_bands
 
@@ -106,6 +106,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         setup = set_up_whole(scene, options)
         if overwrite and not (options.resume or scene.is_part):
             end(scene.root)  # else an interruption of this fit would go on in the tiles of one before
+        read = seen(scene, "fit", setup.items)
         sources = load_sources(scene, setup.items, setup.images)
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
         sources = with_bands(sources, setup.items, options.bands)  # the prior matches whatever the images show
@@ -122,7 +123,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             given = (scene, sources, setup.options, prior, setup.device, told)
             fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace, basis=setup.basis)
         fitted.notes[:0] = setup.notes
-        return save_fit(scene, fitted, made)
+        return save_fit(scene, fitted, made, read)
 
 
 def starts_from_surface(options: FitOptions) -> bool:

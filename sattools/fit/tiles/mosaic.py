@@ -21,7 +21,7 @@ from sattools.fit.tiles.state import COARSE
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
-from sattools.scene.dependencies import record
+from sattools.scene.dependencies import Seen, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import sample_map
@@ -99,12 +99,13 @@ class Piece:
         return slice(first - place.start, last - place.start) if first < last else None
 
 
-def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
+def mosaic_tiles(plan: Plan, notes: list[str], read: Seen, progress: Progress) -> JsonObject:
     """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles.stage`.
 
     Args:
         plan: tiles and their scenes.
         notes: gets what a user should know.
+        read: the images as they were when the fit began.
         progress: told the share done and what is being done.
 
     Raises:
@@ -127,7 +128,7 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
             made = record(scene, "prior", scene.train_items(), implicit=True)
         model = _streamed(plan, models, common, whole)
         notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
-        result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made)
+        result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made, read)
     if spent := plan.spent():
         result["parts"] = spent
     if plan.options.part == "all":

@@ -21,6 +21,7 @@ from sattools.fit.tiles.plan import Plan
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
+from sattools.scene.dependencies import seen
 from sattools.scene.files import immediately, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.memory import give_back
@@ -54,6 +55,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
             return {"tiles": [], "pilots": []} if options.part == "coarse" else {"tiles": []}
         return fit_whole(scene, replace(options, tile=None, part="all"), progress)
     notes: list[str] = []
+    read = seen(scene, "fit", scene.train_items())
     with immediately():  # all of it is there for another run to go on with
         if options.part == "coarse":
             return {"notes": plan.coarse(progress), "pilots": plan.pilots()}
@@ -65,7 +67,7 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         if options.part == "all":
             give_back()
             notes += plan.fit(subprogress(progress, first, 1.0))
-    return mosaic_tiles(plan, notes, progress)
+    return mosaic_tiles(plan, notes, read, progress)
 
 
 __all__ = ["fit_tiled"]
