@@ -6,7 +6,7 @@ Every command is run once undisturbed; then again and again on a copy of the sam
 by SIGINT, SIGTERM or SIGKILL at random moments, and finished (`fit --resume`, the others again). What must hold:
 
 - after every interruption each file is what it was before or what the undisturbed run writes: none is damaged;
-- an interrupt leaves no temporary file, and after the end there is none at all, whatever was killed before;
+- an interrupt leaves no temporary file of its own, and after the end there is none at all, whatever was killed before;
 - the end is that of the undisturbed run, byte for byte (but for seconds and memory in histories and traces).
 
 Under a limit of file sizes just below each output in turn (a full disk), the command fails with one line and every
@@ -157,6 +157,7 @@ class Bench:
         count, wanted = 0, self.random.choice((1, 1, 2, 3))
         while count < wanted:
             again = job.again if count else []
+            killed = temporary(root)  # which this run may not come to
             child = start([*command[:3], command[3], *again, *command[4:]], self.out / "run", cwd=root)
             time.sleep(self.random.uniform(0, 1.05 * seconds))
             number = self.random.choice(SIGNALS)
@@ -173,7 +174,8 @@ class Bench:
                 self.blame(job, f"{number.name} gave status {done.status}: {done.stderr[-300:]}")
             if done.traceback:
                 self.blame(job, f"{number.name} gave a traceback: {done.stderr[-300:]}")
-            if number != signal.SIGKILL and done.status != 0 and (left := temporary(root)):
+            left = [name for name in temporary(root) if name not in killed]
+            if number != signal.SIGKILL and done.status != 0 and left:
                 self.blame(job, f"{number.name} left {left[0]}")
             self.check_files(job, root, known, number.name)
         again = [] if finished(job, root) else job.again

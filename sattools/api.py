@@ -14,7 +14,7 @@ message) is told instead.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -99,9 +99,7 @@ def normalise(
     """
     from sattools.radiometry.stage import normalise as stage
 
-    own = _options(NormaliseOptions, options)
-    step = Step("normalise", own, overwrite, _progress(progress, "normalise"))
-    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+    return _run(stage, "normalise", scene, _options(NormaliseOptions, options), overwrite, progress)
 
 
 def match(
@@ -121,9 +119,7 @@ def match(
     """
     from sattools.prior.stage import prior as stage
 
-    own = _options(PriorOptions, options)
-    step = Step("prior", own, overwrite, _progress(progress, "prior"))
-    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+    return _run(stage, "prior", scene, _options(PriorOptions, options), overwrite, progress)
 
 
 def fit(
@@ -152,9 +148,7 @@ def fit(
             str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "surface"), ("field", ""))
         )
         options = {**with_preset(*asked), **options}
-    own = _options(FitOptions, options)
-    step = Step("fit", own, overwrite, _progress(progress, "fit"), at_once=False)
-    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+    return _run(stage, "fit", scene, _options(FitOptions, options), overwrite, progress)
 
 
 def export(
@@ -174,9 +168,7 @@ def export(
     """
     from sattools.export.stage import export as stage
 
-    own = _options(ExportOptions, options)
-    step = Step("export", own, overwrite, _progress(progress, "export"))
-    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+    return _run(stage, "export", scene, _options(ExportOptions, options), overwrite, progress)
 
 
 def compare(
@@ -227,8 +219,7 @@ def align(
     own = _options(AlignOptions, options)
     if own.to is None:
         raise InputError("AlignOptions: found no option 'to', expected a raster of heights or ground control points")
-    step = Step("align", own, overwrite, _progress(progress, "align"))
-    return run_on(_scene(scene), step, lambda s, told: stage(s, own, told, overwrite))[0]
+    return _run(stage, "align", scene, own, overwrite, progress)
 
 
 def change(
@@ -259,6 +250,14 @@ def change(
     own = _options(ChangeOptions, options)
     one, other = (str(s.path("scene.json") if isinstance(s, Scene) else s) for s in (before, after))
     return stage(one, other, own, _progress(progress, "change"), overwrite)
+
+
+def _run(
+    stage: Callable[..., JsonObject], command: str, scene: SceneLike, options: Any, overwrite: bool, progress: Told
+) -> Scene:
+    """A stage that changes a scene, as its command does it."""
+    step = Step(command, options, overwrite, _progress(progress, command))
+    return run_on(_scene(scene), step, lambda s, told: stage(s, options, told, overwrite))[0]
 
 
 def _scene(scene: SceneLike) -> Scene:

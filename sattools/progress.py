@@ -34,6 +34,14 @@ def subprogress(progress: Progress, start: float, end: float) -> Progress:
     return call
 
 
+def duration(seconds: float) -> str:
+    """Seconds in a unit that people use."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
 def make_progress(mode: str, label: str) -> Progress:
     """The callback for ``mode`` (auto, bar, json, none); ``label`` names the command and the scene."""
     if mode == "auto":
@@ -73,4 +81,4 @@ def _bar(label: str, width: int = 24, interval: float = 0.1) -> Progress:
     return call
 
 
-__all__ = ["Progress", "make_progress", "silent", "subprogress"]
+__all__ = ["Progress", "duration", "make_progress", "silent", "subprogress"]

@@ -57,6 +57,21 @@ def test_python_does_what_the_commands_do(make_town: Any) -> None:
     assert sattools.fit(scene, QUICK, overwrite=True).products.keys().isdisjoint({"dsm", "errors"})
 
 
+def test_a_call_that_is_interrupted_leaves_the_scene_as_it_was(make_town: Any) -> None:
+    """In a notebook it goes on: it had lost its surface there, and with the next call in its document."""
+
+    def interrupt(share: float, message: str) -> None:
+        if "epoch" in message:
+            raise KeyboardInterrupt
+
+    scene = sattools.export(sattools.fit(make_town().root / "scene.json", QUICK))
+    before = scene.to_json()
+    with pytest.raises(KeyboardInterrupt):
+        sattools.fit(scene, {**QUICK, "prior_weight": 1.0}, overwrite=True, progress=interrupt)
+    assert scene.to_json() == before
+    assert sattools.compare(scene).history[-1]["errors"]["mae"] > 0
+
+
 def test_a_scene_is_aligned_and_compared_with_what_it_was(make_town: Any, tmp_path: Path) -> None:
     before = sattools.export(sattools.fit(make_town(), QUICK))
     dsm = before.path(before.products["dsm"])

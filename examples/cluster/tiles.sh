@@ -14,7 +14,9 @@ tiles=$(dirname "$scene")/fit/tiles
 
 case $part in
     split | mosaic)
-        exec "$sattools" --threads "$threads" fit "$@" --part "$part" "$scene" > /dev/null
+        resume=
+        test "$part" = split && test -e "$tiles/tiles.json" && resume=--resume
+        exec "$sattools" --threads "$threads" fit "$@" $resume --part "$part" "$scene" > /dev/null
         ;;
     count)
         ls "$tiles"/r*c*/scene.json | wc -l

@@ -53,7 +53,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """Fit a surface with albedo, or a volume, to the scene's images by differentiable rendering.
 
     Writes fit/model.safetensors and fit/trace.csv below the scene's root. A fit that was interrupted goes on with
-    --resume and ends with the same surface as one that was not.
+    --resume and ends with the same surface as one that was not; without it, only --overwrite begins anew.
     """
     options = build(FitOptions, {**values, **_preset(values["preset"], values["start"], values["field"])})
     if options.tile == "auto" and options.part != "all":
@@ -84,5 +84,5 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         from sattools.fit.presets import DIFFERENCES
 
         click.echo("".join(f"# {line}\n" for line in DIFFERENCES.splitlines()), nl=False)
-    run = Run("fit", options, dry_run, print_config, overwrite, at_once=False)
+    run = Run("fit", options, dry_run, print_config, overwrite)
     run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen, check=check)

@@ -41,7 +41,6 @@ class Run:
     print_config: bool = False
     overwrite: bool = False
     inputs: tuple[Path, ...] = ()  # of a command that makes a scene
-    at_once: bool = True  # all files of the command appear together; False where it reads what it has written
 
 
 def run_scenes(
@@ -240,7 +239,7 @@ def apply(run: Run, scene: Scene, work: Work) -> tuple[Scene, dict[str, Any]]:
 def _step(run: Run, label: str) -> Step:
     from sattools.scene.runner import Step
 
-    return Step(run.command, run.options, run.overwrite, progress_of(run.command, label), run.at_once)
+    return Step(run.command, run.options, run.overwrite, progress_of(run.command, label))
 
 
 def progress_of(command: str, label: str) -> Progress:

@@ -152,6 +152,8 @@ def chosen_tile(scene: Scene, options: FitOptions) -> float | None:
     cannot = any(getattr(options, name) != wanted for name, wanted, _ in IN_TILES)
     if not cannot and (before := _begun_tile(scene, options)):
         return before
+    if options.resume and _begun_at_once(scene):
+        return None
     grid = scene.require_grid()
     images = len(scene.train_items())
     if options.tile is None:
@@ -210,6 +212,13 @@ def _begun_tile(scene: Scene, options: FitOptions) -> float | None:
     """Edge of the tiles [m] that an interrupted fit has left for this one to go on with."""
     state = begun(scene.root) if options.resume else None
     return state.get("tile") if state else None
+
+
+def _begun_at_once(scene: Scene) -> bool:
+    """Whether an interrupted fit has left a checkpoint of the whole area."""
+    from sattools.fit.files import CHECKPOINT  # late, see `side_by_side`
+
+    return scene.path(CHECKPOINT).exists()
 
 
 def with_tile(scene: Scene, options: FitOptions) -> FitOptions:

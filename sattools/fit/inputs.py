@@ -20,13 +20,15 @@ from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.illumination import views_left_out
 from sattools.fit.options import FitOptions
+from sattools.fit.resume import check_nothing_begun
+from sattools.fit.tiles.clearing import check_clear
 from sattools.fit.tiles.shared import PRODUCT
-from sattools.fit.tiles.state import begun
+from sattools.fit.tiles.state import COARSE, begun
 from sattools.progress import Progress
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
 from sattools.scene.document import FIT_ROLE, PARTS
-from sattools.scene.files import check_outputs, digest
+from sattools.scene.files import check_outputs, digest, written
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid
 from sattools.views import Source
@@ -75,22 +77,25 @@ def holding_out(scene: Scene, holdout: Sequence[str], views: str) -> Iterator[No
 def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
     """Whether the fit may replace a model that is there: asked for, or the end of what was interrupted.
 
+    What was interrupted is as much work as what was finished: to begin anew has to be asked for, too.
+
     Args:
         scene: of the fit.
         options: of the fit.
         overwrite: what the user said.
 
     Raises:
-        OutputExistsError: ``resume`` on a fit that is finished; tiles that are finished without ``resume``.
+        OutputExistsError: ``resume`` on a fit that is finished; a checkpoint or finished tiles without ``resume``;
+            other files in the place of tiles.
         SceneError: a damaged list of tiles.
     """
-    anew = options.tile and options.part != "mosaic" and not (overwrite or options.resume)
-    if anew and (tile := _finished_tile(scene)):
-        raise OutputExistsError(
-            f"{tile}: found a finished tile of an interrupted fit; give --resume to go on, or --overwrite to fit anew"
-        )
-    if overwrite or not options.resume:
-        return overwrite
+    if overwrite:
+        return True
+    if options.tile and options.part != "mosaic":
+        check_clear(scene.root)
+    if not options.resume:
+        _check_nothing_begun(scene, options)
+        return False
     if scene.path(CHECKPOINT).exists() or begun(scene.root):
         return True
     # without a model in the document the fit was stopped before its end was noted
@@ -102,11 +107,22 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
     return True
 
 
-def _finished_tile(scene: Scene) -> Path | None:
-    """The folder of a tile, or a pilot tile, that an interrupted fit has finished; to begin anew would remove it."""
-    state = begun(scene.root) or {}
-    roots = (scene.root / PARTS / name for part in ("pilots", "tiles") for name in state.get(part) or ())
-    return next((root for root in roots if (root / MODEL).exists()), None)
+def _check_nothing_begun(scene: Scene, options: FitOptions) -> None:
+    """Raise OutputExistsError where a fit that begins anew would give up what an interrupted one has done."""
+    check_nothing_begun(scene.path(CHECKPOINT))
+    if options.part == "mosaic":  # it joins what there is
+        return
+    state = begun(scene.root)
+    if state is None:
+        return
+    names = [*(name for part in ("tiles", "pilots") for name in state.get(part) or ()), COARSE]
+    for root in (scene.root / PARTS / name for name in names):
+        if (root / MODEL).exists():
+            what = "a coarse fit of the whole" if root.name == COARSE else "a finished tile"
+            raise OutputExistsError(
+                f"{root}: found {what} of an interrupted fit; give --resume to go on, or --overwrite to fit anew"
+            )
+        check_nothing_begun(root / CHECKPOINT)
 
 
 def load_prior(
@@ -187,7 +203,7 @@ def _is_left_over(scene: Scene) -> bool:
 
 def _part_of_prior(scene: Scene) -> Grid | None:
     """The scene's grid where its prior is that of the whole area of which it is a tile; None where it is its own."""
-    own, prior = scene.require_grid(), raster_grid(scene.path(scene.products["prior_dsm"]))
+    own, prior = scene.require_grid(), raster_grid(written(scene.path(scene.products["prior_dsm"])))
     edges = zip(own.shape, prior.shape, strict=True)
     larger = any(n * prior.cell_size > m * own.cell_size + prior.cell_size for m, n in edges)
     return own if larger else None

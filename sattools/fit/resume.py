@@ -10,14 +10,17 @@ from typing import Any, Literal
 
 from torch import Tensor
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.checkpoint import describe, load, save
 from sattools.fit.trace import Row
+from sattools.progress import duration
+from sattools.scene.files import immediately
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.schema import shown
 
 log = logging.getLogger(__name__)
-OTHER_FIT = "found a checkpoint of other options, images or cameras, expected the same; drop --resume"
+ANEW = "give --overwrite in place of --resume to fit anew"
+OTHER_FIT = f"found a checkpoint of other options, images or cameras, expected the same; {ANEW}"
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,8 @@ class Interrupted:
         description: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "tensors"}
         description["illumination_options"] = vars(self.illumination) if self.illumination else None
         del description["illumination"]
-        save(path, self.tensors, description)
+        with immediately():
+            save(path, self.tensors, description)
 
     @classmethod
     def load(cls, path: Path, fingerprint: str) -> Interrupted | None:
@@ -107,9 +111,42 @@ def check_checkpoint(path: Path, basis: JsonObject) -> None:
         if name.startswith("--"):
             raise SceneError(
                 f"{path}: found a checkpoint of other options ({name} {shown(old)}), expected {name} {shown(new)}; "
-                "drop --resume"
+                f"{ANEW}"
             )
-        raise SceneError(f"{path}: found a checkpoint of other {name}, expected the same; drop --resume")
+        raise SceneError(f"{path}: found a checkpoint of other {name}, expected the same; {ANEW}")
 
 
-__all__ = ["OTHER_FIT", "IlluminationOptions", "Interrupted", "check_checkpoint"]
+def check_nothing_begun(path: Path) -> None:
+    """Whether a fit may begin anew, which would replace the checkpoint of an interrupted one.
+
+    Args:
+        path: of the checkpoint.
+
+    Raises:
+        OutputExistsError: there is one.
+    """
+    if not (path.exists() or path.is_symlink()):
+        return
+    try:
+        done = _how_far(describe(path))
+    except InputError as error:
+        raise OutputExistsError(
+            f"{path}: found a file that is no checkpoint, or a damaged one; give --overwrite to fit anew, onto it"
+        ) from error
+    raise OutputExistsError(
+        f"{path}: found an interrupted fit{done}; give --resume to go on, or --overwrite to fit anew"
+    )
+
+
+def _how_far(description: JsonObject) -> str:
+    """Where an interrupted fit is, in the words of its progress; older checkpoints may not say it."""
+    try:
+        last = description["rows"][-1]
+        step = description.get("step")  # of a field
+        where = f"step {step}" if step else f"{last['cell_m']:g} m, epoch {last['epoch']}"
+        return f" after {duration(last['seconds'])} ({where})"
+    except (KeyError, IndexError, TypeError, ValueError):
+        return ""
+
+
+__all__ = ["ANEW", "OTHER_FIT", "IlluminationOptions", "Interrupted", "check_checkpoint", "check_nothing_begun"]

@@ -12,7 +12,7 @@ from sattools.errors import SceneError
 from sattools.fit.combinations import check_combination, check_step
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import COLOURS, Radiance
-from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, save_fit
+from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
 from sattools.fit.inputs import basis_of, check_prior, holding_out, load_prior, may_write
 from sattools.fit.model import FittedModel
@@ -24,11 +24,12 @@ from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.schedule import schedule
 from sattools.fit.surface.trainer import StageSettings
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
+from sattools.fit.tiles.state import end
 from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
 from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Item, Scene
-from sattools.scene.dependencies import begin
+from sattools.scene.dependencies import begin, seen
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, with_bands
 
@@ -101,8 +102,11 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
     """
     may = may_write(scene, options, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may)
-    with holding_out(scene, options.holdout, options.views):
+    with one_result(scene), holding_out(scene, options.holdout, options.views):
         setup = set_up_whole(scene, options)
+        if overwrite and not (options.resume or scene.is_part):
+            end(scene.root)  # else an interruption of this fit would go on in the tiles of one before
+        read = seen(scene, "fit", setup.items)
         sources = load_sources(scene, setup.items, setup.images)
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
         sources = with_bands(sources, setup.items, options.bands)  # the prior matches whatever the images show
@@ -119,7 +123,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             given = (scene, sources, setup.options, prior, setup.device, told)
             fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace, basis=setup.basis)
         fitted.notes[:0] = setup.notes
-        return save_fit(scene, fitted, made)
+        return save_fit(scene, fitted, made, read)
 
 
 def starts_from_surface(options: FitOptions) -> bool:

@@ -21,6 +21,7 @@ from sattools.prior.probability import (
 )
 from sattools.scene import Grid, Scene
 from sattools.scene.cog import CogWriter
+from sattools.scene.files import written
 from sattools.scene.raster import read_raster, write_sensor_image
 
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
@@ -126,7 +127,7 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
         if name not in scene.products:
             raise SceneError(f"scene {scene.id}: found no product {name!r}, expected one made by `sattools prior`")
         path = scene.path(scene.products[name])
-        array, grid = read_raster(path, within)
+        array, grid = read_raster(written(path), within)
         if array.shape[0] != 1:
             raise InputError(f"{path}: found {array.shape[0]} bands, expected one as {name} has")
         known = array[np.isfinite(array)]

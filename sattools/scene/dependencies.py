@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from sattools.errors import StaleError
@@ -68,6 +69,7 @@ STAGES: dict[str, Stage] = {
     "compare": Stage(("difference", "errors")),
 }
 ORDER = list(STAGES)
+Seen = Mapping[str, list[Any]]  # image -> digests of its files, and its properties
 MADE = "made"  # member of a history entry: stage -> record
 # who began a history entry that makes all others out of date
 SOURCES = ("prep", "simulate")
@@ -131,17 +133,32 @@ def files_of(scene: Scene) -> list[Path]:
     return sorted({scene.path(href) for href in [*hrefs, *scene.products.values()]})
 
 
-def record(scene: Scene, stage: str, items: Sequence[Item] = (), **more: Any) -> dict[str, JsonObject]:
+def seen(scene: Scene, stage: str, items: Sequence[Item]) -> Seen:
+    """What a stage is about to read of its images, for `record` at its end, hours later.
+
+    Args:
+        scene: the scene.
+        stage: `normalise`, `prior` or `fit`.
+        items: the images.
+    """
+    return {item.id: _image(scene, item, stage) for item in items}
+
+
+def record(
+    scene: Scene, stage: str, items: Sequence[Item] = (), read: Seen | None = None, **more: Any
+) -> dict[str, JsonObject]:
     """What a stage has made from what, for `made` of the history entry.
 
     Args:
         scene: with the stage's outputs.
         stage: name, see `STAGES`.
         items: the images that it used.
+        read: as they were when it began, see `seen`; None = as they are.
         more: further members of the record.
     """
     ids = [item.id for item in items]
-    return {stage: {"inputs": _inputs(scene, stage, ids), "items": ids, "outputs": _outputs(scene, stage), **more}}
+    inputs = _inputs(scene, stage, ids, read or {})
+    return {stage: {"inputs": inputs, "items": ids, "outputs": _outputs(scene, stage), **more}}
 
 
 def latest(scene: Scene, stage: str) -> JsonObject | None:
@@ -220,10 +237,11 @@ def names_of(made: Stage) -> set[str]:
     return {*made.products, *(f"{name}_std" for name in made.products)}
 
 
-def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
+def _inputs(scene: Scene, stage: str, ids: Sequence[str], read: Seen = MappingProxyType({})) -> str:
     """Hash of what a stage reads.
 
     For matching and fitting that is the images with their cameras and suns, else the products of the stage before.
+    What was seen of an image before counts for what is there now.
     """
     what: list[Any] = [stage]
     if stage in ("normalise", "prior", "fit"):
@@ -231,7 +249,7 @@ def _inputs(scene: Scene, stage: str, ids: Sequence[str]) -> str:
             # as the document gives them back: 0 and 0.0 are one
             what += [Grid.from_dict(scene.grid.to_dict()).to_dict() if scene.grid else None]
             what += [float(z) for z in scene.height_range_m or ()]
-        what += [_image(scene, item, stage) for item in scene.items if item.id in ids]
+        what += [read.get(item.id) or _image(scene, item, stage) for item in scene.items if item.id in ids]
     if stage == "fit":
         what.append(_outputs(scene, "prior"))
     elif stage == "export":
@@ -265,6 +283,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "MADE", "STAGES", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "may_begin", "names_of",
-    "record", "stale",
+    "MADE", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "may_begin",
+    "names_of", "record", "seen", "stale",
 ]  # fmt: skip

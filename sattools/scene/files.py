@@ -17,14 +17,14 @@ import hashlib
 import logging
 import os
 import socket
-import stat
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
-from sattools.errors import OutputExistsError, OutputIsInputError, SattoolsError
+from sattools.errors import SattoolsError
+from sattools.scene.outputs import check_outputs
 
 log = logging.getLogger(__name__)
 _MARK = ".tmp-sattools"
@@ -169,49 +169,21 @@ def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False
             _discard(temporary)
 
 
-def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path] = (), overwrite: bool = False) -> None:
-    """Refuse outputs that must not be written, before the first of them is.
+@contextmanager
+def together() -> Iterator[None]:
+    """`all_or_nothing`, or within such a block a part of it."""
+    with all_or_nothing() if _held_back.get() is None else nullcontext():
+        yield
 
-    Args:
-        outputs: files that a command is about to write; none needs to exist.
-        inputs: files that it reads, or that must survive it. They are compared by device and inode, so links of
-            either kind are seen through.
-        overwrite: whether outputs may replace what is there. An input is never replaced.
 
-    Raises:
-        OutputIsInputError: an output is an input, or two outputs are one file.
-        OutputExistsError: an output exists and ``overwrite`` is False.
-        SattoolsError: an output is a folder, or lies in one that cannot be written to.
-    """
-    taken: dict[tuple[int, int], Path] = {}
-    for path in inputs:
-        with suppress(OSError, ValueError):
-            status = os.stat(path)
-            taken[status.st_dev, status.st_ino] = Path(path)
-    outputs = [Path(path) for path in outputs]
-    named: set[str] = set()
-    exists = None
-    for path in outputs:
-        if str(path) in named:
-            raise OutputIsInputError(f"{path}: would be written twice, expected different names")
-        named.add(str(path))
-        try:
-            status = os.stat(path)
-        except OSError:
-            if path.is_symlink() and exists is None:  # it leads nowhere, but it is somebody's
-                exists = path
-            _check_folder(path)
-            continue
-        source = taken.get((status.st_dev, status.st_ino))
-        if source is not None:
-            same = "is an input too" if os.path.abspath(source) == os.path.abspath(path) else f"is the input {source}"
-            raise OutputIsInputError(f"{path}: {same}, expected outputs in another place; nothing was written")
-        if stat.S_ISDIR(status.st_mode):
-            raise SattoolsError(f"{path}: found a folder, expected a file name to write to")
-        exists = exists or path
-        _check_folder(path)
-    if exists is not None and not overwrite:
-        raise OutputExistsError(f"{exists}: exists already; give --overwrite to replace it")
+@contextmanager
+def immediately() -> Iterator[None]:
+    """Within `all_or_nothing`: files that are written inside get their names at once, such as a checkpoint."""
+    token = _held_back.set(None)
+    try:
+        yield
+    finally:
+        _held_back.reset(token)
 
 
 def written(path: Path) -> Path:
@@ -369,20 +341,16 @@ def _host() -> str:
     return hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
 
 
-def _check_folder(path: Path) -> None:
-    folder = next(p for p in path.absolute().parents if p.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise SattoolsError(f"{folder}: cannot be written to, expected a writable folder for {path.name}")
-
-
 __all__ = [
     "all_or_nothing",
     "check_outputs",
     "digest",
+    "immediately",
     "locked",
     "make_folder",
     "remove_orphans",
     "scratch",
+    "together",
     "write_bytes",
     "write_figure",
     "write_text",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import contextvars
+import copy
 import resource
 import sys
 import time
@@ -37,14 +38,12 @@ class Step:
         options: of the stage, a dataclass; None = none.
         overwrite: whether outputs may replace what is there.
         progress: told the share done.
-        at_once: whether all files appear together; False where the stage reads what it has written.
     """
 
     command: str
     options: Any = None
     overwrite: bool = False
     progress: Progress = silent
-    at_once: bool = True
 
 
 def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
@@ -53,7 +52,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
     The scene's folder is what counts: what another command has added to its document since this one was read is kept.
 
     Args:
-        scene: the scene.
+        scene: the scene; it stays as it was where the work fails.
         step: what is run, and how.
         work: what is done.
 
@@ -70,7 +69,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         if there is not None and there.history[: len(scene.history)] == scene.history:
             scene.history = there.history
         start = _Clock.now()
-        with _last_things(), all_or_nothing() if step.at_once else contextlib.nullcontext():
+        with _unchanged_unless_done(scene), _last_things(), all_or_nothing():
             entry = _note(scene, step, start, work(scene, log.told(step.progress)))
         log.done(entry)
         scene.origin = None  # from here on the scene knows more than that file
@@ -114,6 +113,17 @@ def at_the_end(call: Callable[[], object]) -> None:
         call()
     else:
         waiting.append(call)
+
+
+@contextlib.contextmanager
+def _unchanged_unless_done(scene: Scene) -> Iterator[None]:
+    """A scene in memory, of a program that goes on, is what it was where its files are."""
+    before = copy.deepcopy(vars(scene))
+    try:
+        yield
+    except BaseException:
+        vars(scene).update(before)
+        raise
 
 
 @contextlib.contextmanager

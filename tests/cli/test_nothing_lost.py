@@ -14,6 +14,7 @@ import pytest
 import rasterio
 from click.testing import CliRunner
 
+from sattools import api
 from sattools.cli import main
 from sattools.runlog import NAME
 from sattools.scene import Scene
@@ -228,6 +229,22 @@ def test_an_edited_sun_makes_the_fit_out_of_date(make_town: Any) -> None:
     scene.items[0].properties["view:sun_azimuth"] += 20
     document.write_text(scene.to_json())
     refused(run("export", document), "what fit was made from has changed since", "sattools fit")
+
+
+@pytest.mark.parametrize("tiles", [{}, {"tile": 32.0, "overlap": 8.0}])
+def test_an_image_that_is_replaced_while_a_fit_runs_makes_the_fit_out_of_date(make_town: Any, tiles: Any) -> None:
+    """It had been noted as the one that the fit had seen."""
+    town = make_town()
+    path = town.path(town.items[0].assets["image"].href)
+
+    def replaced(share: float, message: str) -> None:
+        if "epoch 2" in message:
+            with rasterio.open(path, "r+") as data:
+                data.write((data.read() * 0.9).astype(data.dtypes[0]))
+
+    quick = {"resolution": 2.0, "coarsest": 2.0, "epochs": [2], "prior_weight": 0.0}
+    api.fit(town, quick | tiles, progress=replaced)
+    refused(run("export", town.root / "scene.json"), "what fit was made from has changed since", "sattools fit")
 
 
 def test_hapkes_maps_do_not_outlive_their_fit() -> None:

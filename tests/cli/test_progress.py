@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from sattools.progress import make_progress, subprogress
+from sattools.progress import duration, make_progress, subprogress
 
 
 def test_json_lines_are_records_with_the_share_held_in_0_to_1(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,3 +45,8 @@ def test_a_step_reports_its_part_of_the_whole() -> None:
     step(0.5, "b")
     step(1.0, "c")
     assert heard == [(0.2, "a"), (pytest.approx(0.4), "b"), (pytest.approx(0.6), "c")]
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(50, "50 s"), (600, "10 min"), (10800, "3 h"), (2.2e6, "25 days")])
+def testdurations_are_said_in_units_that_people_use(seconds: Any, text: Any) -> None:
+    assert duration(seconds) == text

@@ -1,6 +1,7 @@
 """What a fit will take is said before it begins, and tiles are chosen by the memory that is free."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
@@ -46,6 +47,20 @@ def test_auto_takes_the_largest_tile_that_half_of_the_free_memory_holds(
 ) -> None:
     monkeypatch.setattr(memory, "available", lambda: free)
     assert chosen_tile(of_size(town, edge_m), AUTO) == tile
+
+
+def test_what_was_begun_all_at_once_goes_on_so_whatever_memory_there_is_now(
+    town: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(memory, "available", lambda: GIB)
+    monkeypatch.setattr(foresight, "available", lambda: GIB)
+    (tmp_path / "fit").mkdir()
+    (tmp_path / "fit/checkpoint.safetensors").touch()
+    scene = of_size(town, 3000)
+    scene.root = tmp_path
+    for tile in (None, "auto"):
+        assert chosen_tile(scene, FitOptions(tile=tile)) == 256.0
+        assert chosen_tile(scene, FitOptions(tile=tile, resume=True)) is None
 
 
 def test_a_tile_that_is_given_stays(town: Scene) -> None:

@@ -20,7 +20,6 @@ from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
-from sattools.fit.rays.stage import _duration
 from sattools.fit.rays.start import restored_field
 from sattools.fit.rays.trainer import BETA_MIN
 from sattools.fit.stage import fit
@@ -239,11 +238,6 @@ def test_images_of_one_scale_keep_it(make_town: Any) -> None:
     assert torch.equal(model.gain, torch.ones_like(model.gain))
     assert torch.equal(model.offset, torch.zeros_like(model.offset))
     assert model.radiance == "toa_reflectance"
-
-
-@pytest.mark.parametrize(("seconds", "text"), [(50, "50 s"), (600, "10 min"), (10800, "3 h"), (2.2e6, "25 days")])
-def test_durations_are_said_in_units_that_people_use(seconds: Any, text: Any) -> None:
-    assert _duration(seconds) == text
 
 
 @pytest.mark.parametrize("preset", PAPERS)

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 import rasterio
 import torch
+from click.testing import CliRunner
 
 from sattools import api
 from sattools.camera import RPC
+from sattools.cli import main
 from sattools.errors import InputError, OutputExistsError, SattoolsError, SceneError
 from sattools.fit import whole as whole_fit
 from sattools.fit.checkpoint import load, save
@@ -112,9 +114,81 @@ def test_resuming_with_other_options_is_refused(make_town: Any) -> None:
     scene = make_town()
     with pytest.raises(Interrupted):
         fit(scene, SHORT, interrupt_after(6))
-    why = r"fit/checkpoint\.safetensors: found a checkpoint of other options \(--seed 0\), expected --seed 3; drop"
+    why = r"fit/checkpoint\.safetensors: found a checkpoint of other options \(--seed 0\), expected --seed 3; give"
     with pytest.raises(SceneError, match=why):
         fit(scene, replace(SHORT, resume=True, seed=3))
+
+
+def test_an_interrupted_fit_is_given_up_only_where_that_is_asked_for(whole: Any, make_town: Any) -> None:
+    """A call from the history of a shell, without --resume, would cost hours of a fit that was nearly done."""
+    scene = make_town("AGAIN")
+    with pytest.raises(Interrupted):
+        fit(scene, SHORT, interrupt_after(6))
+    path = scene.root / "fit/checkpoint.safetensors"
+    before = path.read_bytes()
+    said = r"found an interrupted fit after \d+ s \(4 m, epoch 4\); give --resume to go on, or --overwrite to fit anew"
+    for options in (SHORT, replace(SHORT, seed=1), replace(SHORT, tile=32.0, overlap=4.0)):
+        for begin in (check_start, fit):
+            with pytest.raises(OutputExistsError, match=rf"fit/checkpoint\.safetensors: {said}"):
+                begin(scene, options, overwrite=False)
+    assert path.read_bytes() == before
+    check_start(scene, SHORT, overwrite=True)
+    check_start(scene, replace(SHORT, resume=True), overwrite=False)
+    api.fit(scene, replace(SHORT, resume=True))
+    assert_same(model(scene), whole)
+
+
+@pytest.mark.parametrize("dry", [["--dry-run"], []])
+def test_what_is_refused_for_its_checkpoint_is_told_before_images_are_read(make_town: Any, dry: list[str]) -> None:
+    """Of scenes on a pipe it costs the others nothing."""
+    begun, other = make_town("BEGUN"), make_town("OTHER")
+    with pytest.raises(Interrupted):
+        fit(begun, SHORT, interrupt_after(6))
+    shutil.rmtree(begun.root / "images")
+    before = (begun.root / "fit/checkpoint.safetensors").read_bytes()
+    text = "".join((scene.root / "scene.json").read_text() for scene in (begun, other))
+    text = text.replace('"root":"."', f'"root":"{begun.root}"', 1).replace('"root":"."', f'"root":"{other.root}"')
+    result = CliRunner().invoke(main, ["--threads", "1", "fit", *FLAGS, *dry], input=text)
+    assert result.exit_code == 3
+    (line,) = [line for line in result.stderr.splitlines() if "error:" in line]
+    assert "BEGUN/fit/checkpoint.safetensors: found an interrupted fit" in line
+    assert (begun.root / "fit/checkpoint.safetensors").read_bytes() == before
+    assert "OTHER" in result.stdout
+
+
+def test_a_file_in_the_place_of_a_checkpoint_is_replaced_only_where_that_is_asked_for(make_town: Any) -> None:
+    scene = make_town()
+    path = scene.root / "fit/checkpoint.safetensors"
+    path.parent.mkdir()
+    path.write_text("somebody's")
+    with pytest.raises(OutputExistsError, match="found a file that is no checkpoint, or a damaged one; give --over"):
+        fit(scene, SHORT, overwrite=False)
+    assert path.read_text() == "somebody's"
+
+
+def test_a_fit_that_is_interrupted_after_its_prior_leaves_the_one_before_as_it_was(make_town: Any) -> None:
+    """The prior of other images had taken the place of that of which the old model was made."""
+    scene, said = make_town(), []
+    document, given = scene.root / "scene.json", replace(SHORT, prior_weight=0.2)
+    api.fit(document, given)
+    before = {path: path.read_bytes() for path in scene.root.rglob("*") if path.is_file() and path.suffix != ".log"}
+
+    def progress(fraction: float, message: str) -> None:
+        said.append(message)
+        if "epoch 6" in message:
+            raise Interrupted
+
+    held = replace(given, holdout=[scene.items[1].id])
+    with pytest.raises(Interrupted):
+        api.fit(document, held, overwrite=True, progress=progress)
+    assert "matched" in said
+    assert {path: path.read_bytes() for path in before} == before
+    assert not list(scene.root.rglob(".*tmp-sattools*"))
+    again = api.export(api.fit(document, replace(held, resume=True)))
+    assert [list(entry["made"]) for entry in again.history] == [["prior", "fit"], ["prior", "fit"], ["export"]]
+    whole = make_town("WHOLE")
+    api.fit(whole, held)
+    assert_same(model(scene), model(whole))
 
 
 def shift_camera(scene: Scene) -> None:
@@ -167,7 +241,9 @@ def test_a_checkpoint_of_another_scene_is_refused_before_an_image_is_read(
     change(scene)
     monkeypatch.setattr(whole_fit, "load_sources", lambda *_: pytest.fail("an image was read"))
     for begin in (check_start, fit):
-        with pytest.raises(SceneError, match=f"found a checkpoint of {why}, expected the same; drop --resume"):
+        with pytest.raises(
+            SceneError, match=f"found a checkpoint of {why}, expected the same; give --overwrite in place of --resume"
+        ):
             begin(scene, replace(SHORT, resume=True))
 
 

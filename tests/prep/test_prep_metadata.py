@@ -153,3 +153,17 @@ def test_an_imd_without_members_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.imd").write_text("nothing\n")
     with pytest.raises(InputError, match="expected DigitalGlobe image metadata"):
         read_sidecar(tmp_path / "a.imd")
+
+
+def test_of_names_that_differ_in_case_only_an_image_has_those_spelt_as_its_own(tmp_path: Path) -> None:
+    """A.tif had the camera of a.tif."""
+    for name in ("A_RPC.TXT", "a_rpc.txt", "RPC_A.XML", "RPC_a.XML", "B.JSON"):
+        (tmp_path / name).touch()
+    if len(list(tmp_path.iterdir())) < 5:
+        pytest.skip("a file system that takes them for one")
+    found = {
+        image: [path.name for path in sidecars(tmp_path / image, [tmp_path])] for image in ("A.tif", "a.tif", "b.tif")
+    }
+    assert found == {"A.tif": ["A_RPC.TXT", "RPC_A.XML"], "a.tif": ["a_rpc.txt", "RPC_a.XML"], "b.tif": ["B.JSON"]}
+    for image in ("IMG_A_R1C1.TIF", "IMG_a_R1C1.TIF"):
+        assert [path.name for path in sidecars(tmp_path / image, [tmp_path])] == [f"RPC_{image[4]}.XML"]

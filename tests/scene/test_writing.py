@@ -358,3 +358,14 @@ def test_a_forked_child_leaves_its_parents_unfinished_files(tmp_path: Path) -> N
             os._exit(0)
         os.waitpid(child, 0)
     assert names(tmp_path) == ["x"]
+
+
+def test_names_that_differ_in_case_only_are_refused_where_they_mean_one_file(tmp_path: Path) -> None:
+    """As on many a Mac, where the second image would take the place of the first."""
+    plain, either = tmp_path / "plain", tmp_path / "Either"
+    plain.mkdir()
+    either.mkdir()
+    (tmp_path / "eITHER").symlink_to(either)  # as its file system shows it
+    check_outputs([plain / "A.tif", plain / "a.tif"])
+    with pytest.raises(OutputIsInputError, match=r"a\.tif: would be one file with .*A\.tif here, expected different"):
+        check_outputs([either / "images/A.tif", either / "images/a.tif"])

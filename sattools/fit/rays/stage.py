@@ -35,7 +35,7 @@ from sattools.fit.rays.start import (
 from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
-from sattools.progress import Progress, subprogress
+from sattools.progress import Progress, duration, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, View, match_colours, views_on
@@ -215,9 +215,9 @@ class _RayJob:
                 told = now
                 left = (now - first) / (done - start) * (trainer.steps - done)
                 share = max(done / trainer.steps, now / (options.budget or math.inf))
-                watch(min(1.0, share), f"step {done}/{trainer.steps}, about {_duration(left)} left, loss {loss:.5f}")
+                watch(min(1.0, share), f"step {done}/{trainer.steps}, about {duration(left)} left, loss {loss:.5f}")
                 if done - start <= TRIAL < trainer.steps and left > LONG_S and not options.budget:
-                    log.warning("this fit takes about %s; --budget SECONDS ends it in time", _duration(left))
+                    log.warning("this fit takes about %s; --budget SECONDS ends it in time", duration(left))
             due = done % (SAVE_EVERY * every) == 0 or trace.seconds() - saved_at >= SAVE_EVERY_S
             if due and done < options.steps and not over:
                 saved_at = trace.seconds()
@@ -263,13 +263,6 @@ class _RayJob:
         error = float(compare_dsm(height.cpu().numpy(), read_reference(reference), self.grid).figures["mae"])
         self.trace.started += time.perf_counter() - pause  # watching must not count as fitting
         return {"mae_m": error}
-
-
-def _duration(seconds: float) -> str:
-    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
 
 
 __all__ = ["fit_rays"]

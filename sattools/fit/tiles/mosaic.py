@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +12,16 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.fit.described import CELL_MAPS, COLOURS
-from sattools.fit.files import MODEL, TRACE, Fitted, save_fit
+from sattools.fit.files import MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import CellMaps, StoredModel, StreamedModel
-from sattools.fit.tiles.plan import COARSE, COMMON, FOLDER, Plan
+from sattools.fit.tiles.clearing import COMMON, remove_parts
+from sattools.fit.tiles.plan import Plan
+from sattools.fit.tiles.state import COARSE
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.scene import Grid
-from sattools.scene.dependencies import record
+from sattools.scene.dependencies import Seen, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import sample_map
@@ -98,12 +99,13 @@ class Piece:
         return slice(first - place.start, last - place.start) if first < last else None
 
 
-def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject:
+def mosaic_tiles(plan: Plan, notes: list[str], read: Seen, progress: Progress) -> JsonObject:
     """Write model, trace and, where the tiles made one, the prior of the whole; see `sattools.fit.tiles.stage`.
 
     Args:
         plan: tiles and their scenes.
         notes: gets what a user should know.
+        read: the images as they were when the fit began.
         progress: told the share done and what is being done.
 
     Raises:
@@ -119,17 +121,18 @@ def mosaic_tiles(plan: Plan, notes: list[str], progress: Progress) -> JsonObject
     # a fit may give its surface on the cells of the prior, finer than its own
     cell = models[names[0]].grid.cell_size if names else plan.finest
     whole = scene.require_grid().resized(cell)
-    made = {}
-    if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
-        _mosaic_priors(plan, names)
-        made = record(scene, "prior", scene.train_items(), implicit=True)
-    model = _streamed(plan, models, common, whole)
-    notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
-    result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made)
+    made: JsonObject = {}
+    with one_result(scene):
+        if plan.options.prior_weight > 0 and "prior_dsm" not in scene.products:
+            _mosaic_priors(plan, names)
+            made = record(scene, "prior", scene.train_items(), implicit=True)
+        model = _streamed(plan, models, common, whole)
+        notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
+        result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made, read)
     if spent := plan.spent():
         result["parts"] = spent
     if plan.options.part == "all":
-        at_the_end(lambda: shutil.rmtree(scene.root / FOLDER))
+        at_the_end(lambda: remove_parts(scene.root))
     return result
 
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import math
-import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -22,11 +21,12 @@ from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.foresight import side_by_side
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.resume import OTHER_FIT
+from sattools.fit.resume import ANEW, OTHER_FIT
 from sattools.fit.surface.schedule import schedule
+from sattools.fit.tiles.clearing import COMMON, WHOLE, remove_parts
 from sattools.fit.tiles.crew import Part, fit_parts
 from sattools.fit.tiles.shared import PRODUCT
-from sattools.fit.tiles.state import STATE, read_state, write_state
+from sattools.fit.tiles.state import COARSE, STATE, read_state, write_state
 from sattools.fit.whole import fit_whole
 from sattools.prior.matched import matching_height
 from sattools.progress import Progress, subprogress
@@ -41,9 +41,6 @@ from sattools.scene.tiles import Tile, common_cell, make_tiles
 from sattools.views import BALANCE_PROPERTY, RadiometricBalance, Source, load_sources, views_on
 
 log = logging.getLogger(__name__)
-FOLDER, COARSE = PARTS, "coarse"
-COMMON = f"{FOLDER}/common.safetensors"
-WHOLE = f"{FOLDER}/scene.json"  # the document of the whole as it was cut
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 ONLY_COARSE = ("lines of sight are parallel only", "strayed from the prior")  # notes of a coarse fit
@@ -87,7 +84,7 @@ class Plan:
 
     def root(self, name: str) -> Path:
         """Folder of a tile's scene."""
-        return self.scene.root / FOLDER / name
+        return self.scene.root / PARTS / name
 
     def names(self) -> list[str]:
         """Tiles that enough images show; SceneError before `split` has found them."""
@@ -194,7 +191,8 @@ class Plan:
 
     def begin(self, names: list[str] | None) -> None:
         """Forget the tiles of an earlier fit."""
-        shutil.rmtree(self.scene.root / FOLDER, ignore_errors=True)
+        self.scene.output(STATE)  # raises where a link leads elsewhere
+        remove_parts(self.scene.root)
         self._write_state(names, [], pilots=names)
 
     def spent(self) -> JsonObject:
@@ -215,9 +213,13 @@ class Plan:
 
     def begun(self) -> JsonObject | None:
         """What an earlier run has left for this one to go on with; SceneError where it is of another fit."""
-        state = read_state(self.scene.root) if self.options.resume else None
+        if not self.options.resume:
+            return None
+        state, checkpoint = read_state(self.scene.root), self.scene.path(CHECKPOINT)
         if state is not None and state["key"] != self._key():
             raise SceneError(f"{self.scene.root / STATE}: {OTHER_FIT}")
+        if state is None and checkpoint.exists():
+            raise SceneError(f"{checkpoint}: found a checkpoint of a fit all at once, expected one in tiles; {ANEW}")
         return state
 
     def _write_state(
@@ -347,4 +349,4 @@ def _used(assets: Mapping[str, Asset]) -> list[str]:
     return ["rpc", "radiance" if "radiance" in assets else "image"]
 
 
-__all__ = ["COARSE", "COMMON", "FOLDER", "WHOLE", "Plan"]
+__all__ = ["Plan"]

@@ -15,12 +15,14 @@ from dataclasses import replace
 
 from sattools.fit.foresight import check_tiled
 from sattools.fit.options import FitOptions
+from sattools.fit.tiles.clearing import WHOLE
 from sattools.fit.tiles.mosaic import mosaic_tiles
-from sattools.fit.tiles.plan import WHOLE, Plan
+from sattools.fit.tiles.plan import Plan
 from sattools.fit.whole import fit_whole
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Scene
-from sattools.scene.files import write_text
+from sattools.scene.dependencies import seen
+from sattools.scene.files import immediately, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.memory import give_back
 
@@ -48,21 +50,24 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
         log.info("scene %s is no larger than a tile: fitted all at once", scene.id)
         if options.part in ("coarse", "split"):
             plan.begin([])
-            write_text(scene.output(WHOLE), scene.to_json(root="../..") + "\n")
+            with immediately():
+                write_text(scene.output(WHOLE), scene.to_json(root="../..") + "\n")
             return {"tiles": [], "pilots": []} if options.part == "coarse" else {"tiles": []}
         return fit_whole(scene, replace(options, tile=None, part="all"), progress)
-    if options.part == "coarse":
-        notes = plan.coarse(progress)
-        return {"notes": notes, "pilots": plan.pilots()}
-    first = 1 / (len(plan.tiles) + 1)
-    if options.part in ("all", "split"):
-        notes = plan.split(subprogress(progress, 0.0, first if options.part == "all" else 1.0))
-    if options.part == "all":
-        give_back()
-        notes += plan.fit(subprogress(progress, first, 1.0))
-    if options.part == "split":
-        return {"notes": notes, "tiles": plan.names()}
-    return mosaic_tiles(plan, notes if options.part == "all" else [], progress)
+    notes: list[str] = []
+    read = seen(scene, "fit", scene.train_items())
+    with immediately():  # all of it is there for another run to go on with
+        if options.part == "coarse":
+            return {"notes": plan.coarse(progress), "pilots": plan.pilots()}
+        first = 1 / (len(plan.tiles) + 1)
+        if options.part in ("all", "split"):
+            notes = plan.split(subprogress(progress, 0.0, first if options.part == "all" else 1.0))
+        if options.part == "split":
+            return {"notes": notes, "tiles": plan.names()}
+        if options.part == "all":
+            give_back()
+            notes += plan.fit(subprogress(progress, first, 1.0))
+    return mosaic_tiles(plan, notes, read, progress)
 
 
 __all__ = ["fit_tiled"]

@@ -7,11 +7,12 @@ from contextlib import suppress
 from pathlib import Path
 
 from sattools.errors import InputError, SceneError
-from sattools.scene.files import write_text
+from sattools.scene.files import immediately, write_text
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Flag, Items, Maybe, Number, Table, Text
 
 STATE = "fit/tiles/tiles.json"
+COARSE = "coarse"  # the part that is the whole, fitted coarsely
 _STATE = Table(
     {
         "key": Text(),
@@ -49,7 +50,8 @@ def write_state(path: Path, state: JsonObject) -> None:
         path: of the file.
         state: what is noted.
     """
-    write_text(path, json.dumps(state, indent=1) + "\n")
+    with immediately():
+        write_text(path, json.dumps(state, indent=1) + "\n")
 
 
 def begun(root: Path) -> JsonObject | None:
@@ -70,4 +72,4 @@ def end(root: Path) -> None:
             write_state(root / STATE, {**state, "over": True})
 
 
-__all__ = ["STATE", "begun", "end", "read_state", "write_state"]
+__all__ = ["COARSE", "STATE", "begun", "end", "read_state", "write_state"]
