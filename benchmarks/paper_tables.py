@@ -139,7 +139,8 @@ def run(given: tuple[Row, str, str, Path, argparse.Namespace]) -> dict[str, Any]
     figures = scene.history[-1]["errors"]
     views = [figures["views"][name] for name in held_out]
     found = chosen(figures)
-    found |= {name: float(np.mean([v[name] for v in views])) for name in VIEW if all(v.get(name) for v in views)}
+    if views:
+        found |= {name: float(np.mean([v[name] for v in views])) for name in VIEW if all(v[name] for v in views)}
     found |= {name: values["nrmse"] for name, values in figures.get("parameters", {}).items()}
     steps = [message for message in told if message.startswith("step ")]
     cost["gigabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

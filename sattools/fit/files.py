@@ -14,7 +14,7 @@ from sattools.scene import Scene
 from sattools.scene.dependencies import MADE, Seen, record
 from sattools.scene.files import all_or_nothing, together, write_text
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.runner import at_the_end
+from sattools.scene.runner import at_the_end, unchanged_unless_done
 
 MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkpoint.safetensors"
 
@@ -63,7 +63,7 @@ def one_result(scene: Scene) -> Iterator[None]:
     Args:
         scene: what is fitted.
     """
-    with all_or_nothing() if scene.is_part else together():
+    with unchanged_unless_done(scene), all_or_nothing() if scene.is_part else together():
         yield
     if scene.is_part:
         _forget_interrupted(scene)

@@ -69,7 +69,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         if there is not None and there.history[: len(scene.history)] == scene.history:
             scene.history = there.history
         start = _Clock.now()
-        with _unchanged_unless_done(scene), _last_things(), all_or_nothing():
+        with unchanged_unless_done(scene), _last_things(), all_or_nothing():
             entry = _note(scene, step, start, work(scene, log.told(step.progress)))
         log.done(entry)
         scene.origin = None  # from here on the scene knows more than that file
@@ -116,8 +116,12 @@ def at_the_end(call: Callable[[], object]) -> None:
 
 
 @contextlib.contextmanager
-def _unchanged_unless_done(scene: Scene) -> Iterator[None]:
-    """A scene in memory, of a program that goes on, is what it was where its files are."""
+def unchanged_unless_done(scene: Scene) -> Iterator[None]:
+    """A scene in memory, of a program that goes on, is what it was where its files are.
+
+    Args:
+        scene: that the work inside changes.
+    """
     before = copy.deepcopy(vars(scene))
     try:
         yield
@@ -220,4 +224,4 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-__all__ = ["Step", "Work", "at_the_end", "document_of", "run_first", "run_on"]
+__all__ = ["Step", "Work", "at_the_end", "document_of", "run_first", "run_on", "unchanged_unless_done"]
