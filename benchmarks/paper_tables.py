@@ -163,16 +163,17 @@ def text(kind: str, rows: dict[str, Any]) -> str:
     return "\n\n".join(f"{title}\n\n{part}" for title, part in parts.items())
 
 
+def cell_text(value: Any) -> str:
+    """A figure as the tables show it."""
+    if isinstance(value, float):
+        return f"{value:.3f}" if value < 10 else f"{value:.1f}"
+    return "" if value is None else str(value)
+
+
 def table(rows: dict[str, Any], names: list[str], columns: dict[str, str]) -> str:
     """One table; columns without a figure are left out."""
     names = [name for name in names if name in rows]
     columns = {key: title for key, title in columns.items() if any(rows[name].get(key) is not None for name in names)}
-
-    def written(value: Any) -> str:
-        if isinstance(value, float):
-            return f"{value:.3f}" if value < 10 else f"{value:.1f}"
-        return "" if value is None else str(value)
-
     lines = [["", *columns.values()], ["---"] * (1 + len(columns))]
-    lines += [[name, *(written(rows[name].get(key)) for key in columns)] for name in names]
+    lines += [[name, *(cell_text(rows[name].get(key)) for key in columns)] for name in names]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -31,7 +31,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from paper_tables import TABLES, write_tables
+from paper_tables import TABLES, cell_text, with_prior, write_tables
 from steps import averaged, reference
 
 PRESETS = ("satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf")
@@ -77,22 +77,15 @@ def main() -> None:
 
 def scene_of(options: argparse.Namespace, folder: Path) -> tuple[str, str]:
     """Scene document with a prior, and what it is scored against."""
-    from sattools.prior import PriorOptions
-    from sattools.prior.stage import prior
-    from sattools.scene import Scene
-    from sattools.scene.copies import absolute_copy
     from sattools.simulate import SimulateOptions, simulate
 
     if options.scene:
         path, _, against = options.scene.partition("=")
-        scene = absolute_copy(Scene.from_file(path), folder)
     else:
         city = SimulateOptions(id="TOWN", size=options.size, views=7, dates=3, test_views=1, seed=options.seed)
         scene = simulate(city, folder / "TOWN")
-        against = str(scene.path(scene.products["truth_dsm"]))
-    if "prior_dsm" not in scene.products:
-        prior(scene, PriorOptions())
-    return str(scene.write()), against
+        path, against = str(scene.write()), str(scene.path(scene.products["truth_dsm"]))
+    return with_prior(path, folder / "start"), against
 
 
 def starts(path: str, against: str) -> list[dict[str, Any]]:
@@ -197,13 +190,7 @@ def counted_points() -> Any:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Markdown."""
-
-    def text(value: Any) -> str:
-        if isinstance(value, float):
-            return f"{value:.3f}" if value < 10 else f"{value:.1f}"
-        return "" if value is None else str(value)
-
-    lines = [COLUMNS, ["---"] * len(COLUMNS), *([text(row.get(name)) for name in COLUMNS] for row in rows)]
+    lines = [COLUMNS, ["---"] * len(COLUMNS), *([cell_text(row.get(name)) for name in COLUMNS] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
