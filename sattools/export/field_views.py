@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from sattools.field.mlp import MlpField
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
+from sattools.fit.rays.scene import ALL_IN, RayScene
 from sattools.fit.rays.start import ray_set, restored_field
-from sattools.fit.rays.trainer import RayTrainer
 from sattools.fit.surface.trainer import make_quadrature
 from sattools.render import ParallelRays, render
 from sattools.views import View
 
 SAMPLES, AROUND = 48, 32  # along a ray, and around the surface that was read off
 RAYS = 512  # at once: a wide network keeps megabytes of each
-TRAINED = 10**6  # epochs after which everything that comes in late is in
 
 
 @torch.no_grad()
@@ -49,12 +49,13 @@ def field_picture(
         one = slice(known, known + 1)
         gain, offset, ambient = model.gain[one], model.offset[one], model.ambient[one]
         embedding = model.extra["embedding"][one]
-    trainer = RayTrainer(restored_field(model), rays, _options(model), gain, offset, radiance=model.radiance)
-    trainer.colour["ambient"].copy_(ambient)
-    trainer.embedding.copy_(embedding)
+    scene = RayScene(restored_field(model), rays, _options(model), gain, offset, radiance=model.radiance)
+    scene.colour["ambient"].copy_(ambient)
+    scene.embedding.copy_(embedding)
+    scene.at_rest = isinstance(scene.field, MlpField) and scene.field.rests()
     colours, depths, opacities = [], [], []
     for part in torch.arange(len(rays.target)).split(RAYS):
-        seen = trainer.predict(part, TRAINED, 1.0, None)
+        seen = scene.predict(part, ALL_IN, 1.0, None)
         colours.append(seen.colour)
         depths.append(seen.depth)
         opacities.append(seen.weights.sum(dim=1))

@@ -140,7 +140,11 @@ class MlpField:
     def at_rest(self, points: Tensor) -> Tensor:
         """Density ``[N]`` [1/m] at points ``[N, 3]`` [m] while the network adds nothing to that of its base."""
         assert self.base is not None
-        return softplus(before_softplus(self.base.at(points)[0] / self.per_metre)) * self.per_metre
+        return softplus(before_softplus(self.base.density(points) / self.per_metre)) * self.per_metre
+
+    def rests(self) -> bool:
+        """Whether it adds nothing to the density of its base."""
+        return self.base is not None and not any(bool(t.any()) for t in self.sigma.parameters())
 
     def shown(self, features: Tensor, transmittance: Tensor) -> Tensor:
         """See `Field.shown`: all of them, whatever the share in [0, 1]."""

@@ -76,8 +76,14 @@ class SurfaceBase:
         if self.light is not None and self.light.visible is not None:
             maps.append(self.light.visible.permute(1, 2, 0))
         height, *colour = self._read(torch.cat(maps, dim=-1), points)
-        density = torch.sigmoid((height - points[:, 2]) / self.softness) / self.softness
-        return density, torch.stack(colour, dim=-1)
+        return self._density(height, points), torch.stack(colour, dim=-1)
+
+    def density(self, points: Tensor) -> Tensor:
+        """Density ``[N]`` per metre at points ``[N, 3]`` [m]."""
+        return self._density(self.heights(points), points)
+
+    def _density(self, height: Tensor, points: Tensor) -> Tensor:
+        return torch.sigmoid((height - points[:, 2]) / self.softness) / self.softness
 
     def heights(self, points: Tensor) -> Tensor:
         """Heights ``[N]`` of the surface over or under points ``[N, 3]`` [m]."""

@@ -96,13 +96,36 @@ def median_share(weights: Tensor, t: Tensor) -> Tensor:
         weights: ``[R, S]`` of `composite`.
         t: ``[R, S]`` shares of the path, ascending.
     """
+    return share_behind(weights, t, torch.full_like(t[:, :1], 0.5))[:, 0]
+
+
+def share_behind(weights: Tensor, t: Tensor, level: Tensor) -> Tensor:
+    """Shares ``[R, K]`` of the path before which weights add up to levels, linear within a sample's part; 1 if never.
+
+    Args:
+        weights: ``[R, S]`` of `composite`.
+        t: ``[R, S]`` shares of the path, ascending.
+        level: ``[R, K]`` in [0, 1].
+    """
     total, ends = weights.cumsum(dim=1), _ends(t)
-    index = (total < 0.5).sum(dim=1)
-    at = index.clamp_max(t.shape[1] - 1)[:, None]
+    index = torch.searchsorted(total, level.contiguous())
+    at = index.clamp_max(t.shape[1] - 1)
     before = total.gather(1, at) - weights.gather(1, at)
     start, end = ends.gather(1, at), ends.gather(1, at + 1)
-    part = ((0.5 - before) / weights.gather(1, at).clamp_min(1e-9)).clamp(0, 1)
-    return (start + part * (end - start))[:, 0]
+    part = ((level - before) / weights.gather(1, at).clamp_min(1e-9)).clamp(0, 1)
+    return start + part * (end - start)
+
+
+def seen_shares(weights: Tensor, t: Tensor, samples: int, random: torch.Generator | None) -> Tensor:
+    """Shares ``[R, K]`` of the path, each of which stands for an equal part of what a ray sees.
+
+    Args:
+        weights: ``[R, S]`` of `composite`.
+        t: ``[R, S]`` shares of the path, ascending.
+        samples: K.
+        random: random numbers, or None for the middles of the parts.
+    """
+    return share_behind(weights, t, stratified(len(t), samples, random) * weights.sum(dim=1, keepdim=True))
 
 
 def _ends(t: Tensor) -> Tensor:
@@ -126,4 +149,13 @@ def towards_sun(points: Tensor, sun: Tensor, top: float, skip: float = 0.0) -> R
     return RayBatch(points, sun * climb[:, None])
 
 
-__all__ = ["RayBatch", "composite", "guided", "median_share", "stratified", "towards_sun"]
+__all__ = [
+    "RayBatch",
+    "composite",
+    "guided",
+    "median_share",
+    "seen_shares",
+    "share_behind",
+    "stratified",
+    "towards_sun",
+]

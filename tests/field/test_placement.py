@@ -17,8 +17,9 @@ from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS
 from sattools.fit.rays.losses import beta_loss, depth_loss, solar_correction
 from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.rays import RaySet
 from sattools.fit.rays.start import make_field
-from sattools.fit.rays.trainer import RaySet, RayTrainer
+from sattools.fit.rays.trainer import RayTrainer
 from sattools.render.volume import RayBatch, composite, guided, median_share, stratified, towards_sun
 from sattools.scene import Grid
 
@@ -117,7 +118,8 @@ def test_a_training_step_of_every_preset_stays_on_its_device(name: str) -> None:
 def test_reading_off_a_field_stays_on_its_device(at_rest: bool) -> None:
     options = replace(FitOptions(), **PRESETS["eonerf"], width=16)
     trainer = trainer_on_meta(options)
-    trainer.at_rest = at_rest
+    if at_rest:
+        trainer.rest(0)
     with META:
         maps = read_maps(trainer, Grid("EPSG:32633", 0.0, 0.0, 1.0, 8, 8), (0.0, 20.0))
     assert {maps.height.device, maps.albedo.device, *(image.device for image in maps.images.values())} == {META}

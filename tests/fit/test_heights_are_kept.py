@@ -9,15 +9,18 @@ import pytest
 import torch
 
 from sattools.camera.view_direction import ViewDirection
+from sattools.field.mlp import MlpField
 from sattools.field.surface_base import SurfaceBase
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.heldout import block_of, held_out, verdict
 from sattools.fit.rays.judge import begin_uncertainty, judge_heights
+from sattools.fit.rays.losses import BETA_MIN
 from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.scene import ALL_IN
 from sattools.fit.rays.stage import STEPS
 from sattools.fit.rays.start import box_over, known_light, make_field, ray_set
-from sattools.fit.rays.trainer import BETA_MIN, FieldSteps, RayTrainer
+from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.render.volume import median_share
 from sattools.scene import Grid
 from sattools.views import View
@@ -88,17 +91,29 @@ def test_a_field_that_begins_as_a_plane_has_its_height_from_any_angle(name: str)
     assert float(height.mean()) == pytest.approx(HEIGHT, abs=0.03)
 
 
+def alike_at_all_heights(trainer: RayTrainer) -> None:
+    """Let a network have the same colours all along a column: those of a soft surface are means over its thickness."""
+    field = trainer.field
+    assert isinstance(field, MlpField)
+    octaves = field.network.frequencies
+    upward = [2, *range(3 + 2 * octaves, 3 + 3 * octaves), *range(3 + 5 * octaves, 3 + 6 * octaves)]
+    for layer in (field.trunk[0], field.trunk[field.network.skip]):  # the coordinates come first
+        layer.weight.data[:, upward] = 0
+
+
 @pytest.mark.parametrize("name", [name for name in FIELDS if name != "neural"])
 def test_a_network_that_keeps_the_heights_it_starts_from_is_read_off_as_any_other(name: str) -> None:
-    """Its density asks no network then; colours are those of the samples that count."""
+    """Its density asks no network then, and few samples are asked for colours."""
     trainer = plane(name, rate=1e-3)
     for number in range(5):
         trainer.step(number)
     for part, tensor in trainer.field.start_density().items():
         trainer.tensors[f"field.{part}"].data.copy_(tensor)
-    slowly = read_maps(trainer, GRID, Z_RANGE)
-    trainer.at_rest = True
-    quickly = read_maps(trainer, GRID, Z_RANGE)
+    alike_at_all_heights(trainer)
+    some = torch.nonzero(trainer.rays.view == SLOPES.index((0.0, 0.0)))[:64, 0]  # cross one column each
+    slowly, from_afar = read_maps(trainer, GRID, Z_RANGE), trainer.predict(some, ALL_IN, 1.0, None)
+    trainer.rest(5)
+    quickly, seen = read_maps(trainer, GRID, Z_RANGE), trainer.predict(some, ALL_IN, 1.0, None)
     torch.testing.assert_close(quickly.height, slowly.height, rtol=0, atol=1e-4)  # float32 of 30 m
     torch.testing.assert_close(quickly.height_std, slowly.height_std, rtol=0, atol=1e-4)
     torch.testing.assert_close(quickly.albedo, slowly.albedo, rtol=0, atol=1e-5)
@@ -106,6 +121,8 @@ def test_a_network_that_keeps_the_heights_it_starts_from_is_read_off_as_any_othe
         assert own.keys() == other.keys()
         for part in own:
             torch.testing.assert_close(own[part], other[part], rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(seen.depth, from_afar.depth, rtol=0, atol=1e-5)
+    torch.testing.assert_close(seen.colour, from_afar.colour, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", FIELDS)
@@ -115,6 +132,29 @@ def test_images_of_a_plane_leave_it_where_it_is(name: str) -> None:
     for number in range(40):
         trainer.step(number)
     assert heights_seen(trainer) == pytest.approx([HEIGHT] * 5, abs=0.05)
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_a_network_at_rest_learns_colours_alone_from_more_rays(name: str) -> None:
+    trainer = plane(name, rate=1e-3, samples=8, guided=16)
+    trainer.rest(0)
+    assert len(trainer._draw(torch.Generator().manual_seed(0))) == 128 * 12
+    before = {n: t.detach().clone() for n, t in trainer.tensors.items()}
+    asked: list[int] = []
+    density = trainer.field.density
+    trainer.field.density = lambda points: asked.append(len(points)) or density(points)
+    trainer.options = replace(trainer.options, solar_weight=0.0)  # it asks along rays to the sun
+    for number in range(2):  # heads that begin at zero pass nothing on in the first
+        trainer.step(number)
+    assert asked == [128 * 12 * 2] * 2
+    moved = {n for n, t in trainer.tensors.items() if not torch.equal(t, before[n])}
+    assert {"field.trunk.0.weight", "field.albedo.1.weight", "colour.gain"} <= moved
+    assert not {"field.sigma.weight", "field.sigma.bias"} & moved
+
+
+def test_what_only_a_network_can_do_no_other_field_is_asked_for() -> None:
+    with pytest.raises(TypeError, match="NeuralField: found no surface that it could rest on"):
+        plane("neural").rest(0)
 
 
 def test_what_is_sure_of_nothing_does_not_sink() -> None:
@@ -192,7 +232,7 @@ def test_a_field_keeps_its_heights_if_they_explain_held_out_rays(start: float, k
     with torch.no_grad():
         trainer.tensors["field.sigma.bias"].add_(5.0)
     assert heights_seen(trainer)[0] == pytest.approx(start + 1.0, abs=0.3)
-    notes = judge_heights(trainer)
+    notes = judge_heights(trainer, 40)
     assert notes[0].startswith("mlp: its heights change the error of held-out rays by ")
     assert (heights_seen(trainer) == pytest.approx([start] * 5, abs=0.03)) == kept
 
@@ -200,4 +240,4 @@ def test_a_field_keeps_its_heights_if_they_explain_held_out_rays(start: float, k
 def test_a_field_without_a_start_is_not_judged() -> None:
     trainer = plane("eonerf")
     trainer.field.base = None
-    assert judge_heights(trainer) == []
+    assert judge_heights(trainer, 40) == []

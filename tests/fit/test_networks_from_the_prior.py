@@ -20,8 +20,8 @@ from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import PRESETS, resolve
+from sattools.fit.rays.losses import BETA_MIN
 from sattools.fit.rays.start import restored_field
-from sattools.fit.rays.trainer import BETA_MIN
 from sattools.fit.stage import fit
 from sattools.fit.trace import Trace
 from sattools.prior.files import read_prior

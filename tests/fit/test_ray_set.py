@@ -10,6 +10,7 @@ import torch
 
 from sattools.camera.view_direction import ViewDirection
 from sattools.fit.depth_prior import DepthPrior, depth_std_m
+from sattools.fit.options import FitOptions
 from sattools.fit.rays import stage
 from sattools.fit.rays.start import ray_set
 from sattools.fit.trace import Trace
@@ -99,3 +100,24 @@ def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest
     job = stage._RayJob(tmp_path / "checkpoint", "", SimpleNamespace(judged=False), GRID, Z_RANGE, Trace())
     assert job._reading_s == pytest.approx(0.1 * GRID.height)
     assert max(read) <= stage.ROWS_TRIED
+
+
+def test_reading_off_that_was_slow_once_does_not_end_a_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Rows that are read while the machine does something else say nothing of the end of a fit."""
+    clock = {"now": 0.0, "row": 10.0}
+
+    def fake(trainer: Any, grid: Grid, z_range: Any) -> None:
+        clock["now"] += clock["row"] * grid.height
+
+    monkeypatch.setattr(stage, "read_maps", fake)
+    monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
+    trace = SimpleNamespace(seconds=lambda: clock["now"])
+    job = stage._RayJob(tmp_path / "checkpoint", "", SimpleNamespace(judged=False), GRID, Z_RANGE, trace)
+    options = FitOptions(budget=1000.0)
+    slow = 10.0 * GRID.height
+    assert job._reading_s == pytest.approx(slow)
+    clock["now"] = 0.93 * 1000 - slow + 1
+    assert job._is_over(options, clock["now"] - 1)  # it is as slow as ever
+    clock["row"] = 0.1
+    assert not job._is_over(options, clock["now"] - 1)
+    assert job._reading_s == pytest.approx(0.1 * GRID.height)

@@ -11,28 +11,33 @@ from torch import Tensor
 from sattools.field.mlp import MlpField
 from sattools.fit.losses import photometric
 from sattools.fit.rays.heldout import ONE_IN, block_of, held_out, verdict
-from sattools.fit.rays.trainer import BETA_MIN, RayTrainer
+from sattools.fit.rays.losses import BETA_MIN
+from sattools.fit.rays.scene import ALL_IN
+from sattools.fit.rays.trainer import RayTrainer
 
 log = logging.getLogger(__name__)
 RAYS = 1024  # that are asked
 AT_ONCE = 256
 LEAST_BETA = 0.01  # above Sat-NeRF's least, where a softplus still has a gradient
-ALL_IN = 10**6  # epochs after which everything that comes in late is in
 
 
 @torch.no_grad()
-def judge_heights(trainer: RayTrainer) -> list[str]:
+def judge_heights(trainer: RayTrainer, number: int) -> list[str]:
     """Put the heights that a field started from back where it explains held-out rays no better; says which it took.
 
     Its colours stay as they were trained, so that the heights alone are compared. Free of heights to start from, it
-    keeps its own.
+    keeps its own. A network that takes those of the start is at rest.
 
     Args:
-        trainer: of the field, at the end of the training.
+        trainer: of the field.
+        number: steps that are done.
     """
     start = {f"field.{name}": tensor for name, tensor in trainer.field.start_density().items()}
     if not start:
         return []
+    trainer.asked = True
+    if trainer.rest_from is not None:
+        return [f"{trainer.options.field}: its colours alone were trained from step {trainer.rest_from} on"]
     rays, chosen = trainer.rays, _some(trainer)
     trained = {name: trainer.tensors[name].detach().clone() for name in start}
     with_own = held_out_losses(trainer, chosen)
@@ -41,7 +46,8 @@ def judge_heights(trainer: RayTrainer) -> list[str]:
     better, text = verdict(with_own, held_out_losses(trainer, chosen), block)
     if better:
         _put(trainer, trained)
-    trainer.at_rest = not better
+    elif isinstance(trainer.field, MlpField):
+        trainer.rest(number)
     text = f"{trainer.options.field}: {text}"
     log.warning(text)
     return [text]

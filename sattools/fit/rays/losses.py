@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+BETA_MIN = 0.05  # Sat-NeRF: beta = softplus + 0.05
+
 
 def beta_loss(squared: Tensor, beta: Tensor) -> Tensor:
     """mean[squared / (2 beta^2)] + mean[3 + log beta] / 2 (Sat-NeRF, eq. 7; Martin-Brualla et al. 2021).
@@ -46,4 +48,4 @@ def depth_loss(weights: Tensor, t: Tensor, depth: Tensor, prior: Tensor, confide
     return (confidence * (2 * (depth - prior)) ** 2 * matters).mean()
 
 
-__all__ = ["beta_loss", "depth_loss", "solar_correction"]
+__all__ = ["BETA_MIN", "beta_loss", "depth_loss", "solar_correction"]

@@ -11,8 +11,10 @@ from torch import Tensor
 from sattools.field.mlp import MlpField
 from sattools.field.neural import NeuralField
 from sattools.field.protocol import Field
-from sattools.fit.rays.trainer import BETA_MIN, HAPKE_B_MAX, RayTrainer
-from sattools.render.volume import RayBatch, composite, median_share, stratified
+from sattools.fit.rays.losses import BETA_MIN
+from sattools.fit.rays.scene import HAPKE_B_MAX, RayScene
+from sattools.fit.rays.scene import SHOWN as RESTING
+from sattools.render.volume import RayBatch, composite, median_share, seen_shares, stratified
 from sattools.scene import Grid
 
 COARSE, FINE = 64, 48  # samples per vertical ray, and around its median
@@ -45,11 +47,11 @@ class GroundMaps:
 
 
 @torch.no_grad()
-def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per_image: bool = True) -> GroundMaps:
+def read_maps(scene: RayScene, grid: Grid, z_range: tuple[float, float], per_image: bool = True) -> GroundMaps:
     """Read a field off on a grid.
 
     Args:
-        trainer: of the field.
+        scene: the field with its images.
         grid: ground grid.
         z_range: lowest and highest height [m].
         per_image: also what differs between images.
@@ -57,27 +59,27 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     low, high = z_range
     x = (torch.arange(grid.width) + 0.5) * grid.cell_size
     rows: list[dict[str, Tensor]] = []
-    per_image = per_image and not trainer.field.heads.isdisjoint(IMAGE_HEADS)
+    per_image = per_image and not scene.field.heads.isdisjoint(IMAGE_HEADS)
     # a network keeps hundreds of numbers of every point; columns are laid out anew for each question
-    at_once = ROWS if isinstance(trainer.field, NeuralField) else 1
+    at_once = ROWS if isinstance(scene.field, NeuralField) else 1
     for part in torch.arange(grid.height, device=x.device).split(at_once):
         y, z = -(part + 0.5) * grid.cell_size, x.new_tensor(high)
         start = torch.stack(torch.broadcast_tensors(x, y[:, None], z), dim=-1).flatten(0, 1)
         batch = RayBatch(start, start.new_tensor([0.0, 0.0, low - high]).expand_as(start))
-        t, weights, features = _columns(trainer, batch, *_first_samples(trainer, start, z_range))
+        t, weights, features = _columns(scene, batch, *_first_samples(scene, start, z_range))
         share, total = median_share(weights, t), weights.sum(dim=1).clamp_min(1e-6)
         centre = (weights * t).sum(dim=1) / total
         spread = ((weights * (t - centre[:, None]) ** 2).sum(dim=1) / total).sqrt()
         found = {"height": high - (high - low) * share, "height_std": spread * (high - low)}
-        weights, features = _shown(trainer, batch, t, weights, features)
+        weights, features = _shown(scene, batch, t, weights, features)
         total = weights.sum(dim=1).clamp_min(1e-6)
-        answers = trainer.field.look(features.flatten(0, 1), None, None)
+        answers = scene.field.look(features.flatten(0, 1), None, None)
         for name in ("albedo", *MAP_HEADS):
             if name in answers:
                 values = answers[name].reshape(*weights.shape, -1)
                 found[name] = (weights[..., None] * values).sum(dim=1) / total[:, None]
         if per_image:
-            found |= _per_image(trainer, torch.cat([start[:, :2], found["height"][:, None]], dim=1))
+            found |= _per_image(scene, torch.cat([start[:, :2], found["height"][:, None]], dim=1))
         rows.append(found)
     maps = {n: torch.cat([row[n] for row in rows]).unflatten(0, (grid.height, grid.width)) for n in rows[0]}
     heads = {name: maps[name][..., 0] for name in MAP_HEADS if name in maps}
@@ -89,10 +91,10 @@ def read_maps(trainer: RayTrainer, grid: Grid, z_range: tuple[float, float], per
     return GroundMaps(maps["height"], maps["height_std"], maps["albedo"], heads, images)
 
 
-def _first_samples(trainer: RayTrainer, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
+def _first_samples(scene: RayScene, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
     """Shares of vertical rays ``[R, S]`` in [0, 1] to look at first; reach and number of those around their median."""
     low, high = z_range
-    known = _known_surfaces(trainer.field, start)
+    known = _known_surfaces(scene.field, start)
     if not known:
         return stratified(len(start), COARSE, None), REACH / COARSE, FINE
     t = stratified(len(start), FREE, None)
@@ -117,47 +119,47 @@ def _around(share: Tensor, reach: float, count: int) -> Tensor:
 
 
 def _columns(
-    trainer: RayTrainer, batch: RayBatch, t: Tensor, reach: float, fine: int
+    scene: RayScene, batch: RayBatch, t: Tensor, reach: float, fine: int
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """Samples ``[R, S]``, their weights and their features ``[R, S, F]``.
 
     There are none of a network at rest: its density is that of the surface it starts from, which asks no network.
     """
-    field = trainer.field
-    if trainer.at_rest and isinstance(field, MlpField):
+    if scene.at_rest:
 
         def weights(t: Tensor) -> Tensor:
-            return _weights(batch, t, field.at_rest(batch.points(t).reshape(-1, 3)).reshape(t.shape))
+            return _weights(batch, t, scene.density(batch.points(t)))
 
         t = torch.cat([t, _around(median_share(weights(t), t), reach, fine)], dim=1).sort(dim=1).values
         return t, weights(t), None
-    known = _seen(trainer, batch, t)
+    known = _seen(scene, batch, t)
     more = _around(median_share(_weights(batch, t, known[0]), t), reach, fine)
-    t, (sigma, features) = _merged(t, known, more, _seen(trainer, batch, more))
+    t, (sigma, features) = _merged(t, known, more, _seen(scene, batch, more))
     return t, _weights(batch, t, sigma), features
 
 
 def _shown(
-    trainer: RayTrainer, batch: RayBatch, t: Tensor, weights: Tensor, features: Tensor | None
+    scene: RayScene, batch: RayBatch, t: Tensor, weights: Tensor, features: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Weights ``[R, K]`` and features ``[R, K, F]`` of the samples that are seen most.
 
     The others cost a network as much, and change nothing.
     """
-    if not isinstance(trainer.field, MlpField) and features is not None:
+    if features is None:
+        t = seen_shares(weights, t, RESTING, None)
+        return torch.full_like(t, 1 / RESTING), _seen(scene, batch, t)[1]
+    if not isinstance(scene.field, MlpField):
         return weights, features
     weights, most = weights.topk(min(SHOWN, t.shape[1]), dim=1)
-    if features is None:
-        return weights, _seen(trainer, batch, t.gather(1, most))[1]
     return weights, features.gather(1, most[..., None].expand(-1, -1, features.shape[-1]))
 
 
 Answers = tuple[Tensor, Tensor]  # densities [R, S], features [R, S, F]
 
 
-def _seen(trainer: RayTrainer, batch: RayBatch, t: Tensor) -> Answers:
+def _seen(scene: RayScene, batch: RayBatch, t: Tensor) -> Answers:
     """What the field answers at samples."""
-    sigma, features = trainer.field.density(batch.points(t).reshape(-1, 3))
+    sigma, features = scene.field.density(batch.points(t).reshape(-1, 3))
     return sigma.reshape(t.shape), features.reshape(*t.shape, -1)
 
 
@@ -174,12 +176,12 @@ def _merged(t: Tensor, answers: Answers, more: Tensor, others: Answers) -> tuple
     return t, (sigma, features.gather(1, order[..., None].expand_as(features)))
 
 
-def _per_image(trainer: RayTrainer, surface: Tensor) -> dict[str, Tensor]:
+def _per_image(scene: RayScene, surface: Tensor) -> dict[str, Tensor]:
     """Answers ``[W, V]`` at surface points ``[W, 3]`` for every image; nan where its sun is unknown."""
-    _, features = trainer.field.density(surface)
+    _, features = scene.field.density(surface)
     found: dict[str, list[Tensor]] = {}
-    for sun, embedding in zip(trainer.rays.suns, trainer.embedding.detach(), strict=True):
-        answers = trainer.field.look(features, *(v.expand(len(surface), -1) for v in (sun, embedding)))
+    for sun, embedding in zip(scene.rays.suns, scene.embedding.detach(), strict=True):
+        answers = scene.field.look(features, *(v.expand(len(surface), -1) for v in (sun, embedding)))
         for name, product in IMAGE_HEADS.items():
             if name in answers:
                 found.setdefault(product, []).append(answers[name][:, 0])

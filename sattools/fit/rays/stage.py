@@ -13,6 +13,7 @@ from pathlib import Path
 import torch
 
 from sattools.field import neural
+from sattools.field.mlp import MlpField
 from sattools.field.surface_base import SurfaceBase
 from sattools.fit.combinations import starts_from_prior
 from sattools.fit.depth_prior import DepthPrior, reference_height
@@ -117,7 +118,7 @@ def fit_rays(
         mark = fingerprint(scene, options, sources, prior)
         job = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace, basis)
         notes = job.run(options, progress)
-        notes += judge_heights(trainer)
+        notes += judge_heights(trainer, options.steps)
         model = _model_of(trainer, base, views, grid, z_range)
     if prior_here is not None and prior_here.normal is not None:
         model = replace(model, extra={**model.extra, "normal": prior_here.normal})
@@ -193,27 +194,32 @@ class _RayJob:
             self.trainer.load(saved.tensors)
             trace.go_on(saved.rows)
             start = saved.step
+        notes: list[str] = []
+        planned_at = start
         every = max(1, min(options.steps // ROWS, 500))
-        first = trace.seconds()
+        first = planned_s = trace.seconds()
         total, count = float(trainer.unsaid[0]), int(trainer.unsaid[1])
         told = saved_at = first
         watch = subprogress(progress, 0.0, 0.95)
         for number in range(start, options.steps):
-            if number == TRIAL and start == 0 and options.budget:
-                self._plan_within(options, first)
+            if options.budget and number == planned_at + TRIAL and planned_at in (0, trainer.rest_from):
+                self._plan_within(options, number, planned_s)
+            if number > start and self._is_to_ask(number, options):
+                notes += judge_heights(trainer, number)
+                self.__dict__.pop("_reading_s", None)
+                planned_at, planned_s = number, trace.seconds()
             begun = trace.seconds()
             loss = trainer.step(number)
             total, count = total + loss, count + 1
             done, now = number + 1, trace.seconds()
-            # a step of a network can take a minute: none begins that would end after the budget
-            over = bool(options.budget) and 2 * now - begun > self._room(options) and done < options.steps
+            over = done < options.steps and self._is_over(options, begun)
             if done % every == 0 or done == options.steps or over:
                 row: Row = {"seconds": round(now, 3), "step": done, "loss": total / count}
                 trace.rows.append(row | self._score(options.reference))
                 total, count = 0.0, 0
             if now - told >= TELL_EVERY_S or not count or over:
                 told = now
-                left = (now - first) / (done - start) * (trainer.steps - done)
+                left = (now - planned_s) / (done - planned_at) * (trainer.steps - done)
                 share = max(done / trainer.steps, now / (options.budget or math.inf))
                 watch(min(1.0, share), f"step {done}/{trainer.steps}, about {duration(left)} left, loss {loss:.5f}")
                 if done - start <= TRIAL < trainer.steps and left > LONG_S and not options.budget:
@@ -226,8 +232,31 @@ class _RayJob:
                     self.path
                 )
             if over:
-                return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"]
-        return []
+                return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}", *notes]
+        return notes
+
+    @property
+    def _may_rest(self) -> bool:
+        trainer = self.trainer
+        return trainer.judged and not trainer.asked and isinstance(trainer.field, MlpField)
+
+    def _is_to_ask(self, number: int, options: FitOptions) -> bool:
+        """Whether half of the training is over, after which a network that moved nothing may rest."""
+        trainer = self.trainer
+        if not self._may_rest:
+            return False
+        if options.budget and self.trace.seconds() >= self._room(options) / 2:
+            return True
+        return number >= trainer.steps / 2
+
+    def _is_over(self, options: FitOptions, begun: float) -> bool:
+        """Whether the budget has no room for a step as long as the last, which began then: one can take a minute."""
+        if not options.budget or 2 * self.trace.seconds() - begun <= self._room(options) or self._may_rest:
+            return False
+        # what reading off takes is known from a few rows: those of another time may have met a busy machine
+        step_s = self.trace.seconds() - begun
+        self.__dict__.pop("_reading_s", None)
+        return self.trace.seconds() + step_s > self._room(options)
 
     def _room(self, options: FitOptions) -> float:
         """Seconds of the budget for steps: the surface must still be read off."""
@@ -246,12 +275,18 @@ class _RayJob:
             held_out_losses(self.trainer, torch.zeros(AT_ONCE, dtype=torch.long))
         return reading + (time.perf_counter() - begun) * 2 * RAYS / AT_ONCE
 
-    def _plan_within(self, options: FitOptions, first: float) -> None:
-        """Let rates and phases be shares of the steps that the budget has room for; the training began at ``first``."""
+    def _plan_within(self, options: FitOptions, number: int, since: float) -> None:
+        """Let rates and phases be shares of the steps that the budget has room for.
+
+        Args:
+            options: of the fit.
+            number: steps that are done.
+            since: when the last `TRIAL` of them began.
+        """
         now = self.trace.seconds()
-        step_s = (now - first) / TRIAL
+        step_s = (now - since) / TRIAL
         more = (self._room(options) - now) / max(step_s, 1e-6)
-        self.trainer.plan(max(TRIAL + 1, min(self.trainer.steps, TRIAL + round(more))))
+        self.trainer.plan(max(number + 1, min(options.steps, number + round(more))))
 
     def _score(self, reference: str | None) -> Row:
         if reference is None:
