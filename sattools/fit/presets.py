@@ -35,9 +35,8 @@ There, shadows count from the first step; the papers without any (`spsnerf`, `rp
 the heights cast (`--shadow none`: none), a surface's colours being those in the sun; w may reach 0.99 where the surface
 has more than the papers' 0.8, as images of unknown scale make it; transients and uncertainties learn from the trunk
 without changing it; one block of an image in ten is held out, and the field keeps its own heights only if they explain
-these rays better, by a hundredth and two standard errors. A network is asked for that halfway, too: one that does not is
-at rest from then on, its colours alone are trained, from two samples of what a ray sees, many more rays a step and five
-times the rate.
+these rays better, by a hundredth and two standard errors. A network is asked for that halfway, too: if it does not, its
+colours alone are trained from then on, by two samples of what a ray sees, many more rays a step and five times the rate.
 Densities are per metre of height, whatever the angle of a ray. Rays to the sun begin 2 m above the surface point.
 A sample stands for the part of the ray nearer to it than to its neighbours. The reflectance models are evaluated once a
 ray (`--brdf-at sample`: at every sample, as the papers have it), on the normals of the surface it starts from, instead
