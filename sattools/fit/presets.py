@@ -36,7 +36,7 @@ the heights cast (`--shadow none`: none), a surface's colours being those in the
 has more than the papers' 0.8, as images of unknown scale make it; transients and uncertainties learn from the trunk
 without changing it; one block of an image in ten is held out, and the field keeps its own heights only if they explain
 these rays better, by a hundredth and two standard errors. A network is asked for that halfway, too: if it does not, its
-colours alone are trained from then on, by two samples of what a ray sees, many more rays a step and five times the rate.
+colours alone are trained from there, by two samples of what a ray sees, many more rays a step and five times the rate.
 Densities are per metre of height, whatever the angle of a ray. Rays to the sun begin 2 m above the surface point.
 A sample stands for the part of the ray nearer to it than to its neighbours. The reflectance models are evaluated once a
 ray (`--brdf-at sample`: at every sample, as the papers have it), on the normals of the surface it starts from, instead
