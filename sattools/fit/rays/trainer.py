@@ -26,6 +26,7 @@ DECAY = 0.9  # of the rate, per epoch
 COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
 ADAM_EPSILON = 1e-8  # torch's own
 RATE_AT_REST = 5.0  # times that of a network whose heights could drift
+MOST_RAYS = 16  # times as many as before, at rest
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,8 @@ class RayTrainer(RayScene):
     def count(self) -> int:
         """Rays of a step."""
         options = self.options
-        return options.rays * (max(1, (options.samples + options.guided) // SEEN) if self.at_rest else 1)
+        asked = (options.samples + options.guided) // SEEN
+        return options.rays * (min(max(1, asked), MOST_RAYS) if self.at_rest else 1)
 
     def plan(self, steps: int) -> None:
         """Settle how many steps there will be: rates, and what comes in late, are shares of them."""
