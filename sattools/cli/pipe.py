@@ -19,7 +19,7 @@ import click
 from sattools.cli.interrupts import checked
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
-from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError
+from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError, StaleError
 from sattools.progress import Progress, make_progress
 from sattools.settings import specs
 
@@ -97,14 +97,14 @@ def run_scenes(
 def _rehearse(run: Run, scene: Scene, check: Callable[[Scene], None]) -> None:
     """Raise what the run would raise before its work.
 
-    But for what commands before it have not made: on a pipe they were dry runs, too.
+    But for what commands before it have not made, or not made anew: on a pipe they were dry runs, too.
     """
     from sattools.scene.runner import document_of
 
     document_of(scene, run.overwrite)
     try:
         check(deepcopy(scene))
-    except MissingProductError:
+    except (MissingProductError, StaleError):
         if scene.origin is not None:
             raise
 

@@ -242,3 +242,20 @@ def test_a_pipe_of_dry_runs_needs_none_of_what_they_would_have_made(make_town: C
         assert result.exit_code == 0, result.stderr
         text = result.stdout
     assert sorted(scene.root.rglob("*")) == before
+
+
+def test_a_pipe_of_dry_runs_makes_what_is_out_of_date_anew(fitted: Path, tmp_path: Path) -> None:
+    """As the run does; a command by itself, of which nobody says that another comes before, refuses it."""
+    heights = fitted.parent / "truth/TOWN_DSM.tif"
+    assert run("export", fitted).exit_code == 0
+    scene = Scene.from_file(fitted)
+    scene.items[0].properties["view:sun_azimuth"] += 20
+    scene.write()
+    text = run("prior", "--overwrite", "--dry-run", fitted).stdout
+    for command in (["fit"], ["export"], ["align", "--to", heights], ["compare"]):
+        assert "has changed since" in run(*command, "--overwrite", "--dry-run", fitted).stderr
+        result = run(*command, "--overwrite", "--dry-run", text=text)
+        assert result.exit_code == 0, result.stderr
+    (tmp_path / "new.toml").write_text("[prior]\n[fit]\n")
+    result = run("batch", fitted, "--config", tmp_path / "new.toml", "--out", tmp_path / "batch", "--dry-run")
+    assert result.exit_code == 0, result.stderr
