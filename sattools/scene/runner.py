@@ -21,6 +21,7 @@ from sattools import __version__
 from sattools.errors import SceneError, StaleError
 from sattools.progress import Progress, silent
 from sattools.runlog import RunLog
+from sattools.scene.dependencies import SOURCES
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
 from sattools.scene.jsonio import JsonObject
@@ -73,7 +74,7 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
             scene.history = there.history
         start = _Clock.now()
         with unchanged_unless_done(scene), _last_things(), all_or_nothing():
-            with _told_of(scene, later) as notes:
+            with _told_of(scene, later, anew=there is not None and _made_anew(there, scene)) as notes:
                 extra = work(scene, log.told(step.progress)) or {}
             if notes:
                 extra = {**extra, "notes": [*extra.get("notes", []), *notes]}
@@ -137,17 +138,32 @@ def unchanged_unless_done(scene: Scene) -> Iterator[None]:
         raise
 
 
+def _made_anew(there: Scene, scene: Scene) -> bool:
+    """Whether `prep` or `simulate` has been run again between the two documents of one folder."""
+    first = [(s.history[0] if s.history else {}) for s in (there, scene)]
+    if any(entry.get("command") not in SOURCES for entry in first):
+        return False
+    # numbers that are written as they are; others may come back from a file changed, as NaN does
+    return any(first[0].get(name) != first[1].get(name) for name in ("command", "seconds", "cpu_seconds"))
+
+
 @contextlib.contextmanager
-def _told_of(scene: Scene, later: Sequence[str]) -> Iterator[list[str]]:
+def _told_of(scene: Scene, later: Sequence[str], anew: bool) -> Iterator[list[str]]:
     """What to say of a document of before, as a pipe has left it in a file: notes; why products are out of date.
 
     Args:
         scene: as that document has it.
         later: commands that have changed the one in the scene's folder since.
+        anew: the scene has been made anew since.
     """
     commands = ", ".join(dict.fromkeys(later))
     since = f"the document is older than {scene.path('scene.json')}, which has been through {commands} since"
     notes = [f"{since}: cameras and heights are those from before `align`"] if "align" in later else []
+    if anew:
+        notes = [
+            f"the document is not that of {scene.path('scene.json')}, which was made anew since: grid, heights and "
+            "angles are the document's, images and cameras may be the new ones"
+        ]
     for text in notes:
         logging.getLogger(__name__).warning("scene %s: %s", scene.id, text)
     try:

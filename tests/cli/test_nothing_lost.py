@@ -268,6 +268,22 @@ def test_an_image_that_is_replaced_while_a_stage_runs_makes_what_it_leaves_out_o
     assert f"what {stage} was made from has changed since" in str(stale(town, stage))
 
 
+def test_a_document_from_before_another_prep_is_told_that_it_is(
+    originals: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its files are those of the new one by then."""
+    first = prep(originals, "--id", "NEW", "--out", "made")
+    assert first.exit_code == 0, first.stderr
+    assert prep(originals, "--id", "NEW", "--out", "made", "--cell-size", "2", "--overwrite").exit_code == 0
+    document = originals / "made/NEW/scene.json"
+    text = document.read_text().replace('"root":"."', f'"root":"{document.parent}"')
+    assert run("normalise", text=text).exit_code == 0
+    assert "made anew" not in caplog.text
+    assert run("normalise", "--overwrite", text=first.stdout).exit_code == 0
+    assert f"the document is not that of {document}, which was made anew since" in caplog.text
+    assert "made anew since" in Scene.from_file(document).history[-1]["notes"][-1]
+
+
 def test_hapkes_maps_do_not_outlive_their_fit() -> None:
     from sattools.scene.dependencies import STAGES
 
