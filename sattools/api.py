@@ -15,6 +15,8 @@ message) is told instead.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,7 +33,8 @@ from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
-from sattools.settings import specs
+from sattools.scene.schema import Flag, Items, Kind, Maybe, Number, Text
+from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec, specs
 from sattools.simulate.options import SimulateOptions
 
 T = TypeVar("T")
@@ -271,16 +274,65 @@ def _progress(told: Told, label: str) -> Progress:
 
 
 def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
-    """The options dataclass. Raises InputError for names that it does not have."""
+    """The options dataclass. Raises InputError for names that it does not have and values that it does not take."""
     if given is None:
         return cls()
+    known = {spec.name: spec for spec in specs(cls)}
     if not isinstance(given, Mapping):
+        for name, spec in known.items():
+            _kind(spec).check(_plain(getattr(given, name)), f"{cls.__name__}: option {name!r}")
         return given
-    known = {spec.name for spec in specs(cls)} | set(cls.__dataclass_fields__)  # type: ignore[attr-defined]
-    unknown = sorted(set(given) - known)
+    unknown = sorted(set(given) - known.keys() - set(cls.__dataclass_fields__))  # type: ignore[attr-defined]
     if unknown:
-        raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {', '.join(sorted(known))}")
-    return cls(**given)
+        names = ", ".join(sorted(known.keys() | set(cls.__dataclass_fields__)))  # type: ignore[attr-defined]
+        raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {names}")
+    values = {name: _plain(value) for name, value in given.items()}
+    for name, value in values.items():
+        if (own := known.get(name)) is not None:
+            _kind(own).check(value, f"{cls.__name__}: option {name!r}")
+            if isinstance(value, list | tuple):
+                values[name] = list(value) if own.multiple else tuple(value)
+    return cls(**values)
+
+
+def _plain(value: Any) -> Any:
+    """A value as the command line would have it: paths as text, numbers and arrays of numpy as Python's."""
+    if isinstance(value, PathLike):
+        return str(value)
+    if isinstance(value, list | tuple):
+        return [_plain(member) for member in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _kind(spec: OptionSpec) -> Kind:
+    """What an option takes, as `kind_of` of the command line has it."""
+    low, high = spec.minimum, spec.maximum
+    kind: Kind = Text(tuple(spec.choices or ()), empty=True)
+    if spec.kind is bool:
+        kind = Flag()
+    elif spec.kind is int:
+        low = -LARGEST_COUNT if low is None else low
+        kind = Number(low, LARGEST_COUNT if high is None else high, whole=True)
+    elif spec.kind is float:
+        kind = Number(-LARGEST if low is None else low, LARGEST if high is None else high)
+    if spec.words:
+        kind = _Or(kind, spec.words)
+    if spec.multiple or spec.count > 1:
+        kind = Items(kind, spec.count, spec.count) if spec.count > 1 else Items(kind)
+    return Maybe(kind) if spec.optional or spec.default is None else kind
+
+
+@dataclass(frozen=True)
+class _Or:
+    """A value of a kind, or one of some words."""
+
+    kind: Kind
+    words: tuple[str, ...]
+
+    def check(self, value: Any, where: str) -> None:
+        """See `Kind`."""
+        if value not in self.words:
+            self.kind.check(value, where)
 
 
 __all__ = ["align", "change", "compare", "export", "fit", "match", "normalise", "prepare", "simulate"]

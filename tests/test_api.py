@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import torch
 
 import sattools
 from sattools.errors import InputError, OutputExistsError, SattoolsError, SceneError
+from sattools.fit.options import FitOptions
+from sattools.fit.presets import PRESETS, resolve
 from sattools.reflectance import hapke, lambert, rpv
 
 QUICK = {"resolution": 2.0, "coarsest": 2.0, "epochs": [2], "prior_weight": 0.0}
@@ -105,6 +108,44 @@ def test_images_become_a_scene(make_town: Any, tmp_path: Path) -> None:
 def test_an_option_that_is_not_there_is_named() -> None:
     with pytest.raises(InputError, match="FitOptions: found option 'epoch', expected some of"):
         sattools.fit("scene.json", {"epoch": 3})
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"brdf": "hapki"}, r"option 'brdf': found 'hapki', expected lambert, .*did you mean 'hapke'"),
+        ({"epochs": 3}, "option 'epochs': found 3, expected a list"),
+        ({"epochs": [2.5]}, r"option 'epochs'\[0\]: found 2.5, expected a whole number from 1 to 100000"),
+        ({"resolution": "2"}, "option 'resolution': found '2', expected a finite number"),
+        ({"resolution": float("nan")}, "option 'resolution': found nan"),
+        ({"seed": None}, "option 'seed': found null"),
+        ({"pose": "no"}, "option 'pose': found 'no', expected true or false"),
+        ({"tile": "all"}, "option 'tile': found 'all', expected a finite number"),
+        (FitOptions(loss="mae"), "option 'loss': found 'mae', expected mse"),
+    ],
+    ids=str,
+)
+def test_a_value_that_an_option_does_not_take_is_named(options: Any, why: str) -> None:
+    with pytest.raises(InputError, match=f"FitOptions: {why}"):
+        sattools.fit("scene.json", options)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_are_options_that_are_taken(preset: str, tmp_path: Path) -> None:
+    for options in (resolve(preset, {}), asdict(resolve(preset, {}))):
+        with pytest.raises(SceneError, match=r"no\.json"):  # it is the scene that is missing
+            sattools.fit(tmp_path / "no.json", options)
+
+
+def test_options_are_python_values_of_any_make(make_town: Any) -> None:
+    """Paths, whole numbers in place of others, tuples and NumPy's own."""
+    town = make_town()
+    options = {**QUICK, "resolution": np.float32(2), "epochs": (np.int64(1),), "tile": None, "seed": np.int64(3)}
+    scene = sattools.export(sattools.fit(town, options), {"sun": [150, 40]})
+    scene = sattools.compare(scene, {"dsm": town.root / "truth/TOWN_DSM.tif"})
+    assert scene.history[-1]["options"]["dsm"] == str(town.root / "truth/TOWN_DSM.tif")
+    with pytest.raises(InputError, match="ExportOptions: option 'products': found 'laz', expected a list"):
+        sattools.export(scene, {"products": "laz"})
 
 
 def test_progress_is_a_bar_on_request(make_town: Any, capsys: pytest.CaptureFixture[str]) -> None:

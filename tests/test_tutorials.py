@@ -60,11 +60,11 @@ def test_the_stereo_pair_becomes_a_surface_points_and_an_orthophoto(tmp_path: Pa
 @needs_data
 def test_the_city_of_many_dates_is_scored_against_lidar(tmp_path: Path) -> None:
     root = Path(str(DATA)) / "dfc2019"
-    images = " ".join(f"{root}/Track3-RGB-crops/JAX_068/JAX_068_{n}_RGB.tif" for n in ("001", "004", "009", "016"))
-    said = run("city", tmp_path, ROOT=str(root), IMAGES=images, AREA="--bounds -81.6645 30.3484 -81.6637 30.3492")
+    said = run("city", tmp_path, ROOT=str(root), AREA="--bounds -81.6645 30.3484 -81.6637 30.3492")
     errors = json.loads((tmp_path / "errors.json").read_text())
     assert errors["protocol"] == "dfc2019"
-    assert errors["median"] < 0.6
+    # all images of the page: 0.18 to 0.25 m wherever the height planes begin; of four of them it was 0.52 to 0.77 m
+    assert errors["median"] < 0.35
     assert "JAX_068_016_RGB: camera was off by" in said  # `info` shows the notes
     assert "Map of the height differences" in (tmp_path / "work/JAX_068/report.html").read_text()
 

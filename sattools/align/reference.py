@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rasterio.crs import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
+from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform as transform_points
 
@@ -29,6 +31,26 @@ from sattools.scene.vectors import in_crs, is_vector, read_features
 
 COLUMNS = ("z", "item", "column", "row")
 SPARE_CELLS = 4  # of the reference around what is asked for
+
+
+def check_reference(path: Path, crs: str) -> None:
+    """Raise InputError where a reference can be told to be none without a look at its heights.
+
+    Args:
+        path: raster of heights, or control points.
+        crs: the scene's.
+    """
+    if holds_points(path):
+        read_control_points(path, crs)
+        return
+    with opened(path) as data:
+        _crs_of(data, path)
+
+
+def _crs_of(data: DatasetReader, path: Path) -> CRS:
+    if data.crs is None:
+        raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
+    return data.crs
 
 
 def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple[np.ndarray, Grid]:
@@ -51,9 +73,7 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
         InputError: unreadable, without a CRS, or elsewhere.
     """
     with opened(path) as data:
-        if data.crs is None:
-            raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
-        crs = horizontal(data.crs)
+        crs = horizontal(_crs_of(data, path))
         unknown = data.nodata
         if unknown is None and np.issubdtype(np.dtype(data.dtypes[0]), np.floating):
             unknown = np.nan

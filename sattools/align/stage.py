@@ -12,12 +12,12 @@ import numpy as np
 
 from sattools.align.estimate import UNLIKE, point_residuals, shift_to_points, wrong_points
 from sattools.align.options import AlignOptions
-from sattools.align.reference import holds_points, read_control_points
+from sattools.align.reference import check_reference, holds_points, read_control_points
 from sattools.align.shift import Shift
 from sattools.align.surface import SurfaceFiles, shift_to_raster
 from sattools.camera.ground import from_geographic, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, MissingProductError, SceneError
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.names import FILES
 from sattools.progress import Progress, silent
@@ -79,27 +79,18 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
         SceneError: the scene has no DSM.
         InputError: the reference cannot be used, or the shift is too large.
     """
-    if options.to is None:
-        raise InputError("align: found no --to, expected a raster of heights or ground control points")
-    if options.tilt and options.method in ("nuth-kaab", "z"):
-        raise InputError(f"align: found --tilt with --method {options.method}, expected --method means or icp")
-    if "dsm" not in scene.products:
-        raise SceneError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
-    check_current(scene, "export")
+    moves, folder = _begun(scene, options, overwrite)
+    assert options.to is not None  # `_begun` has looked
     reference = location(options.to)
     progress(0.0, "registering")
     grid = scene.require_grid()
+    records = {stage: latest(scene, stage) for stage in STAGES}
     shift, about = _shift(scene, reference, options)
     give_back()  # what was held of both surfaces, before maps are written
     _check(shift, reference, options)
     progress(0.3, "moving")
-    records = {stage: latest(scene, stage) for stage in STAGES}
     dropped = drop(scene, "compare")
-    folder = f"align/{1 + sum(entry.get('command') == 'align' for entry in scene.history)}"
-    moves, cameras = _moves(scene, folder), _moved_cameras(scene, grid, shift)
-    named = [f"{folder}/{name}" for name in (*cameras, "model.safetensors", TRANSFORM)]
-    outputs = [move.href for move in moves.values()] + named
-    check_outputs([scene.path(href) for href in outputs], [*files_of(scene), reference], overwrite)
+    cameras = _moved_cameras(scene, grid, shift)
     dropped += _move_model(scene, f"{folder}/model.safetensors", shift)
     give_back()
     for (item_id, name), move in moves.items():
@@ -131,6 +122,31 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     notes = [shift.text("px" if "residuals" in about else "m"), *about.get("notes", [])]
     figures = {"shift": asdict(shift), "transform": f"{folder}/{TRANSFORM}", "notes": notes}
     return {**figures, "dropped": sorted(dropped), MADE: _recorded(scene, records)}
+
+
+def check_start(scene: Scene, options: AlignOptions, overwrite: bool = False) -> None:
+    """What `align` looks at before its work, for a dry run; arguments and errors as of it."""
+    _begun(scene, options, overwrite)
+
+
+def _begun(scene: Scene, options: AlignOptions, overwrite: bool) -> tuple[dict[tuple[str | None, str], Move], str]:
+    """The maps that will move and the folder of the moved ones, once all is checked that needs no work."""
+    if options.to is None:
+        raise InputError("align: found no --to, expected a raster of heights or ground control points")
+    if options.tilt and options.method in ("nuth-kaab", "z"):
+        raise InputError(f"align: found --tilt with --method {options.method}, expected --method means or icp")
+    reference = location(options.to)
+    check_reference(reference, scene.require_grid().crs)
+    if "dsm" not in scene.products:
+        raise MissingProductError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
+    check_current(scene, "export")
+    folder = f"align/{1 + sum(entry.get('command') == 'align' for entry in scene.history)}"
+    moves = _moves(scene, folder)
+    files = [f"{item.id}{end}" for item in scene.items for asset, end in CAMERAS.items() if asset in item.assets]
+    named = [f"{folder}/{name}" for name in (*files, "model.safetensors", TRANSFORM)]
+    outputs = [move.href for move in moves.values()] + named
+    check_outputs([scene.path(href) for href in outputs], [*files_of(scene), reference], overwrite)
+    return moves, folder
 
 
 def _check(shift: Shift, reference: Path, options: AlignOptions) -> None:
@@ -194,7 +210,8 @@ def _product(scene: Scene, name: str) -> Path | None:
 def _moves(scene: Scene, folder: str) -> dict[tuple[str | None, str], Move]:
     """All maps of the ground that move, by image (None = of the scene) and name."""
     moves: dict[tuple[str | None, str], Move] = {}
-    made = set().union(*(names_of(stage) for stage in STAGES.values()))  # a reference that the scene brings stays
+    # a reference that the scene brings stays, and scores are dropped
+    made = set().union(*(names_of(stage) for name, stage in STAGES.items() if name != "compare"))
     for name, href in scene.products.items():
         if name in made and Path(href).suffix == ".tif":
             moves[None, name] = Move(scene.path(href), f"{folder}/{name}.tif", name in HEIGHTS)
@@ -291,4 +308,4 @@ def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, 
     return made
 
 
-__all__ = ["align"]
+__all__ = ["align", "check_start"]

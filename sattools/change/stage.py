@@ -54,12 +54,8 @@ def change(
         OutputExistsError: outputs that are there.
     """
     progress(0.0, "reading")
-    old, new = read_surface(before), read_surface(after)
-    _check_metres(old)
+    old, new, names = _begun(before, after, options, overwrite)
     folder = Path(options.out)
-    names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
-    inputs = [*old.files, *new.files, *([Path(options.polygons)] if options.polygons else [])]
-    check_outputs([folder / name for name in names], inputs, overwrite)
     note = datums_differ({old.name: heights_above(old.layers["height"]), new.name: heights_above(new.layers["height"])})
     if note:
         log.warning("%s, unless --register takes it out", note)
@@ -92,6 +88,24 @@ def change(
         write_text(folder / TABLE, json.dumps(table, indent=1) + "\n")
     progress(1.0, "done")
     return table
+
+
+def check_start(before: str, after: str, options: ChangeOptions, overwrite: bool = False) -> Grid:
+    """The grid of `before`; raises what `change` would raise before its work, with the arguments of it."""
+    return _begun(before, after, options, overwrite)[0].grid
+
+
+def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> tuple[Surface, Surface, list[str]]:
+    """Both dates and the names of what will be written, once all is checked that needs no work."""
+    old, new = read_surface(before), read_surface(after)
+    _check_metres(old)
+    names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
+    polygons = [Path(options.polygons)] if options.polygons else []
+    for path in polygons:
+        read_polygons(path, old.grid.crs)
+    inputs = [*old.files, *new.files, *polygons]
+    check_outputs([Path(options.out) / name for name in names], inputs, overwrite)
+    return old, new, names
 
 
 def _check_metres(earlier: Surface) -> None:
@@ -188,4 +202,4 @@ def _geopackage(labels: np.ndarray, regions: list[Region], grid: Grid) -> bytes:
     return geopackage(Features(outlines, columns, grid.crs), "changes", "MultiPolygon")
 
 
-__all__ = ["Surface", "change", "read_surface"]
+__all__ = ["Surface", "change", "check_start", "read_surface"]

@@ -38,5 +38,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         click.echo(f"scene {scene.id}: {figures['notes'][0]}", err=True)
         return figures
 
+    def check(scene: Scene) -> None:
+        from sattools.align.stage import check_start
+
+        check_start(scene, options, overwrite)
+
     run = Run("align", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="move onto the reference", foreseen=plans.of_align)
+    run_scenes(run, scenes, work, plan="move onto the reference", foreseen=plans.of_align, check=check)

@@ -31,13 +31,11 @@ def command(before: str, after: str, overwrite: bool, dry_run: bool, print_confi
     if print_config:
         show_config("change", options)
         return
-    from sattools.change.stage import change
-    from sattools.change.surfaces import read_surface
+    from sattools.change.stage import change, check_start
 
     try:
         if dry_run or is_watched():
-            plan = of_change(read_surface(before).grid)
-            read_surface(after)  # before anything is said
+            plan = of_change(check_start(before, after, options, overwrite))  # before anything is said
             what = f"would compare {before} with {after}" if dry_run else f"{before} {after}"
             click.echo(f"sattools change: {what}: {plan}; writes {options.out}/", err=True)
         if dry_run:

@@ -3,7 +3,7 @@
 # name -> first line of help; a command's module is imported only when it is called, so that --help stays fast
 COMMANDS = {
     "prep": "Images with RPC cameras -> scene with bundle-adjusted RPCs.",
-    "normalise": "Digital numbers -> linear radiance in [0, 1].",
+    "normalise": "Digital numbers -> linear radiance or reflectance, masks.",
     "prior": "Multi-view matching -> rough surface, confidence, normals.",
     "fit": "Fit a volumetric scene by differentiable rendering.",
     "export": "Fitted scene -> DSM, albedo, shadows as georeferenced files.",

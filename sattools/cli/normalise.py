@@ -34,5 +34,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
 
         return normalise(scene, options, progress, overwrite)
 
+    def check(scene: Scene) -> None:
+        from sattools.radiometry.stage import check_start
+
+        check_start(scene, options, overwrite)
+
     run = Run("normalise", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="write linear radiance", foreseen=plans.of_normalise)
+    run_scenes(run, scenes, work, plan="write linear radiance", foreseen=plans.of_normalise, check=check)

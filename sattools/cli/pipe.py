@@ -19,7 +19,7 @@ import click
 from sattools.cli.interrupts import checked
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
-from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError
+from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError, StaleError
 from sattools.progress import Progress, make_progress
 from sattools.settings import specs
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # the document pulls in numpy, which --help can do without
     from sattools.scene.runner import Step
 
 log = logging.getLogger(__name__)
+NOTHING = "(did the command before fail? dry runs of prep and simulate make none)"
 Work = Callable[["Scene", Progress], dict[str, Any] | None]
 
 
@@ -96,14 +97,14 @@ def run_scenes(
 def _rehearse(run: Run, scene: Scene, check: Callable[[Scene], None]) -> None:
     """Raise what the run would raise before its work.
 
-    But for what commands before it have not made: on a pipe they were dry runs, too.
+    But for what commands before it have not made, or not made anew: on a pipe they were dry runs, too.
     """
     from sattools.scene.runner import document_of
 
     document_of(scene, run.overwrite)
     try:
         check(deepcopy(scene))
-    except MissingProductError:
+    except (MissingProductError, StaleError):
         if scene.origin is not None:
             raise
 
@@ -134,6 +135,11 @@ def _check_place(scene: Scene) -> None:
     hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
     own = [href for href in hrefs if not (is_remote(href) or Path(href).is_absolute())]
     if own and not any((scene.root / href).exists() for href in own):
+        if scene.origin is not None:
+            raise SceneError(
+                f"scene {scene.id}: found none of its files in {scene.root}, where {scene.origin} lies, expected the "
+                "scene.json in the scene's folder (was that moved?)"
+            )
         raise SceneError(
             f"scene {scene.id}: found none of its files in {scene.root}, the current folder, where a scene.json on a "
             "pipe has them, expected its path on the command line instead"
@@ -179,8 +185,7 @@ def each_scene(command: str, scenes: tuple[str, ...], handle: Callable[[Scene], 
             failed += 1
             report_error(command, error)
     if done == failed == 0:
-        empty = "stdin: found nothing, expected scene documents, one per line (did the command before fail?)"
-        report_error(command, SceneError(empty))
+        report_error(command, SceneError(f"stdin: found nothing, expected scene documents, one per line {NOTHING}"))
         sys.exit(1)
     if failed:
         sys.exit(3 if done else 1)
@@ -356,6 +361,7 @@ def _print_line(line: str) -> None:
 
 
 __all__ = [
+    "NOTHING",
     "Run",
     "apply",
     "documents",

@@ -80,7 +80,7 @@ def command(
         from sattools.prep.stage import check_inputs
 
         where = Path(options.out) / options.id if options.id else options.out
-        return f"{of_prep(check_inputs(paths, options))}; writes {where}/"
+        return f"{of_prep(check_inputs(paths, options, overwrite))}; writes {where}/"
 
     def make(progress: Progress) -> tuple[Scene, JsonObject]:
         from sattools.prep.stage import prepare

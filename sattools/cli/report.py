@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from sattools.cli.pipe import documents, parse, report_error
+from sattools.cli.pipe import NOTHING, documents, parse, report_error
 from sattools.errors import SattoolsError, SceneError
 
 
@@ -55,7 +55,7 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
             read = [scene.path("scene.json"), *([scene.origin] if scene.origin else []), *files_of(scene)]
             write(out or scene.output("report.html"), page, overwrite, read)
         if not done:
-            raise SceneError("stdin: found nothing, expected a scene document (did the command before fail?)")
+            raise SceneError(f"stdin: found nothing, expected a scene document {NOTHING}")
     except SattoolsError as error:
         report_error("report", error)
         sys.exit(1)

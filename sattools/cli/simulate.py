@@ -29,17 +29,21 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
     """
     options = build(SimulateOptions, values)
 
+    root = Path(options.out) / options.id
     inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)
 
     def make(progress: Progress) -> tuple[Scene, JsonObject | None]:
         from sattools.simulate.stage import simulate
 
-        scene = simulate(options, Path(options.out) / options.id, progress, overwrite)
+        scene = simulate(options, root, progress, overwrite)
         errors = [item.properties["sattools:simulated"]["rpc_fit_error_px"] for item in scene.items]
         return scene, {"rpc_fit_error_px": max(errors)}
 
     def check() -> str:
+        from sattools.simulate.stage import check_start
+
+        check_start(options, root, overwrite)
         whole = of_simulate(options.size, options.gsd, options.views + options.test_views)
-        return f"{whole}; writes {Path(options.out) / options.id}/"
+        return f"{whole}; writes {root}/"
 
     run_source(Run("simulate", options, dry_run, print_config, overwrite, inputs), make, f"scene {options.id}", check)

@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,9 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage
 from sattools.scene.grid import Grid
+from sattools.scene.location import RemotePath
 from sattools.scene.members import FINEST, HEIGHT_LIMITS_M, LEAST_CELLS, MAX_CELLS
+from sattools.scene.sidecars import sidecars
 
 Array = NDArray[np.float64]
 
@@ -134,6 +137,22 @@ def mirrored(rpc: RPC, lon: float, lat: float) -> bool:
     """
     jac = rpc.jacobian(lon, lat, rpc.alt_offset)[:, :2]
     return bool(np.linalg.det(jac) > 0)
+
+
+def check_metadata(sources: Sequence[SourceImage], folder: Path | None) -> list[str]:
+    """Notes on a folder of metadata that has none of some images: their cameras and suns are from elsewhere then."""
+    if folder is None:
+        return []
+    without = [s for s in sources if not sidecars(s.path, [folder])]
+    if len(without) == len(sources):
+        like = f"expected names such as {sources[0].path.stem}.json, .xml, .IMD or _RPC.TXT"
+        return [f"{folder}: found no metadata file named like one of the images, {like}"]
+    local = [s for s in without if not isinstance(s.path, RemotePath)]
+    nowhere = [s for s in local if not sidecars(s.path, [s.path.parent])]
+    if not nowhere:
+        return []
+    names = ", ".join(s.id for s in nowhere[:3]) + (", ..." if len(nowhere) > 3 else "")
+    return [f"{folder}: found no metadata file of {len(nowhere)} of {len(sources)} images ({names})"]
 
 
 def check_places_and_suns(sources: Sequence[SourceImage]) -> list[str]:
@@ -301,6 +320,7 @@ __all__ = [
     "check_corrections",
     "check_height_unit",
     "check_heights",
+    "check_metadata",
     "check_pixels",
     "check_places_and_suns",
     "check_sources",

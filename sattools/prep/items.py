@@ -25,6 +25,7 @@ from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.location import RemotePath
 
 
 def off_nadir_deg(incidence_deg: float, platform: str | None) -> float:
@@ -88,7 +89,7 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
         "sattools:dtype": source.dtype,
         "sattools:bands": source.bands,
         "sattools:value_range": [low, high],
-        "sattools:source": str(source.path),
+        "sattools:source": str(source.path if isinstance(source.path, RemotePath) else source.path.absolute()),
         "sattools:source_window": list(source.window),
         "sattools:rpc_source": meta.rpc_source,
         "sattools:rpc_shift_px": [round(v, 4) for v in view.shift_px],

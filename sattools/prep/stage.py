@@ -24,6 +24,7 @@ from sattools.prep.gate import (
     check_corrections,
     check_height_unit,
     check_heights,
+    check_metadata,
     check_pixels,
     check_places_and_suns,
     check_sources,
@@ -47,7 +48,7 @@ from sattools.prep.pairs import IN_HISTORY, pair_table
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
-from sattools.scene.dependencies import begin
+from sattools.scene.dependencies import begin, may_begin
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
@@ -76,10 +77,7 @@ def prepare(
     Returns: the scene, and notes and figures for its history.
     Raises: InputError (one line, naming the file) for images that cannot be used; OutputExistsError.
     """
-    images = [location(p) for p in images]
-    ids = check_ids(images)
-    _check_options(options, ids)
-    scene = Scene(options.id or common_name(ids), Path(options.out) / (options.id or common_name(ids)))
+    images, ids, scene = _named(images, options)
     begin(scene, "prep", _outputs(ids, options), overwrite, _inputs(images, options))
     progress(0.0, "reading metadata")
     notes: list[str] = []
@@ -153,14 +151,24 @@ def _adjusted(
     return replace(result, rpcs=cameras) if options.correction == "none" else result
 
 
-def check_inputs(images: Sequence[Path], options: PrepOptions) -> list[tuple[int, int]]:
+def check_inputs(images: Sequence[Path], options: PrepOptions, overwrite: bool = False) -> list[tuple[int, int]]:
     """All checks of `prepare` that need no pixels; raises what it would raise. Rows and columns of the images."""
-    images = [location(p) for p in images]
-    ids = check_ids(images)
-    _check_options(options, ids)
+    images, ids, scene = _named(images, options)
+    may_begin(scene, "prep", _outputs(ids, options), overwrite, _inputs(images, options))
     sources, crs, _ = survey(images, ids, options, [])
     _wanted(options, crs)
+    if options.colours:
+        load_colours(options.colours, _folder(options.metadata), sources)
     return [source.size for source in sources]
+
+
+def _named(images: Sequence[Path], options: PrepOptions) -> tuple[list[Path], list[str], Scene]:
+    """The images' places and ids, and the scene that they will make, so far without them."""
+    places = [location(p) for p in images]
+    ids = check_ids(places)
+    _check_options(options, ids)
+    name = options.id or common_name(ids)
+    return places, ids, Scene(name, Path(options.out) / name)
 
 
 def survey(
@@ -179,7 +187,7 @@ def survey(
     metadata_dir = _folder(options.metadata)
     sources = [load_source(p, i, metadata_dir) for p, i in zip(images, ids, strict=True)]
     check_sources(sources)
-    _warn(check_places_and_suns(sources), notes)
+    _warn([*check_metadata(sources, metadata_dir), *check_places_and_suns(sources)], notes)
     _warn(check_height_unit(sources), notes)
     lon, lat = _middle(sources)
     crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)

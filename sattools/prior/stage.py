@@ -16,7 +16,7 @@ from sattools.prior.project import seen_by
 from sattools.prior.tiled import AT_ONCE, match_tiles
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
-from sattools.scene.dependencies import MADE, begin, record
+from sattools.scene.dependencies import MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.stored import pieces
@@ -54,6 +54,7 @@ def prior(
     items = scene.train_items()
     begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
+    read = seen(scene, "prior", items)
     whole = scene.require_grid()
     grid = whole.resized(options.resolution or whole.cell_size)
     z_range = scene.require_height_range()
@@ -87,7 +88,7 @@ def prior(
                 name: None if value is None else round(value, 4) for name, value in found.agreement.items()
             },
         },
-        MADE: record(scene, "prior", items, implicit=implicit),
+        MADE: record(scene, "prior", items, read, implicit=implicit),
     }
 
 

@@ -18,7 +18,7 @@ from sattools.radiometry.kind import ImageScale, choose_quantity, image_scales
 from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
-from sattools.scene.dependencies import MADE, begin, record
+from sattools.scene.dependencies import MADE, begin, may_begin, record, seen
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.opening import opened
 from sattools.scene.pixels import ImagePart, image_part
@@ -74,16 +74,10 @@ def normalise(
         SceneError: no images, bands that are not there, or a calibration asked for that the metadata do not allow.
         InputError: an image or metadata file that cannot be read.
     """
-    items = [item for item in scene.items if "image" in item.assets]
-    if not items:
-        raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
-    notes: list[str] = []
-    scales = image_scales(scene, items, options)
-    quantity = choose_quantity(scene, scales, options, notes)
-    job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
-    for item in items:
-        _check_black(job, item)
-    paths = begin(scene, "normalise", [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], overwrite)
+    job, hrefs, notes = _started(scene, options)
+    items = _images(scene)
+    paths = begin(scene, "normalise", hrefs, overwrite)
+    read = seen(scene, "normalise", items)
     shares = {}
     for k, item in enumerate(items):
         progress(k / len(items), item.id)
@@ -95,8 +89,34 @@ def normalise(
     for text in notes:
         log.warning("%s", text)
     progress(1.0, "normalised")
-    made = record(scene, "normalise", items)
+    made = record(scene, "normalise", items, read)
     return {"notes": notes, "quantity": job.quantity, "images": shares, MADE: made}
+
+
+def check_start(scene: Scene, options: NormaliseOptions, overwrite: bool = True) -> None:
+    """What `normalise` looks at before its work, for a dry run; arguments and errors as of it, `scene` is changed."""
+    job, hrefs, _ = _started(scene, options)
+    may_begin(scene, "normalise", hrefs, overwrite)
+    for item in _images(scene):
+        _bands(scene, item, image_part(scene, item).bands, job.options)
+
+
+def _images(scene: Scene) -> list[Item]:
+    return [item for item in scene.items if "image" in item.assets]
+
+
+def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], list[str]]:
+    """What is known before pixels are read: the job, hrefs of what will be written, and notes."""
+    items = _images(scene)
+    if not items:
+        raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
+    notes: list[str] = []
+    scales = image_scales(scene, items, options)
+    quantity = choose_quantity(scene, scales, options, notes)
+    job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
+    for item in items:
+        _check_black(job, item)
+    return job, [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], notes
 
 
 class _Blocks:
@@ -254,4 +274,4 @@ def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> l
     return chosen
 
 
-__all__ = ["normalise"]
+__all__ = ["check_start", "normalise"]

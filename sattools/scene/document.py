@@ -244,6 +244,9 @@ class Scene:
         try:
             text = read_text(path)
         except InputError as error:
+            inside = Path(path) / "scene.json"
+            if inside.is_file():
+                raise SceneError(f"{path}: found a folder, expected the scene document {inside}") from None
             raise SceneError(f"{error} with a scene document") from None
         scene = cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
         scene.origin = Path(path)

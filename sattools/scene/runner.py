@@ -8,18 +8,20 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import copy
+import logging
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from sattools import __version__
-from sattools.errors import SceneError
+from sattools.errors import SceneError, StaleError
 from sattools.progress import Progress, silent
 from sattools.runlog import RunLog
+from sattools.scene.dependencies import SOURCES
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
 from sattools.scene.jsonio import JsonObject
@@ -66,11 +68,17 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         if scene.origin is not None:
             scene = Scene.from_file(scene.origin)
         there = document_of(scene, step.overwrite)
+        later: list[str] = []  # commands that the scene in hand has not been through
         if there is not None and there.history[: len(scene.history)] == scene.history:
+            later = [entry.get("command", "") for entry in there.history[len(scene.history) :]]
             scene.history = there.history
         start = _Clock.now()
         with unchanged_unless_done(scene), _last_things(), all_or_nothing():
-            entry = _note(scene, step, start, work(scene, log.told(step.progress)))
+            with _told_of(scene, later, anew=there is not None and _made_anew(there, scene)) as notes:
+                extra = work(scene, log.told(step.progress)) or {}
+            if notes:
+                extra = {**extra, "notes": [*extra.get("notes", []), *notes]}
+            entry = _note(scene, step, start, extra)
         log.done(entry)
         scene.origin = None  # from here on the scene knows more than that file
         return scene, entry
@@ -128,6 +136,40 @@ def unchanged_unless_done(scene: Scene) -> Iterator[None]:
     except BaseException:
         vars(scene).update(before)
         raise
+
+
+def _made_anew(there: Scene, scene: Scene) -> bool:
+    """Whether `prep` or `simulate` has been run again between the two documents of one folder."""
+    first = [(s.history[0] if s.history else {}) for s in (there, scene)]
+    if any(entry.get("command") not in SOURCES for entry in first):
+        return False
+    # numbers that are written as they are; others may come back from a file changed, as NaN does
+    return any(first[0].get(name) != first[1].get(name) for name in ("command", "seconds", "cpu_seconds"))
+
+
+@contextlib.contextmanager
+def _told_of(scene: Scene, later: Sequence[str], anew: bool) -> Iterator[list[str]]:
+    """What to say of a document of before, as a pipe has left it in a file: notes; why products are out of date.
+
+    Args:
+        scene: as that document has it.
+        later: commands that have changed the one in the scene's folder since.
+        anew: the scene has been made anew since.
+    """
+    commands = ", ".join(dict.fromkeys(later))
+    since = f"the document is older than {scene.path('scene.json')}, which has been through {commands} since"
+    notes = [f"{since}: cameras and heights are those from before `align`"] if "align" in later else []
+    if anew:
+        notes = [
+            f"the document is not that of {scene.path('scene.json')}, which was made anew since: grid, heights and "
+            "angles are the document's, images and cameras may be the new ones"
+        ]
+    for text in notes:
+        logging.getLogger(__name__).warning("scene %s: %s", scene.id, text)
+    try:
+        yield notes
+    except StaleError as error:
+        raise StaleError(f"{error}; {since}" if later else str(error)) from error
 
 
 @contextlib.contextmanager

@@ -48,8 +48,8 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
         progress: told the share done and what is being done.
         overwrite: replace outputs that are there.
     """
-    scene = Scene(options.id, Path(root))
-    check_outputs([scene.output("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
+    scene = check_start(options, root, overwrite)
+    scene.output("scene.json")
     if options.terrain == "natural":
         return simulate_natural(scene, options, progress)
     seeds = np.random.SeedSequence(options.seed).spawn(3)
@@ -71,6 +71,13 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
         return _take(scene, options, _on_the_day(options, world, number, view), sky, view, seed)
 
     take_all(scene, views, seeds[2], take, progress)
+    return scene
+
+
+def check_start(options: SimulateOptions, root: Path, overwrite: bool = False) -> Scene:
+    """The scene that `simulate` will fill, without anything yet; arguments and errors as of it."""
+    scene = Scene(options.id, Path(root))
+    check_outputs([scene.path("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
     return scene
 
 
@@ -237,4 +244,4 @@ def _traced(
     return detailed_trace.render(*surface, world.building, world.gloss, *crowns, *seen, number)
 
 
-__all__ = ["SimulateOptions", "SimulatedView", "plan_views", "simulate"]
+__all__ = ["SimulateOptions", "SimulatedView", "check_start", "plan_views", "simulate"]

@@ -26,6 +26,7 @@ from sattools.camera.rpc import RPC
 from sattools.cli import main
 from sattools.errors import InputError
 from sattools.scene import Asset, Scene
+from sattools.scene.dependencies import drop
 from sattools.scene.grid import Grid
 from sattools.scene.raster import raster_vertical, read_raster, write_cog
 
@@ -179,6 +180,24 @@ def test_a_number_for_no_data_is_not_raised_with_the_heights(tmp_path: Path) -> 
         found = data.read(1)
     assert (found[:5] == -9999.0).all()
     assert (found[5:] == 15.0).all()
+
+
+def test_a_document_from_before_does_not_undo_an_alignment_without_a_word(
+    exported: Scene, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As `exported.json`, that a pipe has left in a file, may be given to a command again."""
+    document = exported.output("scene.json")
+    before = Scene.from_file(document)
+    assert run("align", "--to", reference_of(exported, tmp_path / "dem.tif"), document).exit_code == 0
+    result = CliRunner().invoke(main, ["export", "--overwrite"], input=before.to_json())
+    assert result.exit_code == 1
+    assert f"the document is older than {document}, which has been through align since" in result.stderr
+    drop(before, "prior")
+    before.history = before.history[:1]
+    options = ["--resolution", "2", "--epochs", "1", "--prior-weight", "0", "--overwrite"]
+    assert CliRunner().invoke(main, ["fit", *options], input=before.to_json()).exit_code == 0
+    assert "cameras and heights are those from before `align`" in caplog.text
+    assert "cameras and heights are those from before `align`" in Scene.from_file(document).history[-1]["notes"][-1]
 
 
 def test_control_points_in_a_file(exported: Scene, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rasterio
 from click.testing import CliRunner
 
 from sattools.cli import main
@@ -167,6 +168,71 @@ def test_comparisons_without_a_scene(fitted: Path, tmp_path: Path) -> None:
     assert "found no DSM" in refused("compare", "--fit", f"Lam={fitted}", "--out", tmp_path / "out")
 
 
+def test_a_preparation(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    images, out = make_town().root / "images", tmp_path / "out"
+    assert "found id 'a town', expected 1-128 letters" in refused("prep", images, "--out", out, "--id", "a town")
+    (tmp_path / "file").touch()
+    assert "file: cannot be written to" in refused("prep", images, "--out", tmp_path / "file", "--id", "X")
+    assert "--colours: found no folder" in refused("prep", images, "--out", out, "--id", "X", "--colours", "nowhere")
+    assert not out.exists()
+    (out / "X").mkdir(parents=True)
+    (out / "X/scene.json").touch()
+    assert "X/scene.json: exists already; give --overwrite" in refused("prep", images, "--out", out, "--id", "X")
+    assert run("prep", images, "--out", out, "--id", "X", "--overwrite", "--dry-run").exit_code == 0
+
+
+def test_a_simulation(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    folder = make_town().root.parent
+    assert "found id 'a town', expected 1-128 letters" in refused("simulate", "--out", tmp_path, "--id", "a town")
+    assert "exists already; give --overwrite" in refused("simulate", "--out", folder, "--id", "TOWN")
+    (tmp_path / "file").touch()
+    assert "file: cannot be written to" in refused("simulate", "--out", tmp_path / "file", "--id", "X")
+
+
+def test_a_normalisation(make_town: Callable[[], Scene]) -> None:
+    document = make_town().root / "scene.json"
+    for options, why in (
+        (["--bands", "9"], "expected --bands within them: [9]"),
+        (["--black", "70000"], "--black: found 70000"),
+        (["--quantity", "radiance"], "radiance was asked for, but of TOWN_001 no metadata"),
+    ):
+        assert why in refused("normalise", *options, document)
+    assert run("normalise", document).exit_code == 0
+    assert "exists already; give --overwrite" in refused("normalise", document)
+
+
+def test_an_alignment(fitted: Path, make_town: Callable[[str], Scene], tmp_path: Path) -> None:
+    heights = fitted.parent / "truth/TOWN_DSM.tif"
+    assert "found no DSM" in refused("align", "--to", heights, make_town("PLAIN").root / "scene.json")
+    assert run("export", fitted).exit_code == 0
+    lost = tmp_path / "lost.tif"
+    with rasterio.open(heights) as source, rasterio.open(lost, "w", **source.profile | {"crs": None}) as file:
+        file.write(source.read())
+    assert "lost.tif: found no coordinate reference system" in refused("align", "--to", lost, fitted)
+    points = tmp_path / "points.csv"
+    points.write_text("name,x,y\nroof,1,2\n")
+    assert "points.csv: found" in refused("align", "--to", points, fitted)
+    assert "found --tilt with --method z" in refused("align", "--to", heights, "--tilt", "--method", "z", fitted)
+    (fitted.parent / "align/1").mkdir(parents=True)
+    (fitted.parent / "align/1/transform.json").touch()
+    assert "align/1/transform.json: exists already" in refused("align", "--to", heights, fitted)
+    # on a pipe the surface may be what a dry run would have made, but not the reference
+    text = make_town("PIPED").to_json()
+    assert "found no coordinate" in run("align", "--to", lost, "--dry-run", text=text).stderr
+    assert run("align", "--to", heights, "--dry-run", text=text).exit_code == 0
+
+
+def test_a_change(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    heights, out = make_town().root / "truth/TOWN_DSM.tif", tmp_path / "out"
+    both = ["change", heights, heights, "--out", out]
+    (tmp_path / "no.gpkg").touch()
+    assert "no.gpkg: found" in refused(*both, "--polygons", tmp_path / "no.gpkg")
+    assert not out.exists()
+    out.mkdir()
+    (out / "change.json").touch()
+    assert "change.json: exists already; give --overwrite" in refused(*both)
+
+
 def test_a_pipe_of_dry_runs_needs_none_of_what_they_would_have_made(make_town: Callable[[], Scene]) -> None:
     scene = make_town()
     before = sorted(scene.root.rglob("*"))
@@ -176,3 +242,20 @@ def test_a_pipe_of_dry_runs_needs_none_of_what_they_would_have_made(make_town: C
         assert result.exit_code == 0, result.stderr
         text = result.stdout
     assert sorted(scene.root.rglob("*")) == before
+
+
+def test_a_pipe_of_dry_runs_makes_what_is_out_of_date_anew(fitted: Path, tmp_path: Path) -> None:
+    """As the run does; a command by itself, of which nobody says that another comes before, refuses it."""
+    heights = fitted.parent / "truth/TOWN_DSM.tif"
+    assert run("export", fitted).exit_code == 0
+    scene = Scene.from_file(fitted)
+    scene.items[0].properties["view:sun_azimuth"] += 20
+    scene.write()
+    text = run("prior", "--overwrite", "--dry-run", fitted).stdout
+    for command in (["fit"], ["export"], ["align", "--to", heights], ["compare"]):
+        assert "has changed since" in run(*command, "--overwrite", "--dry-run", fitted).stderr
+        result = run(*command, "--overwrite", "--dry-run", text=text)
+        assert result.exit_code == 0, result.stderr
+    (tmp_path / "new.toml").write_text("[prior]\n[fit]\n")
+    result = run("batch", fitted, "--config", tmp_path / "new.toml", "--out", tmp_path / "batch", "--dry-run")
+    assert result.exit_code == 0, result.stderr

@@ -18,6 +18,7 @@ from sattools import api
 from sattools.cli import main
 from sattools.runlog import NAME
 from sattools.scene import Scene
+from sattools.scene.dependencies import stale
 
 QUICK = ["--resolution", "2", "--coarsest", "2", "--epochs", "2", "--prior-weight", "0"]
 
@@ -245,6 +246,42 @@ def test_an_image_that_is_replaced_while_a_fit_runs_makes_the_fit_out_of_date(ma
     quick = {"resolution": 2.0, "coarsest": 2.0, "epochs": [2], "prior_weight": 0.0}
     api.fit(town, quick | tiles, progress=replaced)
     refused(run("export", town.root / "scene.json"), "what fit was made from has changed since", "sattools fit")
+
+
+@pytest.mark.parametrize(("stage", "last"), [("normalise", "TOWN_006"), ("prior", "writing")])
+def test_an_image_that_is_replaced_while_a_stage_runs_makes_what_it_leaves_out_of_date(
+    make_town: Any, stage: str, last: str
+) -> None:
+    """It had been noted as the one that the stage had seen."""
+    town = make_town()
+    path = town.path(town.items[0].assets["image"].href)
+
+    def replaced(share: float, message: str) -> None:
+        if message == last:
+            with rasterio.open(path, "r+") as data:
+                data.write((data.read() * 0.9).astype(data.dtypes[0]))
+
+    if stage == "prior":
+        api.match(town, {"resolution": 2.0, "rough_passes": 0}, progress=replaced)
+    else:
+        api.normalise(town, progress=replaced)
+    assert f"what {stage} was made from has changed since" in str(stale(town, stage))
+
+
+def test_a_document_from_before_another_prep_is_told_that_it_is(
+    originals: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its files are those of the new one by then."""
+    first = prep(originals, "--id", "NEW", "--out", "made")
+    assert first.exit_code == 0, first.stderr
+    assert prep(originals, "--id", "NEW", "--out", "made", "--cell-size", "2", "--overwrite").exit_code == 0
+    document = originals / "made/NEW/scene.json"
+    text = document.read_text().replace('"root":"."', f'"root":"{document.parent}"')
+    assert run("normalise", text=text).exit_code == 0
+    assert "made anew" not in caplog.text
+    assert run("normalise", "--overwrite", text=first.stdout).exit_code == 0
+    assert f"the document is not that of {document}, which was made anew since" in caplog.text
+    assert "made anew since" in Scene.from_file(document).history[-1]["notes"][-1]
 
 
 def test_hapkes_maps_do_not_outlive_their_fit() -> None:

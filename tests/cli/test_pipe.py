@@ -93,6 +93,7 @@ def test_empty_input_is_an_error_that_says_so() -> None:
         result = run(text=text)
         assert result.exit_code == 1
         assert result.stderr.startswith("sattools touch: error: stdin: found nothing, expected scene documents")
+        assert "dry runs of prep and simulate make none" in result.stderr
 
 
 def test_two_scenes_with_one_id_and_root_are_told_apart_by_an_error(line: Any) -> None:
@@ -174,6 +175,28 @@ def test_a_path_is_taken_instead_of_stdin(line: Any, tmp_path: Path) -> None:
     path.write_text(json.dumps(json.loads(text), indent=3))
     assert ids(run(str(path))) == ["a"]
     assert run(str(tmp_path / "missing.json")).exit_code == 1
+
+
+def test_a_folder_is_told_which_document_lies_in_it(line: Any, tmp_path: Path) -> None:
+    text = line("a")
+    assert f"{tmp_path}: found Is a directory" in run(str(tmp_path)).stderr
+    (tmp_path / "a/scene.json").write_text(text)
+    result = run(str(tmp_path / "a"))
+    assert result.exit_code == 1
+    assert f"{tmp_path}/a: found a folder, expected the scene document {tmp_path}/a/scene.json" in result.stderr
+
+
+def test_a_document_whose_folder_was_moved_is_not_asked_for_its_own_path(
+    line: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene.from_json(line("a"))
+    scene.items.append(Item("i", None, None, {}, {"image": Asset("images/i.tif")}))
+    (tmp_path / "kept.json").write_text(scene.to_json())
+    scene.root.rename(tmp_path / "moved")
+    monkeypatch.chdir(tmp_path)
+    result = run("kept.json")
+    assert result.exit_code == 1
+    assert f"found none of its files in {tmp_path}, where kept.json lies, expected the scene.json in" in result.stderr
 
 
 def test_dry_run_says_what_would_be_done_and_passes_the_scene_on(line: Any, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import pty
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,9 +77,10 @@ def document(tmp_path: Path, town_source: Scene) -> Path:
     return path
 
 
-def test_a_terminal_gets_a_summary_and_a_pipe_the_document(document: Path) -> None:
+def test_a_terminal_gets_a_summary_and_a_pipe_the_document(make_town: Callable[[], Scene]) -> None:
+    document = make_town().root / "scene.json"
     text = on_terminal("normalise", "--dry-run", document)
-    assert text == f"scene TOWN: 0 images, {document}\n"
+    assert text == f"scene TOWN: 6 images, {document}\n"
     whole = on_terminal("normalise", "--dry-run", "--json", document)
     assert json.loads(whole)["id"] == "TOWN"
     assert json.loads(run("normalise", "--dry-run", document).stdout)["id"] == "TOWN"

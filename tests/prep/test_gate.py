@@ -369,3 +369,16 @@ def test_real_scenes_get_no_false_error_and_no_warning(
     assert len(sources) == len(paths)
     assert notes == []
     assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == []
+
+
+def test_a_folder_of_metadata_of_other_images_is_told(town: Any) -> None:
+    """Suns and cameras would be from elsewhere without a word."""
+    for path in sorted((town.folder / "metadata").glob("*.json")):
+        path.rename(path.with_name(path.name.replace("TOWN", "CITY")))
+    warned(town, "metadata: found no metadata file named like one of the images, expected names such as TOWN_001.json")
+    (town.folder / "metadata/CITY_001.json").rename(town.folder / "metadata/TOWN_001.json")
+    result = warned(town, "metadata: found no metadata file of", "(TOWN_002, ")
+    assert "TOWN_001" not in result.stderr
+    for path in town.images()[1:]:
+        (town.folder / f"metadata/CITY_{path.stem[-3:]}.json").rename(path.with_suffix(".json"))  # beside it
+    assert "metadata file" not in prep(town, "--dry-run").stderr

@@ -105,6 +105,25 @@ def test_a_scene_with_corrected_cameras(images: Any, pixels: Any, options: Any) 
     assert Scene.from_json(scene.to_json()).to_json() == scene.to_json()
 
 
+def test_metadata_beside_the_images_are_found_from_another_folder(
+    images: Any, options: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where `prep` was given relative paths; in the other folder may lie images of the same names."""
+    item = {"type": "Feature", "properties": {}, "assets": {"data": {"raster:bands": [{"scale": 0.001}]}}}
+    for path in images:
+        path.with_suffix(".json").write_text(json.dumps(item))
+    monkeypatch.chdir(tmp_path)
+    scene, _ = prepare([path.relative_to(tmp_path) for path in images], options)
+    other = tmp_path / "other/in"
+    other.mkdir(parents=True)
+    for path in images:
+        (other / path.name).with_suffix(".json").write_text(json.dumps(item).replace("0.001", "0.5"))
+    monkeypatch.chdir(tmp_path / "other")
+    normalise(scene, NormaliseOptions(quantity="toa_reflectance"))
+    with rasterio.open(images[0]) as before, rasterio.open(scene.path("radiance/city_0.tif")) as after:
+        np.testing.assert_allclose(after.read(), before.read() * 0.001, rtol=1e-6)
+
+
 def test_relative_errors_of_cameras_are_undone(images: Any, options: Any) -> None:
     scene, _ = prepare(images, options)
     shifts = np.array([i.properties["sattools:rpc_shift_px"] for i in scene.items])
