@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from sattools.scene.files import remove_orphans, write_text
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Anything, Items, Table, Text
 
+log = logging.getLogger(__name__)
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
 _DIGESTS = Table(other=Items(Anything(), 3, 3))
 # what a configuration may hold, in the order of the pipe
@@ -165,6 +167,10 @@ def run_task(
             given = configuration.resolved.get("compare", {})
             if not (given.get("truth") or given.get("dsm")):
                 if truth is None:
+                    if name in configuration.tables:
+                        log.warning(
+                            "%s: found no reference of scene %s, [compare] is left out", configuration.name, scene
+                        )
                     continue
                 arguments += ["--truth", str(truth)] if truth.is_dir() else []
         commands.append(arguments)

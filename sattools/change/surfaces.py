@@ -76,7 +76,7 @@ def read_surface(source: str) -> Surface:
         SceneError: a scene without an exported DSM, or whose DSM is older than its fit.
     """
     path = location(source)
-    if path.suffix.lower() != ".json":
+    if path.suffix.lower() != ".json" and not path.is_dir():
         return Surface(path.stem, {"height": path}, None, raster_grid(path), (path,))
     scene = Scene.from_file(path)
     if "dsm" not in scene.products:

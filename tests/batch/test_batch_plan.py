@@ -89,6 +89,17 @@ def test_the_contests_tiles_are_cut_to_the_area_that_is_scored(tmp_path: Path) -
     assert fit.commands[-1] == ["compare", "{scene}", "--overwrite", "--truth", str(root / "Track3-Truth")]
 
 
+def test_scores_that_are_asked_for_and_cannot_be_had_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070"])
+    asks = Configuration("asks", {"compare": {"views": True}}, {"prep": {}, "fit": {}, "compare": {"views": True}})
+    last = make_plan(options, [], [asks]).jobs[-1].task
+    assert last.commands[-1][0] == "export"
+    assert "asks: found no reference of scene JAX_070, [compare] is left out" in caplog.text
+    caplog.clear()
+    make_plan(options, [], [DEFAULT])
+    assert "no reference" not in caplog.text
+
+
 def test_configurations_that_prepare_alike_share_the_prepared_scene_and_its_prior(tmp_path: Path) -> None:
     options = BatchOptions(out=str(tmp_path / "out"), dfc2019=str(contest(tmp_path / "data")), aoi=["JAX_070"])
     fast = Configuration("fast", {"fit": {"epochs": [2]}}, {"prep": {"correction": "auto"}, "fit": {"epochs": [2]}})

@@ -156,6 +156,7 @@ def test_scenes_are_compared_where_images_have_measured(make_town: Any, tmp_path
     [
         (("old.tif", "nowhere.tif"), "nowhere.tif"),
         (("old.tif", "far.tif"), "expected overlap"),
+        (("old.tif", "scene"), "found a folder, expected the scene document"),
         (("old.tif", "old.tif", "--polygons", "old.tif"), "found another format, expected polygons"),
         (("old.tif", "old.tif", "--polygons", "broken.gpkg"), "found another format"),
         (("old.tif", "old.tif", "--polygons", "points.gpkg"), "found no polygon"),
@@ -165,6 +166,8 @@ def test_bad_input_is_told_in_one_line(arguments: Any, message: str, tmp_path: P
     saved(tmp_path / "old.tif", city(1))
     away = Grid(crs=CRS, left=536000.0, top=3355080.0, cell_size=1.0, width=SIZE, height=SIZE)
     saved(tmp_path / "far.tif", city(1), away)
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "scene.json").write_text("{}")
     (tmp_path / "broken.gpkg").write_text("no database")
     geopandas.GeoDataFrame(geometry=geopandas.points_from_xy([436010], [3355010]), crs=CRS).to_file(
         tmp_path / "points.gpkg"
