@@ -121,3 +121,4 @@ def test_a_network_keeps_the_surface_and_shows_a_view_that_was_held_out(
     change = re.search(r"change the error of held-out rays by ([+-][\d.]+) %", note)
     assert change is not None, note
     assert abs(float(change[1])) < 1.0  # of heights of its own, which it may not have kept
+    assert ("; its colours alone from step 10 on" in note) == ("eonerf" in network)

@@ -250,7 +250,7 @@ def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(
     monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
     options = resolve(preset, {**TINY, "steps": 40})
     whole, broken = make_town("WHOLE"), make_town("BROKEN")
-    fit(whole, options)
+    uninterrupted = fit(whole, options)
 
     def stop(fraction: float, message: str) -> None:
         if message.startswith("step 23/"):  # between two rows of the trace
@@ -258,7 +258,9 @@ def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(
 
     with pytest.raises(KeyboardInterrupt):
         fit(broken, options, stop)
-    fit(broken, dataclasses.replace(options, resume=True))
+    resumed = fit(broken, dataclasses.replace(options, resume=True))
+    assert uninterrupted["notes"][-1].endswith("; its colours alone from step 20 on")
+    assert resumed["notes"][-1] == "mlp: its colours alone were trained from step 20 on"
     one, other = (FittedModel.load(s.path("fit/model.safetensors")) for s in (whole, broken))
     assert torch.equal(one.height, other.height)
     assert all(torch.equal(one.extra[name], other.extra[name]) for name in one.extra)

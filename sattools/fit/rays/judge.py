@@ -26,7 +26,8 @@ def judge_heights(trainer: RayTrainer, number: int) -> list[str]:
     """Put the heights that a field started from back where it explains held-out rays no better; says which it took.
 
     Its colours stay as they were trained, so that the heights alone are compared. Free of heights to start from, it
-    keeps its own. A network that takes those of the start is at rest.
+    keeps its own. A network that takes those of the start is at rest, and not asked again: a run that goes on with it
+    says so.
 
     Args:
         trainer: of the field.
@@ -35,9 +36,10 @@ def judge_heights(trainer: RayTrainer, number: int) -> list[str]:
     start = {f"field.{name}": tensor for name, tensor in trainer.field.start_density().items()}
     if not start:
         return []
-    trainer.asked = True
+    told, trainer.asked, trainer.told = trainer.told, True, True
     if trainer.rest_from is not None:
-        return [f"{trainer.options.field}: its colours alone were trained from step {trainer.rest_from} on"]
+        at_rest = f"{trainer.options.field}: its colours alone were trained from step {trainer.rest_from} on"
+        return [] if told else [at_rest]
     rays, chosen = trainer.rays, _some(trainer)
     trained = {name: trainer.tensors[name].detach().clone() for name in start}
     with_own = held_out_losses(trainer, chosen)
@@ -48,6 +50,7 @@ def judge_heights(trainer: RayTrainer, number: int) -> list[str]:
         _put(trainer, trained)
     elif isinstance(trainer.field, MlpField):
         trainer.rest(number)
+        text += f"; its colours alone from step {number} on" if number < trainer.steps else ""
     text = f"{trainer.options.field}: {text}"
     log.warning(text)
     return [text]

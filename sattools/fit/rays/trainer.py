@@ -70,6 +70,7 @@ class RayTrainer(RayScene):
         super().__init__(field, rays, options, gain, offset, radiance=radiance)
         self.judged = bool(field.start_density())  # whether some rays are held out
         self.asked = False  # whether it is known if its heights are better than those
+        self.told = False  # whether that has been told since the training began or went on
         self.rest_from: int | None = None  # the step from which it is at rest
         self.gauge = slice(1) if radiance == "relative" else slice(None)  # images whose gain and offset stay
         self.columns = ColumnSteps.where_possible(field, rays, options, self.colour)
