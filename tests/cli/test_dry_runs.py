@@ -1,5 +1,6 @@
 """A dry run refuses what the run would refuse before its work, in the same words and with the same exit code."""
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +23,9 @@ def run(*arguments: object, text: str = "") -> Any:
 def refused(*arguments: object) -> str:
     """The line with which a command refuses, dry and for real."""
     dry, real = run(*arguments, "--dry-run"), run(*arguments)
-    assert (dry.exit_code, dry.stderr) == (real.exit_code, real.stderr)
+    left = r"at most the [\d.]+ \w+ that"  # of a limit: the process itself has grown between the two
+    told, done = (re.sub(left, "at most the rest that", one.stderr) for one in (dry, real))
+    assert (dry.exit_code, told) == (real.exit_code, done)
     assert dry.stdout == real.stdout == ""
     assert dry.exit_code == 1
     (line,) = dry.stderr.splitlines()

@@ -204,7 +204,7 @@ class _RayJob:
         for number in range(start, options.steps):
             if options.budget and number == planned_at + TRIAL and planned_at in (0, trainer.rest_from):
                 self._plan_within(options, number, planned_s)
-            if number > start and self._is_to_ask(number, options):
+            if number and self._is_to_ask(number, options):
                 notes += judge_heights(trainer, number)
                 self.__dict__.pop("_reading_s", None)
                 planned_at, planned_s = number, trace.seconds()
