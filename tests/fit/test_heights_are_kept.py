@@ -152,6 +152,13 @@ def test_a_network_at_rest_learns_colours_alone_from_more_rays(name: str) -> Non
     assert not {"field.sigma.weight", "field.sigma.bias"} & moved
 
 
+def test_a_checkpoint_from_before_networks_could_rest_goes_on() -> None:
+    trainer = plane("eonerf")
+    state = trainer.state() | {"planned": torch.tensor(30)}
+    trainer.load(state)
+    assert (trainer.steps, trainer.asked, trainer.at_rest) == (30, False, False)
+
+
 def test_what_only_a_network_can_do_no_other_field_is_asked_for() -> None:
     with pytest.raises(TypeError, match="NeuralField: found no surface that it could rest on"):
         plane("neural").rest(0)

@@ -194,7 +194,8 @@ class RayTrainer(RayScene):
     @torch.no_grad()
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of `state`."""
-        steps, asked, rest_from = state["planned"].tolist()
+        planned = state["planned"].reshape(-1).tolist()
+        steps, asked, rest_from = [*planned, 0, -1][:3]  # older checkpoints have but the first
         self.asked, self.at_rest = bool(asked), rest_from >= 0
         self.rest_from = rest_from if self.at_rest else None
         self.plan(steps)
