@@ -73,6 +73,9 @@ def test_jacobian_is_the_derivative_of_projection() -> None:
         numeric = (np.array(rpc.projection(*ahead)) - np.array(rpc.projection(*behind))) / (2 * step)
         # central differences keep about 8 digits here
         assert analytic[:, axis] == pytest.approx(numeric, rel=1e-6, abs=1e-6)
+    pixel, same = rpc.projection_and_jacobian(*at)
+    assert pixel == pytest.approx(rpc.projection(*at), abs=1e-9)
+    assert np.array_equal(same, analytic)
 
 
 def test_unreachable_and_nan_pixels_localise_to_nan() -> None:
@@ -106,6 +109,7 @@ def test_an_affine_correction_is_met_by_the_refitted_camera() -> None:
     error = np.abs(np.array(corrected.projection(*ground)) - want).max()
     assert error < 1e-3  # pixels; the correction itself is up to 3 px
     assert error <= 2 * residual + 1e-9
+    assert residual < 1e-3  # what is said of the fit is of its size
     same, nothing = rpc.with_affine([[1, 0, 2.0], [0, 1, 3.0]])
     assert nothing == 0.0
     assert (same.col_offset, same.row_offset) == (rpc.col_offset + 2.0, rpc.row_offset + 3.0)
@@ -131,6 +135,14 @@ def test_writing_keeps_every_digit_and_gdal_reads_it(tmp_path: Path) -> None:
         ({"LAT_SCALE": "0"}, "LAT_SCALE = 0"),
         ({"SAMP_OFF": "nan"}, "SAMP_OFF"),
         ({"LINE_DEN_COEFF": "1 2 3"}, "3 usable LINE_DEN_COEFF"),
+        ({"LINE_DEN_COEFF": " ".join(["0"] * 20)}, "LINE_DEN_COEFF that are all 0, expected a denominator"),
+        (
+            {"SAMP_NUM_COEFF": " ".join(["1", "-2e9"] + ["0"] * 18)},
+            r"SAMP_NUM_COEFF of up to 2e\+09, expected at most 1e\+09",
+        ),
+        ({"LAT_OFF": "100.5"}, r"LAT_OFF = 100\.5, expected at most 90 \(latitude and longitude swapped\?\)"),
+        ({"LAT_OFF": "-181"}, "LAT_OFF = -181, expected at most 90$"),
+        ({"HEIGHT_SCALE": "1e7"}, r"HEIGHT_SCALE = 1e\+07, expected at most 1e\+06$"),
     ],
 )
 def test_incomplete_tags_are_refused_by_name(change: Any, words: Any) -> None:

@@ -63,6 +63,45 @@ def test_impossible_grids_are_refused(broken: Any) -> None:
         Grid.from_dict({**GRID.to_dict(), **broken})
 
 
+def test_a_part_keeps_its_cells_where_they_are() -> None:
+    assert GRID.part(slice(1, 3), slice(2, 6)) == Grid("EPSG:32617", 1001.0, 4999.5, 0.5, 4, 2)
+    assert GRID.widened(2) == Grid("EPSG:32617", 999.0, 5001.0, 0.5, 12, 8)
+    assert GRID.moved(10.0, 3.0) == Grid("EPSG:32617", 1010.0, 5003.0, 0.5, 8, 4)
+
+
+def test_the_window_of_another_grid_is_where_its_cells_lie_and_ends_with_the_grid() -> None:
+    assert GRID.window(GRID) == (slice(0, 4), slice(0, 8))
+    assert GRID.window(GRID.part(slice(1, 3), slice(2, 6))) == (slice(1, 3), slice(2, 6))
+    assert GRID.window(GRID.widened(5)) == (slice(0, 4), slice(0, 8))
+    # two metres east and one north: four columns and two rows remain, the last and the first
+    assert GRID.window(GRID.moved(2.0, 1.0)) == (slice(0, 2), slice(4, 8))
+    # edges that are off the lattice by rounding do not cost a cell
+    assert GRID.window(GRID.moved(1e-7, -1e-7)) == (slice(0, 4), slice(0, 8))
+    assert GRID.window(GRID.moved(-1e-7, 1e-7)) == (slice(0, 4), slice(0, 8))
+
+
+@pytest.mark.parametrize(("east_m", "north_m"), [(4.0, 0.0), (-4.0, 0.0), (0.0, 2.0), (0.0, -2.0), (0.0, 500.0)])
+def test_a_grid_that_only_touches_or_lies_elsewhere_has_no_window(east_m: float, north_m: float) -> None:
+    with pytest.raises(SceneError, match=r"outside \(1000\.0, 4998\.0, 1004\.0, 5000\.0\), expected some within"):
+        GRID.window(GRID.moved(east_m, north_m))
+
+
+@pytest.mark.parametrize(
+    "bounds", [(3.0, 0.0, 3.0, 1.0), (4.0, 0.0, 3.0, 1.0), (0.0, 1.0, 3.0, 1.0), (0.0, 0.0, 1.0, -1.0)]
+)
+def test_bounds_without_an_area_are_refused(bounds: tuple[float, float, float, float]) -> None:
+    with pytest.raises(SceneError, match="expected west < east and south < north"):
+        Grid.from_bounds("EPSG:32617", bounds, 1.0)
+
+
+def test_bounds_that_lie_on_the_lattice_stay_what_they_are() -> None:
+    # 0.3 is no number of the machine: 436000.2 / 0.3 is a little above or below a whole number
+    for west in (436000.2, 436000.5, 436000.8):
+        assert Grid.from_bounds("EPSG:32617", (west, 3357000.0, west + 3.0, 3357003.0), 0.3).shape == (10, 10)
+    on = Grid.from_bounds("EPSG:32617", (0.0, 0.0, 2.0, 1.0), 0.1)
+    assert (on.left, on.top, on.shape) == (0.0, 1.0, (10, 20))
+
+
 def test_a_missing_member_is_refused() -> None:
     data = GRID.to_dict()
     del data["top"]
