@@ -1,6 +1,7 @@
 """Rays in a projected grid, directions, grid north, and the sun."""
 
 import json
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
@@ -12,8 +13,10 @@ from sattools.camera import RPC
 from sattools.camera.ground import (
     azimuth_elevation,
     check_projected,
+    check_scale,
     convergence_deg,
     direction,
+    foreshortening,
     from_geographic,
     grid_direction,
     ground_rays,
@@ -74,6 +77,31 @@ def test_grid_and_geographic_coordinates_go_back_and_forth() -> None:
 def test_a_crs_that_is_not_projected_in_metres_is_refused(crs: Any) -> None:
     with pytest.raises(InputError, match=r"expected e\.g\. EPSG:32617"):
         check_projected(crs)
+
+
+def test_a_crs_of_another_region_is_refused_where_its_metres_are_none() -> None:
+    for lon, lat in ((15.0, 46.0), (9.5, 46.0), (15.0, -33.0)):  # half a zone beyond the next one: scale 1.0019
+        check_scale(UTM33, lon, lat)
+    with pytest.raises(InputError, match=r"at 46\.000 N 15\.000 E 1\.44 m in it are 1 m .* such as EPSG:32633$"):
+        check_scale("EPSG:3857", 15.0, 46.0)  # 1 / cos(46 degrees)
+    with pytest.raises(InputError, match=r"at 0\.000 N 33\.000 E 1\.05 m in it are 1 m on the ground"):
+        check_scale(UTM33, 33.0, 0.0)  # UTM: 0.9996 cosh(18 degrees) eastwards
+    with pytest.raises(InputError, match=r"at 46\.000 N 15\.000 E .* expected a CRS of this region"):
+        check_scale("EPSG:3577", 15.0, 46.0)  # Australia's
+
+
+@pytest.mark.parametrize(("run", "tangent"), [((0.0, 0.0), 0.0), ((0.6, 0.0), 0.6), ((0.3, -0.4), 0.5)])
+def test_foreshortening_is_that_of_the_camera(run: tuple[float, float], tangent: float) -> None:
+    """The formula's pixels are squares on the ground, whatever the line of sight is."""
+    rpc = parallel_rpc(run=run)
+    assert foreshortening(rpc, LON0, LAT0, 0.0) == pytest.approx((tangent, 1.0), abs=1e-9)
+
+
+def test_pixels_that_are_longer_along_the_line_of_sight_are_told() -> None:
+    rpc = parallel_rpc(run=(0.75, 0.0))
+    # a camera that looks down at 36.87 degrees: 1 / cos = 1.25 times as long eastwards as northwards
+    slanted = replace(rpc, col_num=rpc.col_num / 1.25)
+    assert foreshortening(slanted, LON0, LAT0, 0.0) == pytest.approx((0.75, 1.25), abs=1e-9)
 
 
 @pytest.mark.parametrize(

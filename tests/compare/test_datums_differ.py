@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from click.testing import CliRunner
+from pyproj import CRS
 
 from sattools.cli import main
 from sattools.scene.datums import difference
@@ -23,6 +25,9 @@ def surfaces(tmp_path: Path) -> Any:
     write_cog(tmp_path / "ellipsoid.tif", ground, GRID, tags={"VERTICAL_DATUM": "WGS84 ellipsoid"})
     write_cog(tmp_path / "egm96.tif", ground - 30, GRID, vertical="EPSG:5773")
     write_cog(tmp_path / "silent.tif", ground, GRID)
+    solid = {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "float32", "transform": GRID.transform}
+    with rasterio.open(tmp_path / "solid.tif", "w", crs=CRS(GRID.crs).to_3d().to_wkt("WKT2_2019"), **solid) as data:
+        data.write(ground)
     return tmp_path
 
 
@@ -30,6 +35,7 @@ def test_files_say_what_their_heights_are_above(surfaces: Any) -> None:
     assert heights_above(surfaces / "ellipsoid.tif") == "ellipsoid"
     assert heights_above(surfaces / "egm96.tif") == "EPSG:5773"
     assert heights_above(surfaces / "silent.tif") is None
+    assert heights_above(surfaces / "solid.tif") == "ellipsoid"
 
 
 def test_only_what_is_known_can_differ() -> None:

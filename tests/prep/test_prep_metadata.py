@@ -78,6 +78,15 @@ def test_nitf_tags_give_time_platform_and_bits() -> None:
     )
 
 
+def test_other_tags_and_the_name_tell_the_time_where_nothing_better_does() -> None:
+    sun = {"NITF_USE00A_SUN_AZ": "131.6", "NITF_USE00A_SUN_EL": "+69.2", "NITF_ABPP": " 8 "}
+    found = from_tags({"ACQUISITIONDATETIME": "2015:05:02 2015-05-02 16:19:43"} | sun, "20200101000000_WV02")
+    time = datetime(2015, 5, 2, 16, 19, 43, tzinfo=UTC)
+    assert found == Metadata(time=time, platform="WorldView-2", bits=8, sun=(131.6, 69.2))
+    named = from_tags({"NITF_ABPP": "?"}, "20200101000000_img")
+    assert named == Metadata(time=datetime(2020, 1, 1, tzinfo=UTC))
+
+
 def test_the_date_that_gdal_makes_up_for_nitf_is_not_believed() -> None:
     assert from_tags({"NITF_IDATIM": "20021216151629", "NITF_OSTAID": "GDAL", "NITF_FTITLE": ""}, "wv3_30").time is None
 
@@ -101,6 +110,40 @@ def test_satnerf_json(tmp_path: Path) -> None:
     assert found.time == datetime(2014, 12, 27, 16, 11, 9, tzinfo=UTC)
 
 
+def test_a_stac_item_gives_time_platform_and_sun(tmp_path: Path) -> None:
+    properties = {"datetime": "2020-03-04T05:06:07Z", "platform": "X-1"}
+    sun = {"view:sun_azimuth": 140.5, "view:sun_elevation": 41.0}
+    (tmp_path / "a.json").write_text(json.dumps({"type": "Feature", "properties": properties | sun}))
+    time = datetime(2020, 3, 4, 5, 6, 7, tzinfo=UTC)
+    assert read_sidecar(tmp_path / "a.json") == Metadata(time=time, platform="X-1", sun=(140.5, 41.0))
+    nothing = {"datetime": None, "platform": ""}
+    (tmp_path / "b.json").write_text(json.dumps({"type": "Feature", "properties": nothing}))
+    (tmp_path / "c.json").write_text(json.dumps({"type": "FeatureCollection", "properties": None}))
+    assert read_sidecar(tmp_path / "b.json") == read_sidecar(tmp_path / "c.json") == Metadata()
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "words"),
+    [
+        (361.0, 30.0, "azimuth of the sun: found 361 degrees, expected -360 to 360"),
+        (120.0, 91.5, "elevation of the sun: found 91.5 degrees, expected -90 to 90"),
+        ("120", "-95", "elevation of the sun: found -95 degrees, expected -90 to 90"),
+    ],
+)
+def test_angles_that_no_sun_has_are_refused(azimuth: Any, elevation: Any, words: str) -> None:
+    with pytest.raises(InputError, match=f"^a.json: {words}$"):
+        parse_sun(azimuth, elevation, "a.json")
+
+
+def test_a_misspelt_member_is_named_with_the_one_that_is_meant(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(json.dumps({"sun_elevatoin": 33.5, "sun_azimuth": 158.9}))
+    with pytest.raises(InputError, match=r"unknown member 'sun_elevatoin', .* \(did you mean 'sun_elevation'\?\)"):
+        read_sidecar(tmp_path / "a.json")
+    # what is there under its own name is not meant by another
+    (tmp_path / "a.json").write_text(json.dumps({"sun_elevation": 1, "sun_azimuth": 2, "sun_elevations": [1, 2]}))
+    assert read_sidecar(tmp_path / "a.json").sun == (2.0, 1.0)
+
+
 def test_digitalglobe_imd(tmp_path: Path) -> None:
     (tmp_path / "a.IMD").write_text(
         'version = "R";\r\nBEGIN_GROUP = IMAGE_1\r\n\tsatId = "WV03";\r\n\tfirstLineTime = 2015-05-02T16:19:43.5Z;\r\n'
@@ -120,12 +163,11 @@ def test_dimap_takes_the_angles_of_the_centre(tmp_path: Path) -> None:
     (tmp_path / "DIM_a.XML").write_text(
         "<Dimap_Document><Strip_Source><MISSION>PHR</MISSION><MISSION_INDEX>1B</MISSION_INDEX>"
         "<IMAGING_DATE>2013-04-17</IMAGING_DATE><IMAGING_TIME>10:36:44.8Z</IMAGING_TIME></Strip_Source>"
-        + located("Top Center", 150.0)
-        + located("Center", 151.0)
-        + "</Dimap_Document>"
+        "<NBITS_VALID>12</NBITS_VALID>" + located("Top Center", 150.0) + located("Center", 151.0) + "</Dimap_Document>"
     )
     found = read_sidecar(tmp_path / "DIM_a.XML")
-    assert (found.sun, found.platform) == ((151.0, 54.0), "Pleiades-1B")
+    assert (found.sun, found.platform, found.bits) == ((151.0, 54.0), "Pleiades-1B", 12)
+    assert found.time.replace(microsecond=0) == datetime(2013, 4, 17, 10, 36, 44, tzinfo=UTC)
 
 
 def test_worldview_xml(data_dir: Any) -> None:

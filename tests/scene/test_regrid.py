@@ -7,7 +7,15 @@ import pytest
 
 from sattools.errors import SattoolsError
 from sattools.scene import Grid
-from sattools.scene.regrid import nearest_cells, reproject_map, resize_map, sample_map, split_cells
+from sattools.scene.regrid import (
+    bounds_in,
+    nearest_cells,
+    reproject_map,
+    resize_map,
+    sample_map,
+    split_cells,
+    window_around,
+)
 
 
 def test_a_map_on_a_coarser_grid_is_the_mean_of_its_known_cells() -> None:
@@ -19,6 +27,21 @@ def test_a_map_on_a_coarser_grid_is_the_mean_of_its_known_cells() -> None:
     assert on_coarse[0].tolist() == pytest.approx([(1 + 4 + 5) / 3, (2 + 3 + 6 + 7) / 4])
     assert float(on_coarse[1, 0]) == pytest.approx((8 + 9 + 12 + 13) / 4)
     assert np.isnan(on_coarse[1, 1])
+
+
+def test_a_coarser_cell_is_known_where_more_than_half_of_it_is() -> None:
+    array = np.full((5, 15), np.nan)
+    array.flat[[0, 15, 30, 45, 60]] = 3.0  # the westernmost column
+    array[:, 5:10] = [7.0, 7.0, 1.0, np.nan, np.nan]  # 15 of 25
+    array[:, 10:12] = 9.0
+    array[:3, 12] = 9.0  # 13 of 25
+    five = resize_map(array, Grid("EPSG:32617", 0, 0, 1.0, 15, 5), Grid("EPSG:32617", 0, 0, 5.0, 3, 1))
+    np.testing.assert_allclose(five, [[np.nan, 5.0, 9.0]])
+    half = resize_map(array[:2, 11:13], Grid("EPSG:32617", 0, 0, 1.0, 2, 2), Grid("EPSG:32617", 0, 0, 2.0, 1, 1))
+    np.testing.assert_array_equal(half, [[9.0]])
+    array[0, 12] = np.nan
+    half = resize_map(array[:2, 12:14], Grid("EPSG:32617", 0, 0, 1.0, 2, 2), Grid("EPSG:32617", 0, 0, 2.0, 1, 1))
+    assert np.isnan(half).all()
 
 
 def test_cells_that_do_not_divide_are_shared_by_area() -> None:
@@ -68,6 +91,38 @@ def test_a_hole_stays_as_large_as_it_was_in_another_crs_or_lattice() -> None:
     assert np.isnan(moved).sum() == 4 + 8 + 7  # the hole, and a row and a column that lie outside now
     assert np.isnan(moved[1:3, 1:3]).all()
     assert float(np.nanmax(moved)) == float(np.nanmin(moved)) == 5.0
+
+
+def test_codes_on_another_lattice_are_those_of_the_nearest_cell() -> None:
+    source = Grid("EPSG:32617", 500000.0, 3400000.0, 1.0, 4, 2)
+    # 0.4 m further east: the nearest cell's number, where a height would be between two
+    there = source.moved(0.4, 0.0)
+    codes = np.array([[2.0, 6.0, 9.0, 5.0]] * 2, np.float32)
+    np.testing.assert_array_equal(reproject_map(codes, source, there, nearest=True), [[2, 6, 9, 5]] * 2)
+    np.testing.assert_allclose(reproject_map(codes, source, there)[:, :3], [[3.6, 7.2, 7.4]] * 2, rtol=1e-6)
+
+
+def test_around_a_window_there_are_four_cells_more_on_every_side() -> None:
+    grid = Grid("EPSG:32617", 500000.0, 3400000.0, 0.5, 100, 80)
+    assert window_around(grid, grid.part(slice(30, 40), slice(50, 70))) == (slice(26, 44), slice(46, 74))
+    assert window_around(grid, grid.part(slice(0, 10), slice(90, 100))) == (slice(0, 14), slice(86, 100))
+    # four of the larger cells, where the other grid has such
+    coarse = Grid("EPSG:32617", 500025.0, 3399985.0, 2.0, 5, 2)
+    assert window_around(grid, coarse) == (slice(14, 54), slice(34, 86))
+    assert window_around(grid, grid.moved(1000.0, 0.0)) is None
+    assert window_around(grid, grid.moved(0.0, -1000.0)) is None
+
+
+def test_a_window_in_degrees_is_where_the_metres_are() -> None:
+    """Bounds are west, south, east, north in any CRS; cells of a degree's millionths are about 0.1 m."""
+    degrees = Grid("EPSG:4326", -81.001, 30.001, 1e-6, 2000, 2000)
+    metres = Grid("EPSG:32617", 500000.0, 3318785.35, 1.0, 10, 10)  # the central meridian, 30 degrees north
+    west, south, east, north = bounds_in("EPSG:4326", metres)
+    assert (west, north) == pytest.approx((-81.0, 30.0), abs=1e-7)
+    assert (east, south) == pytest.approx((-80.9998963, 29.9999098), abs=2e-7)
+    rows, cols = window_around(degrees, metres)
+    # 10 m are 104 cells across and 90 down; four of the metres' cells around are 42 cells more on every side
+    assert (rows.start, rows.stop, cols.start, cols.stop) == pytest.approx((958, 1132, 958, 1146), abs=2)
 
 
 def test_a_crs_of_no_place_on_earth_is_told_in_one_line() -> None:

@@ -34,6 +34,11 @@ def test_a_window_and_means_of_pixels_are_read(numbers: Any) -> None:
     assert halved[0, 0] == pytest.approx(10 / 3)
     assert halved[0, 1] == pytest.approx((2 + 3 + 11 + 12) / 4)
     assert np.isnan(read_image(path, (slice(1, 2), slice(1, 2)), 1)).all()
+    # two of four are half of them, and enough; one is not
+    array[0, 1], array[2:4, 0], array[2, 1] = np.nan, np.nan, np.nan
+    write_cog(path, array, GRID)
+    halved = read_image(path, (slice(0, 4), slice(0, 2)), 2)[0]
+    np.testing.assert_array_equal(halved, [[(0 + 9) / 2], [np.nan]])
 
 
 def test_a_raster_is_read_within_a_grid(numbers: Any) -> None:
