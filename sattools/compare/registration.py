@@ -208,7 +208,7 @@ def nuth_kaab_shift(
         difference = difference - np.median(difference[finite])
         steepest = np.quantile(slope[finite], 0.98)  # steps between ground and roof, where the model does not hold
         spread = 1.4826 * np.median(np.abs(difference[finite]))
-        use = finite & (slope > 0.02) & (slope <= max(steepest, 0.02)) & (np.abs(difference) <= 3 * spread + 1e-6)
+        use = finite & (slope > 0.02) & (slope <= steepest) & (np.abs(difference) <= 3 * spread + 1e-6)
         if use.sum() < 100:
             raise InputError(f"reference: found {int(use.sum())} sloping cells, expected 100 or more for nuth-kaab")
         step_columns, step_rows = _cosine_fit(difference[use] / slope[use], aspect[use])

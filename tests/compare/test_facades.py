@@ -47,6 +47,19 @@ def test_parts_of_a_cell_are_seen() -> None:
     assert offsets == pytest.approx(np.full(offsets.size, 0.125 * CELL), abs=0.002)
 
 
+def test_a_wall_between_two_samples_is_where_the_line_between_them_is() -> None:
+    # the cells outside rise by 1 of 10 m: the half height lies at 4/9 of a cell; there are eight samples to a cell
+    offsets = wall_offsets(box(0.05), box(), CELL)
+    assert offsets == pytest.approx(np.full(offsets.size, (1 / 2 - 4 / 9) * CELL), abs=0.002)
+
+
+def test_the_height_of_the_ground_does_not_matter() -> None:
+    for ground in (50.0, -30.0):
+        offsets = wall_offsets(box(1.0) + ground, box() + ground, CELL, heights=(9.0, 11.0))
+        assert offsets.size == wall_offsets(box(1.0), box(), CELL).size
+        assert offsets == pytest.approx(np.full(offsets.size, 1.0), abs=0.01)
+
+
 def test_a_shift_moves_opposite_walls_to_opposite_sides() -> None:
     offsets = wall_offsets(box(east=1.0), box(), CELL)
     assert np.mean(np.abs(offsets) < 0.01) == pytest.approx(0.5, abs=0.01)
@@ -84,3 +97,11 @@ def test_slopes_low_steps_and_trees_are_no_walls() -> None:
     assert wall_offsets(0.29 * box(), 0.29 * box(), CELL).size == 0
     trees = np.where(box() > 0, 5, 2)
     assert wall_offsets(box(), box(), CELL, trees).size == 0
+    # on one side of a wall they stand on its plateau; those in the middle of the roof on none
+    west = np.where(np.arange(80) < 20, 5, 2)[None].repeat(80, axis=0)
+    assert wall_offsets(box(), box(), CELL, west).size == pytest.approx(
+        0.75 * wall_offsets(box(), box(), CELL).size, abs=1
+    )
+    roof = np.full((80, 80), 2)
+    roof[38:42, 38:42] = 5
+    assert wall_offsets(box(), box(), CELL, roof).size == wall_offsets(box(), box(), CELL).size

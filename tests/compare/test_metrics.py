@@ -96,6 +96,23 @@ def test_nmad_is_the_standard_deviation_of_normal_noise_and_ignores_outliers() -
     assert nmad(noise) == pytest.approx(2.0, rel=0.08)  # 5 % outliers raise it by about 6 %
 
 
+def test_what_images_have_measured_is_scored_on_its_own() -> None:
+    predicted, measured = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[True, True], [False, False]])
+    figures = height_errors(predicted, np.array([[1.0, 1.0], [1.0, 1.0]]), measured=measured)
+    # differences 0, 1 where images have measured, 2, 3 elsewhere
+    assert (figures["mae"], figures["cells_predicted"], figures["completeness"]) == (1.5, 4, 0.5)
+    assert (figures["measured"]["mae"], figures["measured"]["n"]) == (0.5, 2)
+    predicted[0, 1] = NAN  # claimed to be measured, but not there
+    figures = height_errors(predicted, np.ones((2, 2)), measured=measured)
+    assert (figures["measured"]["mae"], figures["measured"]["n"], figures["completeness"]) == (0.0, 1, 0.25)
+
+
+def test_predictions_are_limited_to_ten_metres_beyond_the_whole_reference() -> None:
+    reference = np.array([[0.0], [0.0], [0.0], [90.0]])
+    figures = height_errors(np.array([[-500.0], [99.0], [250.0], [90.0]]), reference)
+    assert figures["mae"] == (10 + 99 + 100 + 0) / 4
+
+
 def test_holes_take_the_nearest_height() -> None:
     filled = fill_holes(np.array([[1.0, NAN, NAN, NAN, 8.0]]))
     np.testing.assert_array_equal(filled[0, [0, 1, 3, 4]], [1.0, 1.0, 8.0, 8.0])
@@ -116,6 +133,18 @@ def test_nothing_to_compare_is_an_error(predicted: Any, reference: Any, message:
 def test_class_map_of_another_size_is_an_error() -> None:
     with pytest.raises(InputError, match="class map"):
         height_errors(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((3, 3)))
+
+
+def test_pixels_that_are_not_valid_do_not_count_in_images() -> None:
+    reference = np.random.default_rng(0).random((3, 24, 30))
+    image, valid = reference.copy(), np.ones((24, 30), bool)
+    image[1, 3:5, 4:9], valid[3:5, 4:9] = 0.9, False
+    image[:, 20, 20] = NAN
+    figures = image_errors(image, reference, valid)
+    assert (figures["psnr"], figures["ssim"]) == (math.inf, pytest.approx(1.0))
+    assert image_errors(image, reference)["psnr"] < 40
+    with pytest.raises(InputError, match="no valid pixel"):
+        image_errors(image, reference, ~valid & (np.arange(30) == 20))
 
 
 def test_parameter_map_figures() -> None:

@@ -7,10 +7,11 @@ import geopandas
 import numpy as np
 import pytest
 from shapely.geometry import Point as Place
+from shapely.geometry import box
 
 from sattools.camera.ground import to_geographic
 from sattools.compare.picture import scatter_picture
-from sattools.compare.points import compare_points, read_points
+from sattools.compare.points import Point, compare_points, read_points, sampled, with_values_of
 from sattools.errors import InputError
 from sattools.scene import Grid
 
@@ -37,6 +38,40 @@ def test_a_registered_map_is_read_where_it_really_lies(tmp_path: Path) -> None:
     # the map was moved 2 m east to fit, so the sample lies one column further west in it
     (row,) = compare_points(read_points(file), MAPS, shift=(2.0, 0.0))
     assert row["values"]["theta"]["map"] == 21.0
+    # and one that was moved 2 m north: the row further south
+    (row,) = compare_points(read_points(file), MAPS, shift=(0.0, 2.0))
+    assert row["values"]["theta"]["map"] == 42.0
+
+
+def test_a_point_belongs_to_the_cell_around_it_up_to_the_borders_of_the_map() -> None:
+    def at(x: float, y: float) -> Any:
+        found = sampled(REFLECTANCE, GRID, Point("p", x, y, None, {}))
+        return None if found is None else found.tolist()
+
+    west, south, east, north = GRID.bounds
+    assert at(west, north) == [0.0, 0.0]
+    assert at(east - 0.01, south + 0.01) == [399.0, 798.0]
+    assert at(west + 0.01, south + 0.01) == [380.0, 760.0]
+    assert [at(west - 0.01, north - 1), at(east, north - 1), at(west, north + 0.01), at(west, south)] == [None] * 4
+
+
+def test_values_of_reference_maps_fill_what_a_point_does_not_say_itself() -> None:
+    inside = Point("a", 500005.0, 5000037.0, None, {"theta": 20.0, "reflectance_3": 1.0, "remark": 7.0})
+    outside = Point("b", 1.0, 1.0, None, {})
+    first, second = with_values_of([inside, outside], MAPS)
+    own = {"theta": 20.0, "reflectance_3": 1.0, "remark": 7.0}
+    assert first.values == own | {"reflectance_1": 22.0, "reflectance_2": 44.0}
+    assert second.values == {}
+    # a third band and a name of no map have nothing to be compared with
+    (row,) = compare_points([first], MAPS)
+    assert list(row["values"]) == ["theta", "reflectance_1", "reflectance_2"]
+
+
+def test_polygons_are_no_sample_points(tmp_path: Path) -> None:
+    shape = box(500000, 5000000, 500010, 5000010)
+    geopandas.GeoDataFrame({"theta": [20.0]}, geometry=[shape], crs=GRID.crs).to_file(tmp_path / "a.gpkg")
+    with pytest.raises(InputError, match=r"found \['Polygon'\], expected points"):
+        read_points(tmp_path / "a.gpkg")
 
 
 @pytest.mark.parametrize("name", ["samples.gpkg", "samples.csv"])

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sattools.compare import registration
 from sattools.compare.registration import halved, pyramid_levels, register, search_margin, shifted
 from sattools.errors import InputError
 
@@ -96,6 +97,14 @@ def test_nuth_kaab_finds_parts_of_a_cell(columns: Any, rows: Any) -> None:
     assert found.up == pytest.approx(-1.5, abs=0.05)
 
 
+def test_nuth_kaab_finds_the_same_from_some_rows_of_a_large_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registration, "SLOPES", 10_000)  # rows 0 to 15, 64 to 79, 128 to 143 and the last 8
+    world = hills(220)
+    predicted = shifted(world, 1.3, -0.6)[10:210, 10:210]
+    found = register(predicted, world[10:210, 10:210], "nuth-kaab")
+    assert (found.columns, found.rows) == pytest.approx((-1.3, 0.6), abs=0.05)
+
+
 def test_nuth_kaab_refuses_a_surface_without_slopes() -> None:
     with pytest.raises(InputError, match="sloping cells"):
         register(np.zeros((50, 50)), np.zeros((50, 50)), "nuth-kaab")
@@ -116,3 +125,23 @@ def test_wrong_shape_is_an_error() -> None:
 def test_halving_averages_what_is_known() -> None:
     array = np.array([[1.0, 3.0, np.nan, np.nan], [5.0, np.nan, np.nan, np.nan]])
     np.testing.assert_array_equal(halved(array), [[3.0, np.nan]])
+    np.testing.assert_array_equal(halved(np.array([[np.nan, np.nan], [7.0, np.nan], [9.0, 9.0]])), [[7.0]])
+
+
+def test_cells_move_east_and_south_and_what_comes_from_outside_is_unknown() -> None:
+    array = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    np.testing.assert_array_equal(shifted(array, 0.0, 0.0), array)
+    np.testing.assert_array_equal(shifted(array, 1.0, 0.0), [[np.nan, 1, 2], [np.nan, 4, 5]])
+    np.testing.assert_array_equal(shifted(array, 0.0, 1.0), [[np.nan] * 3, [1, 2, 3]])
+    np.testing.assert_array_equal(shifted(array, -1.0, -1.0), [[5, 6, np.nan], [np.nan] * 3])
+    np.testing.assert_array_equal(shifted(array, 9.0, 0.0), np.full((2, 3), np.nan))
+    np.testing.assert_array_equal(shifted(array, 0.25, 0.0), [[np.nan, 1.75, 2.75], [np.nan, 4.75, 5.75]])
+    np.testing.assert_array_equal(shifted(array, 1.0, 1.0, beyond=True), [[1, 1, 2], [1, 1, 2]])
+    np.testing.assert_array_equal(shifted(array, 1.0, 0.0, part=slice(1, 2)), [[np.nan, 4, 5]])
+
+
+def test_of_shifts_that_fit_alike_the_nearest_is_taken() -> None:
+    """Along ridges every shift fits; ridges that are five cells apart fit in two places across."""
+    ridges = np.tile(np.array([0.0, 3.0, 9.0, 4.0, 1.0]), (60, 12))
+    found = register(np.roll(ridges, 2, axis=1), ridges)
+    assert (found.rows, found.columns) == (0, -2)

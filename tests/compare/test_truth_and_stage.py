@@ -91,6 +91,17 @@ def test_contest_files_that_contradict_each_other_are_refused(tmp_path: Path) ->
     (tmp_path / "JAX_001_DSM.txt").write_text("436000 3357720 512 0.5")
     with pytest.raises(InputError, match="512"):
         read_dfc2019(tmp_path, "JAX_001")
+    write_contest_tile(tmp_path, "JAX_002", city()[:80, :80], np.full((80, 80), 2, np.uint8))
+    (tmp_path / "JAX_002_CLS.tif").rename(tmp_path / "JAX_001_CLS.tif")
+    (tmp_path / "JAX_001_DSM.txt").write_text("436000 3357720 160 0.5")
+    with pytest.raises(
+        InputError, match=r"JAX_001_CLS\.tif: found \(80, 80\) cells, expected \(160, 160\) as in JAX_001_"
+    ):
+        read_dfc2019(tmp_path, "JAX_001")
+    for wrong in (256.0, -1.0, 2.5):
+        write_contest_tile(tmp_path, "JAX_003", city(), np.full((160, 160), wrong, np.float32))
+        with pytest.raises(InputError, match=f"found {wrong:g}, expected class codes, whole numbers from 0 to 255"):
+            read_dfc2019(tmp_path, "JAX_003")
     (tmp_path / "JAX_001_DSM.txt").write_text("left bottom")
     with pytest.raises(InputError, match="four numbers"):
         read_dfc2019(tmp_path, "JAX_001")
