@@ -8,7 +8,7 @@ from synthetic_views import ALT0, EAST_M, LAT0, LON0, NORTH_M, hills, parallel_r
 
 from sattools.camera import RPC
 from sattools.camera.adjust import AdjustOptions, adjust
-from sattools.camera.bundle import robust_gauge
+from sattools.camera.bundle import Block, robust_gauge
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
@@ -43,6 +43,23 @@ def block(biases: Any, n: Any = 400, noise: Any = 0.2, false: Any = 0.1, matrix:
 def run(raw: Any, tracks: Any, **options: Any) -> Any:
     names = [f"v{k}" for k in range(len(raw))]
     return adjust(raw, names, [SIZE] * len(raw), tracks, AdjustOptions(**options))
+
+
+def test_a_correction_is_the_affine_map_of_pixels_that_the_adjustment_has_used() -> None:
+    raw, tracks, ground = block(np.zeros((6, 2)), n=50, noise=0.0, false=0.0)
+    adjusted = Block(raw, [SIZE] * 6, tracks)
+    parameters = np.random.default_rng(1).normal(0, 3, (6, 6))
+    points = (ground[: tracks.n_points] - [0, 0, ALT0]) + [1.0, 2.0, 3.0]
+    without, corrected = (adjusted.residuals(points, p) for p in (np.zeros((6, 6)), parameters))
+    for view in range(6):
+        own = tracks.view == view
+        seen = tracks.pixel[own] - without[own]  # where the raw camera has the points
+        matrix = adjusted.matrix(view, parameters[view][None].repeat(6, axis=0))
+        assert tracks.pixel[own] - corrected[own] == pytest.approx(seen @ matrix[:, :2].T + matrix[:, 2], abs=1e-9)
+    # the first two numbers move the middle of the image, the others its border by as much more or less
+    matrix = adjusted.matrix(0, np.array([[2.0, -1.0, 0.5, 0.0, 0.0, 0.25]]))
+    assert matrix @ [(SIZE[1] - 1) / 2, (SIZE[0] - 1) / 2, 1] == pytest.approx([409.5 + 2.0, 399.5 - 1.0])
+    assert matrix @ [SIZE[1] - 0.5, SIZE[0] - 0.5, 1] == pytest.approx([819.5 + 2.5, 799.5 - 0.75])
 
 
 def test_a_view_that_is_far_off_is_found_and_does_not_drag_the_others() -> None:

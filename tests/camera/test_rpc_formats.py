@@ -63,6 +63,19 @@ def test_text_with_mark_crlf_units_and_plus_signs(tmp_path: Path) -> None:
     assert same(RPC.from_file(path), rpc)
 
 
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a_RPC.TXT"
+    path.write_bytes(("\ufeff" + cubic_rpc().to_rpc_txt()).encode(encoding))
+    assert same(RPC.from_file(path), cubic_rpc())
+
+
+def test_twenty_coefficients_may_stand_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a_RPC.TXT"
+    path.write_text("".join(f"{key} = {value} ;\n" for key, value in cubic_rpc().to_tags().items()))
+    assert same(RPC.from_file(path), cubic_rpc())
+
+
 def test_text_in_another_unit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a_RPC.TXT"
     path.write_text(cubic_rpc().to_rpc_txt().replace("meters", "feet"))
@@ -99,6 +112,13 @@ def test_satnerf_json_bare_or_as_a_member(tmp_path: Path) -> None:
     (tmp_path / "member.json").write_text(json.dumps({"img": "a.tif", "rpc": satnerf(rpc)}))
     assert same(RPC.from_file(tmp_path / "bare.json"), rpc)
     assert same(RPC.from_file(tmp_path / "member.json"), rpc)
+
+
+@pytest.mark.parametrize("value", [5, "1 2 3", None])
+def test_json_coefficients_that_are_no_list_are_refused(tmp_path: Path, value: Any) -> None:
+    (tmp_path / "a.json").write_text(json.dumps(satnerf(cubic_rpc()) | {"col_num": value}))
+    with pytest.raises(InputError, match="found col_num that is no list, expected 20 numbers"):
+        RPC.from_file(tmp_path / "a.json")
 
 
 def dimap(rpc: Any, origin: Any, version: Any, model: Any, validity: Any) -> Any:
