@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sattools.batch.join import join
+from sattools.batch.join import Part, join, seam
 from sattools.cli import main
 from sattools.errors import InputError, SceneError
 from sattools.scene import Scene
@@ -46,6 +46,20 @@ def tiles(tmp_path: Path) -> list[Scene]:
 def errors(folder: Path) -> Any:
     heights, grid = read_raster(folder / "dsm.tif")
     return heights[0] - relief(grid)
+
+
+def test_a_scene_counts_by_the_distance_to_its_border_and_not_beyond() -> None:
+    part = Part(Scene("A", Path("a")), Grid(CRS, 436000.0, 3355200.0, 2.0, 4, 3))
+    # centres of cells lie 1 and 3 m from the border
+    want = np.pad([[1, 1, 1, 1], [1, 3, 3, 1], [1, 1, 1, 1]], 1)
+    np.testing.assert_array_equal(part.weights(part.grid.widened(1)), want)
+
+
+def test_scenes_that_only_touch_have_no_seam() -> None:
+    """Their files are not even looked at."""
+    part = Part(Scene("A", Path("a")), Grid(CRS, 436000.0, 3355200.0, 2.0, 4, 3))
+    for east, north in ((8.0, 0.0), (-8.0, 0.0), (0.0, 6.0), (0.0, -6.0), (500.0, 2.0)):
+        assert seam(part, Part(Scene("B", Path("b")), part.grid.moved(east, north))) is None
 
 
 def test_tiles_aligned_one_by_one_join_without_a_seam(tiles: list[Scene], tmp_path: Path, caplog: Any) -> None:

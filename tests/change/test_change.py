@@ -96,9 +96,11 @@ def test_what_matching_was_not_sure_of_is_no_change() -> None:
 def test_cells_without_a_height_do_not_count() -> None:
     difference = np.full((4, 4), 2.0, np.float32)
     difference[0] = np.nan
-    figures = sums(np.ones((4, 4), bool), HeightChange(difference, np.ones_like(difference), 2.0, 0.0))
+    change = HeightChange(difference, np.full_like(difference, 0.5), 2.0, 0.0)
+    assert change.area_m2 == 48.0
+    figures = sums(np.ones((4, 4), bool), change)
     assert (figures.area_m2, figures.mean_m, figures.volume_m3) == (48.0, 2.0, 96.0)
-    assert figures.volume_std_m3 == pytest.approx(48.0 / np.sqrt(12))
+    assert figures.volume_std_m3 == pytest.approx(0.5 * 48.0 / np.sqrt(12))
 
 
 def test_the_command_writes_maps_polygons_and_a_table(tmp_path: Path) -> None:

@@ -94,6 +94,25 @@ def test_whatever_changed_is_named(scene: Any, change: Any, words: Any) -> None:
         check_current(scene, "compare")
 
 
+@pytest.mark.parametrize(
+    ("before", "href", "stage"),
+    [
+        ("prior", "prior/dsm.tif", "fit"),
+        ("fit", "fit/model.safetensors", "export"),
+        ("export", "export/dsm.tif", "compare"),
+    ],
+)
+def test_a_file_that_no_history_knows_is_known_by_what_was_made_of_it(
+    scene: Any, before: str, href: str, stage: str
+) -> None:
+    for command in FILES:
+        run(scene, command)
+    scene.history[:] = [entry for entry in scene.history if entry["command"] != before]  # as of another program
+    assert stale(scene, stage) is None
+    put(scene, href, "of another program")
+    assert f"found that what {stage} was made from has changed since" in str(stale(scene, stage))
+
+
 def test_a_missing_file_is_the_readers_error_and_products_without_a_record_are_taken_as_they_are(scene: Any) -> None:
     run(scene, "fit")
     (scene.root / "fit/model.safetensors").unlink()
