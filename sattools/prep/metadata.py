@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +63,7 @@ _MAYBE_TEXT = Maybe(Text(empty=True))
 _STAC_JSON = Table({"properties": Maybe(Table({"datetime": _MAYBE_TEXT, "platform": _MAYBE_TEXT}))})
 
 _TIME_TEXT = (
-    re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d+)?)"),
+    re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d+)?)(?:([+-]\d\d):?(\d\d)(?!\d))?"),
     re.compile(r"(?<!\d)(\d{4})(\d\d)(\d\d)_?(\d\d)(\d\d)(\d\d)(?!\d{2})"),
 )
 
@@ -87,17 +87,31 @@ class Metadata:
 
 
 def parse_time(text: Any) -> datetime | None:
-    """UTC time from ISO text or `YYYYMMDDhhmmss`, wherever it stands in the text; None when there is no valid one."""
+    """UTC time from ISO text or `YYYYMMDDhhmmss`, wherever it stands in the text; None when there is no valid one.
+
+    ISO text may say how far its clock is from UTC (``+02:00``); without that it is UTC, as vendors' is.
+    """
     for pattern in _TIME_TEXT:
         match = pattern.search(str(text))
         if match:
             year, month, day, hour, minute = (int(n) for n in match.groups()[:5])
             second = float(match[6])
             try:
-                return datetime(year, month, day, hour, minute, int(second), int(1e6 * (second % 1)), tzinfo=UTC)
-            except ValueError:
+                local = datetime(year, month, day, hour, minute, int(second), int(1e6 * (second % 1)), tzinfo=UTC)
+                return local - _ahead(*match.groups()[6:])
+            except (ValueError, OverflowError):
                 return None
     return None
+
+
+def _ahead(hours: str | None = None, minutes: str | None = None) -> timedelta:
+    """By how much a clock is ahead of UTC; ValueError for more than a day."""
+    if not hours:
+        return timedelta(0)
+    ahead = timedelta(hours=int(hours), minutes=int(f"{hours[0]}{minutes}"))
+    if abs(ahead) >= timedelta(days=1):
+        raise ValueError
+    return ahead
 
 
 def _time_of(text: Any, path: Path) -> datetime | None:

@@ -17,6 +17,10 @@ from sattools.scene.sidecars import sidecars
     [
         ("20150502161943", datetime(2015, 5, 2, 16, 19, 43, tzinfo=UTC)),
         ("2015-09-30T10:56:56.973685Z", datetime(2015, 9, 30, 10, 56, 56, 973685, tzinfo=UTC)),
+        ("2020-03-04T01:30:00+02:00", datetime(2020, 3, 3, 23, 30, tzinfo=UTC)),
+        ("2020-03-03 18:00:00.5-0530", datetime(2020, 3, 3, 23, 30, 0, 500000, tzinfo=UTC)),
+        ("2020-03-03T23:30:00-01_R1C1", datetime(2020, 3, 3, 23, 30, tzinfo=UTC)),
+        ("2020-03-03T23:30:00+25:00", None),
         ("20191015_073816_ssc1d3_0011_basic", datetime(2019, 10, 15, 7, 38, 16, tzinfo=UTC)),
         ("JAX_068_001_RGB", None),
         ("20151399999999", None),

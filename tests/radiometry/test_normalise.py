@@ -128,11 +128,22 @@ def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene: Any, 
     normalise(scene, replace(options, quantity="reflectance_factor"))
     assert result(scene)[0, 0] == pytest.approx(expected / 2, rel=1e-4)
     assert scene.items[0].properties["sattools:radiance"] == "reflectance_factor"
-    # without the sun: the quantity that needs none, or a refusal
+    # without the sun, or with one below the horizon: the quantity that needs none, or a refusal
+    scene.items[0].properties["view:sun_elevation"] = -3.0
+    assert normalise(scene, options)["quantity"] == "reflectance_factor"
     del scene.items[0].properties["view:sun_elevation"]
     assert normalise(scene, options)["quantity"] == "reflectance_factor"
     with pytest.raises(SceneError, match="toa_reflectance was asked for, but of i0 its sun is unknown"):
         normalise(scene, replace(options, quantity="toa_reflectance"))
+    # without a time: the distance of the sun is not known
+    scene.items[0].properties["datetime"] = None
+    found = normalise(scene, options)
+    assert (found["quantity"], found["notes"]) == (
+        "relative",
+        ["linear up to an unknown factor: its time is unknown"],
+    )
+    with pytest.raises(SceneError, match="reflectance_factor was asked for, but of i0 its time is unknown"):
+        normalise(scene, replace(options, quantity="reflectance_factor"))
 
 
 def test_dimap_calibration_in_the_order_of_the_raster(tmp_path: Path) -> None:
