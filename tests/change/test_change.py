@@ -12,8 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 from shapely.geometry import box
 
+from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, cell_sigma, find_regions, sums
 from sattools.change.options import ChangeOptions
+from sattools.change.surfaces import Surface
 from sattools.cli import main
 from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster, write_cog
@@ -101,6 +103,43 @@ def test_cells_without_a_height_do_not_count() -> None:
     figures = sums(np.ones((4, 4), bool), change)
     assert (figures.area_m2, figures.mean_m, figures.volume_m3) == (48.0, 2.0, 96.0)
     assert figures.volume_std_m3 == pytest.approx(0.5 * 48.0 / np.sqrt(12))
+
+
+def test_a_change_of_albedo_is_later_minus_earlier_in_the_earlier_ones_light(tmp_path: Path) -> None:
+    """The later date lies 2 m further east, its first band is half as bright and hazy, its second has more contrast."""
+    earlier = np.random.default_rng(5).uniform(0.1, 0.4, (2, SIZE, SIZE)).astype(np.float32)
+    meant, labels = earlier.copy(), np.zeros((SIZE, SIZE), np.int32)
+    meant[:, 50:60, 50:60] += np.float32(0.2)
+    labels[50:60, 50:60] = 1
+    seen = np.stack([0.5 * meant[0] + 0.3, 2 * meant[1]])
+    wider = Grid(crs=CRS, left=435990.0, top=3355090.0, cell_size=1.0, width=SIZE + 20, height=SIZE + 20)
+    surfaces = []
+    for name, grid, pad, maps in (("old", GRID, 0, (city(1), earlier)), ("new", wider, 10, (city(2), seen))):
+        layers = {}
+        for layer, array in zip(("height", "albedo"), maps, strict=True):
+            sides = [(0, 0)] * (array.ndim - 2) + [(pad, pad)] * 2
+            padded = np.roll(np.pad(array, sides, constant_values=np.nan), pad // 5, axis=-1)
+            layers[layer] = saved(tmp_path / f"{name}_{layer}.tif", padded, grid)
+        surfaces.append(Surface(name, layers, None, grid, ()))
+    dates = register_dates(*surfaces, "ncc", tmp_path)
+    assert dates.shift_m[:2] == (-2.0, 0.0)
+    change = dates.albedo_change(labels)
+    rows = slice(40, 70)
+    # float32, and what is unchanged tells gain and offset exactly
+    np.testing.assert_allclose(change(rows), (meant - earlier)[:, rows], atol=1e-5)
+
+
+def test_what_only_one_date_has_counts_alone(tmp_path: Path) -> None:
+    half, third = np.full((SIZE, SIZE), 0.5), np.full((SIZE, SIZE), 0.3)
+    height = saved(tmp_path / "height.tif", city(1))
+    sure = {"height": height, "std": saved(tmp_path / "sure.tif", third)}
+    unsure = {"height": height, "std": saved(tmp_path / "unsure.tif", half)}
+    for old, new, want in ((sure, unsure, 0.5), (sure, {"height": height}, 0.3), ({"height": height}, unsure, 0.5)):
+        pair = (Surface("old", old, None, GRID, ()), Surface("new", new, None, GRID, ()))
+        found = register_dates(*pair, "none", tmp_path).together("std", np.maximum)
+        np.testing.assert_allclose(found, np.full(GRID.shape, want), rtol=1e-6)
+    pair = [Surface(name, {"height": height}, None, GRID, ()) for name in ("old", "new")]
+    assert register_dates(*pair, "none", tmp_path).together("std", np.maximum) is None
 
 
 def test_the_command_writes_maps_polygons_and_a_table(tmp_path: Path) -> None:
