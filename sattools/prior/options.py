@@ -67,7 +67,8 @@ class PriorOptions:
     )
     large_jump: float = option(
         0.4,
-        "Semi-global penalty for any larger height change (an agreement); up to 4 x with fewer than 60 pairs.",
+        "Semi-global penalty for any larger height change (an agreement); 0.4 times that where the images' mean shows "
+        "an edge at the upper height, 1.4 times where it shows none; up to 4 x with fewer than 60 pairs.",
         minimum=0,
     )
     rough_passes: int = option(
@@ -85,8 +86,8 @@ class PriorOptions:
     )
     edges: float = option(
         0.04,
-        "Spread of brightness on one material, by which walls are put where the images change; 0 = leave them, as on "
-        "hills.",
+        "Spread of brightness on one material: where the images change by more, height changes are cheaper and walls "
+        "are put; 0 = not, as on hills.",
         minimum=0,
     )
     memory: float = option(1500.0, "Cost volume above which the area is matched in blocks [MB].", minimum=10)

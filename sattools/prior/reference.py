@@ -70,13 +70,34 @@ def correlate(
     return np.where(volume < 0, np.minimum(worth, 0.9 * best), volume)  # [H, W, D]
 
 
-def aggregate(score: np.ndarray, small: float, large: float) -> np.ndarray:
+def mean_look(images, masks, parallax, heights, z_ref, first_hit_height, tolerance, hidden, margin) -> np.ndarray:
+    """What the views show on average ``[H, W, D]``; arguments as in `sattools.prior.matching.look.mean_look`."""
+    views, rows, cols = images.shape
+    look = np.zeros((rows - 2 * margin, cols - 2 * margin, len(heights)))  # [H, W, D]
+    for row, col, k in np.ndindex(look.shape):
+        shift = parallax * (heights[k] - z_ref)  # [V, 2] cells
+        nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
+        seen = [
+            (masks[n] > 0) * (1.0 if first_hit_height[n] <= heights[k] + tolerance else hidden) for n in nearest
+        ]  # [V]
+        shown = [bilinear(images[v], row + margin + shift[v, 0], col + margin + shift[v, 1]) for v in range(views)]
+        if sum(seen) > 0:
+            look[row, col, k] = np.average(shown, weights=seen)
+    return look
+
+
+def aggregate(
+    score: np.ndarray, look: np.ndarray, small: float, plain: float, edge: float, contrast: float
+) -> np.ndarray:
     """Sum of the eight path costs ``[H, W, D]`` by the recursion of Hirschmueller (2008), eq. 13.
 
     Args:
         score: ``[H, W, D]`` agreement, at most 1; the cost is 1 - score.
+        look: ``[H, W, D]`` what the images show there on average.
         small: penalty P1 for a change by one plane.
-        large: penalty P2 for any larger change.
+        plain: penalty P2 for any larger change where the look does not change at the upper height.
+        edge: the same where it changes by much more than the contrast.
+        contrast: change of the look at which the penalty lies halfway between the two.
     """
     rows, cols, depth = score.shape
     total = np.zeros(score.shape)  # [H, W, D]
@@ -90,8 +111,10 @@ def aggregate(score: np.ndarray, small: float, large: float) -> np.ndarray:
                     path[row, col] = cost[row, col]
                     continue
                 before = path[r, c]  # [D]
+                change = look[row, col] - look[r, c]  # [D]
+                large = edge + (plain - edge) / (1 + (change / contrast) ** 2)  # [D]
                 for k in range(depth):
-                    options = [before[k], before.min() + large]
+                    options = [before[n] + large[max(n, k)] for n in range(depth) if n != k] + [before[k]]
                     options += [before[n] + small for n in (k - 1, k + 1) if 0 <= n < depth]
                     path[row, col, k] = cost[row, col, k] + min(options) - before.min()
         total += path
@@ -143,4 +166,4 @@ def shadow_heights(surface: np.ndarray, sun: np.ndarray, cell: float) -> np.ndar
     return shadow
 
 
-__all__ = ["aggregate", "agreement", "bilinear", "correlate", "first_hit_heights", "shadow_heights"]
+__all__ = ["aggregate", "agreement", "bilinear", "correlate", "first_hit_heights", "mean_look", "shadow_heights"]

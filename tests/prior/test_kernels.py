@@ -7,13 +7,15 @@ import pytest
 
 from sattools.prior import reference
 from sattools.prior.matching.kernels import TILE, TILE_COLS, correlate
+from sattools.prior.matching.look import mean_look
+from sattools.prior.matching.penalties import Penalties
 from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 from sattools.prior.matching.sweep import PLANES, active_planes
 from sattools.prior.visibility.kernels import TOGETHER, descend, first_hit_heights, look_at, shadow_heights
 
-SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": 5, "unseen": 0.3}
 ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
-LOW = -1e9
+LOW, MARGIN = -1e9, 5
+SETTINGS = {"radius": 1, "noise": 0.01, "shadow_noise": 0.03, "brightness": 0.2, "margin": MARGIN, "unseen": 0.3}
 
 
 def a_frame(seed: Any = 0, views: Any = 4) -> Any:
@@ -210,11 +212,34 @@ def test_above_all_that_the_images_show_an_unseen_height_is_worth_less_than_belo
     np.testing.assert_allclose(volume[:, 3:6], np.broadcast_to([1.0, 0.3, 0.3], (7, 3, 3)), rtol=1e-6)
 
 
-def test_aggregation_is_that_of_the_plain_twin() -> None:
-    score = np.random.default_rng(3).random((7, 9, 6)).astype(np.float32)
+def test_the_mean_look_is_that_of_the_plain_twin() -> None:
+    images, masks, parallax, first_hit_height = a_frame(views=4)
+    heights = np.array([-2.0, 0.5, 3.0])
+    active = np.ones((1, 1, 3), bool)
+    look = np.empty((7, 3, 9), np.float32)
+    arguments = (images, masks, parallax, heights, 0.3, first_hit_height, 0.5)
+    mean_look(*arguments, np.float32(0.1), MARGIN, active, look)
+    want = reference.mean_look(*arguments, 0.1, MARGIN)
+    assert want.std() > 0.04
+    np.testing.assert_allclose(by_cell(look), want, atol=1e-5)
+    # at heights that are not looked at, and where no image shows the place, there is nothing
+    active[..., 1], masks[:, :, :9], masks[:, :, 9:] = False, 0, 1
+    mean_look(images, masks, np.zeros_like(parallax), *arguments[3:], np.float32(0.1), MARGIN, active, look)
+    assert (look[:, 1] == 0).all()
+    assert (look[:, :, : 9 - MARGIN] == 0).all()
+    assert (look[:, ::2, 9 - MARGIN :] != 0).all()
+
+
+@pytest.mark.parametrize("shape", [(7, 9, 6), (18, 3, 4), (1, 40, 3)])
+@pytest.mark.parametrize("weights", [(0.1, 0.35, 0.35, 1.0), (0.1, 0.5, 0.05, 0.3)])
+def test_aggregation_is_that_of_the_plain_twin(
+    shape: tuple[int, int, int], weights: tuple[float, float, float, float]
+) -> None:
+    score, look = np.random.default_rng(3).random((2, *shape)).astype(np.float32)
     total = np.empty_like(by_cell(score))
-    aggregate(by_cell(score), np.float32(0.1), np.float32(0.35), total)
-    np.testing.assert_allclose(by_cell(total), reference.aggregate(score.astype(float), 0.1, 0.35), atol=1e-5)
+    aggregate(by_cell(score), by_cell(look), Penalties(*weights), total)
+    want = reference.aggregate(score.astype(float), look.astype(float), *weights)
+    np.testing.assert_allclose(by_cell(total), want, atol=1e-5)
 
 
 def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> None:
@@ -223,10 +248,29 @@ def test_aggregation_carries_the_ground_through_a_place_without_evidence() -> No
     score[5, 5] = 0.2
     score = by_cell(score)
     total, height, index = np.empty_like(score), np.empty((11, 11), np.float32), np.empty((11, 11), np.int32)
-    aggregate(score, np.float32(0.3), np.float32(1.5), total)
+    aggregate(score, np.zeros_like(score), Penalties(0.3, 1.5, 0.3, 0.1), total)
     lowest(total, np.arange(5.0) + 10, height, index)
     assert index[5, 5] == 3
     np.testing.assert_allclose(height, 13.0, atol=1e-5)  # neighbours are alike, the parabola is symmetric
+
+
+def test_a_step_is_put_where_the_images_change_at_the_upper_height() -> None:
+    """Between the sixth and the tenth of 16 columns ground (plane 0) and roof (plane 3) agree alike."""
+    score, look = np.full((2, 12, 4, 16), 0.2, np.float32)
+    score[:, 0, :10] = score[:, 3, 6:] = 0.9
+    height, index = np.empty((12, 16), np.float32), np.empty((12, 16), np.int32)
+
+    def roof_begins() -> np.ndarray:
+        total = np.empty_like(score)
+        aggregate(score, look, Penalties(0.2, 0.6, 0.1, 0.05), total)
+        lowest(total, np.arange(4.0), height, index)
+        return np.asarray((index == 3).argmax(axis=1))
+
+    look[:, 3, 8:] = 0.6  # the roof's edge, as all views show it at its height
+    assert (roof_begins() == 8).all()
+    look[:, 3], look[:, 0, 8:] = 0.2, 0.6  # an edge on the ground, such as a shadow's, is none of the roof's
+    look[:, 3, 7:] = 0.6
+    assert (roof_begins() == 7).all()
 
 
 def test_a_parabola_finds_the_height_between_two_planes() -> None:

@@ -10,10 +10,12 @@ import pytest
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matched import gamma_encode
-from sattools.prior.matching.match import Match, margin_for, plane_distance
+from sattools.prior.matching.match import Match, for_hills, margin_for, plane_distance
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
-from sattools.prior.matching.sweep import narrow, planes, scarcity
+from sattools.prior.matching.penalties import penalties, scarcity
+from sattools.prior.matching.sweep import narrow, planes
 from sattools.prior.normals import normals
+from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.occlusion import disk
 
 
@@ -172,6 +174,10 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast() -> None:
 def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() -> None:
     # the noise of a mean falls with the square root of its terms; a single pair is not trusted sixteen times less
     assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
+    options = PriorOptions(small_jump=0.2, large_jump=0.5, edges=0.04)
+    assert penalties(options, 15) == pytest.approx((0.2, 1.4, 0.4, 0.04))
+    # on hills edges say nothing
+    assert penalties(for_hills(options, 1.0), 15) == pytest.approx((0.1, 1.0, 1.0, 1.0))
 
 
 def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,73 +15,104 @@ from sattools.compiled import FASTMATH, at_once, njit, spread
 
 HUGE = np.float32(1e9)  # cost of a plane beyond the first and last, never the cheapest
 ONE = np.float32(1)
-ROWS_AT_ONCE = 8  # that one thread aggregates along, in the same scratch memory
+ROWS_AT_ONCE = 16  # that one thread aggregates along, side by side
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _along(cost, large, small, result, before, now, backwards):
-    """One path along a row: ``cost`` and ``result`` are ``[W, D]``; forwards it is written, backwards added."""
-    cols, depth = cost.shape
-    before[:] = 0
-    before[0] = before[depth + 1] = now[0] = now[depth + 1] = HUGE
-    least = np.float32(0)
-    for i in range(cols):
-        col = cols - 1 - i if backwards else i
-        here, out = cost[col], result[col]
-        jump = least + large
-        smallest = HUGE
-        for k in range(depth):
-            value = min(min(before[k], before[k + 2]) + small, min(before[k + 1], jump)) + (here[k] - least)
-            now[k + 1] = value
-            out[k] = value + (out[k] if backwards else np.float32(0))
-            smallest = min(smallest, value)
-        before, now = now, before
-        least = smallest
+def _step(before, offset, least, look_before, look, score, small, edge, more, steep, scratch, now, now_least, total):
+    """One step of a path, at all heights, side by side for n places.
+
+    Going up or down by more than a plane costs by how much the images change over the step, *at the upper height*: a
+    wall is an edge of what stands above it, there all views see it at one place. So the best height to come from is
+    one of those below, which have the penalty of where the path goes, or of those above, each with its own.
+
+    Args:
+        before: ``[D + 2, n + 2]`` path costs of the places before, with a border of planes that are never the cheapest.
+        offset: of the first of those places in it.
+        least: ``[n + 2]`` their least.
+        look_before: ``[D, n + 2]`` what the images show there.
+        look: ``[D, n + 2]`` what they show here, from the second place on.
+        score: ``[D, n]``.
+        small: see `Penalties`, like the others.
+        edge: see `Penalties`.
+        more: what it costs besides where nothing changes.
+        steep: 1 / contrast^2.
+        scratch: ``[2 D + 2, n]``.
+        now: ``[D + 2, n + 2]`` path costs here, written from the second place on.
+        now_least: ``[n + 2]`` their least.
+        total: ``[D, n]``, to which they are added.
+    """
+    depth, n = score.shape
+    end = offset + n
+    lowest_below = scratch[2 * depth + 1]
+    scratch[depth] = HUGE
+    for k in range(depth - 1, -1, -1):
+        shown, shown_before, cost = look[k, 1 : n + 1], look_before[k, offset:end], before[k + 1, offset:end]
+        higher, from_above, penalty = scratch[k + 1], scratch[k], scratch[depth + 1 + k]
+        for j in range(n):
+            change = shown[j] - shown_before[j]
+            penalty[j] = edge + more / (ONE + steep * change * change)
+            from_above[j] = min(higher[j], cost[j] + penalty[j])
+    lowest_below[:] = HUGE
+    least_before, least_now = least[offset:end], now_least[1 : n + 1]
+    least_now[:] = HUGE
+    for k in range(depth):
+        below, same, above = before[k, offset:end], before[k + 1, offset:end], before[k + 2, offset:end]
+        from_above, penalty = scratch[k + 1], scratch[depth + 1 + k]
+        agreed, here, summed = score[k], now[k + 1, 1 : n + 1], total[k]
+        for j in range(n):
+            jump = min(lowest_below[j] + penalty[j], from_above[j])
+            value = min(min(below[j], above[j]) + small, min(same[j], jump)) + (ONE - agreed[j] - least_before[j])
+            lowest_below[j] = min(lowest_below[j], same[j])
+            here[j] = value
+            least_now[j] = min(least_now[j], value)
+            summed[j] += value
 
 
 @spread(lambda score, *_: math.ceil(len(score) / ROWS_AT_ONCE))
 @njit(cache=True, fastmath=FASTMATH, nogil=True)
-def _along_rows(score, small, large, total, first_group, end_group):
+def _along_rows(score, look, small, edge, more, steep, total, first_group, end_group):
     """Fill ``total`` with the costs of the two paths along the rows."""
     rows, depth, cols = score.shape
     for group in range(first_group, end_group):
-        # a path goes from column to column, so here the planes lie side by side
-        cost, result = np.empty((cols, depth), np.float32), np.empty((cols, depth), np.float32)
-        before, now = np.empty(depth + 2, np.float32), np.empty(depth + 2, np.float32)
-        for row in range(group * ROWS_AT_ONCE, min((group + 1) * ROWS_AT_ONCE, rows)):
-            for k in range(depth):
+        # a path goes from column to column, so here rows lie side by side
+        top = group * ROWS_AT_ONCE
+        n = min(ROWS_AT_ONCE, rows - top)
+        agreed, result = np.empty((cols, depth, n), np.float32), np.zeros((cols, depth, n), np.float32)
+        shown, scratch = np.zeros((cols, depth, n + 2), np.float32), np.empty((2 * depth + 2, n), np.float32)
+        for k in range(depth):
+            for i in range(n):
                 for col in range(cols):
-                    cost[col, k] = ONE - score[row, k, col]
-            for way in range(2):  # forwards, backwards; constants would have it compiled once for each
-                _along(cost, large, small, result, before, now, way == 1)
-            for k in range(depth):
+                    agreed[col, k, i] = score[top + i, k, col]
+                    shown[col, k, i + 1] = look[top + i, k, col]
+        for way in range(2):  # forwards, backwards
+            state, least = np.zeros((2, depth + 2, n + 2), np.float32), np.zeros((2, n + 2), np.float32)
+            state[:, 0] = state[:, depth + 1] = HUGE
+            last = cols - 1 if way else 0
+            for m in range(cols):
+                col, now = cols - 1 - m if way else m, m % 2
+                _step(
+                    state[1 - now], 1, least[1 - now], shown[last], shown[col], agreed[col], small, edge, more, steep,
+                    scratch, state[now], least[now], result[col],
+                )  # fmt: skip
+                last = col
+        for k in range(depth):
+            for i in range(n):
                 for col in range(cols):
-                    total[row, k, col] = result[col, k]
-
-
-@njit(cache=True, fastmath=FASTMATH)
-def _plane(below, same, above, least, score, small, large, now, now_least):
-    """One plane of the path costs of a row, from those of the row before."""
-    for j in range(score.shape[0]):
-        value = min(min(below[j], above[j]) + small, min(same[j], least[j] + large)) + (ONE - score[j] - least[j])
-        now[j] = value
-        now_least[j] = min(now_least[j], value)
-
-
-@njit(cache=True, fastmath=FASTMATH)
-def _add(out, a, b, c):
-    for j in range(out.shape[0]):
-        out[j] += a[j] + b[j] + c[j]
+                    total[top + i, k, col] = result[col, k, i]
 
 
 @njit(cache=True, fastmath=FASTMATH, nogil=True)
-def _across_rows(score, small, large, total, first, count, step, turn, state, least):
+def _across_rows(score, look, small, edge, more, steep, total, first, count, step, turn, state, least, looks):
     """Add the costs of the three paths that lead from row to row, in one direction, for some rows.
 
     Args:
         score: ``[H, D, W]``.
-        small: penalty for a change by one plane.
-        large: penalty for any larger change.
+        look: ``[H, D, W]``.
+        small: see `Penalties`, like the others.
+        edge: see `Penalties`.
+        more: what it costs besides where nothing changes.
+        steep: 1 / contrast^2.
         total: ``[H, D, W]``, changed.
         first: row to begin with.
         count: number of rows.
@@ -90,50 +121,53 @@ def _across_rows(score, small, large, total, first, count, step, turn, state, le
         state: ``[2, 3, D + 2, W + 2]`` path costs of the last rows, with a border of planes that are never the cheapest
             and of columns at which paths enter.
         least: ``[2, 3, W + 2]`` their least.
+        looks: ``[2, D, W + 2]`` what the images show there.
 
     Returns:
         Which state is that of the last row.
     """
     depth, cols = score.shape[1], score.shape[2]
+    scratch = np.empty((2 * depth + 2, cols), np.float32)
     for n in range(count):
         row = first + n * step
-        before, now, least_before, least_now = state[turn], state[1 - turn], least[turn], least[1 - turn]
-        least_now[:, 1 : cols + 1] = HUGE
         for k in range(depth):
-            for way in range(3):  # from the left, straight, from the right
-                from_here = slice(way, way + cols)
-                _plane(
-                    before[way, k, from_here], before[way, k + 1, from_here], before[way, k + 2, from_here],
-                    least_before[way, from_here], score[row, k], small, large, now[way, k + 1, 1 : cols + 1],
-                    least_now[way, 1 : cols + 1],
-                )  # fmt: skip
-            inner = slice(1, cols + 1)
-            _add(total[row, k], now[0, k + 1, inner], now[1, k + 1, inner], now[2, k + 1, inner])
+            looks[1 - turn, k, 1 : cols + 1] = look[row, k]
+        for way in range(3):  # from the left, straight, from the right
+            _step(
+                state[turn, way], way, least[turn, way], looks[turn], looks[1 - turn], score[row], small, edge, more,
+                steep, scratch, state[1 - turn, way], least[1 - turn, way], total[row],
+            )  # fmt: skip
         turn = 1 - turn
     return turn
 
 
-def aggregate(score, small, large, total):
+def aggregate(score, look, penalties, total):
     """Sum of the semi-global path costs of eight directions (Hirschmueller 2008, eq. 13), cost = 1 - score.
+
+    Hirschmueller lets the larger penalty depend on the change of brightness in one image. Here there is none that the
+    heights belong to, but at every height a mean of all images, whose edges are sharp where things are that high.
 
     Args:
         score: ``[H, D, W]`` float32, at most 1.
-        small: penalty for a change by one plane.
-        large: penalty for any larger change.
+        look: ``[H, D, W]`` float32, what the images show there on average.
+        penalties: see `Penalties`.
         total: ``[H, D, W]`` float32, filled.
     """
     rows, depth, cols = score.shape
-    _along_rows(score, small, large, total)
+    more, steep = penalties.plain - penalties.edge, 1 / penalties.contrast**2
+    weights = tuple(np.float32(x) for x in (penalties.small, penalties.edge, more, steep))
+    _along_rows(score, look, *weights, total)
     state = np.zeros((2, 2, 3, depth + 2, cols + 2), np.float32)
     state[:, :, :, 0] = state[:, :, :, depth + 1] = HUGE
-    least = np.zeros((2, 2, 3, cols + 2), np.float32)
+    least, looks = np.zeros((2, 2, 3, cols + 2), np.float32), np.zeros((2, 2, depth, cols + 2), np.float32)
     turn = [0, 0]
     half = rows // 2
 
     def go(way: int, upper: bool) -> None:
         first = (0 if upper else half) if way == 0 else (half - 1 if upper else rows - 1)
         count, step = half if upper else rows - half, 1 if way == 0 else -1
-        turn[way] = _across_rows(score, small, large, total, first, count, step, turn[way], state[way], least[way])
+        memory = turn[way], state[way], least[way], looks[way]
+        turn[way] = _across_rows(score, look, *weights, total, first, count, step, *memory)
 
     # one thread goes down, another up; they change halves at the same time, so that no row is added to by both at once
     for phase in range(2):

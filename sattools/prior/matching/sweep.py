@@ -6,14 +6,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from sattools.prior.frame import Frame
+from sattools.prior.matching.penalties import penalties
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import RayMinima, update_minima
 from sattools.prior.visibility.occlusion import Visibility, dark_noise
 from sattools.progress import Progress, silent
 
-MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 ROBUST_PAIRS = 30  # pairs from which on the mean over them is robust
 TOWN_PAIRS = 12  # the same once a rough surface says what hides what, but not on hills
 FEW_PAIRS = 4  # fewer, those of three views, must not be decided by one that is hidden
@@ -25,6 +26,7 @@ NEAR_M = 4.0  # distance above and below them up to which heights are looked at 
 STRAY = 30  # cells that may be wrong about it at either end
 MANY_PLANES = 160  # from this number of heights on, blocks that look near their own ground save time
 BLOCK = 384  # cells of such a block
+LEAST_HIDDEN = 0.05  # weight, at least, of an image that does not see a place, in the mean that shows it
 PLANES = np.empty((0, 0), np.float32)  # no surface to which heights are relative
 OVERLAP = 32  # cells by which blocks overlap: paths of the aggregation forget where they came from over this distance
 
@@ -121,8 +123,8 @@ def sweep_blocks(
     """
     frame, step, margin = task.frame, task.step, task.frame.margin
     wanted = len(planes(task.z_range, step))
-    # two volumes of single precision live at a time
-    blocks = _blocks(frame.shape, int(task.options.memory * 1e6 / 8), wanted, guide is not None)
+    # three volumes of single precision live at a time
+    blocks = _blocks(frame.shape, int(task.options.memory * 1e6 / 12), wanted, guide is not None)
     maps: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
     for k, (rows, cols) in enumerate(blocks):
         progress(k / len(blocks), f"matching {len(task.pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
@@ -213,9 +215,9 @@ def sweep(
     if ceiling is not None:
         for row in np.flatnonzero((ceiling < heights[-1]).any(axis=1)):  # where there is a courtyard at all
             volume[row][heights[:, None] > ceiling[row]] = 0
+    look = looks_at(task, visibility, heights, active) if options.edges else np.zeros_like(volume)
     total = np.empty_like(volume)
-    large_jump = options.large_jump * scarcity(len(task.pairs))
-    aggregate(volume, np.float32(options.small_jump), np.float32(large_jump), total)
+    aggregate(volume, look, penalties(options, len(task.pairs)), total)
     height = np.empty(task.frame.shape, np.float32)
     index = np.empty(task.frame.shape, np.int32)
     lowest(total, heights, height, index)
@@ -260,6 +262,28 @@ def agreement(
     return volume
 
 
+def looks_at(task: MatchTask, visibility: Visibility, heights: np.ndarray, active: np.ndarray) -> np.ndarray:
+    """What the images of a task show on average, ``[H, D, W]`` float32.
+
+    Args:
+        task: what is matched.
+        visibility: what is occluded.
+        heights: ``[D]`` of the planes [m].
+        active: ``[h, w, D]`` bool, planes that are looked at in every tile; the tiles around one look at them, too, as
+            a step between two tiles is a change from one to the other.
+    """
+    from sattools.prior.matching.look import mean_look
+
+    frame, options = task.frame, task.options
+    look = np.empty((frame.shape[0], len(heights), frame.shape[1]), np.float32)
+    mean_look(
+        frame.images, frame.masks, frame.parallax, heights, frame.z_ref, visibility.first_hit_height,
+        options.tolerance, np.float32(max(options.weak, LEAST_HIDDEN)), frame.margin,
+        maximum_filter(active, (3, 3, 1)), look,
+    )  # fmt: skip
+    return look
+
+
 def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
     """Half the exponent of the mean over the pairs, weight of hidden views, and of pairs in different light.
 
@@ -275,9 +299,4 @@ def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
     return 1, weak, mixed
 
 
-def scarcity(pairs: int) -> float:
-    """Factor of the penalty for height jumps: agreement is an average, and so the noisier the fewer pairs there are."""
-    return min(max(math.sqrt(MANY_PAIRS / max(pairs, 1)), 1.0), 4.0)
-
-
-__all__ = ["MatchTask", "agreement", "narrow", "pair_weights", "planes", "scarcity", "sweep", "sweep_blocks"]
+__all__ = ["MatchTask", "agreement", "narrow", "pair_weights", "planes", "sweep", "sweep_blocks"]
