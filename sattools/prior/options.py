@@ -86,8 +86,8 @@ class PriorOptions:
     )
     edges: float = option(
         0.04,
-        "Spread of brightness on one material: where the images change by more, height changes are cheaper and walls "
-        "are put; 0 = not, as on hills.",
+        "Spread of brightness on one material, three times as much on hills: where the images change by more, height "
+        "changes are cheaper and, on level ground, walls are put; 0 = not.",
         minimum=0,
     )
     memory: float = option(1500.0, "Cost volume above which the area is matched in blocks [MB].", minimum=10)

@@ -226,7 +226,7 @@ def test_three_pairs_or_hills_count_only_what_is_surely_seen_and_few_are_not_out
     assert weights(20, robust=True) == weights(30, robust=True, hills=1.0) == pytest.approx((3, 0.05, 0.1))
 
 
-def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:
+def test_hills_let_views_differ_in_brightness() -> None:
     """On a slope of 27 degrees every cell is a slope; a town of level ground and walls keeps what was asked for."""
     options = PriorOptions(brightness=0.1, small_jump=0.2, edges=0.04)
     town = np.zeros((20, 20), np.float32)
@@ -237,7 +237,7 @@ def test_hills_let_views_differ_in_brightness_and_have_no_walls() -> None:
     assert how_hilly(slope, everywhere, 1.0) == 1.0
     assert how_hilly(slope, ~everywhere, 1.0) == 0.0  # nobody is sure that it is one
     hills = for_hills(options, 1.0)
-    assert (hills.brightness, hills.small_jump, hills.edges) == (pytest.approx(0.3), pytest.approx(0.1), 0.0)
+    assert (hills.brightness, hills.small_jump, hills.edges) == pytest.approx((0.3, 0.1, 0.12))
     assert for_hills(options, 0.0) == options
 
 
@@ -262,7 +262,24 @@ def test_few_pairs_are_not_believed_that_it_is_a_hill(pairs: Any, walls: bool) -
     slope = np.tile(0.1 * np.arange(60.0), (84, 1))  # 11 degrees on cells of half a metre
     frame = views_of(slope, [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)])
     task, _ = _rough_passes(_prepared(frame, pairs, RANGE, PriorOptions()), silent)
-    assert (task.options.edges > 0) == walls
+    assert (task.hills < 1) == walls
+
+
+@pytest.mark.parametrize(("pairs", "walls"), [(ALL, False), (ALL[:9], True)])
+def test_walls_are_moved_in_towns_alone(pairs: Any, walls: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sattools.prior.matching import match as module
+
+    asked = []
+
+    def moved(frame: Frame, hits: np.ndarray, height: np.ndarray, *_: Any) -> tuple[np.ndarray, None]:
+        asked.append(height)
+        return height, None
+
+    monkeypatch.setattr(module, "snap_edges", moved)
+    slope = np.tile(0.1 * np.arange(60.0), (84, 1))  # 11 degrees on cells of half a metre
+    frame = views_of(slope, [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)])
+    match(frame, pairs, RANGE, PriorOptions())
+    assert len(asked) == walls
 
 
 def test_half_a_hill_keeps_its_walls() -> None:
@@ -270,5 +287,6 @@ def test_half_a_hill_keeps_its_walls() -> None:
     half[:, 77:] = 0.5 * np.arange(123)  # 61.5 % of the cells: halfway from town to hills
     hills = how_hilly(half, np.ones(half.shape, bool), 1.0)
     found = for_hills(PriorOptions(brightness=0.1, small_jump=0.2), hills)
+    assert hills < 1
     assert (found.brightness, found.small_jump) == (pytest.approx(0.2), pytest.approx(0.15))
-    assert found.edges == PriorOptions().edges
+    assert found.edges == pytest.approx(2 * PriorOptions().edges)

@@ -176,8 +176,9 @@ def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() ->
     assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
     options = PriorOptions(small_jump=0.2, large_jump=0.5, edges=0.04)
     assert penalties(options, 15) == pytest.approx((0.2, 1.4, 0.4, 0.04))
-    # on hills edges say nothing
-    assert penalties(for_hills(options, 1.0), 15) == pytest.approx((0.1, 1.0, 1.0, 1.0))
+    # slopes of one material look unlike, and heights change from cell to cell
+    assert penalties(for_hills(options, 1.0), 15) == pytest.approx((0.1, 1.4, 0.4, 0.12))
+    assert penalties(replace(options, edges=0.0), 15) == pytest.approx((0.2, 1.0, 1.0, 1.0))
 
 
 def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch: pytest.MonkeyPatch) -> None:

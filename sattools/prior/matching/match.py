@@ -45,7 +45,9 @@ SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
-HILLS_BRIGHTNESS = 3.0  # factor of `brightness` there: open ground is the brighter, the nearer a view is to the sun
+HILLS_BRIGHTNESS = (
+    3.0  # of `brightness` and `edges` there: open ground is the brighter, the nearer a view is to the sun
+)
 HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
 
 
@@ -125,7 +127,7 @@ def match(
     height = filled(height, stands, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
-    if task.options.edges:
+    if task.options.edges and task.hills < 1:
         height, doubt = snap_edges(frame, hits, height, tolerance, task.options.edges, finer)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))
@@ -170,17 +172,18 @@ def for_hills(options: PriorOptions, hills: float) -> PriorOptions:
 
     In a city most cells are level, and surfaces of one brightness each need it to be told apart. Hills have texture
     everywhere, but show every view a brightness of its own, by what their slopes and soils reflect to where it is.
-    Their slopes are no walls, to be moved to where the brightness changes.
+    (Nor are their slopes walls, to be moved to where the brightness changes: see `match`.)
 
     Args:
         options: as they are given, for cities.
         hills: 0 to 1, see `how_hilly`.
     """
+    unlike = 1 + hills * (HILLS_BRIGHTNESS - 1)
     return replace(
         options,
-        brightness=options.brightness * (1 + hills * (HILLS_BRIGHTNESS - 1)),
+        brightness=options.brightness * unlike,
+        edges=options.edges * unlike,
         small_jump=options.small_jump * (1 + hills * (HILLS_JUMP - 1)),
-        edges=options.edges if hills < 1 else 0.0,
     )
 
 

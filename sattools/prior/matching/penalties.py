@@ -31,8 +31,6 @@ class Penalties(NamedTuple):
 def penalties(options: PriorOptions, pairs: int) -> Penalties:
     """What height changes cost a path of the aggregation.
 
-    Where edges of the images are not to move walls, as on hills, they do not make steps cheaper, either.
-
     Args:
         options: see `PriorOptions`.
         pairs: number of pairs.
