@@ -39,8 +39,8 @@ def test_the_real_tile(data_dir: Path, tmp_path: Path) -> None:
     images = sorted((contest / "Track3-RGB-crops/JAX_068").glob("*.tif"))
     run("prep", *images, "--metadata", contest / "rpc_raw/JAX_068", "--id", "JAX_068", "--out", tmp_path)
     found = surface(tmp_path / "JAX_068/scene.json", contest / "Track3-Truth/JAX_068_DSM.tif")
-    assert found["mae"] < 1.03 * 1.040
-    assert found["mae_capped_5m"] < 1.03 * 0.733
+    assert found["mae"] < 1.03 * 1.014
+    assert found["mae_capped_5m"] < 1.03 * 0.726
     assert abs(found["near_steps"]["signed"]) < 0.15  # a gain of one sign by the other is none
 
 
@@ -49,7 +49,7 @@ def test_a_city_of_another_simulator(data_dir: Path, tmp_path: Path) -> None:
     images = sorted((city / "images").glob("*.tif"))
     run("prep", *images, "--metadata", city / "metadata", "--id", "city_214", "--out", tmp_path)
     found = surface(tmp_path / "city_214/scene.json", city / "truth/JAX_214_DSM.tif")
-    assert found["mae"] < 1.03 * 0.501
+    assert found["mae"] < 1.03 * 0.495
     assert found["mae_capped_5m"] < 1.03 * 0.385
     assert abs(found["near_steps"]["signed"]) < 0.15  # a gain of one sign by the other is none
 
@@ -60,7 +60,7 @@ def test_seven_views_of_that_city(data_dir: Path, tmp_path: Path) -> None:
     images = [city / f"images/JAX_214_{k:03d}_RGB.tif" for k in (1, 3, 6, 9, 13, 18, 19)]
     run("prep", *images, "--metadata", city / "metadata", "--id", "city_214", "--out", tmp_path)
     found = surface(tmp_path / "city_214/scene.json", city / "truth/JAX_214_DSM.tif")
-    assert found["mae"] < 1.03 * 0.630
+    assert found["mae"] < 1.03 * 0.625
     assert found["mae_capped_5m"] < 1.03 * 0.422
 
 
@@ -76,7 +76,7 @@ def hills(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return scene
 
 
-@pytest.mark.parametrize(("brdf", "psnr"), [("hapke", 41.55), ("rpv", 40.47), ("lambert", 32.92)])
+@pytest.mark.parametrize(("brdf", "psnr"), [("hapke", 42.02), ("rpv", 41.03), ("lambert", 32.92)])
 def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, brdf: str, psnr: float) -> None:
     truth = data_dir / "external/natural_12/truth"
     run("fit", "--overwrite", "--brdf", brdf, "--resolution", 2, hills)
@@ -85,19 +85,21 @@ def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, b
     run("compare", "--overwrite", "--views", "--dsm", truth / "HAP_DSM.tif", *maps, hills)
     found = errors(hills)
     assert found["views"]["HAP_003"]["psnr"] > psnr - 0.3
-    for name, nrmse in {"w": 0.163, "b": 0.236, "theta": 0.238}.items() if maps else ():
+    for name, nrmse in {"w": 0.160, "b": 0.239, "theta": 0.238}.items() if maps else ():
         assert found["parameters"][name]["nrmse"] < 1.03 * nrmse, name
 
 
 @pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A simulated town of 64 m in six views, one held out; with its prior."""
+def town(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """A simulated town of 64 m in six views, one held out, and the errors of its surface."""
     root = tmp_path_factory.mktemp("town")
     views = ["--views", 7, "--dates", 3, "--test-views", 1]
     run("simulate", "--size", 64, *views, "--seed", 1, "--id", "TOWN", "--out", root)
     scene = root / "TOWN/scene.json"
-    run("prior", scene)
-    return scene
+    run("fit", scene)
+    run("export", scene)
+    run("compare", scene)
+    return scene, errors(scene)
 
 
 @pytest.mark.parametrize(
@@ -106,17 +108,19 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ids=["neural", "eonerf"],
 )
 def test_a_network_keeps_the_surface_and_shows_a_view_that_was_held_out(
-    town: Path, network: tuple[object, ...], psnr: float
+    town: tuple[Path, Any], network: tuple[object, ...], psnr: float
 ) -> None:
-    """By steps, not seconds: the same on any machine. The prior has 0.535 m, the fitted surface 0.533 m and 27.2 dB."""
-    run("fit", "--overwrite", *network, town)
-    run("export", "--overwrite", "--view", "TOWN_002", town)
-    run("compare", "--overwrite", "--views", town)
-    found = errors(town)
-    assert found["mae"] < 1.03 * 0.533
-    assert abs(found["shift_m"][2]) < 0.05  # it neither sinks nor rises
+    """By steps, not seconds: the same on any machine. The fitted surface has 0.574 m and 27.2 dB."""
+    scene, surface_errors = town
+    assert surface_errors["mae"] < 1.03 * 0.574
+    run("fit", "--overwrite", *network, scene)
+    run("export", "--overwrite", "--view", "TOWN_002", scene)
+    run("compare", "--overwrite", "--views", scene)
+    found = errors(scene)
+    assert found["mae"] < 1.03 * surface_errors["mae"]
+    assert abs(found["shift_m"][2] - surface_errors["shift_m"][2]) < 0.05  # it neither sinks nor rises
     assert found["views"]["TOWN_002"]["psnr"] > psnr - 0.3
-    history = json.loads(town.read_text())["sattools"]["history"]
+    history = json.loads(scene.read_text())["sattools"]["history"]
     (note,) = next(entry["notes"] for entry in reversed(history) if entry["command"] == "fit")
     change = re.search(r"change the error of held-out rays by ([+-][\d.]+) %", note)
     assert change is not None, note

@@ -8,9 +8,10 @@ import pytest
 from sattools.prior import reference
 from sattools.prior.matching.kernels import TILE, TILE_COLS, correlate
 from sattools.prior.matching.look import mean_look
-from sattools.prior.matching.penalties import Penalties
+from sattools.prior.matching.penalties import Penalties, penalties
 from sattools.prior.matching.sgm import aggregate, lowest, second_best_margin
 from sattools.prior.matching.sweep import PLANES, active_planes
+from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.kernels import TOGETHER, descend, first_hit_heights, look_at, shadow_heights
 
 ROOT_MEAN_SQUARE = {"power": 1, "weak": 0.0, "mixed": 0.0}
@@ -239,6 +240,15 @@ def test_aggregation_is_that_of_the_plain_twin(
     total = np.empty_like(by_cell(score))
     aggregate(by_cell(score), by_cell(look), Penalties(*weights), total)
     want = reference.aggregate(score.astype(float), look.astype(float), *weights)
+    np.testing.assert_allclose(by_cell(total), want, atol=1e-5)
+
+
+def test_an_edge_of_any_contrast_leaves_costs_that_are_numbers() -> None:
+    score, look = np.random.default_rng(3).random((2, 7, 5, 9)).astype(np.float32)
+    look[:, :, :4] = 0.5  # nothing changes at all
+    total, sharpest = np.empty_like(score), penalties(PriorOptions(edges=1e-30), 60)
+    aggregate(score, look, sharpest, total)
+    want = reference.aggregate(by_cell(score).astype(float), by_cell(look).astype(float), *sharpest)
     np.testing.assert_allclose(by_cell(total), want, atol=1e-5)
 
 

@@ -45,9 +45,7 @@ SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
-HILLS_BRIGHTNESS = (
-    3.0  # of `brightness` and `edges` there: open ground is the brighter, the nearer a view is to the sun
-)
+HILLS_UNLIKE = 3.0  # factor of `brightness` and `edges` there: seen from nearer to the sun open ground is brighter
 HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
 
 
@@ -178,7 +176,7 @@ def for_hills(options: PriorOptions, hills: float) -> PriorOptions:
         options: as they are given, for cities.
         hills: 0 to 1, see `how_hilly`.
     """
-    unlike = 1 + hills * (HILLS_BRIGHTNESS - 1)
+    unlike = 1 + hills * (HILLS_UNLIKE - 1)
     return replace(
         options,
         brightness=options.brightness * unlike,

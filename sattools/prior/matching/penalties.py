@@ -10,6 +10,7 @@ from sattools.prior.options import PriorOptions
 MANY_PAIRS = 60  # pairs for which the penalty of a height jump is meant
 PLAIN = 1.4  # factor of that penalty where the images show nothing that changes at the upper height
 EDGE = 0.4  # the same where they show an edge there
+LEAST_CONTRAST = 1e-6  # of the images that tells an edge: its inverse's square must be a number in single precision
 
 
 class Penalties(NamedTuple):
@@ -38,7 +39,7 @@ def penalties(options: PriorOptions, pairs: int) -> Penalties:
     large = options.large_jump * scarcity(pairs)
     if not options.edges:
         return Penalties(options.small_jump, large, large, 1.0)
-    return Penalties(options.small_jump, PLAIN * large, EDGE * large, options.edges)
+    return Penalties(options.small_jump, PLAIN * large, EDGE * large, max(options.edges, LEAST_CONTRAST))
 
 
 def scarcity(pairs: int) -> float:
