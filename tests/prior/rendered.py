@@ -30,3 +30,8 @@ def views_of(height: Any, slopes: Any, seed: Any = 0) -> Any:
         images.append(image)
     stack = np.stack(images).astype(np.float32)
     return Frame(stack, np.ones(stack.shape, np.uint8), slopes, 0.0, CELL, margin, (None,) * len(stack))
+
+
+def by_cell(volume: Any) -> Any:
+    """The twin's order of axes, [H, W, D], for a volume [H, D, W], or back."""
+    return np.ascontiguousarray(np.swapaxes(volume, 1, 2))
