@@ -163,9 +163,10 @@ def columns(height: Tensor, colour: Tensor) -> tuple[Tensor, Tensor]:
         around = padded[first : part.stop + 2 * REACH].unfold(0, size, 1).unfold(1, size, 1).flatten(2)
         down = torch.arange(first, part.stop, device=height.device)[:, None]
         for layer, rank in ((0, left_out + 1), (2, size**2 - left_out)):
-            value, where = around.kthvalue(rank, dim=2)
+            value = around.kthvalue(rank, dim=2, keepdim=True).values
+            where = (around == value).byte().argmax(dim=2)  # the first: which one `kthvalue` finds is the device's
             row, col = (down + where // size - REACH), (across + where % size - REACH)
-            heights[layer, part] = value
+            heights[layer, part] = value[..., 0]
             colours[layer, part] = colour[row.clamp(0, rows - 1), col.clamp(0, cols - 1)]
     # the height of a lonely peak or pit is beyond those around it
     for layer, beyond in ((0, heights[0] > height), (2, heights[2] < height)):

@@ -178,7 +178,7 @@ def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
     """How many of some tiles are fitted at a time: one per thread that the user allows, as far as memory goes.
 
     One thread each, which brings more than several for one tile (docs/batch.md).
-    No more than each has work for, beside its start; on a GPU one at a time.
+    No more than each has work for, beside its start.
 
     Raises:
         SceneError: a scene without grid.
@@ -187,10 +187,6 @@ def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
     there = to_spend()
     # in a program that embeds Python the executable is that program
     if not tile or there is None or threads() == 1 or "python" not in Path(sys.executable or "").name.lower():
-        return 1
-    import torch  # late, as a plan of what needs no tiles is told without
-
-    if options.device == "cuda" or (options.device == "auto" and torch.cuda.is_available()):
         return 1
     grid = scene.require_grid()
     count, piece, work = _cut(grid, tile, options.overlap)

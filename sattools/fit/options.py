@@ -124,7 +124,10 @@ class FitOptions(RayOptions):
         None, "DSM to score the surface against after every epoch (never used by the fit).", path="file"
     )
     seed: int = option(0, "Seed of everything random.", minimum=0)
-    device: Literal["auto", "cpu", "cuda"] = option("auto", "Where to compute.")
+    device: Literal["auto", "cpu", "cuda"] = option(
+        "auto",
+        "Where networks and other fields of rays are trained; auto = on a GPU where there is one. Surfaces: the CPU.",
+    )
     resume: bool = option(False, "Continue an interrupted fit from its last checkpoint.")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -32,6 +33,9 @@ from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin, seen
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, with_bands
+
+log = logging.getLogger(__name__)
+SURFACE_DEVICE = torch.device("cpu")  # whose compiled kernels are faster than plain torch on an H200
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,8 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     bands = [len(chosen_bands(item, options.bands, images.bands)) for item in items]
     check_combination(options, bands[0])
     if options.field == "surface":
+        if options.device == "cuda":
+            log.warning("--device cuda: a surface is fitted on the CPU; a GPU is for --field mlp, neural and voxel")
         grid = scene.require_grid()
         schedule(options, grid.cell_size, scene.require_height_range(), options.prior_weight > 0)
     elif device.type == "cpu":
@@ -185,7 +191,7 @@ def _fit_surface(
         return schedule(options, grid.cell_size, z_range, prior is not None, shortest, relative=relative)
 
     stages = stages_of(options)
-    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, setup.device, radiance, lasting=lasting)
+    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, SURFACE_DEVICE, radiance, lasting=lasting)
     job.basis = setup.basis
     job.coarse = read_coarse(scene, [s.id for s in sources])
     if options.brdf == "auto":

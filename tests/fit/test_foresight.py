@@ -157,14 +157,13 @@ def test_what_does_not_fit_at_once_is_cut_without_a_word_of_the_user(
         assert with_tile(of_size(town, 3000), options) is options
 
 
-def test_a_gpu_takes_one_tile_at_a_time(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_changes_nothing_as_surfaces_are_fitted_on_the_cpu(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
     monkeypatch.setattr(foresight, "threads", lambda: 8)
-    large = of_size(town, 3000)
-    assert side_by_side(large, FitOptions(tile=512.0, device="cpu"), 36) == 8
-    assert side_by_side(large, FitOptions(tile=512.0, device="cuda"), 36) == 1
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert side_by_side(large, FitOptions(tile=512.0), 36) == 1
+    large = of_size(town, 3000)
+    for device in ("cpu", "auto", "cuda"):
+        assert side_by_side(large, FitOptions(tile=512.0, device=device), 36) == 8
 
 
 def test_a_prior_that_is_there_takes_no_time(town: Scene) -> None:

@@ -23,6 +23,7 @@ FREE, AROUND, FINE_AROUND = 8, 16, 12  # where a network starts from a surface: 
 AROUND_M, FINE_M = 4.0, 1.0
 SHOWN = 16  # samples of a vertical ray whose colours count
 ROWS = 32  # of columns that are read at once
+COLUMNS_ON_DEVICE = 8192  # of a network, of which a layer of 512 then holds 0.5 GB
 MAP_HEADS = ("b", "c", "theta", "k", "rhoc")  # parameters of reflectance models, beside the amplitude
 IMAGE_HEADS = {"sun": "s_net", "tau": "tau", "beta": "beta"}  # answers that differ between images
 
@@ -61,7 +62,7 @@ def read_maps(scene: RayScene, grid: Grid, z_range: tuple[float, float], per_ima
     rows: list[dict[str, Tensor]] = []
     per_image = per_image and not scene.field.heads.isdisjoint(IMAGE_HEADS)
     # a network keeps hundreds of numbers of every point; columns are laid out anew for each question
-    at_once = ROWS if isinstance(scene.field, NeuralField) else 1
+    at_once = rows_at_once(scene, grid)
     for part in torch.arange(grid.height, device=x.device).split(at_once):
         y, z = -(part + 0.5) * grid.cell_size, x.new_tensor(high)
         start = torch.stack(torch.broadcast_tensors(x, y[:, None], z), dim=-1).flatten(0, 1)
@@ -89,6 +90,20 @@ def read_maps(scene: RayScene, grid: Grid, z_range: tuple[float, float], per_ima
     if "beta" in images:
         images["beta"] += BETA_MIN
     return GroundMaps(maps["height"], maps["height_std"], maps["albedo"], heads, images)
+
+
+def rows_at_once(scene: RayScene, grid: Grid) -> int:
+    """Rows of a grid that are read at once.
+
+    A row of a network is as much as a CPU's caches hold; a GPU would wait for the questions.
+
+    Args:
+        scene: the field with its images.
+        grid: ground grid.
+    """
+    if isinstance(scene.field, NeuralField):
+        return ROWS
+    return 1 if scene.device.type == "cpu" else max(1, COLUMNS_ON_DEVICE // grid.width)
 
 
 def _first_samples(scene: RayScene, start: Tensor, z_range: tuple[float, float]) -> tuple[Tensor, float, int]:
@@ -188,4 +203,4 @@ def _per_image(scene: RayScene, surface: Tensor) -> dict[str, Tensor]:
     return {product: torch.stack(views, dim=1) for product, views in found.items()}
 
 
-__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "read_maps"]
+__all__ = ["IMAGE_HEADS", "MAP_HEADS", "GroundMaps", "read_maps", "rows_at_once"]

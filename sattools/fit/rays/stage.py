@@ -23,7 +23,7 @@ from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.judge import AT_ONCE, RAYS, begin_uncertainty, held_out_losses, judge_heights
-from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.maps import read_maps, rows_at_once
 from sattools.fit.rays.start import (
     Beginning,
     base_surface,
@@ -44,7 +44,7 @@ from sattools.views import Source, View, match_colours, views_on
 log = logging.getLogger(__name__)
 ROWS, SAVE_EVERY = 20, 5  # rows of the trace per fit; checkpoints among them
 TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
-ROWS_TRIED = 4  # to know how long reading all off takes
+ROWS_TRIED = 4  # at least, to know how long reading all off takes
 TRIAL = 5  # steps after which it is known how long one takes
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
@@ -265,7 +265,7 @@ class _RayJob:
     @functools.cached_property
     def _reading_s(self) -> float:
         """Seconds that reading the field off takes, by its first rows: read twice, as the first time compiles."""
-        rows = min(ROWS_TRIED, self.grid.height)
+        rows = min(max(ROWS_TRIED, rows_at_once(self.trainer, self.grid)), self.grid.height)
         for part in (1, rows):
             begun = time.perf_counter()
             read_maps(self.trainer, self.grid.part(slice(0, part), slice(0, self.grid.width)), self.z_range)

@@ -1,0 +1,192 @@
+"""Fits on a GPU: seconds from a prior to the model, error, samples a second, memory; and where a step's time goes.
+
+    python benchmarks/gpu.py SCENE.json=REFERENCE.tif[@REGION] [--fields surface neural eonerf ...] [--runs 2]
+        [--device cuda] [--steps N] [--rays N] [--budget S] [--profile] [--out FILE.json]
+    python benchmarks/gpu.py IMAGES/=REFERENCE.tif[@REGION] [--metadata FOLDER] ...
+
+The scene has a prior (`sattools prior`). Of a folder of images one is made first, by the whole pipe with its surface,
+as often as asked for. Each fit is that of `sattools fit --preset NAME` or `--field NAME` with the options of this
+version; `surface-torch` is the surface rendered by plain torch on the device instead of compiled kernels. All is done
+in this process: the first run of each also compiles and starts CUDA, and is told apart. Errors by the protocol, after
+`export`. `--profile` adds milliseconds of ten steps of networks and neural fields, in all and on the device, and the
+operations that take the most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import torch
+from papers import counted_points, scored
+
+from sattools import api
+from sattools.fit import whole
+from sattools.fit.presets import PRESETS, resolve
+from sattools.fit.rays.trainer import RayTrainer
+from sattools.scene import Scene
+from sattools.scene.copies import absolute_copy
+from sattools.scene.raster import read_raster
+
+PROFILED = range(20, 30)
+TORCH = "surface-torch"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", metavar="SCENE=REFERENCE[@REGION]")
+    parser.add_argument("--metadata", help="of a folder of images")
+    parser.add_argument("--fields", nargs="*", default=["surface", "neural", "eonerf"])
+    parser.add_argument("--runs", type=int, default=2)
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--rays", type=int)
+    parser.add_argument("--budget", type=float)
+    parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--keep", type=Path, help="folder for the scenes (default: a temporary one)")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    card = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
+    print(f"{card}, {torch.get_num_threads()} threads, torch {torch.__version__}", flush=True)
+    rows: list[dict[str, Any]] = []
+
+    def add(row: dict[str, Any]) -> None:
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+        if options.out:
+            options.out.write_text(json.dumps({"card": card, "rows": rows}, indent=1) + "\n")
+
+    with tempfile.TemporaryDirectory() if options.keep is None else nullcontext(options.keep) as folder:
+        path, _, against = options.scene.partition("=")
+        if Path(path).is_dir():
+            images = sorted(str(p) for p in Path(path).iterdir() if p.suffix.lower() in (".tif", ".ntf", ".jp2"))
+            for number in range(options.runs):
+                scene, matched, row = pipe(images, options.metadata, Path(folder) / f"pipe_{number}")
+                add({"field": "whole pipe", "run": number, **errors_of(scene, against), **row})
+            path = str(matched)
+            print(f"scene with its prior: {path}", flush=True)
+        for field in options.fields:
+            if options.profile and field not in ("surface", TORCH):
+                profile(field, path, options)
+            for number in range(options.runs):
+                target = Path(folder) / f"{field}_{number}"
+                add({"field": field, "run": number, **run(field, path, against, target, options)})
+
+
+def pipe(images: list[str], metadata: str | None, folder: Path) -> tuple[Scene, Path, dict[str, Any]]:
+    """Its scene, the document of the scene with its prior, seconds and CPU seconds of every step, in this process."""
+    found: dict[str, Any] = {}
+    begun, used = time.perf_counter(), time.process_time()
+
+    def told(name: str) -> None:
+        nonlocal begun, used
+        now, cpu = time.perf_counter(), time.process_time()
+        found[name] = [round(now - begun, 2), round(cpu - used, 2)]
+        begun, used = now, cpu
+
+    given = {"id": "SCENE", "out": str(folder), **({"metadata": metadata} if metadata else {})}
+    scene = api.prepare(images, given)
+    told("prep")
+    scene = api.match(scene)
+    told("prior")
+    matched = folder / "matched.json"
+    matched.write_text(scene.to_json() + "\n")
+    scene = api.fit(scene)
+    told("fit")
+    scene = api.export(scene)
+    told("export")
+    return scene, matched, {"seconds": round(sum(seconds for seconds, _ in found.values()), 2), **found}
+
+
+def errors_of(scene: Scene, against: str) -> dict[str, float]:
+    """Error of the exported surface by the protocol [m]."""
+    height, grid = read_raster(scene.path(scene.products["dsm"]))
+    return {"MAE": round(scored(height[0], grid, against)["MAE"], 4)}
+
+
+def run(field: str, path: str, against: str, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """One fit from the prior, exported and scored."""
+    from sattools.export.options import ExportOptions
+    from sattools.export.stage import export
+    from sattools.fit.stage import fit
+
+    given: dict[str, Any] = {"device": options.device, "budget": options.budget}
+    if field not in (*PRESETS, TORCH):
+        given["field"] = field
+    if field not in ("surface", TORCH):
+        given |= {name: value for name in ("steps", "rays") if (value := getattr(options, name))}
+    chosen = resolve(field if field in PRESETS else "fast", given)
+    scene = absolute_copy(Scene.from_file(path), folder)
+    points, cuda = counted_points(), torch.cuda.is_available()
+    told: list[tuple[float, int, str]] = []
+    if cuda:
+        torch.cuda.reset_peak_memory_stats()
+    before, whole.SURFACE_DEVICE = whole.SURFACE_DEVICE, torch.device(options.device if field == TORCH else "cpu")
+    begun, used = time.perf_counter(), time.process_time()
+    try:
+        fit(scene, chosen, lambda share, text: told.append((time.perf_counter(), points(), text)))
+    finally:
+        whole.SURFACE_DEVICE = before
+    ended, used = time.perf_counter(), time.process_time() - used
+    export(scene, ExportOptions())
+    steps = [one for one in told if one[2].startswith("step ")]
+    row = errors_of(scene, against)
+    row |= {"seconds": round(ended - begun, 2), "CPU s": round(used, 2)}
+    row |= {"export s": round(time.perf_counter() - ended, 2)}
+    if len(steps) > 1:
+        (first, before_it, _), (last, count, text) = steps[0], steps[-1]
+        row |= {"start s": round(first - begun, 2), "after steps s": round(ended - last, 2)}
+        row |= {"steps": text.split(",")[0], "M samples/s": round((count - before_it) / (last - first) / 1e6, 2)}
+    if cuda:
+        row["GPU GB"] = round(torch.cuda.max_memory_allocated() / 2**30, 2)
+    return row
+
+
+def profile(field: str, path: str, options: argparse.Namespace) -> None:
+    """Print what ten steps of training take, and what of them the device."""
+    from torch.profiler import ProfilerActivity
+    from torch.profiler import profile as profiler
+
+    cuda = torch.cuda.is_available()
+    kinds = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if cuda else [])]
+    plain, watch, clock = RayTrainer.step, profiler(activities=kinds), [0.0, 0.0]
+
+    def step(self: RayTrainer, number: int) -> float:
+        if number in (PROFILED.start, PROFILED.stop):
+            if cuda:
+                torch.cuda.synchronize()
+            clock[number == PROFILED.stop] = time.perf_counter()
+        if number == PROFILED.stop:
+            watch.__enter__()
+        loss = plain(self, number)
+        if number == PROFILED.stop + 9:
+            watch.__exit__(None, None, None)
+        return loss
+
+    RayTrainer.step = step  # type: ignore[method-assign]
+    try:
+        from sattools.fit.stage import fit
+
+        given = {"device": options.device, "steps": 4 * PROFILED.stop}
+        chosen = resolve(field, given) if field in PRESETS else resolve("fast", {"field": field, **given})
+        with tempfile.TemporaryDirectory() as folder:
+            fit(absolute_copy(Scene.from_file(path), Path(folder) / "profiled"), chosen)
+    finally:
+        RayTrainer.step = plain  # type: ignore[method-assign]
+    averages = watch.key_averages()
+    kernels = sum(a.self_device_time_total for a in averages) / 1e3 if cuda else 0.0
+    print(f"{field}: ten steps take {1e3 * (clock[1] - clock[0]):.1f} ms, {kernels:.1f} ms of them on the device")
+    order = "self_device_time_total" if cuda else "self_cpu_time_total"
+    for one in sorted(averages, key=lambda a: -getattr(a, order))[:12]:
+        print(f"  {getattr(one, order) / 1e3:8.2f} ms {one.count:6d} x {one.key[:90]}")
+    most = sorted(averages, key=lambda a: -a.self_cpu_time_total)[:8]
+    print("  on the host: " + ", ".join(f"{a.key[:40]} {a.self_cpu_time_total / 1e3:.1f} ms" for a in most), flush=True)
+
+
+if __name__ == "__main__":
+    main()
