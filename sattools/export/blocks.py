@@ -80,18 +80,13 @@ class Surroundings:
         """Heights [m] with the lowest one of all in the place of unknown ones."""
         return np.where(np.isfinite(height), height, np.float32(self.low if np.isfinite(self.low) else 0.0))
 
-    def lit(self, block: Block, direction: Direction, filled: bool) -> NDArray[np.float32]:
+    def lit(self, block: Block, direction: Direction) -> NDArray[np.float32]:
         """Share ``[h, w]`` of the light from a direction (unit vector east, north, up) that reaches a block's cells.
 
-        Args:
-            block: see above.
-            direction: see above.
-            filled: whether unknown heights are the lowest of all; else they stay unknown.
+        Unknown heights are the lowest of all.
         """
         rows, cols = self._around(block, direction)
-        height = self.read(rows, cols)
-        height = self.level(height) if filled else height
-        lit = light_from(height, self.grid.cell_size, direction)
+        lit = light_from(self.level(self.read(rows, cols)), self.grid.cell_size, direction)
         up, left = block.rows.start - rows.start, block.cols.start - cols.start
         return np.ascontiguousarray(lit[up : up + block.grid.height, left : left + block.grid.width])
 

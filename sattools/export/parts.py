@@ -51,7 +51,7 @@ class Part:
             return None
         if self.around is None:
             return sun_visibility(self.surface.casting(), self.model.grid.cell_size, sun)
-        return torch.from_numpy(self.around.lit(Block(self.rows, self.cols, self.model.grid), sun, False))
+        return torch.from_numpy(self.around.lit(Block(self.rows, self.cols, self.model.grid), sun))
 
 
 class Parts(Protocol):

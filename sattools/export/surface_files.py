@@ -147,7 +147,7 @@ class SurfaceFiles:
         for href, values in of_prior.items():
             self._put(href, exported.shown(values), block)
         for name, sun in self._suns:
-            lit = surface.lit(block, sun, False)
+            lit = surface.lit(block, sun)
             self._put(view_href("shadow", name), np.where(exported.valid, lit < 0.5, 255).astype(np.uint8), block)
         for (kind, name), href in self._image_maps.items():
             self._put(href, exported.shown(maps.images[kind][exported.about.items.index(name)]), block)

@@ -128,7 +128,7 @@ class Witnesses:
             reached += shown
             if shown.any():
                 slope, _ = line_of_sight(witness.rpc, block.grid, low, (low, high))
-                seen += shown & (surface.lit(block, slope.unit(), True) >= 0.5)
+                seen += shown & (surface.lit(block, slope.unit()) >= 0.5)
         of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)
         return np.where(known & (reached >= NEEDED), of_reached, UNSEEN).astype(np.uint8)
 

@@ -14,6 +14,7 @@ from sattools.render.blocks import LANES
 # narrowest ramp of a shadow on a slope that the sun grazes, of the ray's rise over a cell
 LEAST_RAMP = 0.05
 ROUNDING = 1e-5  # of a share of light
+SURELY_M = 1e-3  # by which a ray clears what it need not be compared with, far more than single precision rounds
 # places of a block's numbers in its workspace: height and ramp of the cells, least share of light so far, and the ramp
 # and the plate (counted on the way) where that was found
 _BASE, _OWN, _BEST, _WIDE, _WHERE = (np.uint64(k * LANES) for k in range(5))
@@ -75,9 +76,12 @@ def _path(dx, dy, rows, cols):
 
 @njit(fastmath=FASTMATH)
 def _start(s, height, slope_x, slope_y, at, count, dx, dy, tangent):
-    """A block's cells before their rays leave; returns how many are turned to the sun."""
-    half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
-    lit = np.int32(0)
+    """A block's cells before their rays leave.
+
+    Returns how many are turned to the sun, the lowest of these and the widest of their ramps [m].
+    """
+    half, one, zero, never = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(1e30)
+    lit, low, wide = np.int32(0), never, zero
     for j in range(count):
         # the ray's rise over the cell's own plate, from its middle to its end: below that, a part is lit
         own = half * (tangent - slope_x[at + j] * dx - slope_y[at + j] * dy)
@@ -87,7 +91,9 @@ def _start(s, height, slope_x, slope_y, at, count, dx, dy, tangent):
         s[_BEST + j] = zero if own <= zero else one
         s[_WHERE + j] = -one
         lit = np.int32(lit + np.int32(own > zero))
-    return lit
+        low = min(low, height[at + j] if own > zero else never)
+        wide = max(wide, s[_OWN + j])
+    return lit, low, wide
 
 
 @njit(fastmath=FASTMATH)
@@ -120,16 +126,19 @@ def _meet(s, height, slope_x, slope_y, at, first, end, k, aside, down, enter, le
 @spread(lambda *arguments: arguments[-1])
 @njit(fastmath=FASTMATH, cache=True, nogil=True)
 def shadow_march(
-    height, slope_x, slope_y, direction, tangent, growth, top, visibility, caster, width, chunks, from_chunk, to_chunk
-):
+    height, slope_x, slope_y, direction, tangent, growth, top, tops, visibility, caster, width, chunks, from_chunk,
+    to_chunk,
+):  # fmt: skip
     """Sun visibility of every cell, and which cell casts the shadow.
 
     The cells are plates with the slopes of `limited_slopes` and steps between them; the ray from a cell's middle is
     compared with every plate where it enters and where it leaves it. All rays pass the same sequence of cells, counted
-    from their own, so that `LANES` neighbours go together, as in `sattools.render.kernels`.
+    from their own, so that `LANES` neighbours go together, as in `sattools.render.kernels`. They need not meet what is
+    lower than all of them, as most is soon after they have left.
 
     direction: (columns, rows) per cell length towards the sun, unit length; tangent: rise per cell length [m]; growth
-    [m per cell]: of half the width of the penumbra with distance; top: nothing is higher [m].
+    [m per cell]: of half the width of the penumbra with distance; top: nothing is higher [m]; tops [H, W / LANES]:
+    nor in a row's blocks of `LANES` cells.
     visibility [H, W] in [0, 1]; caster [H, W]: flat index of the deciding cell, -1 where nothing is near the sun ray;
     width [H, W]: half the width of the ramp there [m].
     """
@@ -142,7 +151,7 @@ def shadow_march(
         for row in range(chunk, rows, chunks):
             for col in range(0, cols, LANES):
                 count = min(LANES, cols - col)
-                going = _start(
+                going, low, wide = _start(
                     s, flat, flat_x, flat_y, np.uint64(row * cols + col), np.uint64(count), dx, dy, tangent
                 )  # fmt: skip
                 k = np.int64(0)  # a plain 0 is a type of its own: `_meet` would be compiled twice
@@ -151,6 +160,13 @@ def shadow_march(
                     first, end = max(0, -c), min(count, cols - c)
                     if r < 0 or r >= rows or first >= end:
                         break
+                    # the lowest ray here, less what its penumbra reaches down
+                    above = low + enters[k] * tangent - wide - growth * enters[k + 1] - np.float32(SURELY_M)
+                    if above > max(tops[r, (c + first) // LANES], tops[r, (c + end - 1) // LANES]):
+                        if above > top:
+                            break
+                        k += 1
+                        continue
                     going = _meet(
                         s, flat, flat_x, flat_y, np.uint64(r * cols + c), np.uint64(first), np.uint64(end), k,
                         np.float32(-aside[k]), np.float32(-down[k]), enters[k], enters[k + 1], dx, dy, tangent, growth,
@@ -164,4 +180,4 @@ def shadow_march(
                     caster[row, col + j] = -1 if where < 0 else (row + down[where]) * cols + col + j + aside[where]
 
 
-__all__ = ["limited_slopes", "shadow_march"]
+__all__ = ["LANES", "limited_slopes", "shadow_march"]

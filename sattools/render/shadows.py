@@ -55,23 +55,37 @@ def light_from(
 
 
 def cast_shadows(height: NDArray[np.float32], cell_size: float, direction: tuple[float, float, float]) -> Cast:
-    """The shadows of a sun that is above the horizon and not straight above; arguments as of `light_from`."""
+    """The shadows of a sun that is above the horizon and not straight above; arguments as of `light_from`.
+
+    Unknown heights cast none, and are lit as if they were the lowest of all.
+    """
     east, north, up = direction
     horizontal = math.hypot(east, north)
     heading = np.array([east / horizontal, -north / horizontal], np.float32)  # columns east, rows south
     tangent = up / horizontal
-    height = np.ascontiguousarray(height, np.float32)
+    height = _known(np.ascontiguousarray(height, np.float32))
     slopes = limited_slopes(height)
     # width of the half shadow per metre along the ray's ground track: d(tan el) = d(el) / cos(el)^2
     growth = math.radians(SUN_RADIUS_DEG) * (1 + tangent**2) * cell_size
     top = height.max() + 0.5 * max(np.abs(slope).max() for slope in slopes)
+    # a ray passes a plate's cell within half a cell of its middle, and rounding
+    plates = height + np.float32(0.51) * (np.abs(slopes[0]) + np.abs(slopes[1]))
+    tops = np.maximum.reduceat(plates, np.arange(0, height.shape[1], shadow_kernels.LANES), axis=1)
     lit, width = np.empty_like(height), np.empty_like(height)
     caster = np.empty(height.shape, np.int64)
     shadow_kernels.shadow_march(
-        height, *slopes, heading, np.float32(tangent * cell_size), np.float32(growth), np.float32(top),
+        height, *slopes, heading, np.float32(tangent * cell_size), np.float32(growth), np.float32(top), tops,
         lit, caster, width, 4 * chunk_count(height.size),
     )  # fmt: skip
     return Cast(lit, caster, width)
+
+
+def _known(height: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Heights [m] with the lowest one in the place of those that are not finite, which kernels know nothing of."""
+    known = np.isfinite(height)
+    if known.all():
+        return height
+    return np.where(known, height, height[known].min() if known.any() else np.float32(0.0))
 
 
 __all__ = ["SUN_RADIUS_DEG", "Cast", "cast_shadows", "light_from", "limited_slopes"]

@@ -82,4 +82,4 @@ def test_a_block_is_in_the_shadow_of_what_stands_outside_it(sun: Any, monkeypatc
     cut = blocks(grid)
     assert len(cut) == 30
     for block in cut:
-        np.testing.assert_array_equal(surface.lit(block, sun, False), whole[block.rows, block.cols])
+        np.testing.assert_array_equal(surface.lit(block, sun), whole[block.rows, block.cols])

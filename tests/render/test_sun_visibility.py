@@ -168,3 +168,26 @@ def test_shadows_are_those_of_the_plain_twin(azimuth: Any, elevation: Any) -> No
     slow = reference.sun_visibility(height, 0.5, sun_at(azimuth, elevation))
     assert 0.1 < (slow < 0.5).mean() < 0.9, "else this map proves nothing"
     np.testing.assert_allclose(fast, slow, atol=1e-4)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(75, 60), (160, 18), (200, 45), (271, 30), (359, 70)])
+def test_what_is_lower_than_all_rays_beside_it_is_passed_unseen(azimuth: Any, elevation: Any) -> None:
+    """A tower on one side of ruggedness: most rays have climbed above their surroundings long before they meet it."""
+    random = np.random.default_rng(azimuth)
+    height = np.round(random.uniform(-3, 3, (24, 90)), 3).astype(np.float32)
+    height[8:14, 20:26], height[4:9, 70:75] = 45.0, 25.0
+    found = sun_visibility(torch.from_numpy(height), 0.5, sun_at(azimuth, elevation)).numpy()
+    expected = reference.sun_visibility(height.astype(np.float64), 0.5, sun_at(azimuth, elevation))
+    assert (expected < 0.5).mean() > 0.1
+    assert np.abs(found - expected).max() < 1e-3
+    assert np.abs(found - expected).mean() < 1e-6
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+def test_a_hole_casts_no_shadow_and_leaves_the_others_where_they_are(unknown: float) -> None:
+    height, _, _ = block()
+    sun = sun_at(45, 30)
+    whole = sun_visibility(height, 0.5, sun)
+    height[5:9, 20:40] = unknown
+    assert torch.equal(sun_visibility(height, 0.5, sun), whole)
+    assert torch.equal(sun_visibility(torch.full((6, 7), unknown), 0.5, sun), torch.ones(6, 7))
