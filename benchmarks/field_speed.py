@@ -1,15 +1,16 @@
 """Surface, density grid, columns and networks on one scene in one run: samples a second, error after equal seconds.
 
-    python benchmarks/field_speed.py [--seconds 60] [--seed 1] [--size 64] [--width N] [--fields ...] [--out FILE.json]
+    python benchmarks/field_speed.py [--seconds 60] [--seed 1] [--size 64] [--width N] [--threads 1] [--fields ...]
+        [--out FILE.json]
 
-Every field gets the same seconds of training on the same simulated city (six views, exact cameras) with one thread,
-the surface ends sooner if its 16 epochs are done; surface and grid start from the depth prior, whose seconds are
-given beside; so do the networks, but for those marked "noise", which start as in their papers. Samples are positions on
-the rays of training steps, those of rays to the sun included, whether or not a field has to be evaluated there: it need
-not be where a column is empty, or behind the last that is seen; scoring does not count. CPU seconds are those of the
-whole fit, start and reading-off included: on a busy machine they say more than the seconds. The last line is how many
-points a CPU second torch's `grid_sample` reads, forward and alone, of as many values as the neural field has at a
-point. Not measured on a GPU.
+Every field gets the same seconds of training on the same simulated city (six views, exact cameras), with one thread
+unless told otherwise; the surface ends sooner if its 16 epochs are done; surface and grid start from the depth prior,
+whose seconds are given beside; so do the networks, but for those marked "noise", which start as in their papers.
+Samples are positions on the rays of training steps, those of rays to the sun included, whether or not a field has to
+be evaluated there: it need not be where a column is empty, or behind the last that is seen; scoring does not count.
+CPU seconds are those of the whole fit, start and reading-off included: on a busy machine they say more than the
+seconds. The last line is how many points a CPU second torch's `grid_sample` reads, forward and alone, of as many
+values as the neural field has at a point. On a GPU: `gpu.py`.
 """
 
 from __future__ import annotations
@@ -33,16 +34,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--size", type=float, default=64.0)
     parser.add_argument("--width", type=int, help="of the networks (default: the papers')")
+    parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--fields", nargs="*", default=FIELDS)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
 
     from sattools.cli import set_threads
 
-    set_threads(1)
+    set_threads(options.threads)
     import torch
 
-    torch.set_num_threads(1)
+    torch.set_num_threads(options.threads)
     from sattools.prior import PriorOptions
     from sattools.prior.stage import prior
     from sattools.simulate import SimulateOptions, simulate
