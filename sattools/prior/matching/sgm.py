@@ -74,19 +74,24 @@ def _step(before, offset, least, look_before, look, score, small, edge, more, st
 def _along_rows(score, look, small, edge, more, steep, total, first_group, end_group):
     """Fill ``total`` with the costs of the two paths along the rows."""
     rows, depth, cols = score.shape
+    # a path goes from column to column, so here rows lie side by side; made once: new pages cost as much as the paths
+    most = min(ROWS_AT_ONCE, rows)
+    room, scratch = np.zeros((2, cols, depth, most), np.float32), np.empty((2 * depth + 2, most), np.float32)
+    shown, state = np.zeros((cols, depth, most + 2), np.float32), np.empty((2, depth + 2, most + 2), np.float32)
+    least = np.empty((2, most + 2), np.float32)
     for group in range(first_group, end_group):
-        # a path goes from column to column, so here rows lie side by side
         top = group * ROWS_AT_ONCE
         n = min(ROWS_AT_ONCE, rows - top)
-        agreed, result = np.empty((cols, depth, n), np.float32), np.zeros((cols, depth, n), np.float32)
-        shown, scratch = np.zeros((cols, depth, n + 2), np.float32), np.empty((2 * depth + 2, n), np.float32)
+        agreed, result = room[0], room[1]  # in a last, smaller group some of it is of the one before, to no effect
+        result[:] = 0
         for k in range(depth):
             for i in range(n):
                 for col in range(cols):
                     agreed[col, k, i] = score[top + i, k, col]
                     shown[col, k, i + 1] = look[top + i, k, col]
         for way in range(2):  # forwards, backwards
-            state, least = np.zeros((2, depth + 2, n + 2), np.float32), np.zeros((2, n + 2), np.float32)
+            state[:] = 0
+            least[:] = 0
             state[:, 0] = state[:, depth + 1] = HUGE
             last = cols - 1 if way else 0
             for m in range(cols):
