@@ -12,6 +12,7 @@ from sattools.camera.view_direction import ViewDirection
 from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.options import FitOptions
 from sattools.fit.rays import stage
+from sattools.fit.rays.maps import rows_at_once
 from sattools.fit.rays.start import ray_set
 from sattools.fit.trace import Trace
 from sattools.scene import Grid
@@ -87,6 +88,19 @@ def test_a_ray_takes_few_bytes_where_no_normals_are_asked_for() -> None:
         assert torch.equal(getattr(with_normals, one), getattr(without, one)), one
 
 
+def network_on(device: str) -> Any:
+    """As much of a network's trainer as reading off asks before it begins."""
+    return SimpleNamespace(judged=False, field=None, device=torch.device(device))
+
+
+def test_a_gpu_is_asked_for_many_columns_at_once_and_a_cpu_for_a_row() -> None:
+    """8192 columns; rows of more are read one by one."""
+    for cells, rows in ((12, 682), (256, 32), (8192, 1), (20000, 1)):
+        grid = Grid("EPSG:32633", 0.0, 0.0, 1.0, cells, 10)
+        assert rows_at_once(network_on("cuda"), grid) == rows
+        assert rows_at_once(network_on("cpu"), grid) == 1
+
+
 def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Or a field's first fit after an installation would leave its budget to a reading that takes a second."""
     clock, read = {"now": 0.0}, []
@@ -97,7 +111,7 @@ def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest
 
     monkeypatch.setattr(stage, "read_maps", fake)
     monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
-    job = stage._RayJob(tmp_path / "checkpoint", "", SimpleNamespace(judged=False), GRID, Z_RANGE, Trace())
+    job = stage._RayJob(tmp_path / "checkpoint", "", network_on("cpu"), GRID, Z_RANGE, Trace())
     assert job._reading_s == pytest.approx(0.1 * GRID.height)
     assert max(read) <= stage.ROWS_TRIED
 
@@ -112,7 +126,7 @@ def test_reading_off_that_was_slow_once_does_not_end_a_fit(monkeypatch: pytest.M
     monkeypatch.setattr(stage, "read_maps", fake)
     monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
     trace = SimpleNamespace(seconds=lambda: clock["now"])
-    job = stage._RayJob(tmp_path / "checkpoint", "", SimpleNamespace(judged=False), GRID, Z_RANGE, trace)
+    job = stage._RayJob(tmp_path / "checkpoint", "", network_on("cpu"), GRID, Z_RANGE, trace)
     options = FitOptions(budget=1000.0)
     slow = 10.0 * GRID.height
     assert job._reading_s == pytest.approx(slow)
