@@ -6,37 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from four_sides import GRID, Z_RANGE, a_house
 
 from sattools import compiled
-from sattools.camera.view_direction import ViewDirection
 from sattools.field import neural
-from sattools.field.surface_base import SurfaceBase
-from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.presets import resolve
 from sattools.fit.rays.stage import STEPS
-from sattools.fit.rays.start import box_over, make_field, ray_set
+from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
-from sattools.scene import Grid
-from sattools.views import View
-
-CELLS = 24
-GRID = Grid("EPSG:32633", 0.0, 0.0, 1.0, CELLS, CELLS)
-Z_RANGE = (-5.0, 25.0)
-SLOPES = ((0.45, 0.1), (-0.4, 0.2), (0.1, -0.45), (0.0, 0.0))
-SUNS = ((0.0, 0.6, 0.8), (0.8, 0.3, 0.52), (-0.9, 0.1, 0.42), None)
 
 
 def house(bands: int = 3, **given: Any) -> RayTrainer:
     """A house of 10 m under noise: shares, colours and relations are nowhere near where they begin."""
-    random = np.random.default_rng(7)
-    height = torch.zeros(CELLS, CELLS)
-    height[8:16, 10:20] = 10.0
-    pixels = random.uniform(0.1, 0.9, (len(SLOPES), CELLS, CELLS, bands)).astype(np.float32)
-    seen = np.ones(GRID.shape, np.uint8)
-    views = [View(str(k), pixels[k], seen, ViewDirection(*slope), 2.0, SUNS[k], 0.0) for k, slope in enumerate(SLOPES)]
+    views, prior, base = a_house(bands)
     options = resolve("fast", {"field": "neural", "rays": 160, "steps": 40, **given})
-    prior = DepthPrior(height, torch.full(GRID.shape, 0.5), GRID)
-    base = SurfaceBase(box_over(GRID, Z_RANGE), height, torch.from_numpy(pixels[0]), 0.5)
     field = make_field(options, GRID, Z_RANGE, 2.0, bands, prior, base=base)
     ones = torch.ones(len(views), bands)
     trainer = RayTrainer(field, ray_set(views, GRID, Z_RANGE, prior), options, ones, 0 * ones, STEPS["neural"])

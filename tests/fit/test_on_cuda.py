@@ -6,56 +6,43 @@ Skipped where there is no such device; `tests/field/test_placement.py` sees to i
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
+from four_sides import CELLS, GRID, Z_RANGE, a_house
 
 from sattools.camera.view_direction import ViewDirection
 from sattools.compare import compare_dsm, read_reference
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
-from sattools.field.surface_base import SurfaceBase
-from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.maps import read_maps
 from sattools.fit.rays.stage import STEPS, FieldSteps
-from sattools.fit.rays.start import box_over, make_field, ray_set
+from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
 from sattools.fit.stage import fit
 from sattools.reflectance import hapke, rpv
 from sattools.render import ParallelRays, Quadrature, render
 from sattools.render.reference import render_planes
-from sattools.scene import Grid, Scene
+from sattools.scene import Scene
 from sattools.scene.raster import read_raster
-from sattools.views import View
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 CPU, CUDA = torch.device("cpu"), torch.device("cuda")
-CELLS = 24
-GRID = Grid("EPSG:32633", 0.0, 0.0, 1.0, CELLS, CELLS)
-Z_RANGE = (-5.0, 25.0)
-SLOPES = ((0.45, 0.1), (-0.4, 0.2), (0.1, -0.45), (0.0, 0.0))
-SUNS = ((0.0, 0.6, 0.8), (0.8, 0.3, 0.52), (-0.9, 0.1, 0.42), None)
 FIELDS = [*(name for name in PRESETS if name != "fast"), "neural", "voxel"]
 
 
 def house(name: str, device: torch.device, **given: Any) -> RayTrainer:
     """A house of 10 m under noise, as a preset or field of that name sees it from four sides."""
-    random = np.random.default_rng(7)
-    height = torch.zeros(CELLS, CELLS)
-    height[8:16, 10:20] = 10.0
-    pixels = random.uniform(0.1, 0.9, (len(SLOPES), CELLS, CELLS, 3)).astype(np.float32)
-    seen = np.ones(GRID.shape, np.uint8)
-    views = [View(str(k), pixels[k], seen, ViewDirection(*slope), 2.0, SUNS[k], 0.0) for k, slope in enumerate(SLOPES)]
+    views, prior, base = a_house()
     if name in PRESETS:
         options = resolve(name, {"width": 32, **given})
     else:
         options = resolve("fast", {"field": name, "shadow": "geometric", **given})
-    prior = DepthPrior(height, torch.full(GRID.shape, 0.5), GRID)
     rays = ray_set(views, GRID, Z_RANGE, prior).to(device)
-    base = SurfaceBase(box_over(GRID, Z_RANGE), height, torch.from_numpy(pixels[0]), 0.5).to(device)
     with device:
-        field = make_field(options, GRID, Z_RANGE, 2.0, 3, prior.to(device), base=None if name == "voxel" else base)
+        field = make_field(
+            options, GRID, Z_RANGE, 2.0, 3, prior.to(device), base=None if name == "voxel" else base.to(device)
+        )
         ones = torch.ones(len(views), 3)
         return RayTrainer(field, rays, options, ones, 0 * ones, STEPS.get(options.field, FieldSteps()))
 
