@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from sattools.constants import constant
 from sattools.field.kernels import EMPTY, LEAST, Colours, Density, runs_here
 from sattools.field.penalty import Penalty, plain_penalty
 from sattools.field.protocol import Box
@@ -118,12 +119,12 @@ class NeuralField:
 
     def _over(self, maps: Tensor, points: Tensor) -> Tensor:
         """Values ``[K, N]`` of maps ``[K, H, W]`` over or under points."""
-        where = self.box.scaled(points)[:, :2] * points.new_tensor([1.0, -1.0])  # rows run south
+        where = self.box.scaled(points)[:, :2] * constant((1.0, -1.0), points)  # rows run south
         return grid_sample(maps[None], where[None, None], padding_mode="border", align_corners=False)[0, :, 0]
 
     def _within(self, grid: Tensor, points: Tensor) -> Tensor:
         """Values ``[K, N]`` of a grid ``[K, D, H, W]`` at points; its outermost values lie on the box."""
-        where = self.box.scaled(points) * points.new_tensor([1.0, -1.0, 1.0])
+        where = self.box.scaled(points) * constant((1.0, -1.0, 1.0), points)
         read = grid_sample(grid[None], where[None, None, None], padding_mode="border", align_corners=True)
         return read[0, :, 0, 0]
 

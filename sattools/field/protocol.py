@@ -7,6 +7,8 @@ from typing import Protocol
 
 from torch import Tensor
 
+from sattools.constants import constant
+
 
 @dataclass(frozen=True)
 class Box:
@@ -21,7 +23,7 @@ class Box:
 
     def scaled(self, points: Tensor) -> Tensor:
         """Points ``[..., 3]`` in metres -> [-1, 1]."""
-        low, high = points.new_tensor(self.low), points.new_tensor(self.high)
+        low, high = constant(self.low, points), constant(self.high, points)
         return (points - low) / (high - low) * 2 - 1
 
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from sattools.constants import constant
 from sattools.field.protocol import Box
 
 LEAST_OPTICAL = 1e-4  # of the network's unit of density, far above the surface
@@ -90,7 +91,7 @@ class SurfaceBase:
         return self._read(self.height[..., None], points)[0]
 
     def _read(self, maps: Tensor, points: Tensor) -> Tensor:
-        where = self.box.scaled(points)[:, :2] * points.new_tensor([1.0, -1.0])  # rows run south
+        where = self.box.scaled(points)[:, :2] * constant((1.0, -1.0), points)  # rows run south
         # cells are areas: the box ends at their outer edges
         read = grid_sample(maps.permute(2, 0, 1)[None], where[None, None], padding_mode="border", align_corners=False)
         return read[0, :, 0]

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, relu
 
+from sattools.constants import constant
 from sattools.field.protocol import Box
 
 START_SOFTNESS_M = 2.0
@@ -53,7 +54,7 @@ class VoxelField:
 
     def _read(self, grid: Tensor, points: Tensor) -> Tensor:
         """Trilinear values ``[N, C]`` of ``[C, D, H, W]``; rows run south."""
-        where = self.box.scaled(points) * points.new_tensor([1.0, -1.0, 1.0])
+        where = self.box.scaled(points) * constant((1.0, -1.0, 1.0), points)
         read = grid_sample(grid[None], where[None, None, None], padding_mode="border", align_corners=True)
         return read[0, :, 0, 0].T
 

@@ -16,6 +16,7 @@ class Adam(torch.optim.Adam):
 
     add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
     zero_grad = inspect.unwrap(torch.optim.Adam.zero_grad)
+    _warned_capturable_if_run_uncaptured = True  # steps that are recorded follow one that is not
     step = torch.no_grad()(inspect.unwrap(torch.optim.Adam.step))
 
 

@@ -145,6 +145,6 @@ def as_tensors(normal: Tensor, sun: Tensor, view: Tensor, *parameters: Tensor | 
     if dtype not in (torch.float32, torch.float64):
         raise TypeError(f"reflectance: found {dtype}, expected float32 or float64")
     return [
-        value.to(dtype) if isinstance(value, Tensor) else torch.as_tensor(value, dtype=dtype, device=normal.device)
+        value.to(dtype) if isinstance(value, Tensor) else torch.full((), value, dtype=dtype, device=normal.device)
         for value in values
     ]

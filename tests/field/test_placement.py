@@ -99,19 +99,53 @@ def trainer_on_meta(options: FitOptions) -> RayTrainer:
         return RayTrainer(field, rays, options, torch.ones(views, 3), torch.zeros(views, 3))
 
 
+def options_of(name: str) -> FitOptions:
+    given = {"field": name, "shadow": "geometric", "transient": "off"} if name in ("neural", "voxel") else PRESETS[name]
+    return replace(FitOptions(), **{**given, "samples": 4, "guided": 3, "width": 16, "depth_weight": 1.0})
+
+
 @pytest.mark.parametrize("name", [*(name for name in PRESETS if name != "fast"), "neural", "voxel"])
 def test_a_training_step_of_every_preset_stays_on_its_device(name: str) -> None:
-    given = {"field": name, "shadow": "geometric", "transient": "off"} if name in ("neural", "voxel") else PRESETS[name]
-    options = replace(FitOptions(), **given)
-    options = replace(options, samples=4, guided=3, width=16, depth_weight=1.0)
-    trainer = trainer_on_meta(options)
+    trainer = trainer_on_meta(options_of(name))
+    loss = one_step(trainer)
+    assert loss.device == META
+    moved = [n for n, tensor in trainer.tensors.items() if tensor.grad is not None and tensor.grad.device == META]
+    assert len(moved) >= len(trainer.field.named_tensors()) // 2
+
+
+def one_step(trainer: RayTrainer) -> torch.Tensor:
     with META:
         loss, extra = trainer.losses(torch.zeros(5, dtype=torch.long), 6, 0.9, None)
         (loss + extra).backward()
         trainer.adam.step()
-    assert loss.device == META
-    moved = [n for n, tensor in trainer.tensors.items() if tensor.grad is not None and tensor.grad.device == META]
-    assert len(moved) >= len(trainer.field.named_tensors()) // 2
+    return loss
+
+
+@pytest.mark.parametrize("name", [*(name for name in PRESETS if name != "fast"), "neural", "voxel"])
+def test_a_second_step_brings_nothing_to_its_device(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To bring numbers there waits for what it does, and a step that waits cannot be recorded."""
+    trainer = trainer_on_meta(options_of(name))
+    one_step(trainer)
+    for module, function in ((torch, "tensor"), (torch, "as_tensor"), (torch, "from_numpy")):
+        monkeypatch.setattr(module, function, brings)
+    for method in ("new_tensor", "to", "cuda", "cpu", "numpy"):
+        monkeypatch.setattr(torch.Tensor, method, brings_elsewhere(method))
+    one_step(trainer)
+
+
+def brings(*_: Any, **__: Any) -> Any:
+    pytest.fail("numbers are brought to the device")
+
+
+def brings_elsewhere(method: str) -> Any:
+    plain = getattr(torch.Tensor, method)
+
+    def checked(tensor: torch.Tensor, *given: Any, **more: Any) -> Any:
+        if method == "to" and not any(isinstance(one, (str, torch.device)) for one in (*given, *more.values())):
+            return plain(tensor, *given, **more)
+        return brings()
+
+    return checked
 
 
 @pytest.mark.parametrize("at_rest", [False, True])

@@ -14,6 +14,7 @@ from sattools.camera.view_direction import ViewDirection
 from sattools.compare import compare_dsm, read_reference
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
+from sattools.field.mlp import MlpField
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.maps import read_maps
 from sattools.fit.rays.stage import STEPS, FieldSteps
@@ -134,6 +135,28 @@ def test_a_step_goes_on_from_what_another_has_saved() -> None:
         for trainer in (one, other):
             trainer.step(2)
     wrong = {n: apart(other.tensors[n], t) for n, t in one.tensors.items() if apart(other.tensors[n], t) > 1e-4}
+    assert not wrong
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_recorded_steps_are_those_that_are_not(name: str) -> None:
+    """But for the order in which the device adds up, through what comes in late, and at rest."""
+    given = {"steps": 24, "rays": 64, **({"shadow": "geometric"} if name == "hapke-nerf" else {})}
+    one, other = house(name, CUDA, **given), house(name, CUDA, **given)
+    assert one.recorded is not None
+    assert other.recorded is not None
+    other.recorded.possible = False
+    losses = []
+    with CUDA:
+        for number in range(24):
+            if number == 18 and isinstance(one.field, MlpField):
+                for trainer in (one, other):
+                    trainer.rest(number)
+            losses.append((one.step(number), other.step(number)))
+    assert one.recorded.possible
+    assert len(one.recorded.recordings) > 1
+    assert [found for found, _ in losses] == pytest.approx([expected for _, expected in losses], rel=2e-2, abs=1e-6)
+    wrong = {n: apart(other.tensors[n], t) for n, t in one.tensors.items() if apart(other.tensors[n], t) > 2e-2}
     assert not wrong
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from sattools.constants import constant
 from sattools.field.mlp import MlpField
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
@@ -79,6 +81,16 @@ class RayScene:
         random = torch.Generator("cpu").manual_seed(options.seed)  # the same beginning on every device
         self.embedding = 0.01 * torch.randn(len(rays.suns), EMBEDDING, generator=random, device="cpu").to(gain)
 
+    def phase(self, epoch: int, share: float) -> Hashable:
+        """What of a training comes in late and has; in one phase `predict` does the same with all numbers of rays.
+
+        Args:
+            epoch: from 1.
+            share: of the training that is done, in [0, 1].
+        """
+        late = epoch >= self.first_lit, epoch > FIRST_EPOCH + WARM_UP_EPOCHS, share >= self.options.pretrain
+        return self.at_rest, *late
+
     def predict(self, chosen: Tensor, epoch: int, share: float, random: torch.Generator | None) -> Prediction:
         """What the field shows along rays.
 
@@ -98,7 +110,7 @@ class RayScene:
         t, weights, features, depth = self._seen(batch, t, random)
         sun = rays.suns[view]
         known = torch.isfinite(sun).all(dim=1)
-        sun = torch.where(known[:, None], sun, sun.new_tensor([0.0, 0.0, 1.0]))
+        sun = torch.where(known[:, None], sun, constant((0.0, 0.0, 1.0), sun))
 
         asks = bool(self.field.heads - {"albedo"})
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -19,6 +20,7 @@ from sattools.fit.rays.followed import ColumnSteps
 from sattools.fit.rays.heldout import held_out
 from sattools.fit.rays.losses import BETA_MIN, beta_loss, depth_loss
 from sattools.fit.rays.rays import RaySet
+from sattools.fit.rays.recorded import RecordedSteps
 from sattools.fit.rays.scene import ALL_IN, SEEN, RayScene
 
 BETA_EPOCH = 3  # of Sat-NeRF, the first with an uncertainty
@@ -85,11 +87,11 @@ class RayTrainer(RayScene):
             at_rest = RATE_AT_REST if name.startswith("field.") else 1.0
             groups.append({"params": [tensor], "lr": rate, "initial": rate, "begin": begin, "at_rest": at_rest})
         # in one pass over a tensor; with a pass per operation it took a quarter of a step of `eonerf` on an H200
-        fused = self.device.type in ("cpu", "cuda")
-        self.adam = Adam(groups, eps=field_steps.epsilon, fused=fused)
-        self.unsaid = torch.zeros(
-            2, dtype=torch.float64, device="cpu"
-        )  # loss and steps since the last row of the trace
+        cuda = self.device.type == "cuda"
+        self.adam = Adam(groups, eps=field_steps.epsilon, fused=cuda or self.device.type == "cpu", capturable=cuda)
+        self.recorded = RecordedSteps(self.device, self.adam) if cuda else None
+        # loss and steps since the last row of the trace
+        self.unsaid = torch.zeros(2, dtype=torch.float64, device="cpu")
         self.plan(options.steps)
 
     def rest(self, number: int) -> None:
@@ -121,20 +123,38 @@ class RayTrainer(RayScene):
         pixels = max(1, len(self.rays.target) // self.count)
         self.epoch_steps = max(1, min(pixels, (steps - (self.rest_from or 0)) // 10))
 
+    @functools.cached_property
+    def random(self) -> torch.Generator:
+        """Of all steps, set anew for each: where steps are recorded, they go on drawing from the one they met."""
+        return torch.Generator(self.device)
+
     def step(self, number: int) -> float:
         """One step; its photometric loss."""
-        options = self.options
-        random = torch.Generator(self.device).manual_seed(options.seed * 1_000_003 + number)
+        random = self.random.manual_seed(self.options.seed * 1_000_003 + number)
         epoch = (number - (self.rest_from or 0)) // self.epoch_steps + 1
+        rates = []
         for group in self.adam.param_groups:
             begun = number >= group["begin"] * self.steps
             faster = group["at_rest"] if self.at_rest else 1.0
-            group["lr"] = faster * group["initial"] * DECAY ** (epoch - 1) if begun else 0.0
+            rates.append(faster * group["initial"] * DECAY ** (epoch - 1) if begun else 0.0)
         chosen = self._draw(random)
+        epoch, share = (ALL_IN, 1.0) if self.at_rest else (epoch, number / self.steps)
+        if self.recorded:
+            descend = functools.partial(self._descend, epoch=epoch, share=share, random=random)
+            return float(self.recorded.step(self.phase(epoch, share), chosen, rates, descend, random))
+        for group, rate in zip(self.adam.param_groups, rates, strict=True):
+            group["lr"] = rate
+        return float(self._descend(chosen, epoch, share, random))
+
+    def phase(self, epoch: int, share: float) -> Hashable:
+        """See `RayScene.phase`; shares of the training in [0, 1]."""
+        return super().phase(epoch, share), epoch >= BETA_EPOCH
+
+    def _descend(self, chosen: Tensor, epoch: int, share: float, random: torch.Generator) -> Tensor:
+        """One step with rays and rates that are settled; its photometric loss."""
         self.adam.zero_grad(set_to_none=True)
         if self.columns:
             self.columns.begin()
-        epoch, share = (ALL_IN, 1.0) if self.at_rest else (epoch, number / self.steps)
         loss, extra = self.losses(chosen, epoch, share, random)
         (loss + extra).backward()
         for name in ("gain", "offset"):
@@ -148,7 +168,7 @@ class RayTrainer(RayScene):
         with torch.no_grad():
             self.colour["ambient"].clamp_(0.02, 1.0)
             self.colour["gain"].clamp_(0.05, 20.0)
-        return float(loss.detach())
+        return loss.detach()
 
     def _draw(self, random: torch.Generator) -> Tensor:
         """Numbers ``[R]`` of the rays of a step: none that is held out, where a start is there to be judged against."""
@@ -210,6 +230,8 @@ class RayTrainer(RayScene):
                 self.adam.state[tensor] = {"step": saved["step"].to(tensor.device), **moments}
         if self.columns:
             self.columns.go_on()
+        if self.recorded:
+            self.recorded.forget()
 
 
 __all__ = ["FieldSteps", "RayTrainer"]
