@@ -18,6 +18,7 @@ import argparse
 import json
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from papers import counted_points, scored
 from sattools import api
 from sattools.fit import whole
 from sattools.fit.presets import PRESETS, resolve
+from sattools.fit.rays.recorded import RecordedSteps
 from sattools.fit.rays.trainer import RayTrainer
 from sattools.scene import Scene
 from sattools.scene.copies import absolute_copy
@@ -122,7 +124,7 @@ def run(field: str, path: str, against: str, folder: Path, options: argparse.Nam
         given |= {name: value for name in ("steps", "rays") if (value := getattr(options, name))}
     chosen = resolve(field if field in PRESETS else "fast", given)
     scene = absolute_copy(Scene.from_file(path), folder)
-    points, cuda = counted_points(), torch.cuda.is_available()
+    points, cuda = with_replayed(counted_points()), torch.cuda.is_available()
     told: list[tuple[float, int, str]] = []
     if cuda:
         torch.cuda.reset_peak_memory_stats()
@@ -145,6 +147,23 @@ def run(field: str, path: str, against: str, folder: Path, options: argparse.Nam
     if cuda:
         row["GPU GB"] = round(torch.cuda.max_memory_allocated() / 2**30, 2)
     return row
+
+
+def with_replayed(points: Callable[[], int]) -> Callable[[], int]:
+    """The same count with those of recorded steps, which are asked for when the step is recorded and not again."""
+    again, known, plain = [0], dict[Any, int](), RecordedSteps.step
+
+    def step(self: RecordedSteps, phase: Any, chosen: torch.Tensor, *given: Any) -> torch.Tensor:
+        before = points()
+        loss = plain(self, phase, chosen, *given)
+        if asked := points() - before:
+            known[phase, len(chosen)] = asked
+        else:
+            again[0] += known[phase, len(chosen)]
+        return loss
+
+    RecordedSteps.step = step  # type: ignore[method-assign]
+    return lambda: points() + again[0]
 
 
 def profile(field: str, path: str, options: argparse.Namespace) -> None:

@@ -159,7 +159,10 @@ def spread(pieces: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
                 return
             parts = min(PARTS * used, count)
             bounds = [count * k // parts for k in range(parts + 1)]
-            _together([functools.partial(kernel, *arguments, *bounds[k : k + 2]) for k in range(parts)], used)
+            calls: list[Callable[[], object]] = [
+                functools.partial(kernel, *arguments, *bounds[k : k + 2]) for k in range(parts)
+            ]
+            _together(calls, min(used, parts))
 
         return run
 

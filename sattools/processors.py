@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextvars
 import ctypes
 import math
 import os
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -30,8 +32,9 @@ def threads() -> int:
 def side_by_side(function: Callable[[T], R], items: Iterable[T], most: int | None = None) -> Iterator[R]:
     """What a function makes of items, in their order; of several at a time, where this process has threads for it.
 
-    It pays where the function is busy in OpenCV or with large arrays of NumPy, which let other threads run meanwhile.
-    What raises first by the items' order is raised, and what has not begun then, or at Ctrl-C, is left alone.
+    It pays where the function is busy in OpenCV, GDAL or with large arrays of NumPy, which let other threads run
+    meanwhile. It sees the context variables that its caller sees. What raises first by the items' order is raised, and
+    what has not begun then, or at Ctrl-C, is left alone.
 
     Args:
         function: of one item; it changes nothing that the others use.
@@ -45,7 +48,10 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T], most: int | Non
         return
     pool = ThreadPoolExecutor(count, "sattools")
     try:
-        yield from pool.map(function, items)
+        here = contextvars.copy_context()
+        waiting = deque(pool.submit(here.copy().run, function, item) for item in items)
+        while waiting:
+            yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
 

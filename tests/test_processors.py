@@ -1,5 +1,6 @@
 """A process knows what its container allows it."""
 
+import contextvars
 import os
 import threading
 from pathlib import Path
@@ -89,6 +90,12 @@ def test_a_variable_of_the_environment_is_as_before_afterwards() -> None:
 @pytest.fixture
 def four_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "4")
+
+
+def test_side_by_side_sees_what_its_caller_sees(four_threads: None) -> None:
+    seen: contextvars.ContextVar[str] = contextvars.ContextVar("seen", default="nothing")
+    seen.set("files are held back")
+    assert set(processors.side_by_side(lambda _: seen.get(), range(5))) == {"files are held back"}
 
 
 def test_side_by_side_keeps_the_order_of_the_items(four_threads: None) -> None:

@@ -17,7 +17,7 @@ from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.fit.stored import CellMaps, StoredModel
 from sattools.scene import Asset, Grid, Scene
-from sattools.scene.cog import CogWriter
+from sattools.scene.cog import CogWriter, cogs
 from sattools.scene.memory import give_back
 from sattools.scene.raster import read_on
 from sattools.scene.validity import MEANING
@@ -111,8 +111,7 @@ class SurfaceFiles:
         self._files = {href: CogWriter(scene.output(href), grid, **options) for href, options in about.items()}
 
     def __enter__(self) -> SurfaceFiles:
-        for file in self._files.values():
-            self._stack.enter_context(file)
+        self._stack.enter_context(cogs(self._files.values()))
         return self
 
     def write(

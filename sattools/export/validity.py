@@ -13,6 +13,7 @@ from sattools.camera.cells import project_cells
 from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
+from sattools.processors import side_by_side
 from sattools.scene import Grid, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN
@@ -20,6 +21,7 @@ from sattools.views import line_of_sight
 
 NEEDED = 2  # images that a height takes
 _STRIP_CELLS = 1_000_000
+_AT_ONCE = 4  # images whose pixels are looked up at a time
 _WHOLE_PIXELS = 16_000_000  # of an image whose frame is found pixel by pixel
 _FRAME_STEP = 16  # pixels along an axis that are looked at as one where it is larger
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced
@@ -103,10 +105,13 @@ class Witnesses:
         named = all("rpc" in i.assets and {"radiance", "image"} & i.assets.keys() for i in used)
         #: whether the scene still names all images and cameras
         self.known = len(used) == len(ids) and named
-        self._witnesses = []
-        for item in used if self.known else []:
-            part = image_part(scene, item, "radiance" if "radiance" in item.assets else "image")
-            self._witnesses.append(Witness(RPC.from_file(scene.path(item.assets["rpc"].href)), part, *_frame(part)))
+        items = used if self.known else []
+        cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
+        parts = [image_part(scene, item, "radiance" if "radiance" in item.assets else "image") for item in items]
+        largest = max((rows * cols for rows, cols in (part.shape for part in parts)), default=1)
+        frames = side_by_side(_frame, parts, max(1, _WHOLE_PIXELS // max(largest, 1)))
+        found = zip(cameras, parts, frames, strict=True)
+        self._witnesses = [Witness(rpc, part, frame, step) for rpc, part, (frame, step) in found]
 
     def validity(self, block: Block, surface: Surroundings) -> NDArray[np.uint8]:
         """How every cell of a block came by its height.
@@ -123,8 +128,9 @@ class Witnesses:
         height = surface.read(block.rows, block.cols)
         known, level = np.isfinite(height), surface.level(height)
         low, high = surface.low, max(surface.high, surface.low + 1.0)
-        for witness in self._witnesses if known.any() else []:
-            shown = witness.shown(block.grid, level)
+        witnesses = self._witnesses if known.any() else []
+        looks = side_by_side(lambda witness: witness.shown(block.grid, level), witnesses, _AT_ONCE)
+        for witness, shown in zip(witnesses, looks, strict=True):
             reached += shown
             if shown.any():
                 slope, _ = line_of_sight(witness.rpc, block.grid, low, (low, high))

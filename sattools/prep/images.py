@@ -36,6 +36,7 @@ LARGE_PX = 9_000_000  # of an image, beyond which none is read as a whole
 LARGE_TOTAL_PX = 200_000_000  # of all images together
 REDUCED_PX = 5_000_000
 _STRIP_PX = 4_000_000
+_AT_ONCE_PX = 9_000_000  # of images that are read or written at a time
 
 
 @dataclass
@@ -194,6 +195,12 @@ def block_factor(size: tuple[int, int], sizes: Sequence[tuple[int, int]]) -> int
     return max(1, math.ceil(math.sqrt(size[0] * size[1] / budget)))
 
 
+def at_once(sources: Sequence[SourceImage]) -> int:
+    """Images that are read or written at a time: several small ones, but one that is a whole satellite scene."""
+    largest = max((source.window[2] * source.window[3] for source in sources), default=1)
+    return max(1, _AT_ONCE_PX // max(largest, 1))
+
+
 def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> NDArray[np.float32]:
     """Mean of the bands over the source's window `[H, W]`, NaN where a band has no data.
 
@@ -346,6 +353,7 @@ __all__ = [
     "LARGE_PX",
     "LARGE_TOTAL_PX",
     "SourceImage",
+    "at_once",
     "block_factor",
     "check_ids",
     "common_name",

@@ -21,8 +21,9 @@ from sattools.camera.ground import ground_sample_distance
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, block_factor, read_gray
+from sattools.prep.images import SourceImage, at_once, block_factor, read_gray
 from sattools.prep.layout import Bounds, common_bounds, crop_window, ground_polygon
+from sattools.processors import side_by_side
 from sattools.progress import Progress, subprogress
 
 WINDOWS = 12  # squares of the ground
@@ -65,10 +66,11 @@ def read_grays(sources: Sequence[SourceImage], progress: Progress) -> GrayImages
     """
     sizes = [(s.window[3], s.window[2]) for s in sources]
     factors = [block_factor(size, sizes) for size in sizes]
-    grays = []
-    for k, (source, factor) in enumerate(zip(sources, factors, strict=True)):
-        progress(k / len(sources), f"reading {source.id}")
-        grays.append(read_gray(source, factor))
+    grays: list[NDArray[np.float32]] = []
+    both = zip(sources, factors, strict=True)
+    for source, gray in zip(sources, side_by_side(lambda one: read_gray(*one), both, at_once(sources)), strict=True):
+        progress(len(grays) / len(sources), f"reading {source.id}")
+        grays.append(gray)
     return GrayImages(grays, factors)
 
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from sattools.camera.adjust import Adjustment
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, write_image
+from sattools.prep.images import SourceImage, at_once, write_image
 from sattools.prep.items import describe, tie_point_features
 from sattools.prep.layout import crop_window
 from sattools.prep.pairs import residual_vectors
+from sattools.processors import side_by_side
 from sattools.progress import Progress
 from sattools.scene import GEOTIFF_TYPE, Asset, Scene
 from sattools.scene.files import write_text
@@ -61,13 +62,18 @@ def write_images(
                 raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
     if copy is None:
         copy = sum(_bytes(source) for source in sources) <= COPY_LIMIT
-    for k, (source, rpc) in enumerate(zip(sources, full, strict=True)):
+    cameras = [rpc.cropped(source.window[0], source.window[1]) for source, rpc in zip(sources, full, strict=True)]
+    copied = [copy or isinstance(source.path, RemotePath) for source in sources]
+
+    def write(k: int) -> None:
+        if copied[k]:
+            write_image(sources[k], cameras[k], scene.output(f"images/{sources[k].id}.tif"))
+
+    for k, _ in enumerate(side_by_side(write, range(len(sources)), at_once(sources))):
+        source, camera = sources[k], cameras[k]
         progress(k / len(sources), f"writing {source.id}")
-        camera = rpc.cropped(source.window[0], source.window[1])
         item = describe(source, camera, result.views[k], grid, heights)
-        if copy or isinstance(source.path, RemotePath):
-            write_image(source, camera, scene.output(f"images/{source.id}.tif"))
-        else:
+        if not copied[k]:
             item.assets["image"] = Asset(
                 str(source.path.absolute()), GEOTIFF_TYPE, ["data"], {WINDOW: list(source.window)}
             )

@@ -20,7 +20,7 @@ from sattools.prior.probability import (
     height_probability,
 )
 from sattools.scene import Grid, Scene
-from sattools.scene.cog import CogWriter
+from sattools.scene.cog import CogWriter, cogs
 from sattools.scene.files import written
 from sattools.scene.raster import read_raster, write_sensor_image
 
@@ -92,8 +92,7 @@ class MapFiles:
         ]
 
     def __enter__(self) -> MapFiles:
-        for file in self._files:
-            self._stack.enter_context(file)
+        self._stack.enter_context(cogs(self._files))
         return self
 
     def write(self, height: np.ndarray, confidence: np.ndarray, slant: np.ndarray, rows: slice | None = None) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import warnings
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,18 +13,19 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from rasterio.enums import Resampling
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from sattools.errors import SattoolsError
+from sattools.processors import side_by_side
 from sattools.scene.datums import compound
 from sattools.scene.files import scratch, write_bytes, write_with
-from sattools.scene.gdal import ERRORS, quiet_libtiff, why_not_written
+from sattools.scene.gdal import ERRORS, not_georeferenced, quiet_libtiff, why_not_written
 from sattools.scene.grid import Grid
 from sattools.scene.stored import cut
 
 IN_MEMORY = 8 << 20  # bytes up to which a map is put together in memory
 TILE = 512  # cells along an edge: blocks that begin on multiples of it are written fastest
+AT_ONCE = 4  # of these that are made at a time
 _CACHE = 16 << 20  # bytes for GDAL
 
 
@@ -64,7 +64,7 @@ class CogWriter:
         kind = np.dtype(dtype)
         self.dtype = np.dtype(np.float32) if kind == np.float64 else np.dtype(np.uint8) if kind.kind == "b" else kind
         self._is_float = np.issubdtype(self.dtype, np.floating)
-        self._stack = ExitStack()
+        self._stack, self._finished = ExitStack(), False
         self._profile = {
             "driver": "GTiff",
             "dtype": self.dtype,
@@ -76,13 +76,13 @@ class CogWriter:
             "nodata": nodata if self._is_float or nodata is None or np.isfinite(nodata) else None,
         }
         self._about = (units, dict(tags or {}), descriptions)
-        self._small = bands * grid.height * grid.width * self.dtype.itemsize <= IN_MEMORY
+        #: whether it is made in memory
+        self.small = bands * grid.height * grid.width * self.dtype.itemsize <= IN_MEMORY
 
     def __enter__(self) -> CogWriter:
-        self._stack.enter_context(warnings.catch_warnings())
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        self._stack.enter_context(not_georeferenced)
         try:
-            if self._small:
+            if self.small:
                 self._memory = self._stack.enter_context(rasterio.MemoryFile())
                 self._data = self._memory.open(**self._profile)
             else:
@@ -126,17 +126,31 @@ class CogWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._data.close()
             if kind is None:
-                if self._small:
-                    self._finish_small()
-                else:
-                    self._finish_large()
-        except ERRORS as problem:
-            if kind is None:  # else it has been told why
-                raise self._failed(problem) from problem
+                self.finish()
+            else:
+                with suppress(*ERRORS):  # it has been told why
+                    self._data.close()
         finally:
             self._stack.close()
+
+    def finish(self) -> None:
+        """Make the file of what has been written, unless that is done; the end of ``with`` does it otherwise.
+
+        Raises:
+            SattoolsError: the file cannot be written.
+        """
+        if self._finished:
+            return
+        self._finished = True
+        try:
+            self._data.close()
+            if self.small:
+                self._finish_small()
+            else:
+                self._finish_large()
+        except ERRORS as problem:
+            raise self._failed(problem) from problem
 
     @property
     def _resampling(self) -> Resampling:
@@ -181,10 +195,28 @@ class CogWriter:
         write_with(self.path, optimise, check)
 
     def _failed(self, error: Exception) -> SattoolsError:
-        if not self._small and isinstance(error, ERRORS):
+        if not self.small and isinstance(error, ERRORS):
             error = why_not_written(self._raw, error)
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
         return SattoolsError(f"{self.path}: cannot be written ({reason})")
 
 
-__all__ = ["TILE", "CogWriter"]
+@contextmanager
+def cogs(files: Collection[CogWriter]) -> Iterator[None]:
+    """``with`` several files, of which those that are made in memory are made side by side at the end.
+
+    Args:
+        files: before their ``with``.
+
+    Raises:
+        SattoolsError: one of them cannot be written.
+    """
+    with ExitStack() as stack:
+        for file in files:
+            stack.enter_context(file)
+        yield
+        for _ in side_by_side(CogWriter.finish, [file for file in files if file.small], AT_ONCE):
+            pass
+
+
+__all__ = ["TILE", "CogWriter", "cogs"]

@@ -6,11 +6,13 @@ import ctypes
 import functools
 import os
 import shutil
-from contextlib import suppress
+import threading
+import warnings
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from rasterio._err import CPLE_BaseError
-from rasterio.errors import RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 ERRORS = (RasterioError, CPLE_BaseError)  # the second is what closing a file raises, and is not one of the first
 _PIECE = 4 << 20  # bytes: more than may be left where GDAL found too little
@@ -37,6 +39,32 @@ def why_not_written(path: Path, error: Exception) -> OSError:
     return OSError(5, f"{' '.join(str(error).split())[:200]}; {left} MiB are free now")
 
 
+class _Quiet:
+    """No warning of images without a place on the ground, which is how sensors see; by threads side by side, too.
+
+    The filters of warnings belong to the process: the first thread to come sets them, the last to go puts them back.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = threading.Lock(), 0, ExitStack()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._before.enter_context(warnings.catch_warnings())
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._before.close()
+
+
+not_georeferenced = _Quiet()
+
+
 @functools.cache
 def quiet_libtiff() -> None:
     """Keep libtiff from printing on its own, as it does on a full disk; what it finds is an error of GDAL all the same.
@@ -50,4 +78,4 @@ def quiet_libtiff() -> None:
                 ctypes.CDLL(path).TIFFSetErrorHandler(None)
 
 
-__all__ = ["ERRORS", "quiet_libtiff", "why_not_written"]
+__all__ = ["ERRORS", "not_georeferenced", "quiet_libtiff", "why_not_written"]

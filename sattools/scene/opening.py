@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 
 from sattools.errors import InputError
+from sattools.scene.gdal import not_georeferenced
 from sattools.scene.location import RemotePath, location, needs_network
 
 # GDAL opens by content: a `.tif` may hold the XML of a VRT, WMS or WCS that names any file or host. These are images.
@@ -37,8 +37,7 @@ def opened(path: Path | str, what: str = "an image") -> Iterator[DatasetReader]:
     """
     path = location(path)
     settings = _PATIENCE if needs_network(path) else _NO_NETWORK
-    with warnings.catch_warnings(), rasterio.Env(**settings):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with not_georeferenced, rasterio.Env(**settings):
         try:
             data = DatasetReader(str(path), driver=list(DRIVERS))  # `rasterio.open` takes one driver only
         except (RasterioError, OSError, ValueError, UnicodeError) as error:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from sattools.errors import InputError
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import ELLIPSOID, horizontal, is_solid, vertical_of
 from sattools.scene.files import write_bytes
+from sattools.scene.gdal import not_georeferenced
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
@@ -304,19 +304,17 @@ def write_sensor_image(
     """
     bands, height, width = array.shape
     profile = sensor_profile(array.dtype, bands, height, width, nodata)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.MemoryFile() as memory:
-            with memory.open(**profile) as data:
-                data.write(array)
-                if descriptions:
-                    data.descriptions = tuple(descriptions)
-                if units:
-                    data.units = [units] * bands
-                data.update_tags(**(tags or {}))
-                if rpc:
-                    data.update_tags(ns="RPC", **rpc)
-            write_bytes(path, memory.getbuffer())
+    with not_georeferenced, rasterio.MemoryFile() as memory:
+        with memory.open(**profile) as data:
+            data.write(array)
+            if descriptions:
+                data.descriptions = tuple(descriptions)
+            if units:
+                data.units = [units] * bands
+            data.update_tags(**(tags or {}))
+            if rpc:
+                data.update_tags(ns="RPC", **rpc)
+        write_bytes(path, memory.getbuffer())
 
 
 def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, nodata: float | None) -> dict[str, Any]:

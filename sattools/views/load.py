@@ -23,7 +23,7 @@ from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
 BALANCE_PROPERTY = "sattools:radiometric_balance"
-AT_ONCE = 4  # images that are resampled at a time: each needs its memory
+AT_ONCE = 4  # images that are read or resampled at a time: each needs its memory
 _SPARE_CELLS = 40  # around what is looked at: windows of the matching reach over the border
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about what `prep` chooses a cell by
 
@@ -120,10 +120,15 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
     opened = opened or open_images(scene, items)
     names, cameras, parts = opened.names, opened.cameras, opened.parts
     around = _surroundings(scene, cameras)
+    needed = [_needed(camera, part.shape, around, scene.height_range_m) for camera, part in zip(cameras, parts)]
+
+    def pixels(k: int) -> np.ndarray:
+        rows, cols, reduce = needed[k]
+        return parts[k].read((rows, cols), reduce)
+
     sources = []
-    for item, camera, name, part in zip(items, cameras, names, parts, strict=True):
-        rows, cols, reduce = _needed(camera, part.shape, around, scene.height_range_m)
-        radiance = part.read((rows, cols), reduce)
+    read = side_by_side(pixels, range(len(parts)), AT_ONCE)
+    for item, camera, name, radiance, (rows, cols, reduce) in zip(items, cameras, names, read, needed, strict=True):
         if name == "image":
             radiance = linear_radiance(radiance, item_bits(item.properties))
         rpc = camera.cropped(cols.start, rows.start).reduced(reduce)
