@@ -1,20 +1,23 @@
 """Fits on a GPU: seconds from a prior to the model, error, samples a second, memory; and where a step's time goes.
 
     python benchmarks/gpu.py SCENE.json=REFERENCE.tif[@REGION] [--fields surface neural eonerf ...] [--runs 2]
-        [--device cuda] [--steps N] [--rays N] [--budget S] [--profile] [--out FILE.json]
+        [--device cuda] [--steps N] [--rays N] [--budget S] [--start noise] [--tf32] [--profile] [--out FILE.json]
     python benchmarks/gpu.py IMAGES/=REFERENCE.tif[@REGION] [--metadata FOLDER] ...
 
 The scene has a prior (`sattools prior`). Of a folder of images one is made first, by the whole pipe with its surface,
 as often as asked for. Each fit is that of `sattools fit --preset NAME` or `--field NAME` with the options of this
 version; `surface-torch` is the surface rendered by plain torch on the device instead of compiled kernels. All is done
 in this process: the first run of each also compiles and starts CUDA, and is told apart. Errors by the protocol, after
-`export`. `--profile` adds milliseconds of ten steps of networks and neural fields, in all and on the device, and the
-operations that take the most.
+`export`. `--start noise` is the papers' own way, with their samples, and tells the error after every twentieth of the
+steps (which its seconds do not count). `--tf32` lets the card round to 10 bits what it multiplies. `--profile` adds
+milliseconds of ten steps of networks and neural fields, in all and on the device, and the operations that take the
+most.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import tempfile
 import time
@@ -49,12 +52,15 @@ def main() -> None:
     parser.add_argument("--steps", type=int)
     parser.add_argument("--rays", type=int)
     parser.add_argument("--budget", type=float)
+    parser.add_argument("--start", choices=["surface", "prior", "noise"], help="of networks")
+    parser.add_argument("--tf32", action="store_true")
     parser.add_argument("--profile", action="store_true")
     parser.add_argument("--keep", type=Path, help="folder for the scenes (default: a temporary one)")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     card = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
     print(f"{card}, {torch.get_num_threads()} threads, torch {torch.__version__}", flush=True)
+    torch.set_float32_matmul_precision("high" if options.tf32 else "highest")
     rows: list[dict[str, Any]] = []
 
     def add(row: dict[str, Any]) -> None:
@@ -121,7 +127,9 @@ def run(field: str, path: str, against: str, folder: Path, options: argparse.Nam
     if field not in (*PRESETS, TORCH):
         given["field"] = field
     if field not in ("surface", TORCH):
-        given |= {name: value for name in ("steps", "rays") if (value := getattr(options, name))}
+        given |= {name: value for name in ("steps", "rays", "start") if (value := getattr(options, name))}
+    if options.start == "noise":
+        given["reference"] = against
     chosen = resolve(field if field in PRESETS else "fast", given)
     scene = absolute_copy(Scene.from_file(path), folder)
     points, cuda = with_replayed(counted_points()), torch.cuda.is_available()
@@ -144,6 +152,9 @@ def run(field: str, path: str, against: str, folder: Path, options: argparse.Nam
         (first, before_it, _), (last, count, text) = steps[0], steps[-1]
         row |= {"start s": round(first - begun, 2), "after steps s": round(ended - last, 2)}
         row |= {"steps": text.split(",")[0], "M samples/s": round((count - before_it) / (last - first) / 1e6, 2)}
+    if options.start == "noise":
+        with open(scene.root / "fit" / "trace.csv", newline="") as file:
+            row["trace"] = [[one["seconds"], one["step"], one.get("mae_m")] for one in csv.DictReader(file)]
     if cuda:
         row["GPU GB"] = round(torch.cuda.max_memory_allocated() / 2**30, 2)
     return row

@@ -15,6 +15,7 @@ from sattools.fit.rays import stage
 from sattools.fit.rays.maps import rows_at_once
 from sattools.fit.rays.start import ray_set
 from sattools.fit.trace import Trace
+from sattools.progress import silent
 from sattools.scene import Grid
 from sattools.views import View
 
@@ -135,3 +136,40 @@ def test_reading_off_that_was_slow_once_does_not_end_a_fit(monkeypatch: pytest.M
     clock["row"] = 0.1
     assert not job._is_over(options, clock["now"] - 1)
     assert job._reading_s == pytest.approx(0.1 * GRID.height)
+
+
+class SlowAtFirst:
+    """A trainer whose first steps take a second, as they are compiled or recorded, and each later one a hundredth."""
+
+    rest_from, judged, unsaid = None, False, (0.0, 0.0)
+    field, device = None, torch.device("cpu")
+
+    def __init__(self, clock: dict[str, float]) -> None:
+        self.clock, self.plans = clock, [0]
+
+    @property
+    def steps(self) -> int:
+        return self.plans[-1]
+
+    def plan(self, steps: int) -> None:
+        self.plans.append(steps)
+
+    def step(self, number: int) -> float:
+        self.clock["now"] += 1.0 if number < 5 else 0.01
+        return 0.0
+
+
+def test_the_plan_of_a_budget_does_not_rest_on_its_first_steps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of 100 s: 93 of them, less 5, have room for 8800 steps. By the first five it would be 93, and rates that die."""
+    clock = {"now": 0.0}
+    trainer = SlowAtFirst(clock)
+    trace = SimpleNamespace(seconds=lambda: clock["now"], rows=[])
+    job = stage._RayJob(tmp_path / "checkpoint", "", trainer, GRID, Z_RANGE, trace)
+    monkeypatch.setattr(stage, "read_maps", lambda *_: None)
+    monkeypatch.setattr(stage, "SAVE_EVERY_S", 1e9)
+    monkeypatch.setattr(stage, "SAVE_EVERY", 10**9)
+    notes = job.run(FitOptions(steps=10**6, budget=100.0), silent)
+    done = int(notes[0].split("step ")[1].split(" ")[0])
+    assert done == pytest.approx(8800, rel=0.01)
+    assert trainer.plans[2:4] == [93, 8805]
+    assert trainer.steps == pytest.approx(done, rel=0.01)

@@ -46,6 +46,8 @@ ROWS, SAVE_EVERY = 20, 5  # rows of the trace per fit; checkpoints among them
 TELL_EVERY_S, SAVE_EVERY_S = 1.0, 30.0
 ROWS_TRIED = 4  # at least, to know how long reading all off takes
 TRIAL = 5  # steps after which it is known how long one takes
+# and after ten times as many again, and so on: the first compile, meet cold memory, or are recorded for a GPU
+TRIALS = tuple(TRIAL * 10**k for k in range(6))
 LONG_S = 1200.0
 BUDGET_SHARE = 0.93  # of the budget
 STEPS = {
@@ -197,17 +199,20 @@ class _RayJob:
         notes: list[str] = []
         planned_at = start
         every = max(1, min(options.steps // ROWS, 500))
-        first = planned_s = trace.seconds()
+        first = planned_s = asked_s = trace.seconds()
+        asked_at = start
         total, count = float(trainer.unsaid[0]), int(trainer.unsaid[1])
         told = saved_at = first
         watch = subprogress(progress, 0.0, 0.95)
         for number in range(start, options.steps):
-            if options.budget and number == planned_at + TRIAL and planned_at in (0, trainer.rest_from):
-                self._plan_within(options, number, planned_s)
+            if options.budget and number - planned_at in TRIALS and planned_at in (0, trainer.rest_from):
+                self._plan_within(options, number, number - asked_at, asked_s)
+                asked_at, asked_s = number, trace.seconds()
             if number and self._is_to_ask(number, options):
                 notes += judge_heights(trainer, number)
                 self.__dict__.pop("_reading_s", None)
                 planned_at, planned_s = number, trace.seconds()
+                asked_at, asked_s = planned_at, planned_s
             begun = trace.seconds()
             loss = trainer.step(number)
             total, count = total + loss, count + 1
@@ -275,16 +280,17 @@ class _RayJob:
             held_out_losses(self.trainer, torch.zeros(AT_ONCE, dtype=torch.long))
         return reading + (time.perf_counter() - begun) * 2 * RAYS / AT_ONCE
 
-    def _plan_within(self, options: FitOptions, number: int, since: float) -> None:
+    def _plan_within(self, options: FitOptions, number: int, last: int, since: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for.
 
         Args:
             options: of the fit.
             number: steps that are done.
-            since: when the last `TRIAL` of them began.
+            last: steps by which it is told how long one takes, the last of these.
+            since: when they began.
         """
         now = self.trace.seconds()
-        step_s = (now - since) / TRIAL
+        step_s = (now - since) / last
         more = (self._room(options) - now) / max(step_s, 1e-6)
         self.trainer.plan(max(number + 1, min(options.steps, number + round(more))))
 
