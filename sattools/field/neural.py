@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
-from sattools.constants import constant
+from sattools.field.constants import constant
 from sattools.field.kernels import EMPTY, LEAST, Colours, Density, runs_here
 from sattools.field.penalty import Penalty, plain_penalty
 from sattools.field.protocol import Box

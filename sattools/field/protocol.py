@@ -7,7 +7,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from sattools.constants import constant
+from sattools.field.constants import constant
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from sattools.constants import constant
+from sattools.field.constants import constant
 from sattools.field.protocol import Box
 
 LEAST_OPTICAL = 1e-4  # of the network's unit of density, far above the surface

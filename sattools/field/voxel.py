@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, relu
 
-from sattools.constants import constant
+from sattools.field.constants import constant
 from sattools.field.protocol import Box
 
 START_SOFTNESS_M = 2.0

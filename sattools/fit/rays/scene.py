@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sattools.constants import constant
+from sattools.field.constants import constant
 from sattools.field.mlp import MlpField
 from sattools.field.networks import EMBEDDING
 from sattools.field.protocol import Field
