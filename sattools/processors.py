@@ -33,8 +33,8 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T], most: int | Non
     """What a function makes of items, in their order; of several at a time, where this process has threads for it.
 
     It pays where the function is busy in OpenCV, GDAL or with large arrays of NumPy, which let other threads run
-    meanwhile. It sees the context variables that its caller sees. What raises first by the items' order is raised, and
-    what has not begun then, or at Ctrl-C, is left alone.
+    meanwhile. It sees the context variables that its caller sees, and OpenCV has the threads that are over. What raises
+    first by the items' order is raised, and what has not begun then, or at Ctrl-C, is left alone.
 
     Args:
         function: of one item; it changes nothing that the others use.
@@ -47,13 +47,19 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T], most: int | Non
         yield from map(function, items)
         return
     pool = ThreadPoolExecutor(count, "sattools")
+    cv2 = sys.modules.get("cv2")
+    before = cv2.getNumThreads() if cv2 else 0
     try:
+        if cv2:
+            cv2.setNumThreads(max(1, threads() // count))
         here = contextvars.copy_context()
         waiting = deque(pool.submit(here.copy().run, function, item) for item in items)
         while waiting:
             yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
+        if cv2:
+            cv2.setNumThreads(before)
 
 
 def cores() -> int:

@@ -98,6 +98,22 @@ def test_side_by_side_sees_what_its_caller_sees(four_threads: None) -> None:
     assert set(processors.side_by_side(lambda _: seen.get(), range(5))) == {"files are held back"}
 
 
+def test_side_by_side_leaves_opencv_the_threads_that_are_over(four_threads: None) -> None:
+    """Or four images at a time would have sixteen threads on four processors; it counts for the whole process."""
+    cv2 = pytest.importorskip("cv2")
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(4)
+    try:
+        assert set(processors.side_by_side(lambda _: cv2.getNumThreads(), range(4))) == {1}
+        assert set(processors.side_by_side(lambda _: cv2.getNumThreads(), range(4), 2)) == {2}
+        assert cv2.getNumThreads() == 4
+        with pytest.raises(ZeroDivisionError):
+            list(processors.side_by_side(lambda k: 1 // k, range(4)))
+        assert cv2.getNumThreads() == 4
+    finally:
+        cv2.setNumThreads(before)
+
+
 def test_side_by_side_keeps_the_order_of_the_items(four_threads: None) -> None:
     third_is_done = threading.Event()
 
