@@ -54,6 +54,7 @@ def test_a_city_of_another_simulator(data_dir: Path, tmp_path: Path) -> None:
     assert abs(found["near_steps"]["signed"]) < 0.15  # a gain of one sign by the other is none
 
 
+@pytest.mark.slow
 def test_seven_views_of_that_city(data_dir: Path, tmp_path: Path) -> None:
     """Too few to be robust from the first pass on; three images had been better than these seven."""
     city = data_dir / "external/city_214"

@@ -17,6 +17,7 @@ from sattools.errors import InputError
 TEXT_LIMIT = 64 << 20  # bytes; no document or metadata file of the suite is larger
 CONFIG_LIMIT = 1 << 20
 _DEPTH = 64  # of nesting; STAC, GeoJSON and vendors' metadata need 10
+_KEY_PARTS = 10_000  # of a dotted key of TOML
 _BITS = 64  # of an integer; larger ones overflow where they become floating point numbers
 
 
@@ -105,6 +106,9 @@ def read_json(path: Path | str, expected: str = "a JSON object") -> JsonObject:
 def read_toml(path: Path | str) -> JsonObject:
     """A TOML file's tables. Raises InputError as `read_json` does."""
     text = read_text(path, CONFIG_LIMIT)
+    if max((line.partition("=")[0].count(".") for line in text.splitlines()), default=0) > _KEY_PARTS:
+        # Python's parser takes a time by the square of it: half a minute for one of 100,000
+        raise InputError(f"{path}: found a key of thousands of parts, expected one of ordinary length")
     return dict(_checked(lambda: tomllib.loads(text), str(path), "TOML", "TOML"))
 
 
