@@ -20,8 +20,7 @@ from sattools.scene.validity import FILLED, MEASURED, UNSEEN
 from sattools.views import line_of_sight
 
 NEEDED = 2  # images that a height takes
-_STRIP_CELLS = 1_000_000
-_AT_ONCE = 4  # images whose pixels are looked up at a time
+_STRIP_CELLS = 1_000_000  # of all images that are looked at at a time
 _WHOLE_PIXELS = 16_000_000  # of an image whose frame is found pixel by pixel
 _FRAME_STEP = 16  # pixels along an axis that are looked at as one where it is larger
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced
@@ -129,7 +128,8 @@ class Witnesses:
         known, level = np.isfinite(height), surface.level(height)
         low, high = surface.low, max(surface.high, surface.low + 1.0)
         witnesses = self._witnesses if known.any() else []
-        looks = side_by_side(lambda witness: witness.shown(block.grid, level), witnesses, _AT_ONCE)
+        most = max(1, _STRIP_CELLS // level.size)
+        looks = side_by_side(lambda witness: witness.shown(block.grid, level), witnesses, most)
         for witness, shown in zip(witnesses, looks, strict=True):
             reached += shown
             if shown.any():

@@ -1,4 +1,4 @@
-"""What GDAL makes of a disk that is full: errors of several kinds, of which hardly one says so."""
+"""What GDAL and libtiff say: of a full disk in errors of several kinds, and where there is nothing to be said."""
 
 from __future__ import annotations
 

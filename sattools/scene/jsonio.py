@@ -107,7 +107,7 @@ def read_toml(path: Path | str) -> JsonObject:
     """A TOML file's tables. Raises InputError as `read_json` does."""
     text = read_text(path, CONFIG_LIMIT)
     if max((line.partition("=")[0].count(".") for line in text.splitlines()), default=0) > _KEY_PARTS:
-        # Python's parser takes a time by the square of it: half a minute for one of 100,000
+        # Python's parser takes a time by the square of it: 20 s for one of 100,000
         raise InputError(f"{path}: found a key of thousands of parts, expected one of ordinary length")
     return dict(_checked(lambda: tomllib.loads(text), str(path), "TOML", "TOML"))
 

@@ -120,7 +120,9 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
     opened = opened or open_images(scene, items)
     names, cameras, parts = opened.names, opened.cameras, opened.parts
     around = _surroundings(scene, cameras)
-    needed = [_needed(camera, part.shape, around, scene.height_range_m) for camera, part in zip(cameras, parts)]
+    needed = [
+        _needed(camera, part.shape, around, scene.height_range_m) for camera, part in zip(cameras, parts, strict=True)
+    ]
 
     def pixels(k: int) -> np.ndarray:
         rows, cols, reduce = needed[k]
