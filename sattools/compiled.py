@@ -131,6 +131,13 @@ def _forgiving(kernel: Any) -> Any:
     return kernel
 
 
+def get_ready() -> None:
+    """Load what numba else loads with its first kernel, about half a second."""
+    from numba.core.registry import cpu_target
+
+    cpu_target.target_context.refresh()
+
+
 PARTS = 4  # of a thread's work: pieces do not all take equally long
 _pool: ThreadPoolExecutor | None = None
 
@@ -222,4 +229,4 @@ def chunk_count(cells: int) -> int:
     return min(8, max(1, cells // 16384))
 
 
-__all__ = ["FASTMATH", "at_once", "cache_folder", "chunk_count", "njit", "spread", "writable"]
+__all__ = ["FASTMATH", "at_once", "cache_folder", "chunk_count", "get_ready", "njit", "spread", "writable"]

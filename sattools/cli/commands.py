@@ -17,4 +17,15 @@ COMMANDS = {
     "doctor": "Say what is installed and what is missing.",
 }
 
-__all__ = ["COMMANDS"]
+# what commands that change or make scenes import only when they work
+WORK = {
+    "prep": "sattools.prep.stage",
+    "normalise": "sattools.radiometry.stage",
+    "prior": "sattools.prior.stage",
+    "fit": "sattools.fit.stage",
+    "export": "sattools.export.stage",
+    "align": "sattools.align.stage",
+    "compare": "sattools.compare.stage",
+}
+
+__all__ = ["COMMANDS", "WORK"]

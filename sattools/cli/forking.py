@@ -16,14 +16,8 @@ from contextlib import suppress
 from importlib import import_module
 
 from sattools.cli import entry
-from sattools.cli.commands import COMMANDS
+from sattools.cli.commands import COMMANDS, WORK
 from sattools.processors import end_with_parent
-
-# what the commands of a batch import only when they work
-WORK = (
-    "sattools.align.stage", "sattools.compare.stage", "sattools.export.stage", "sattools.fit.stage",
-    "sattools.prep.stage", "sattools.prior.stage", "sattools.radiometry.stage",
-)  # fmt: skip
 
 
 def tell(kind: str, what: int) -> None:
@@ -46,7 +40,7 @@ def main() -> None:
     """Serve on stdin."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the batch's to hear
-    for name in (*WORK, *(f"sattools.cli.{command}" for command in COMMANDS)):
+    for name in (*WORK.values(), *(f"sattools.cli.{command}" for command in COMMANDS)):
         import_module(name)
     gc.collect()
     gc.freeze()  # what is here stays, and looking at it would copy its pages into every command

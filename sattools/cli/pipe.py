@@ -7,15 +7,18 @@ Exit codes: 0 done, 1 failed, 2 usage, 3 some scenes failed and the others were 
 from __future__ import annotations
 
 import logging
+import select
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, is_dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
+from sattools.cli.commands import WORK
 from sattools.cli.interrupts import checked
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
@@ -91,7 +94,23 @@ def run_scenes(
         scene, entry = apply(run, before(scene) if before else scene, planned)
         return emit(scene, entry) if emit else _shown(scene, entry)
 
+    if not run.dry_run and (scenes or ("-",))[0] == "-":
+        _import_meanwhile(run.command)
     each_scene(run.command, scenes, handle)
+
+
+def _import_meanwhile(command: str) -> None:
+    """Import what a command works with while the one before it on the pipe works, which takes longer."""
+    if command not in WORK:
+        return
+    try:
+        if sys.stdin.isatty() or select.select([sys.stdin], [], [], 0)[0]:
+            return
+    except (AttributeError, OSError, ValueError):  # no stdin, or none that can be asked
+        return
+    import_module(WORK[command])
+    if compiled := sys.modules.get("sattools.compiled"):
+        compiled.get_ready()
 
 
 def _rehearse(run: Run, scene: Scene, check: Callable[[Scene], None]) -> None:

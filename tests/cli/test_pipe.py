@@ -3,12 +3,14 @@
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import click
 import pytest
 from click.testing import CliRunner
+from patience import HANGING_S
 
 from sattools.cli.options import common_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
@@ -258,6 +260,30 @@ def test_scenes_come_out_before_the_next_is_read(line: Any) -> None:
     process.stdin.close()
     assert process.wait() == 0
     process.stdout.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe cannot be asked there whether something has come")
+@pytest.mark.parametrize(
+    ("command", "module"), [("prior", "sattools.prior.matched"), ("compare", "sattools.compare.maps")]
+)
+def test_a_command_imports_while_the_one_before_it_works(command: str, module: str) -> None:
+    """What `prep | prior | fit | export` takes has the start of one command in it, not of four."""
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "sattools", command],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr
+    hanging = threading.Timer(HANGING_S, process.kill)
+    hanging.start()
+    imported = iter(lambda: process.stderr.readline().rpartition("|")[2].strip(), "")
+    assert module in imported
+    hanging.cancel()
+    output, rest = process.communicate("", timeout=HANGING_S)
+    assert (process.returncode, output) == (1, "")
+    assert "found nothing, expected scene documents" in rest.splitlines()[-1]
 
 
 def test_info_counts_errors_as_the_other_commands_do(line: Any) -> None:
