@@ -3,6 +3,9 @@
 Ground points are offsets in metres (east, north, up) on linearly scaled longitude and latitude, which the RPC takes
 without any map projection. View corrections are `[v, 6]`: shift (col, row) at the image's centre, then the derivatives
 of the correction by normalised (col, row), in pixels at the edge of the image; zero for a pure shift.
+
+Inside, numbers of observations `[..., m]` and of points `[..., n]` lie in rows, one for each component: 3x3 matrices of
+thousands of points are then a few operations on long rows.
 """
 
 from __future__ import annotations
@@ -43,6 +46,11 @@ class Block:
         east, north = metres_per_degree(self.origin[1], self.origin[2])
         self.scale = np.array([1.0 / east, 1.0 / north, 1.0])
         self.by_view = [np.flatnonzero(tracks.view == v) for v in range(len(rpcs))]
+        self.order = np.concatenate(self.by_view)
+        self.back = np.argsort(self.order)
+        self.first = np.flatnonzero(np.r_[True, tracks.point[1:] != tracks.point[:-1]][: len(tracks.point)])
+        half = np.array([[w, h] for h, w in sizes]).T[:, tracks.view] / 2
+        self.pixel, self.half, self.centre = np.ascontiguousarray(tracks.pixel.T), half, half - 0.5
 
     def kept(self, observation: NDArray[np.bool_], points: Array | None = None) -> tuple[Block, Array]:
         """The block with only the chosen observations ``[m]`` bool, and the points ``[n, 3]`` [m] that are left."""
@@ -56,7 +64,8 @@ class Block:
 
     def start(self) -> Array:
         """Points ``[n, 3]`` [m] where the first view of each sees them at the origin's height."""
-        first = np.r_[True, self.tracks.point[1:] != self.tracks.point[:-1]]
+        first = np.zeros(len(self.tracks.point), bool)
+        first[self.first] = True
         geographic = np.tile(self.origin, (self.tracks.n_points, 1))
         for v, index in enumerate(self.by_view):
             mine = index[first[index]]
@@ -67,28 +76,35 @@ class Block:
         return np.where(np.isfinite(points), points, 0.0)
 
     def linearised(self, points: Array, parameters: Array) -> tuple[Array, Array, Array]:
-        """Residuals `[m, 2]`, derivatives of the prediction by the point `[m, 2, 3]`, correction basis `[m, 3]`."""
-        n = len(self.tracks.point)
-        residual, jacobian, basis = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 3))
-        geographic = self.geographic(points)
-        for v, index in enumerate(self.by_view):
-            if index.size == 0:
-                continue
-            g = geographic[self.tracks.point[index]].T
-            pixel, derivative = self.rpcs[v].projection_and_jacobian(*g)
-            jacobian[index] = derivative * self.scale
-            basis[index] = self._basis(v, pixel)
-            residual[index] = self.tracks.pixel[index] - pixel - basis[index] @ parameters[v].reshape(3, 2)
-        return residual, jacobian, basis
+        """Residuals `[2, m]`, derivatives of the prediction by the point `[2, 3, m]`, correction basis `[3, m]`."""
+        found = np.empty((8, len(self.order)))
+        geographic = self.geographic(points).T[:, self.tracks.point[self.order]]
+        end = 0
+        for rpc, index in zip(self.rpcs, self.by_view, strict=True):
+            part = slice(end, end := end + len(index))
+            found[:2, part], slopes = rpc.projection_and_slopes(*geographic[:, part])
+            found[2:, part] = slopes.reshape(6, -1)
+        found = found[:, self.back]
+        pixel, slopes = found[:2], found[2:].reshape(2, 3, -1)
+        slopes *= self.scale[:, None]
+        basis = self._basis(pixel)
+        return self._residual(pixel, basis, parameters), slopes, basis
 
     def residuals(self, points: Array, parameters: Array) -> Array:
         """Observed minus predicted pixels `[m, 2]`."""
-        residual = np.empty((len(self.tracks.point), 2))
-        geographic = self.geographic(points)
+        pixel, geographic = np.empty_like(self.pixel), self.geographic(points)
         for v, index in enumerate(self.by_view):
-            pixel = np.stack(self.rpcs[v].projection(*geographic[self.tracks.point[index]].T), axis=-1)
-            residual[index] = self.tracks.pixel[index] - pixel - self._basis(v, pixel) @ parameters[v].reshape(3, 2)
-        return residual
+            pixel[:, index] = self.rpcs[v].projection(*geographic[self.tracks.point[index]].T)
+        return self._residual(pixel, self._basis(pixel), parameters).T
+
+    def by_point(self, values: Array) -> Array:
+        """Sums `[..., n]` over the observations of each point of ``values`` `[..., m]`."""
+        return np.add.reduceat(values, self.first, axis=-1) if len(self.first) else values[..., :0]
+
+    def summed_by_view(self, values: Array) -> Array:
+        """Sums `[..., V]` over the observations of each view of ``values`` `[..., m]`."""
+        flat = [np.bincount(self.tracks.view, row, len(self.rpcs)) for row in values.reshape(-1, values.shape[-1])]
+        return np.array(flat, np.float64).reshape(*values.shape[:-1], len(self.rpcs))
 
     def matrix(self, view: int, parameters: Array) -> Array:
         """The correction as an affine map `[2, 3]` from old (col, row, 1) to new (col, row)."""
@@ -118,10 +134,17 @@ class Block:
         labels = connected_components(graph, directed=False)[1]
         return len(np.unique(labels[:n][use]))
 
-    def _basis(self, view: int, pixel: Array) -> Array:
-        height, width = self.sizes[view]
-        centre, half = (np.array([width, height]) - 1) / 2, np.array([width, height]) / 2
-        return np.concatenate([np.ones((len(pixel), 1)), (pixel - centre) / half], axis=1)
+    def _basis(self, pixel: Array) -> Array:
+        basis = np.ones((3, pixel.shape[1]))
+        basis[1:] = (pixel - self.centre) / self.half
+        return basis
+
+    def _residual(self, pixel: Array, basis: Array, parameters: Array) -> Array:
+        residual = self.pixel - pixel
+        for k, moved in enumerate(parameters.reshape(-1, 3, 2).transpose(1, 2, 0)):
+            if moved.any():
+                residual -= basis[k] * moved[:, self.tracks.view]
+        return residual
 
 
 def residual_norm(block: Block, points: Array, parameters: Array) -> Array:
@@ -188,7 +211,8 @@ def triangulate(block: Block, parameters: Array, points: Array | None = None, it
     for iteration in range(iterations):
         residual, jacobian, _ = block.linearised(points, parameters)
         weight = _weights(residual, 1e6 if iteration < 2 else max(_LOSS_PX, 16.0 / 2**iteration))
-        step = np.einsum("nij,nj->ni", *_point_blocks(block, residual, jacobian, weight))
+        root, right = _point_blocks(block, residual, jacobian, weight)
+        step = _backward(root, _forward(root, right)).T
         points += step
         if iteration > 6 and np.abs(step).max() < 1e-3:
             break
@@ -196,68 +220,99 @@ def triangulate(block: Block, parameters: Array, points: Array | None = None, it
 
 
 def _weights(residual: Array, width: float) -> Array:
-    """Cauchy weights of residual lengths."""
-    return 1.0 / (1.0 + (residual**2).sum(1) / width**2)
+    """Cauchy weights `[m]` of residual lengths."""
+    return 1.0 / (1.0 + (residual[0] ** 2 + residual[1] ** 2) / width**2)
 
 
 def _point_blocks(block: Block, residual: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
-    """Inverse 3x3 normal matrices `[n, 3, 3]` and right-hand sides `[n, 3]` of the points."""
-    count, owner = block.tracks.n_points, block.tracks.point
-    products = ((weight[:, None, None] * jacobian).transpose(0, 2, 1) @ jacobian).reshape(-1, 9)
-    normal = np.stack([np.bincount(owner, p, count) for p in products.T], -1).reshape(-1, 3, 3)
-    normal += np.diag([1e-12, 1e-12, _HEIGHT_PRIOR_M**-2])
-    right = np.einsum("m,mki,mk->mi", weight, jacobian, residual)
-    return np.linalg.inv(normal), np.stack([np.bincount(owner, r, count) for r in right.T], -1)
+    """Cholesky roots `[6, n]` of the points' 3x3 normal matrices, by rows, and right-hand sides `[3, n]`."""
+    weighted = weight * jacobian
+    pairs = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)]
+    products = np.array([weighted[0, i] * jacobian[0, j] + weighted[1, i] * jacobian[1, j] for i, j in pairs])
+    normal = block.by_point(products)
+    normal += np.array([1e-12, 0.0, 1e-12, 0.0, 0.0, _HEIGHT_PRIOR_M**-2])[:, None]
+    return _root(normal), block.by_point(weighted[0] * residual[0] + weighted[1] * residual[1])
+
+
+def _root(normal: Array) -> Array:
+    """Lower Cholesky roots of positive 3x3 matrices, both as `[6, n]` (00, 10, 11, 20, 21, 22)."""
+    root, least = (
+        np.empty_like(normal),
+        1e-14,
+    )  # what the small numbers on the diagonal leave at least, but for rounding
+    root[0] = np.sqrt(normal[0])
+    root[1], root[3] = normal[1] / root[0], normal[3] / root[0]
+    root[2] = np.sqrt(np.maximum(normal[2] - root[1] ** 2, least))
+    root[4] = (normal[4] - root[3] * root[1]) / root[2]
+    root[5] = np.sqrt(np.maximum(normal[5] - root[3] ** 2 - root[4] ** 2, least))
+    return root
+
+
+def _forward(root: Array, right: Array) -> Array:
+    """Solve L x = b for roots `[6, k]` and right-hand sides `[3, k, ...]`."""
+    a, b, c, d, e, f = root.reshape(*root.shape, *[1] * (right.ndim - 2))
+    x = np.empty_like(right)
+    x[0] = right[0] / a
+    x[1] = (right[1] - b * x[0]) / c
+    x[2] = (right[2] - d * x[0] - e * x[1]) / f
+    return x
+
+
+def _backward(root: Array, right: Array) -> Array:
+    """Solve Lᵀ x = b for roots `[6, n]` and right-hand sides `[3, n]`."""
+    a, b, c, d, e, f = root
+    x = np.empty_like(right)
+    x[2] = right[2] / f
+    x[1] = (right[1] - e * x[2]) / c
+    x[0] = (right[0] - b * x[1] - d * x[2]) / a
+    return x
 
 
 def _step(block: Block, points: Array, parameters: Array, width: float, affine: bool) -> tuple[Array, Array, float]:
     """One Gauss-Newton step by the Schur complement of the points, and the Cauchy loss before it."""
-    n_views, size = len(block.rpcs), 6 if affine else 2
+    n_views, terms = len(block.rpcs), 3 if affine else 1
+    size, view, owner = 2 * terms, block.tracks.view, block.tracks.point
+    total = n_views * size
     residual, jacobian, basis = block.linearised(points, parameters)
     weight = _weights(residual, width)
     cost = -float(np.log(weight).sum())
-    inverse, right = _point_blocks(block, residual, jacobian, weight)
-    view, owner = block.tracks.view, block.tracks.point
+    root, right = _point_blocks(block, residual, jacobian, weight)
 
-    # Derivative of the prediction by the view's parameters: basis k moves col by parameter 2k, row by 2k + 1.
-    by_view = np.zeros((len(view), 2, size))
-    for k in range(size // 2):
-        by_view[:, 0, 2 * k] = by_view[:, 1, 2 * k + 1] = basis[:, k]
-    total = n_views * size
-    normal, vector = np.zeros((total, total)), np.zeros(total)
-    weighted = weight[:, None, None] * by_view
-    own = weighted.transpose(0, 2, 1) @ by_view
-    own_right = (residual[:, None, :] @ weighted)[:, 0]
-    for v, index in enumerate(block.by_view):
-        part = slice(v * size, (v + 1) * size)
-        normal[part, part] = own[index].sum(0)
-        vector[part] = own_right[index].sum(0)
+    # Basis k moves col by the view's parameter 2k and row by 2k + 1, so that no parameter moves both.
+    basis = basis[:terms]
+    weighted = weight * basis
+    own = block.summed_by_view(weighted[:, None] * basis)  # [k, k, V]
+    blocks, each = np.zeros((n_views, terms, 2, n_views, terms, 2)), np.arange(n_views)
+    for axis in (0, 1):
+        blocks[each, :, axis, each, :, axis] = np.moveaxis(own, -1, 0)
+    normal = blocks.reshape(total, total)
+    vector = np.moveaxis(block.summed_by_view(weighted[:, None] * residual), -1, 0).reshape(total)
     prior = np.full((n_views, size), _SHIFT_PRIOR_PX**-2.0)
     prior[:, 2:] = _LINEAR_PRIOR_PX**-2.0
     normal[np.arange(total), np.arange(total)] += prior.ravel()
     vector -= (prior * parameters[:, :size]).ravel()
 
-    mixed = jacobian.transpose(0, 2, 1) @ weighted  # [m, 3, size]
+    mixed = np.empty((3, len(view), size))
+    for parameter in range(size):
+        mixed[..., parameter] = weighted[parameter // 2] * jacobian[parameter % 2]
+    left, above = _forward(root[:, owner], mixed), _forward(root, right)
     chunk = max(1, int(1e6 // (3 * total)))  # stays in the cache
-    for first in range(0, block.tracks.n_points, chunk):
-        last = min(first + chunk, block.tracks.n_points)
-        rows = slice(*np.searchsorted(owner, [first, last]))
-        blocks = np.zeros((last - first, 3, n_views, size))
-        blocks[owner[rows] - first, :, view[rows]] = mixed[rows]
-        wide = blocks.reshape(last - first, 3, total)
-        solved = inverse[first:last] @ wide
-        flat, other = wide.reshape(-1, total), solved.reshape(-1, total)
-        normal -= flat.T @ other
-        vector -= other.T @ right[first:last].ravel()
+    for start in range(0, block.tracks.n_points, chunk):
+        end = min(start + chunk, block.tracks.n_points)
+        rows = slice(*np.searchsorted(owner, [start, end]))
+        wide = np.zeros((3, end - start, n_views, size))
+        wide[:, owner[rows] - start, view[rows]] = left[:, rows]
+        flat = wide.reshape(-1, total)
+        normal -= flat.T @ flat
+        vector -= flat.T @ above[:, start:end].ravel()
     values, vectors = np.linalg.eigh((normal + normal.T) / 2)
     # Directions that tie points cannot see have (nearly) no curvature: no step along them.
     seen = values > 1e-9 * values.max()
     step = (vectors[:, seen] @ ((vectors[:, seen].T @ vector) / values[seen])).reshape(n_views, size)
-    pulled = np.einsum("mij,mj->mi", mixed, step[view])
-    rest = right - np.stack([np.bincount(owner, p, block.tracks.n_points) for p in pulled.T], -1)
+    pulled = block.by_point(np.einsum("ims,ms->im", left, step[view]))
     full = np.zeros((n_views, 6))
     full[:, :size] = step
-    return np.einsum("nij,nj->ni", inverse, rest), full, cost
+    return _backward(root, above - pulled).T, full, cost
 
 
 def _regauged(block: Block, points: Array, parameters: Array) -> Solution:
@@ -266,7 +321,8 @@ def _regauged(block: Block, points: Array, parameters: Array) -> Solution:
     if not used.any():
         return Solution(points, parameters)
     _, jacobian, _ = block.linearised(points, parameters)
-    design = np.array([jacobian[index].mean(0) if index.size else np.zeros((2, 3)) for index in block.by_view])
+    design = np.moveaxis(block.summed_by_view(jacobian), -1, 0)
+    design /= np.maximum([index.size for index in block.by_view], 1)[:, None, None]
     move = robust_gauge(parameters[used, :2], design[used])
     parameters = parameters.copy()
     parameters[:, :2] -= design @ move

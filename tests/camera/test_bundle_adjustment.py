@@ -8,7 +8,7 @@ from synthetic_views import ALT0, EAST_M, LAT0, LON0, NORTH_M, hills, parallel_r
 
 from sattools.camera import RPC
 from sattools.camera.adjust import AdjustOptions, adjust
-from sattools.camera.bundle import Block, robust_gauge
+from sattools.camera.bundle import Block, _step, robust_gauge, triangulate
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
@@ -60,6 +60,49 @@ def test_a_correction_is_the_affine_map_of_pixels_that_the_adjustment_has_used()
     matrix = adjusted.matrix(0, np.array([[2.0, -1.0, 0.5, 0.0, 0.0, 0.25]]))
     assert matrix @ [(SIZE[1] - 1) / 2, (SIZE[0] - 1) / 2, 1] == pytest.approx([409.5 + 2.0, 399.5 - 1.0])
     assert matrix @ [SIZE[1] - 0.5, SIZE[0] - 0.5, 1] == pytest.approx([819.5 + 2.5, 799.5 - 0.75])
+
+
+def test_derivatives_are_those_of_the_residuals() -> None:
+    raw, tracks, _ = block(np.zeros((6, 2)), n=40)
+    adjusted = Block(raw, [SIZE] * 6, tracks)
+    rng = np.random.default_rng(2)
+    points, parameters = adjusted.start() + rng.normal(0, 3, (tracks.n_points, 3)), rng.normal(0, 3, (6, 6))
+    residual, slopes, basis = adjusted.linearised(points, parameters)
+    whole = adjusted.residuals(points, parameters)
+    assert whole == pytest.approx(residual.T, abs=1e-9)
+    for axis in range(3):  # without corrections: a step leaves out that they change with the pixel
+        moved = points + 0.01 * np.eye(3)[axis]
+        change = adjusted.residuals(moved, np.zeros((6, 6))) - adjusted.residuals(points, np.zeros((6, 6)))
+        assert change == pytest.approx(-0.01 * slopes[:, axis].T, abs=1e-4)
+    for number in range(6):
+        moved = parameters + np.eye(6)[number]
+        change = (adjusted.residuals(points, moved) - whole)[:, number % 2]
+        assert change == pytest.approx(-basis[number // 2], abs=1e-9)
+
+
+@pytest.mark.parametrize("affine", [False, True])
+def test_a_step_is_that_of_least_squares_with_all_unknowns_at_once(affine: bool) -> None:
+    raw, tracks, _ = block(np.random.default_rng(1).normal(0, 2, (6, 2)), n=40)
+    adjusted, views, size = Block(raw, [SIZE] * 6, tracks), len(raw), 6 if affine else 2
+    points, parameters = triangulate(adjusted, np.zeros((6, 6))), np.zeros((6, 6))
+    residual, slopes, basis = adjusted.linearised(points, parameters)
+    weight = 1 / (1 + (residual**2).sum(0) / 0.7**2)
+    count, rows = len(tracks.point), np.arange(len(tracks.point))
+    design = np.zeros((2, count, 3 * tracks.n_points + size * views))
+    for axis in (0, 1):
+        for k in range(3):
+            design[axis, rows, 3 * tracks.point + k] = slopes[axis, k]
+        for k in range(size // 2):
+            design[axis, rows, 3 * tracks.n_points + size * tracks.view + 2 * k + axis] = basis[k]
+    dense = (np.sqrt(weight)[:, None] * design).reshape(2 * count, -1)
+    held = np.diag(np.r_[np.tile([1e-6, 1e-6, 1e-3], tracks.n_points), np.tile([1e-4, 1e-4, *[0.5] * 4][:size], views)])
+    both = np.vstack([dense, held]), np.r_[(np.sqrt(weight) * residual).ravel(), np.zeros(len(held))]
+    expected = np.linalg.lstsq(*both, rcond=None)[0]
+    moved, corrected, _ = _step(adjusted, points, parameters, 0.7, affine)
+    found = np.r_[moved.ravel(), corrected[:, :size].ravel()]
+    # in pixels: what moves all views and points together moves none of these
+    assert design @ found == pytest.approx(design @ expected, abs=1e-4)
+    assert np.abs(design @ found).max() > 0.5
 
 
 def test_a_view_that_is_far_off_is_found_and_does_not_drag_the_others() -> None:
