@@ -11,11 +11,11 @@ import logging
 import os
 import stat
 import tempfile
-from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
+
+from sattools.helpers import together
 
 log = logging.getLogger(__name__)
 
@@ -139,7 +139,6 @@ def get_ready() -> None:
 
 
 PARTS = 4  # of a thread's work: pieces do not all take equally long
-_pool: ThreadPoolExecutor | None = None
 
 
 def spread(pieces: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
@@ -169,7 +168,7 @@ def spread(pieces: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
             calls: list[Callable[[], object]] = [
                 functools.partial(kernel, *arguments, *bounds[k : k + 2]) for k in range(parts)
             ]
-            _together(calls, min(used, parts))
+            together(calls, min(used, parts))
 
         return run
 
@@ -182,45 +181,9 @@ def at_once(*calls: Callable[[], object]) -> None:
         for call in calls:
             call()
     else:
-        _together(list(calls), min(len(calls), MOST_THREADS))
+        together(list(calls), min(len(calls), MOST_THREADS))
 
 
-def _together(calls: list[Callable[[], object]], threads: int) -> None:
-    """Run calls on so many threads, this one among them; the first error is raised when none of them runs any more."""
-    global _pool
-    if _pool is None:
-        _pool = ThreadPoolExecutor(MOST_THREADS, "sattools")
-    waiting = deque(calls)
-
-    def work() -> None:
-        while waiting:
-            try:
-                call = waiting.popleft()
-            except IndexError:  # another thread was faster
-                return
-            try:
-                call()
-            except BaseException:  # after an error or Ctrl-C what has not begun is left alone
-                waiting.clear()
-                raise
-
-    others = [_pool.submit(work) for _ in range(threads - 1)]
-    try:
-        work()
-    finally:
-        others = [other for other in others if not other.cancel()]  # those that found no thread are not waited for
-        wait(others)
-    for other in others:
-        other.result()
-
-
-def _without_pool() -> None:
-    """A forked child has none of its parent's threads."""
-    global _pool
-    _pool = None
-
-
-os.register_at_fork(after_in_child=_without_pool)
 MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # what `--threads` has set
 
 

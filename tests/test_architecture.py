@@ -14,8 +14,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A room may import rooms of a lower floor and itself, nothing else. Rooms of one floor do not know each other, except
 # where ALSO says so.
 FLOORS = [
-    {"callable_module", "compiled", "errors", "processors", "progress", "settings"},
-    {"runlog"},
+    {"callable_module", "errors", "helpers", "processors", "progress", "settings"},
+    {"compiled", "runlog"},
     {"scene"},
     {"camera", "radiometry", "reflectance"},
     {"field", "views"},

@@ -9,15 +9,15 @@ import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from patience import HANGING_S
 
 import sattools
-from sattools import compiled
+from sattools import compiled, helpers
 
 PACKAGE = Path(sattools.__file__).parent
 
@@ -181,10 +181,30 @@ def test_kernels_that_call_for_more_threads_from_a_thread_do_not_wait_for_each_o
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(compiled, "MOST_THREADS", 2)
-    monkeypatch.setattr(compiled, "_pool", ThreadPoolExecutor(1))  # fewer than are asked for
+    monkeypatch.setattr(helpers, "_begin", lambda threads: None)  # no more of them than there are
     count, times = _counting()
     compiled.at_once(*[lambda: count(times[:50]), lambda: count(times[50:])])
     assert (times == 1).all()
+
+
+def test_threads_that_wait_keep_nothing_of_what_they_worked_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "MOST_THREADS", 2)
+    both, ended = threading.Barrier(2), []
+
+    class Array:
+        def __del__(self) -> None:
+            ended.append(threading.current_thread().name)
+
+    def call(array: Any) -> None:
+        both.wait()  # one in each thread
+
+    array = Array()
+    compiled.at_once(functools.partial(call, array), functools.partial(call, array))
+    del array
+    limit = time.monotonic() + HANGING_S
+    while not ended and time.monotonic() < limit:  # the helper says that it is ready before it lets go
+        time.sleep(0.001)
+    assert len(ended) == 1
 
 
 def test_a_forked_child_has_threads_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
