@@ -85,7 +85,8 @@ def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 
         share: of the polygons.
         cells: number along the longer side of the raster that counts.
     """
-    from shapely import contains_xy
+    from affine import Affine
+    from rasterio.features import geometry_mask
 
     boxes = np.array([p.bounds for p in polygons if not p.is_empty])
     if len(boxes) == 0:
@@ -94,11 +95,10 @@ def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 
     cell = max(east - west, north - south) / cells
     x = np.arange(west + cell / 2, east, cell)
     y = np.arange(south + cell / 2, north, cell)
-    gx, gy = np.meshgrid(x, y)
-    count = np.zeros(gx.shape, int)
+    count, to_ground = np.zeros((len(y), len(x)), int), Affine(cell, 0, west, 0, cell, south)
     for polygon in polygons:
         if not polygon.is_empty:
-            count += contains_xy(polygon, gx, gy)
+            count += geometry_mask([polygon], count.shape, to_ground, invert=True)
     enough = count >= max(2, math.ceil(share * len(polygons)))
     if not enough.any():
         return None

@@ -37,8 +37,9 @@ class Frame:
 
     def halved(self) -> Frame:
         """The same with cells of twice the size; margin, rows and columns must be even."""
-        images = self.images.reshape(len(self.images), self.images.shape[1] // 2, 2, -1, 2).mean(axis=(2, 4))
-        masks = self.masks.reshape(images.shape[0], images.shape[1], 2, -1, 2).min(axis=(2, 4))
+        images, masks = self.images[:, ::2] + self.images[:, 1::2], np.minimum(self.masks[:, ::2], self.masks[:, 1::2])
+        images = (images[..., ::2] + images[..., 1::2]) / np.float32(4)
+        masks = np.minimum(masks[..., ::2], masks[..., 1::2])
         return Frame(images, masks, self.parallax / 2, self.z_ref, self.cell * 2, self.margin // 2, self.suns)
 
     def widened(self, margin: int) -> Frame:

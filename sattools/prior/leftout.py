@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sattools.prior.frame import Frame
+from sattools.processors import side_by_side
 
+AT_ONCE = 4  # views, of a few maps each
 FEWEST_CELLS = 100  # below which a correlation says nothing
 
 
@@ -28,23 +30,30 @@ def left_out_agreement(frame: Frame, height: np.ndarray) -> list[float | None]:
     dz = height - np.float32(frame.z_ref)
     shown = np.empty((len(frame.images), *height.shape), np.float32)
     seen = np.empty(shown.shape, bool)
-    for k, (image, mask, per_metre) in enumerate(zip(frame.images, frame.masks, frame.parallax, strict=True)):
-        r = (rows + frame.margin + per_metre[0] * dz).astype(np.float32)
-        c = (cols + frame.margin + per_metre[1] * dz).astype(np.float32)
-        shown[k] = cv2.remap(image, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        seen[k] = cv2.remap(mask, c, r, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+
+    def show(view: int) -> None:
+        r, c = (
+            (at + frame.margin + slope * dz).astype(np.float32)
+            for at, slope in zip((rows, cols), frame.parallax[view], strict=True)
+        )
+        image, mask = frame.images[view], frame.masks[view]
+        shown[view] = cv2.remap(image, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen[view] = cv2.remap(mask, c, r, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+
+    for _ in side_by_side(show, range(len(shown)), AT_ONCE):
+        pass
     shown[~seen] = 0.0
     total, count = shown.sum(axis=0), seen.sum(axis=0)
-    correlations: list[float | None] = []
-    for own, valid in zip(shown, seen, strict=True):
-        both = valid & (count > 1)
+
+    def correlation(view: int) -> float | None:
+        own, both = shown[view], seen[view] & (count > 1)
         if both.sum() < FEWEST_CELLS:
-            correlations.append(None)
-            continue
+            return None
         others = (total - own)[both] / (count[both] - 1)
         flat = min(own[both].std(), others.std()) < 1e-6
-        correlations.append(0.0 if flat else float(np.corrcoef(own[both], others)[0, 1]))
-    return correlations
+        return 0.0 if flat else float(np.corrcoef(own[both], others)[0, 1])
+
+    return list(side_by_side(correlation, range(len(shown)), AT_ONCE))
 
 
 __all__ = ["left_out_agreement"]

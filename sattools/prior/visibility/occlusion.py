@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 from sattools.prior.frame import Frame
+from sattools.processors import side_by_side
 from sattools.scene.regrid import split_cells
 
 UNKNOWN = -1e9  # first hit of a ray, height of a shade, radiance of shadow when nothing is known: seen, lit, not dark
@@ -171,13 +172,16 @@ def dark_noise(frame: Frame, dark: np.ndarray, reach: float, least: float) -> fl
     """
     import cv2
 
-    noises = []
-    for image, mask, level in zip(frame.images, frame.masks, dark, strict=True):
+    def noise(view: int) -> float:
+        image = frame.images[view]
         mean = cv2.blur(image, (3, 3), borderType=cv2.BORDER_REFLECT)
+        near = (frame.masks[view] > 0) & (np.abs(mean - dark[view]) < reach)
+        if near.sum() <= FEWEST:
+            return math.nan
         spread = cv2.blur(image * image, (3, 3), borderType=cv2.BORDER_REFLECT) - mean * mean
-        near = (mask > 0) & (np.abs(mean - level) < reach)
-        if near.sum() > FEWEST:
-            noises.append(math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0)))
+        return math.sqrt(max(float(np.percentile(spread[near], NOISE_SHARE)) * 9 / 8, 0.0))
+
+    noises = [found for found in side_by_side(noise, range(len(frame.images)), 4) if not math.isnan(found)]
     return max(least, NOISE_FACTOR * float(np.median(noises))) if noises else least
 
 
