@@ -1,7 +1,8 @@
 """Fits on a GPU: seconds from a prior to the model, error, samples a second, memory; and where a step's time goes.
 
     python benchmarks/gpu.py SCENE.json=REFERENCE.tif[@REGION] [--fields surface neural eonerf ...] [--runs 2]
-        [--device cuda] [--steps N] [--rays N] [--budget S] [--start noise] [--tf32] [--profile] [--out FILE.json]
+        [--device cuda] [--steps N] [--rays N] [--width N] [--samples N] [--resolution M] [--seed N] [--budget S]
+        [--start noise] [--tf32] [--profile] [--out FILE.json]
     python benchmarks/gpu.py IMAGES/=REFERENCE.tif[@REGION] [--metadata FOLDER] ...
 
 The scene has a prior (`sattools prior`). Of a folder of images one is made first, by the whole pipe with its surface,
@@ -40,6 +41,7 @@ from sattools.scene.raster import read_raster
 
 PROFILED = range(20, 30)
 TORCH = "surface-torch"
+NETWORK = ("steps", "rays", "width", "samples", "resolution", "seed", "start")  # options of what is no surface
 
 
 def main() -> None:
@@ -51,6 +53,10 @@ def main() -> None:
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--steps", type=int)
     parser.add_argument("--rays", type=int)
+    parser.add_argument("--width", type=int)
+    parser.add_argument("--samples", type=int)
+    parser.add_argument("--resolution", type=float)
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--budget", type=float)
     parser.add_argument("--start", choices=["surface", "prior", "noise"], help="of networks")
     parser.add_argument("--tf32", action="store_true")
@@ -127,7 +133,7 @@ def run(field: str, path: str, against: str, folder: Path, options: argparse.Nam
     if field not in (*PRESETS, TORCH):
         given["field"] = field
     if field not in ("surface", TORCH):
-        given |= {name: value for name in ("steps", "rays", "start") if (value := getattr(options, name))}
+        given |= {name: value for name in NETWORK if (value := getattr(options, name))}
     if options.start == "noise":
         given["reference"] = against
     chosen = resolve(field if field in PRESETS else "fast", given)

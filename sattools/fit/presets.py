@@ -44,7 +44,8 @@ of a head's that follows a matched surface's, times cos(incidence) / cos(sun zen
 where they begin with a fit's parameters. Further, every image has a gain and an offset per band whatever the network
 (the papers leave them out or normalise the images beforehand), rays start at the scene's height range, and a surface is
 read where the transmittance crosses one half.
-One epoch is one pass over the pixels, or a tenth of the steps if that is shorter.
+One epoch is one pass over the pixels, or a tenth of the steps if that is shorter. From noise, cast shadows come in
+after 10,000 steps, or half of them if that is less (EO-NeRF's authors: after two epochs).
 """
 _NERF: dict[str, Any] = {"field": "mlp", "loss": "mse", "robust": 0.0, "pose": False}
 _GUIDED = {**_NERF, "samples": 64, "guided": 64, "prior_weight": 0.2, "depth_weight": 1 / 3, "shadow": "none"}

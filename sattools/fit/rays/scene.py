@@ -73,8 +73,8 @@ class RayScene:
     ) -> None:
         self.field, self.rays, self.options, self.radiance = field, rays, options, radiance
         self.at_rest = False
-        # a surface to start from casts its shadows at once
-        self.first_lit = 1 if field.start_density() else FIRST_EPOCH
+        # a surface to start from casts its shadows at once, and is told of them; from noise, the trainer plans when
+        self.shaded_from, self.first_told = 0.0, 1 if field.start_density() else FIRST_EPOCH
         self.device = rays.target.device
         gain, offset = gain.to(self.device), offset.to(self.device)
         self.colour = {"gain": gain.clone(), "offset": offset.clone(), "ambient": torch.full_like(gain, 0.2)}
@@ -88,16 +88,17 @@ class RayScene:
             epoch: from 1.
             share: of the training that is done, in [0, 1].
         """
-        late = epoch >= self.first_lit, epoch > FIRST_EPOCH + WARM_UP_EPOCHS, share >= self.options.pretrain
-        return self.at_rest, *late
+        late = epoch >= self.first_told, epoch > FIRST_EPOCH + WARM_UP_EPOCHS
+        return self.at_rest, *late, share >= self.shaded_from, share >= self.options.pretrain
 
     def predict(self, chosen: Tensor, epoch: int, share: float, random: torch.Generator | None) -> Prediction:
         """What the field shows along rays.
 
         Args:
             chosen: ``[R]`` numbers of the rays.
-            epoch: from 1; shadows and uncertainties come in later than the first.
-            share: of the training that is done; the reflectance model comes in after `FitOptions.pretrain`.
+            epoch: from 1; what is held against learned shadows and uncertainties come in later than the first.
+            share: of the training that is done; cast shadows come in after `shaded_from`, the reflectance model after
+                `FitOptions.pretrain`.
             random: where along the rays to look; None = evenly.
         """
         options, rays = self.options, self.rays
@@ -123,7 +124,7 @@ class RayScene:
         parts = {name: weights.detach() if name == "beta" else weights for name in look}
         mean = {name: (parts[name][..., None] * value).sum(dim=1) for name, value in look.items()}
         surface = batch.start + depth.detach()[:, None] * batch.path
-        s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, random=random)
+        s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, share=share, random=random)
         # no albedo depends on it, whatever it is, where there is none
         normal = torch.zeros_like(sun) if rays.normal is None else rays.normal[chosen]
         geometry = normal, sun, rays.view_vectors[view]
@@ -174,6 +175,7 @@ class RayScene:
         known: Tensor,
         *,
         epoch: int,
+        share: float,
         random: torch.Generator | None,
     ) -> tuple[Tensor | None, Tensor | float]:
         """Visibility of the sun ``[R, 1]`` (None = all lit), and what the losses hold against it."""
@@ -185,7 +187,7 @@ class RayScene:
         if options.shadow == "learned" and "sun" in mean:
             s = mean["sun"]
             weight = shadow_weight(options)
-            if weight > 0 and epoch >= self.first_lit:
+            if weight > 0 and epoch >= self.first_told:
                 with torch.no_grad():
                     cast = self._towards_sun(surface, sun, random)
                 only = epoch > FIRST_EPOCH + WARM_UP_EPOCHS
@@ -194,7 +196,7 @@ class RayScene:
                 # at rest all other losses ask for a fraction of what this one does
                 some = slice(options.rays)
                 extra = extra + options.solar_weight * self._solar_correction(surface[some], sun[some], random)
-        elif epoch >= self.first_lit:
+        elif share >= self.shaded_from:
             s = self._towards_sun(surface, sun, random)
         else:
             return tau, extra

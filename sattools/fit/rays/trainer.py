@@ -23,6 +23,10 @@ from sattools.fit.rays.rays import RaySet
 from sattools.fit.rays.recorded import RecordedSteps
 from sattools.fit.rays.scene import ALL_IN, SEEN, RayScene
 
+# Without cast shadows first: in the haze that a field from noise is they are everywhere, and what removes them is an
+# empty scene. EO-NeRF's authors light two epochs, 9000 steps of 300,000; a short training has its surface later.
+LIT_STEPS = 10_000
+LIT_SHARE = 0.5  # of the steps, at most
 BETA_EPOCH = 3  # of Sat-NeRF, the first with an uncertainty
 DECAY = 0.9  # of the rate, per epoch
 COLOUR_RATE, EMBEDDING_RATE = 0.004, 5e-4
@@ -122,6 +126,8 @@ class RayTrainer(RayScene):
         self.steps = steps
         pixels = max(1, len(self.rays.target) // self.count)
         self.epoch_steps = max(1, min(pixels, (steps - (self.rest_from or 0)) // 10))
+        if not self.field.start_density():
+            self.shaded_from = min(LIT_SHARE, LIT_STEPS / max(steps, 1))
 
     @functools.cached_property
     def random(self) -> torch.Generator:
