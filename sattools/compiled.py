@@ -12,6 +12,7 @@ import os
 import stat
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -133,9 +134,10 @@ def _forgiving(kernel: Any) -> Any:
 
 def get_ready() -> None:
     """Load what numba else loads with its first kernel, about half a second."""
-    from numba.core.registry import cpu_target
+    with suppress(ImportError, AttributeError):  # a head start only, and no public name of numba's
+        from numba.core.registry import cpu_target
 
-    cpu_target.target_context.refresh()
+        cpu_target.target_context.refresh()
 
 
 PARTS = 4  # of a thread's work: pieces do not all take equally long

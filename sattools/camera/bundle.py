@@ -26,6 +26,7 @@ _LINEAR_PRIOR_PX = 2.0  # expected size of affine terms at the image's edge; fix
 _SHIFT_PRIOR_PX = 1e4  # only to keep the normal equations solvable
 _GAUGE_HEIGHT_M = 300.0  # movement in height worth half a pixel of one view's shift
 _HEIGHT_PRIOR_M = 1e3  # likewise, for points on nearly parallel rays
+_LEAST_PIVOT = 1e-14  # of a point's matrix: less than the priors leave, more than rounding does
 
 
 @dataclass
@@ -236,15 +237,12 @@ def _point_blocks(block: Block, residual: Array, jacobian: Array, weight: Array)
 
 def _root(normal: Array) -> Array:
     """Lower Cholesky roots of positive 3x3 matrices, both as `[6, n]` (00, 10, 11, 20, 21, 22)."""
-    root, least = (
-        np.empty_like(normal),
-        1e-14,
-    )  # what the small numbers on the diagonal leave at least, but for rounding
+    root = np.empty_like(normal)
     root[0] = np.sqrt(normal[0])
     root[1], root[3] = normal[1] / root[0], normal[3] / root[0]
-    root[2] = np.sqrt(np.maximum(normal[2] - root[1] ** 2, least))
+    root[2] = np.sqrt(np.maximum(normal[2] - root[1] ** 2, _LEAST_PIVOT))
     root[4] = (normal[4] - root[3] * root[1]) / root[2]
-    root[5] = np.sqrt(np.maximum(normal[5] - root[3] ** 2 - root[4] ** 2, least))
+    root[5] = np.sqrt(np.maximum(normal[5] - root[3] ** 2 - root[4] ** 2, _LEAST_PIVOT))
     return root
 
 

@@ -23,8 +23,8 @@ from sattools.fit.rays.rays import RaySet
 from sattools.fit.rays.recorded import RecordedSteps
 from sattools.fit.rays.scene import ALL_IN, SEEN, RayScene
 
-# Without cast shadows first: in the haze that a field from noise is they are everywhere, and what removes them is an
-# empty scene. EO-NeRF's authors light two epochs, 9000 steps of 300,000; a short training has its surface later.
+# From noise a field is haze at first, which shades itself everywhere, and an empty scene has no shadows: it is lit
+# until it has a surface. EO-NeRF's authors light two epochs, 9000 steps of 300,000.
 LIT_STEPS = 10_000
 LIT_SHARE = 0.5  # of the steps, at most
 BETA_EPOCH = 3  # of Sat-NeRF, the first with an uncertainty
