@@ -12,8 +12,9 @@ ANSWERS := from sys import argv; from urllib.request import urlopen; urlopen(arg
 # bytecode is made of what is imported when it is imported: of all the packages it would be 0.27 GB more
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --no-compile
-# files of tests are spread over the cores; a file's tests stay together, as they share what they prepare
-TEST_ARGS ?= --numprocesses logical --maxprocesses 4 --dist loadfile
+# files of tests are spread over the cores, long ones first (tests/conftest.py); a file's tests stay together, as they
+# share what they prepare
+TEST_ARGS ?= --numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 QGIS_PROFILE ?= $(HOME)/.local/share/QGIS/QGIS3/profiles/default

@@ -16,6 +16,19 @@ from sattools.scene import Scene
 set_threads(1)
 
 
+# Files that take a minute or more, the longest first: begun last, they would leave all cores but one idle at the end.
+LONG = (
+    "test_accuracy.py", "test_batch_run.py", "test_campaigns.py", "test_tiles_side_by_side.py",
+    "test_networks_from_the_prior.py", "test_nothing_lost.py", "test_in_qgis.py", "test_tutorials.py",
+    "test_tiled_fit.py", "test_report.py",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of long files first, which `make test` hands out in this order."""
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of real images, RPCs and lidar (`SATTOOLS_DATA`); tests that need it are skipped without it."""
