@@ -1,7 +1,7 @@
 """Threads that help with calls of compiled kernels, and wait for more.
 
 A pool of `concurrent.futures` does the same, but every future has locks of its own: a fit calls a thousand kernels of a
-few milliseconds, and where a machine has many cores that took longer than the kernels.
+few milliseconds, and where a machine has many cores that took as long as the kernels.
 """
 
 from __future__ import annotations
