@@ -21,6 +21,7 @@ from sattools.prior.matching.sweep import (
 )
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
+from sattools.prior.visibility.alone import stands_alone
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing, supported
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
 from sattools.prior.visibility.edges import snap_edges
@@ -122,6 +123,8 @@ def match(
     beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
     shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
     stands = supported(standing(agreeing, views, beyond_images), height, agreeing, frame.cell, shaded)
+    if len(pairs) >= ROBUST_PAIRS and shaded is not None and task.hills == 0:
+        stands |= stands_alone(height, agreeing, views, frame.cell) & ~shaded
     height = filled(height, stands, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt = None
