@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label, maximum, mean
 
+from sattools.prior.visibility.occlusion import erode
+
 WIDTH_M = 6.0  # wider things are found without it
 HIGHER_M = 2.0  # above the surface without narrow things
 HIGHEST_M = 25.0  # higher ones are corners of towers and what matching finds by chance between them
@@ -28,14 +30,10 @@ def stands_alone(height: np.ndarray, agreeing: np.ndarray, views: np.ndarray, ce
         views: ``[H, W]`` views that see it.
         cell: edge of a cell [m].
     """
-    import cv2
-
     if cell > WIDTH_M / FEWEST_CELLS:
         return np.zeros(height.shape, bool)
     radius = round(WIDTH_M / 2 / cell)
-    row, column = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    disk = (row**2 + column**2 <= radius**2).astype(np.uint8)
-    without = cv2.morphologyEx(height, cv2.MORPH_OPEN, disk, borderType=cv2.BORDER_REPLICATE)
+    without = -erode(-erode(height, radius), radius)
     higher = height - without
     thing, count = label(higher > HIGHER_M, np.ones((3, 3)))
     every = np.arange(1, count + 1)
