@@ -113,7 +113,12 @@ class FitOptions(RayOptions):
         "and the scenes of pilot tiles in fit/tiles/pilot.*, for a `fit` each before split --resume.",
         renamed={"join": "mosaic"},
     )
-    prior_weight: float = option(0.2, "Weight of the depth prior; 0 = fit from a flat surface without one.", minimum=0)
+    prior_weight: float = option(
+        0.2,
+        "Weight of the depth prior, up to 10 times as much where its heights are not noisy; 0 = fit from a flat "
+        "surface without one.",
+        minimum=0,
+    )
     height_rate: float = option(0.15, "Adam step for heights, in softness lengths.", minimum=0)
     pose: bool = option(True, "Refine one shift per view during the fit.")
     budget: float | None = option(

@@ -11,7 +11,7 @@ import torch
 
 from sattools.errors import SceneError
 from sattools.fit.combinations import check_combination, check_step
-from sattools.fit.depth_prior import DepthPrior, reference_height
+from sattools.fit.depth_prior import DepthPrior, certainty, reference_height
 from sattools.fit.described import COLOURS, Radiance
 from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
@@ -199,6 +199,8 @@ def _fit_surface(
         notes += choice.notes
         options = job.options = replace(options, brdf=choice.model)
         job.stages = stages_of(options)
+    if prior is not None and radiance == "relative" and options.brdf == "lambert":
+        options = job.options = replace(options, prior_weight=options.prior_weight * certainty(prior))
     surface, finest, more = job.run(progress)
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
