@@ -10,6 +10,7 @@ import torch
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 from torch import Tensor
 
+from sattools.compare.metrics import nmad
 from sattools.scene import Grid
 from sattools.scene.regrid import resize_map, sample_map
 
@@ -79,7 +80,7 @@ def noise(height: np.ndarray) -> float:
     level = known & (relief < LEVEL_M)
     if level.sum() < LEVEL_SHARE * max(known.sum(), 1):
         return math.nan
-    return 1.4826 * float(np.median(np.abs(filled - uniform_filter(filled, 5, mode="nearest"))[level]))
+    return nmad((filled - uniform_filter(filled, 5, mode="nearest"))[level])
 
 
 def certainty(prior: DepthPrior) -> float:

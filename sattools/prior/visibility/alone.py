@@ -37,8 +37,6 @@ def stands_alone(height: np.ndarray, agreeing: np.ndarray, views: np.ndarray, ce
     higher = height - without
     thing, count = label(higher > HIGHER_M, np.ones((3, 3)))
     every = np.arange(1, count + 1)
-    if not count:
-        return np.zeros(height.shape, bool)
     area = np.bincount(thing.ravel(), minlength=count + 1)[1:] * cell**2
     share = mean(agreeing / np.maximum(views, 1), thing, every)
     stays = (area >= LEAST_M2) & (share >= SHARE) & (maximum(higher, thing, every) <= HIGHEST_M)
