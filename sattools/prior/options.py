@@ -85,7 +85,7 @@ class PriorOptions:
         2.0, "Depth below the visible surface from which a point is hidden [m]; at least two planes.", minimum=0
     )
     edges: float = option(
-        0.04,
+        0.03,
         "Spread of brightness on one material, three times as much on hills: where the images change by more, height "
         "changes are cheaper and, on level ground, walls are put; 0 = not.",
         minimum=0,

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import median_filter, minimum_filter
 
 from sattools.prior.frame import Frame
+from sattools.prior.matching.equalise import brightened, equally_bright, equally_sharp
 from sattools.prior.matching.subplane import refine_subplane
 from sattools.prior.matching.sweep import (
     BEYOND_PLANES,
@@ -109,6 +110,7 @@ def match(
     guide = ceiling = None
     if options.rough_passes:
         task, surface = _rough_passes(task, progress)
+        frame = task.frame
         visibility = surface.visibility.doubled()
         guide = split_cells(surface.height)
         ceiling = None if surface.ceiling is None else split_cells(surface.ceiling)
@@ -141,7 +143,7 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     Images have lost their mean, masks the windows that reach beyond an image, and the margin is such that no height of
     any pass leaves the frame.
     """
-    images = frame.images - np.float32(frame.images[frame.masks > 0].mean())
+    images = equally_sharp(frame.images - np.float32(frame.images[frame.masks > 0].mean()), frame.masks)
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
     fine = Frame(images, masks, frame.parallax, frame.z_ref, frame.cell, frame.margin, frame.suns)
@@ -225,6 +227,10 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
         radius = options.erode * (1.0 if rough.robust else FEW_ERODE) / frame.cell
         eroded = erode(height, max(radius, LEAST_ERODED) if options.erode else 0.0)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
+        if k == 0:
+            light = equally_bright(frame, visibility, height, score > SURE, options.tolerance)
+            frame, fine = brightened(frame, *light), brightened(task.frame, *light)
+            task, rough = replace(task, frame=fine), replace(rough, frame=frame)
         dark = measure_dark(frame, height, options.tolerance, visibility)
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
         if k < OPENING_PASSES:
