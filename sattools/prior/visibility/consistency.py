@@ -24,7 +24,7 @@ from sattools.prior.neighbours import relief
 from sattools.prior.visibility.occlusion import at_surface
 
 SAME_PLANES = 3.0  # planes between a cell's height and its ray's best one that still count as the same place
-UNLIKE = 0.1  # difference of brightness from which a pixel does not look like a place
+UNLIKE = 0.07  # difference of brightness from which a pixel does not look like a place
 LIKE = 0.25  # share of what it differs by beyond that from the best place, by which it may differ from the cell
 FEWEST_LOOKS = 4  # views that say how a cell looks
 REACH_M = 20.0  # distance within which a standing cell is looked for
