@@ -235,7 +235,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
         if k < OPENING_PASSES:
             # how the views agree about a floor is compared with how they did about the roof: by the same mean (that
-            # they are equally bright since is worth 0.02 to 0.06, once 0.13, of the 0.08 asked for; taken off, it was no better)
+            # they are equally bright since is worth 0.02 to 0.06, once 0.13; taken off, courtyards were no better)
             surface = open_courtyards(replace(rough, robust=task.robust), surface)
         visibility, ceiling = surface.visibility, surface.ceiling
         if before is not None and np.mean(np.abs(surface.height - before) > task.step) < CONVERGED:
