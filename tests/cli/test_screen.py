@@ -7,7 +7,9 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -28,18 +30,25 @@ def run(*arguments: Any) -> Any:
 def on_terminal(*arguments: Any) -> str:
     """What a command writes where stdout is a terminal."""
     ours, theirs = pty.openpty()
+    text: list[bytes] = []
+
+    def read() -> None:
+        """While the command runs: a terminal holds a few thousand characters, then who writes has to wait."""
+        with suppress(OSError):  # the other end is closed
+            while piece := os.read(ours, 65536):
+                text.append(piece)
+
+    reader = Thread(target=read)
+    reader.start()
     command = [sys.executable, "-m", "sattools", *map(str, arguments)]
-    done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=HANGING_S, check=False)
-    os.close(theirs)
-    text = b""
     try:
-        while piece := os.read(ours, 65536):
-            text += piece
-    except OSError:  # the other end is closed
-        pass
-    os.close(ours)
+        done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=HANGING_S, check=False)
+    finally:
+        os.close(theirs)
+        reader.join()
+        os.close(ours)
     assert done.returncode == 0, done.stderr
-    return text.decode().replace("\r\n", "\n")
+    return b"".join(text).decode().replace("\r\n", "\n")
 
 
 def test_help_of_fit_is_in_groups_and_leaves_out_what_experts_need() -> None:
