@@ -105,13 +105,17 @@ def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder: Any) -> No
     assert "images/nowhere.tif: cannot be read" in table(folder)[0]["error"]
 
 
-def test_a_command_that_needs_too_much_memory_is_stopped_and_named(folder: Any) -> None:
+def test_a_command_that_needs_too_much_memory_is_stopped_and_named(
+    folder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from sattools.batch.plan import Task
     from sattools.batch.task import perform
 
     source = str(folder / "A/scene.json")
     task = Task("A/big", str(folder / "big"), "key", "A", "big", [["fit", "{scene}"]], "", source)
-    # Python with numpy and torch takes more than 100 MB before it does anything
+    # Python with numpy and torch takes more than 100 MB before it does anything; looked at 200 times a second, as a
+    # fast machine has the command itself say that its images need more, before it is looked at for the first time
+    monkeypatch.setattr("sattools.batch.task._WATCH_S", 0.005)
     result = perform(task, 1, 100.0, lambda share, message: None)
     assert result["status"] == "failed"
     assert result["error"] == "sattools fit: needed more than 100 MB of memory and was stopped"
