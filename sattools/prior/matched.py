@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
 from sattools.prior.matching.match import Match, margin_for, match
 from sattools.prior.matching.pairs import choose_pairs
+from sattools.prior.neighbours import STEP_M, means_of_cells, relief
 from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
@@ -112,12 +114,13 @@ def match_sources(
         return None
     matched = match(frame, pairs, z_range, options, progress, finer=1 / options.detail)
     agreement = left_out_agreement(frame, matched.height)
-    maps = {name: crop(array, fine.shape) for name, array in vars(matched).items()}
-    resized = {
+    maps = {name: crop(array, fine.shape) for name, array in vars(matched).items() if isinstance(array, np.ndarray)}
+    resized: dict[str, Any] = {
         name: nearest_cells(array, fine, grid) if array.dtype == np.uint8 else resize_map(array, fine, grid)
         for name, array in maps.items()
     }
-    return Match(**resized), views, pairs, agreement
+    resized["height"] = means_of_cells(maps["height"], fine, grid, matched.blur, STEP_M * relief(fine.cell_size))
+    return replace(matched, **resized), views, pairs, agreement
 
 
 def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -6,12 +6,17 @@ import math
 
 import numpy as np
 
+from sattools.scene import Grid
+from sattools.scene.regrid import resize_map
+
 STEP_M = 2.0  # height step between neighbours from which they may be two sides of a wall
 # across a step up to the first a wall may become a ramp, over the second not: a ramp is wrong on both sides of a wall
 # that stands upright, by the more the higher it is
 TALL_M = (10.0, 30.0)
 PASSES = 2  # twice 1 2 1: as wide as means of cells of twice the size, interpolated
+BLURRED_M = (30.0, 60.0)  # the same for cells that a wall divides
 FIRM = (0.4, 0.6)  # mean likeness to one side at walls: below the first they are anywhere, from the second on in place
+SHARP = (0.5, 0.6)  # that of all walls of an area from which on cells with a wall in them belong to one side
 SCALE_M = 20.0  # distance over which it is averaged
 REACH_SCALES = 4  # of its standard deviations, beyond which a cell does not count for a mean
 ALL_CELLS = 300.0  # walls all over the area that count as much as those around
@@ -53,6 +58,23 @@ def doubtful_walls(likeness: np.ndarray, beside_wall: np.ndarray, cell: float) -
     mean = mean_around(np.abs(likeness), beside_wall, SCALE_M / cell)
     doubt[beside_wall] = np.clip((FIRM[1] - mean[beside_wall]) / (FIRM[1] - FIRM[0]), 0.0, 1.0)
     return doubt
+
+
+def blurred_walls(likeness: np.ndarray, beside_wall: np.ndarray) -> float:
+    """Whether a cell that a wall divides is best the mean of its sides (1) or the side that has more of it (0).
+
+    Walls whose cells surely belong to one side are steps, of which a cell has one side. Lidar makes ramps of many real
+    ones, for a cell holds returns of roof and ground and of what hangs between them, and so the means are nearer to it.
+    That goes by scenes, not by walls: where single walls of such a scene are sure, the means are nearer, too.
+
+    Args:
+        likeness: ``[H, W]`` to the high side, -1 ... 1; 0 = unknown.
+        beside_wall: ``[H, W]`` bool.
+    """
+    if not beside_wall.any():
+        return 1.0
+    mean = float(np.abs(likeness[beside_wall]).mean())
+    return min(max((SHARP[1] - mean) / (SHARP[1] - SHARP[0]), 0.0), 1.0)
 
 
 def mean_around(values: np.ndarray, where: np.ndarray, scale: float) -> np.ndarray:
@@ -122,4 +144,52 @@ def mean_of_neighbours(
     return here
 
 
-__all__ = ["doubtful_walls", "mean_around", "mean_of_neighbours"]
+def means_of_cells(
+    height: np.ndarray, source: Grid, target: Grid, blur: float = 1.0, step_m: float = STEP_M
+) -> np.ndarray:
+    """Heights on coarser cells: where a step divides a cell, the mean of the side that has more of it.
+
+    Args:
+        height: ``[H, W]`` [m], without gaps.
+        source: its grid.
+        target: one with the same upper left corner; its cells beyond the source continue the border.
+        blur: how far a divided cell is the mean of all of it instead, 0 ... 1; less for the steps of towers.
+        step_m: height range of a cell from which on it is divided [m].
+
+    Returns:
+        ``[h, w]`` float32.
+    """
+    means = resize_map(height, source, target)
+    factor = target.cell_size / source.cell_size
+    if factor <= 1:
+        return means
+    (rows, down), (cols, across) = (
+        _covered(count, size, factor) for count, size in zip(target.shape, height.shape, strict=True)
+    )
+    low, high = (
+        reduce(reduce(height[rows], axis=1)[:, cols], axis=2) for reduce in (np.min, np.max)
+    )  # rows first: a quarter of the memory
+    divided = np.nonzero(high - low > step_m)
+    row, col = divided
+    size = (len(row), rows.shape[1] * cols.shape[1])
+    parts = height[rows[row][:, :, None], cols[col][:, None, :]].reshape(size)
+    share = (down[row][:, :, None] * across[col][:, None, :]).reshape(size)
+    order = np.argsort(parts, axis=1)
+    upto = np.cumsum(np.take_along_axis(share, order, axis=1), axis=1)
+    middle = np.take_along_axis(order, (upto >= upto[:, -1:] / 2).argmax(axis=1)[:, None], axis=1)
+    share *= np.abs(parts - np.take_along_axis(parts, middle, axis=1)) <= step_m
+    side = (parts * share).sum(axis=1) / share.sum(axis=1)
+    tall = np.clip((BLURRED_M[1] - (high - low)[divided]) / (BLURRED_M[1] - BLURRED_M[0]), 0, 1)
+    means[divided] = side + blur * tall * (means[divided] - side)
+    return means
+
+
+def _covered(count: int, size: int, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which of ``size`` cells ``count`` cells ``factor`` times as wide cover, ``[count, n]``, and their shares."""
+    first = np.arange(count)[:, None] * factor
+    cells = np.floor(first + 1e-9).astype(int) + np.arange(math.ceil(factor) + 1)
+    share = np.minimum(cells + 1, first + factor) - np.maximum(cells, first)
+    return np.minimum(cells, size - 1), np.clip(share, 0, 1)
+
+
+__all__ = ["blurred_walls", "doubtful_walls", "mean_around", "mean_of_neighbours", "means_of_cells"]

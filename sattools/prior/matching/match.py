@@ -62,6 +62,7 @@ class Match:
             dearer.
         views: ``[H, W]`` uint8 number of images that see the surface there.
         consistent_views: ``[H, W]`` uint8 number of these whose rays have their best place there (see `minima`).
+        blur: how far coarser cells that a wall divides are the mean of both sides (see `blurred_walls`).
     """
 
     height: np.ndarray
@@ -69,6 +70,7 @@ class Match:
     uniqueness: np.ndarray
     views: np.ndarray
     consistent_views: np.ndarray
+    blur: float = 1.0
 
 
 def margin_for(parallax: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
@@ -129,12 +131,12 @@ def match(
         stands |= stands_alone(height, agreeing, views, frame.cell) & ~shaded
     height = filled(height, stands, frame.cell)
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
-    doubt = None
+    doubt, blur = None, 1.0
     if task.options.edges and task.hills < 1:
-        height, doubt = snap_edges(frame, hits, height, tolerance, task.options.edges, finer)
+        height, doubt, blur = snap_edges(frame, hits, height, tolerance, task.options.edges, finer)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))
-    return Match(height, score, uniqueness, views, agreeing)
+    return Match(height, score, uniqueness, views, agreeing, blur)
 
 
 def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:

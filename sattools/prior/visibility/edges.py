@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, median_filter, minimu
 
 from sattools.compiled import njit, spread
 from sattools.prior.frame import Frame
-from sattools.prior.neighbours import doubtful_walls, mean_around
+from sattools.prior.neighbours import blurred_walls, doubtful_walls, mean_around
 
 STEP_M = 2.0  # smallest height step that is a wall
 FLAT_M = 1.5  # height range of 3 x 3 cells that are surely off the step
@@ -18,14 +18,14 @@ SAME_M = 1.0  # heights this near belong to the same side
 FEWEST_VIEWS = 2
 CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, glare or shadow moves no wall
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
-STAY = 0.3  # likeness (-1 ... 1) that it takes to change sides
+STAY = 0.2  # likeness (-1 ... 1) that it takes to change sides
 RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
-FOOT = (-0.3, -0.1)  # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
+FOOT = (-0.2, 0.0)  # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
-OUTWARD = 0.85  # likeness by which walls that are not upright start outside the edge of their roof
+OUTWARD = 0.8  # likeness by which walls that are not upright start outside the edge of their roof
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
-OUTSIDE = 0.2  # cosine between the way down a wall and that towards a view which sees the foot of the wall
-STEEP = 0.05  # tangent of the angle from the vertical below which a view sees the foot of every wall
+OUTSIDE = 0.2  # cosine between the way down a wall and that towards a view, or a sun, which sees the foot of the wall
+STEEP = 0.05  # tangent of the angle from the vertical below which a view or a sun sees the foot of every wall
 
 
 class Surroundings(NamedTuple):
@@ -68,7 +68,7 @@ def snap_edges(
     tolerance: float,
     noise: float,
     finer: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Move height steps to where the images change, and say how sure the images are of it.
 
     A window on the rim of a roof sees the roof's edge, which agrees in all views, and so matching makes everything
@@ -81,7 +81,8 @@ def snap_edges(
     Where walls are upright, the roof's edge is the wall. Where they lean, or lidar and eaves make them wider, there is
     a strip which looks like neither roof nor ground: at the height of the ground, views from outside show something
     else than ground in place of the rims. There matching, which puts the step on the outer side of the strip, is
-    believed more than the edge.
+    believed more than the edge. Only where the sun stands outside, too: in the shadow of a wall, the ground at its
+    foot never looks like the ground around.
 
     Args:
         frame: the views.
@@ -92,7 +93,8 @@ def snap_edges(
         finer: number of the frame's cells along a cell of the result.
 
     Returns:
-        ``[H, W]`` float32 heights [m], and ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`.
+        ``[H, W]`` float32 heights [m]; ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`; and how
+        blurred those of the whole area, see `blurred_walls`.
     """
     off_step = maximum_filter(height, 3, mode="nearest") - minimum_filter(height, 3, mode="nearest") < FLAT_M
     off_step = minimum_filter(off_step, 3, mode="nearest")
@@ -100,26 +102,34 @@ def snap_edges(
         [gaussian_filter(height, SLOPE_SCALE * finer, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
     )
     uphill /= np.maximum(np.hypot(*uphill), 1e-6)
-    tangent = np.hypot(*frame.parallax.T) * frame.cell
-    # on its way up to the view a ray moves against the parallax; views from straight above are outside of every wall
-    outward = frame.parallax * frame.cell / np.maximum(tangent, STEEP)[:, None]
-    outward[tangent < STEEP] = np.nan
+    # on its way up to the view a ray moves against the parallax, and to the sun against its light
+    outward = _outward(frame.parallax * frame.cell)
+    unknown = (np.nan, np.nan, 1.0)
+    suns = np.array([sun or unknown for sun in frame.suns])
+    sunlight = _outward(np.stack([suns[:, 1], -suns[:, 0]], axis=1) / np.maximum(suns[:, 2:], STEEP))
     below, above, roof, foot = (np.empty_like(height) for _ in range(4))
     compare_sides(
-        height, off_step, uphill, frame.images, frame.masks, frame.parallax, outward, frame.z_ref, frame.margin,
-        first_hit_height, tolerance, noise, Surroundings().times(finer), below, above, roof, foot,
+        height, off_step, uphill, frame.images, frame.masks, frame.parallax, outward, sunlight, frame.z_ref,
+        frame.margin, first_hit_height, tolerance, noise, Surroundings().times(finer), below, above, roof, foot,
     )  # fmt: skip
     beside_wall = np.isfinite(below)
     doubt = doubtful_walls(roof, beside_wall, frame.cell)
+    blur = blurred_walls(roof, beside_wall)
     if not beside_wall.any():
-        return median_filter(height, 3, mode="nearest"), doubt
+        return median_filter(height, 3, mode="nearest"), doubt, blur
     side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
     lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell)
     high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
     moved = np.where(beside_wall & (side < 0) & (high > 0), above, moved)
-    return median_filter(moved, 3, mode="nearest"), doubt
+    return median_filter(moved, 3, mode="nearest"), doubt, blur
+
+
+def _outward(tangent: np.ndarray) -> np.ndarray:
+    """Unit vectors of ``[V, 2]`` tangents; NaN = from straight above, which is outside of every wall, or unknown."""
+    length = np.hypot(*tangent.T)[:, None]
+    return np.where(length < STEEP, np.nan, tangent / np.maximum(length, STEEP))
 
 
 def leaning(rims: np.ndarray, foot: np.ndarray, scale: float) -> np.ndarray:
@@ -244,8 +254,8 @@ def _likeness(image, mask, hit, parallax, z, z_ref, row, col, tolerance, where, 
 @spread(lambda height, *_: len(height))
 @njit(cache=True, nogil=True)
 def compare_sides(
-    height, off_step, uphill, images, masks, parallax, outward, z_ref, margin, first_hit_height, tolerance, noise,
-    around, below, above, roof, foot, first_row, end_row,
+    height, off_step, uphill, images, masks, parallax, outward, sunlight, z_ref, margin, first_hit_height, tolerance,
+    noise, around, below, above, roof, foot, first_row, end_row,
 ):  # fmt: skip
     """What either side of a wall looks like, for every cell near one.
 
@@ -257,6 +267,7 @@ def compare_sides(
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid.
         parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         outward: ``[V, 2]`` unit vector from the view to the ground; NaN = from straight above.
+        sunlight: ``[V, 2]`` that from its sun; NaN = from straight above, or unknown.
         z_ref: reference height of the frame [m].
         margin: cells between the border of the frame and that of the grid.
         first_hit_height: ``[V, Hf, Wf]`` float32 [m].
@@ -266,7 +277,8 @@ def compare_sides(
         below: ``[H, W]`` float32, filled with the height of the low side [m]; NaN = not near a wall.
         above: the same of the high side.
         roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
-        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
+        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside with the
+            sun outside, too.
         first_row: first row, from `spread`.
         end_row: the one after the last.
     """
@@ -295,6 +307,7 @@ def compare_sides(
             _gather(height, off_step, row, col, bottom, top, images.shape[2], falls, where, weight, count, total)
             if total.min() < around.fewest_looks:
                 continue
+            up_row, up_col = uphill[0, row, col], uphill[1, row, col]
             at_roof = at_foot = 0.0
             roof_views = foot_views = 0
             for v in range(views):
@@ -305,7 +318,9 @@ def compare_sides(
                 if like == like:
                     at_roof += like
                     roof_views += 1
-                if outward[v, 0] * uphill[0, row, col] + outward[v, 1] * uphill[1, row, col] <= OUTSIDE:
+                if outward[v, 0] * up_row + outward[v, 1] * up_col <= OUTSIDE:
+                    continue
+                if sunlight[v, 0] * up_row + sunlight[v, 1] * up_col <= OUTSIDE:
                     continue
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], parallax[v], bottom, z_ref, row + margin, col + margin,
