@@ -20,7 +20,11 @@ CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, gl
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
 STAY = 0.2  # likeness (-1 ... 1) that it takes to change sides
 RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
-FOOT = (-0.2, 0.0)  # mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
+FOOT = (
+    -0.2,
+    0.0,
+)  # mean likeness to it at the lit foot of such rims: at the first walls are upright, at the second not
+FOOT_FEW = (-0.3, -0.1)  # the same at any foot, lit or not, where views are too few to ask for more
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
 OUTWARD = 0.8  # likeness by which walls that are not upright start outside the edge of their roof
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
@@ -68,6 +72,8 @@ def snap_edges(
     tolerance: float,
     noise: float,
     finer: float = 1.0,
+    *,
+    few: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Move height steps to where the images change, and say how sure the images are of it.
 
@@ -91,6 +97,7 @@ def snap_edges(
         tolerance: depth below the visible surface that still counts as seen [m].
         noise: standard deviation of brightness on one material.
         finer: number of the frame's cells along a cell of the result.
+        few: whether views are too few to be asked about lit ground alone.
 
     Returns:
         ``[H, W]`` float32 heights [m]; ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`; and how
@@ -105,7 +112,7 @@ def snap_edges(
     # on its way up to the view a ray moves against the parallax, and to the sun against its light
     outward = _outward(frame.parallax * frame.cell)
     unknown = (np.nan, np.nan, 1.0)
-    suns = np.array([sun or unknown for sun in frame.suns])
+    suns = np.array([unknown if few or sun is None else sun for sun in frame.suns])
     sunlight = _outward(np.stack([suns[:, 1], -suns[:, 0]], axis=1) / np.maximum(suns[:, 2:], STEEP))
     below, above, roof, foot = (np.empty_like(height) for _ in range(4))
     compare_sides(
@@ -118,7 +125,7 @@ def snap_edges(
     if not beside_wall.any():
         return median_filter(height, 3, mode="nearest"), doubt, blur
     side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
-    lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell)
+    lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell, few)
     high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
@@ -132,18 +139,20 @@ def _outward(tangent: np.ndarray) -> np.ndarray:
     return np.where(length < STEEP, np.nan, tangent / np.maximum(length, STEEP))
 
 
-def leaning(rims: np.ndarray, foot: np.ndarray, scale: float) -> np.ndarray:
+def leaning(rims: np.ndarray, foot: np.ndarray, scale: float, few: bool = False) -> np.ndarray:
     """How little upright the walls around every cell are, 0 ... 1.
 
     Args:
         rims: ``[H, W]`` bool cells that do not look like their roof.
         foot: ``[H, W]`` how much they look like the high side at the ground's height, -1 ... 1.
         scale: standard deviation of the mean around [cells].
+        few: whether the feet need not be lit.
     """
     if not rims.any():
         return np.zeros(foot.shape)
     mean = mean_around(foot, rims, scale)
-    return np.clip((mean - FOOT[0]) / (FOOT[1] - FOOT[0]), 0.0, 1.0)
+    upright, not_upright = FOOT_FEW if few else FOOT
+    return np.clip((mean - upright) / (not_upright - upright), 0.0, 1.0)
 
 
 def _mean_within(values: np.ndarray, region: np.ndarray, scale: float) -> np.ndarray:
