@@ -82,8 +82,23 @@ def test_one_view_of_four_that_disagrees_is_outvoted(roof: Any, disagreeing: Any
     assert ((found != wide).sum() > 100) == moves
 
 
-@pytest.mark.parametrize(("strip", "stays"), [(0.2, False), (0.35, True)])
-def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof: Any, strip: Any, stays: Any) -> None:
+NORTH, SOUTH = (0.0, 0.6, 0.8), (0.0, -0.6, 0.8)  # where the sun may stand; views look at the northern wall
+
+
+@pytest.mark.parametrize(
+    ("strip", "sun", "few", "stays"),
+    [
+        (0.2, None, False, False),
+        (0.35, None, False, True),
+        (0.35, NORTH, False, True),
+        (0.35, (0.0, 0.0, 1.0), False, True),
+        (0.35, SOUTH, False, False),  # the ground may be dark for its shadow
+        (0.35, SOUTH, True, True),
+    ],
+)
+def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground_in_the_sun(
+    roof: Any, strip: Any, sun: Any, few: Any, stays: Any
+) -> None:
     image, true = roof
     wide = true.copy()
     wide[8:32, 8:32] = 10.0
@@ -94,8 +109,8 @@ def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground(roof: Any
     shown[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.35
     shown[margin + 8 : margin + 10, margin + 10 : margin + 30] = strip  # at the foot: ground, or more of the wall
     images = np.stack([shown] * 3).astype(np.float32)
-    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 3)
-    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)[0]
+    frame = Frame(images, np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (sun,) * 3)
+    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE, few=few)[0]
     northern_rim = found[8:10, 14:26]
     assert (northern_rim == (10.0 if stays else 0.0)).all()
 
@@ -104,9 +119,10 @@ def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side() -> N
     rims = np.zeros((9, 9), bool)
     rims[4, 2:7] = True
     foot = np.full((9, 9), np.nan)
-    for likeness, lean in ((-0.5, 0.0), (-0.2, 0.5), (0.4, 1.0)):
+    for likeness, lean, lean_few in ((-0.5, 0.0, 0.0), (-0.2, 0.0, 0.5), (-0.1, 0.5, 1.0), (0.4, 1.0, 1.0)):
         foot[rims] = likeness
         np.testing.assert_allclose(leaning(rims, foot, 40.0), lean, atol=1e-5)  # means are of single precision
+        np.testing.assert_allclose(leaning(rims, foot, 40.0, few=True), lean_few, atol=1e-5)
     np.testing.assert_array_equal(leaning(np.zeros((9, 9), bool), foot, 40.0), 0.0)
 
 
@@ -121,7 +137,7 @@ def test_slopes_and_low_steps_are_left_alone() -> None:
 
 
 def plain_sides(
-    frame: Any, height: Any, outward: Any, uphill: Any, row: int, col: int, around: Surroundings
+    frame: Any, height: Any, outward: Any, sunlight: Any, uphill: Any, row: int, col: int, around: Surroundings
 ) -> list[Any]:
     """`compare_sides` for one cell of heights 0 and 10 m that all views see, in plain NumPy."""
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
@@ -135,8 +151,8 @@ def plain_sides(
     found = []
     for z in (10.0, 0.0):
         likeness = []
-        for image, slope, out in zip(frame.images, frame.parallax, outward, strict=True):
-            if z == 0 and out @ uphill <= 0.2:
+        for image, slope, out, light in zip(frame.images, frame.parallax, outward, sunlight, strict=True):
+            if z == 0 and (out @ uphill <= 0.2 or light @ uphill <= 0.2):
                 continue
             at = np.array([row, col]) + frame.margin + slope * z
             near = np.rint(at).astype(int)
@@ -157,20 +173,22 @@ def test_the_kernel_does_as_plain_numpy(roof: Any, around: Surroundings) -> None
     image, height = roof
     rng = np.random.default_rng(3)
     margin = 10
-    slopes = np.array([[0.31, 0.12], [-0.27, 0.4], [0.05, -0.33]])
-    images = np.pad(image, margin, mode="edge") + rng.normal(0, 0.1, (3, 60, 60))
-    frame = Frame(images.astype(np.float32), np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 3)
+    slopes = np.array([[0.31, 0.12], [-0.27, 0.4], [0.05, -0.33], [0.4, 0.1], [0.3, -0.2]])
+    images = np.pad(image, margin, mode="edge") + rng.normal(0, 0.1, (5, 60, 60))
+    frame = Frame(images.astype(np.float32), np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 5)
     outward = slopes / np.hypot(*slopes.T)[:, None]
+    # in the sun, any, any, in shadow, unknown: the first and the last are asked about the northern wall's foot
+    sunlight = np.array([[0.8, 0.6], [1.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [np.nan, np.nan]])
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
     uphill = np.zeros((2, 40, 40), np.float32)
     uphill[0] = 1.0  # the northern wall
     below, above, roof_like, foot_like = (np.empty_like(height) for _ in range(4))
     compare_sides(
-        height, sure, uphill, frame.images, frame.masks, slopes, outward, 0.0, margin, unseen(frame), 2.0, NOISE,
-        around, below, above, roof_like, foot_like,
+        height, sure, uphill, frame.images, frame.masks, slopes, outward, sunlight, 0.0, margin, unseen(frame), 2.0,
+        NOISE, around, below, above, roof_like, foot_like,
     )  # fmt: skip
     for row, col in ((9, 20), (10, 17), (8, 24), (11, 13)):
-        expected = plain_sides(frame, height, outward, np.array([1.0, 0.0]), row, col, around)
+        expected = plain_sides(frame, height, outward, sunlight, np.array([1.0, 0.0]), row, col, around)
         np.testing.assert_allclose([roof_like[row, col], foot_like[row, col]], expected, atol=1e-4)
         assert (below[row, col], above[row, col]) == (0.0, 10.0)
     assert np.isnan(below[20, 20])
@@ -192,3 +210,11 @@ def test_a_pixel_that_mixes_both_sides_belongs_to_the_one_it_has_more_of(roof: A
     start[8:10, 10:30] = 10.0 if height == 0 else 0.0
     found = snap_edges(a_frame(picture), unseen(a_frame(picture)), start, 2.0, NOISE)[0]
     assert (found[9, 14:26] == height).all()
+
+
+def test_walls_that_show_one_side_or_the_other_divide_cells_sharply(roof: Any) -> None:
+    image, true = roof
+    frame = a_frame(image)
+    assert snap_edges(frame, unseen(frame), true, 2.0, NOISE)[2] == 0.0
+    flat = a_frame(np.full(true.shape, 0.5))
+    assert snap_edges(flat, unseen(flat), true, 2.0, NOISE)[2] == 1.0

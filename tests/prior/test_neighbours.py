@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sattools.prior.neighbours import doubtful_walls, mean_of_neighbours, relief
+from sattools.prior.neighbours import blurred_walls, doubtful_walls, mean_of_neighbours, means_of_cells, relief
+from sattools.scene import Grid
+from sattools.scene.regrid import resize_map
 
 ROWS, COLS = np.mgrid[0:30, 0:40].astype(np.float32)
 
@@ -103,3 +105,51 @@ def test_a_step_that_wide_cells_make_of_a_slope_is_averaged() -> None:
     # 1 2 1 twice over pairs of equal cells: 1/16 of what is two stairs away, 4/16 and then 5/16 of the next
     found = mean_of_neighbours(stairs, np.zeros(stairs.shape), step_m=4.0)
     np.testing.assert_allclose(np.diff(found[4, 4:-4]), 1.5, atol=0.4)
+
+
+def grid_of(cell: float, width: int, height: int) -> Grid:
+    return Grid("EPSG:32617", 435500.0, 3354300.0, cell, width, height)
+
+
+def test_a_cell_that_a_wall_divides_belongs_to_the_side_that_has_more_of_it() -> None:
+    # cells of 1 m from cells of 0.4 m: the wall at 2.4 m leaves 0.4 m of the third one to the low side
+    fine = np.where(np.arange(10) < 6, 1.0, 9.0).astype(np.float32)[None].repeat(10, axis=0)
+    source, target = grid_of(0.4, 10, 10), grid_of(1.0, 4, 4)
+    np.testing.assert_allclose(means_of_cells(fine, source, target, blur=0.0), [[1, 1, 9, 9]] * 4)
+    np.testing.assert_allclose(means_of_cells(fine.T, source, target, blur=0.0), np.array([[1, 1, 9, 9]] * 4).T)
+    np.testing.assert_allclose(means_of_cells(fine, source, target), [[1, 1, 5.8, 9]] * 4, atol=1e-5)
+    np.testing.assert_allclose(means_of_cells(fine, source, target, blur=0.5), [[1, 1, 7.4, 9]] * 4, atol=1e-5)
+
+
+@pytest.mark.parametrize(("step", "third"), [(30.0, 18.0), (45.0, 36.0), (60.0, 60.0), (90.0, 90.0)])
+def test_walls_of_towers_are_never_blurred(step: float, third: float) -> None:
+    fine = np.where(np.arange(10) < 6, 0.0, step).astype(np.float32)[None].repeat(10, axis=0)
+    found = means_of_cells(fine, grid_of(0.4, 10, 10), grid_of(1.0, 4, 4), blur=1.0)
+    np.testing.assert_allclose(found, [[0, 0, third, step]] * 4, rtol=1e-5)  # 0.6 of the step is the mean
+
+
+def test_cells_without_a_step_are_means_of_all_that_they_cover() -> None:
+    rough = (0.1 * ROWS + 0.15 * COLS + np.random.default_rng(0).uniform(0, 0.5, ROWS.shape)).astype(np.float32)
+    source, target = grid_of(0.35, 40, 30), grid_of(0.5, 29, 22)  # its last cells reach beyond the source
+    np.testing.assert_array_equal(means_of_cells(rough, source, target, 0.0), resize_map(rough, source, target))
+    finer = grid_of(0.175, 80, 60)
+    np.testing.assert_array_equal(means_of_cells(rough, source, finer, 0.0), resize_map(rough, source, finer))
+
+
+def test_sides_are_those_of_plain_counting() -> None:
+    rng = np.random.default_rng(4)
+    fine = (rng.choice([0.0, 8.0], (30, 30)) + rng.uniform(0, 0.5, (30, 30))).astype(np.float32)
+    found = means_of_cells(fine, grid_of(1.0, 30, 30), grid_of(1.5, 20, 20), blur=0.0)
+    halves = fine.repeat(2, axis=0).repeat(2, axis=1)  # cells of 0.5, of which 3 x 3 make one of 1.5
+    for row, col in np.ndindex(20, 20):
+        parts = halves[3 * row : 3 * row + 3, 3 * col : 3 * col + 3]
+        high = parts > 4
+        side = parts[high] if high.sum() > 4 else parts[~high]
+        assert found[row, col] == pytest.approx(side.mean(), abs=1e-5)
+
+
+@pytest.mark.parametrize(("likeness", "blur"), [(0.45, 1.0), (-0.55, 0.5), (0.7, 0.0)])
+def test_walls_are_sharp_where_their_cells_look_like_one_side(likeness: float, blur: float) -> None:
+    beside = abs(COLS - 20) < 3
+    assert blurred_walls(np.where(beside, likeness, 0.0), beside) == pytest.approx(blur)
+    assert blurred_walls(np.zeros((4, 5)), np.zeros((4, 5), bool)) == 1.0
