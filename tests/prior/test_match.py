@@ -273,7 +273,7 @@ def test_walls_are_moved_in_towns_alone(pairs: Any, walls: bool, monkeypatch: py
 
     def moved(frame: Frame, hits: np.ndarray, height: np.ndarray, *_: Any, few: bool) -> tuple[np.ndarray, None, float]:
         asked.append(height)
-        assert few == (len(pairs) < 12)
+        assert few == (len(pairs) < 30)
         return height, None, 1.0
 
     monkeypatch.setattr(module, "snap_edges", moved)
