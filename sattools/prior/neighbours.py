@@ -166,9 +166,7 @@ def means_of_cells(
     (rows, down), (cols, across) = (
         _covered(count, size, factor) for count, size in zip(target.shape, height.shape, strict=True)
     )
-    low, high = (
-        reduce(reduce(height[rows], axis=1)[:, cols], axis=2) for reduce in (np.min, np.max)
-    )  # rows first: a quarter of the memory
+    low, high = (reduce(reduce(height[rows], axis=1)[:, cols], axis=2) for reduce in (np.min, np.max))
     divided = np.nonzero(high - low > step_m)
     row, col = divided
     size = (len(row), rows.shape[1] * cols.shape[1])

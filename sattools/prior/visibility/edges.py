@@ -20,10 +20,8 @@ CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, gl
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
 STAY = 0.2  # likeness (-1 ... 1) that it takes to change sides
 RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
-FOOT = (
-    -0.2,
-    0.0,
-)  # mean likeness to it at the lit foot of such rims: at the first walls are upright, at the second not
+# mean likeness to it at the lit foot of such rims: at the first walls are upright, at the second not
+FOOT = (-0.2, 0.0)
 FOOT_FEW = (-0.3, -0.1)  # the same at any foot, lit or not, where views are too few to ask for more
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
 OUTWARD = 0.8  # likeness by which walls that are not upright start outside the edge of their roof
