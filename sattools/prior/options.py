@@ -63,7 +63,10 @@ class PriorOptions:
         maximum=1,
     )
     small_jump: float = option(
-        0.2, "Semi-global penalty for a height change of one plane (an agreement); half on hills.", minimum=0
+        0.2,
+        "Semi-global penalty for a height change of one plane (an agreement); half on hills, else up to 1.5 x with "
+        "fewer than 30 pairs.",
+        minimum=0,
     )
     large_jump: float = option(
         0.4,

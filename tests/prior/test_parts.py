@@ -175,10 +175,14 @@ def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() ->
     # the noise of a mean falls with the square root of its terms; a single pair is not trusted sixteen times less
     assert [scarcity(n) for n in (136, 60, 15, 3, 1)] == pytest.approx([1.0, 1.0, 2.0, 4.0, 4.0])
     options = PriorOptions(small_jump=0.2, large_jump=0.5, edges=0.04)
-    assert penalties(options, 15) == pytest.approx((0.2, 1.4, 0.4, 0.04))
+    assert penalties(options, 15) == pytest.approx((0.2 * 2**0.5, 1.4, 0.4, 0.04))
+    # a change by one plane is what slopes are made of: it gets less dear, and from fewer pairs on
+    assert [penalties(options, n).small for n in (60, 30, 15, 10, 1)] == pytest.approx(
+        [0.2, 0.2, 0.2828, 0.3, 0.3], abs=1e-4
+    )
     # slopes of one material look unlike, and heights change from cell to cell
-    assert penalties(for_hills(options, 1.0), 15) == pytest.approx((0.1, 1.4, 0.4, 0.12))
-    assert penalties(replace(options, edges=0.0), 15) == pytest.approx((0.2, 1.0, 1.0, 1.0))
+    assert penalties(for_hills(options, 1.0), 15, hills=1.0) == pytest.approx((0.1, 1.4, 0.4, 0.12))
+    assert penalties(replace(options, edges=0.0), 15) == pytest.approx((0.2 * 2**0.5, 1.0, 1.0, 1.0))
 
 
 def test_normals_of_a_large_map_are_worked_out_in_strips(monkeypatch: pytest.MonkeyPatch) -> None:

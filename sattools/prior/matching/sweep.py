@@ -217,7 +217,7 @@ def sweep(
             volume[row][heights[:, None] > ceiling[row]] = 0
     look = looks_at(task, visibility, heights, active) if options.edges else np.zeros_like(volume)
     total = np.empty_like(volume)
-    aggregate(volume, look, penalties(options, len(task.pairs)), total)
+    aggregate(volume, look, penalties(options, len(task.pairs), task.hills), total)
     height = np.empty(task.frame.shape, np.float32)
     index = np.empty(task.frame.shape, np.int32)
     lowest(total, heights, height, index)
