@@ -15,6 +15,7 @@ from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.matching.kernels import correlate
 from sattools.prior.matching.match import _prepared, _rough_passes, for_hills, how_hilly, match
+from sattools.prior.matching.penalties import penalties
 from sattools.prior.matching.sweep import BLOCK, FEW_PAIRS, MatchTask, _blocks, pair_weights
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.consistency import filled
@@ -228,7 +229,7 @@ def test_three_pairs_or_hills_count_only_what_is_surely_seen_and_few_are_not_out
 
 def test_hills_let_views_differ_in_brightness() -> None:
     """On a slope of 27 degrees every cell is a slope; a town of level ground and walls keeps what was asked for."""
-    options = PriorOptions(brightness=0.1, small_jump=0.2, edges=0.04)
+    options = PriorOptions(brightness=0.1, edges=0.04)
     town = np.zeros((20, 20), np.float32)
     town[:, 10:] = 8.0
     everywhere = np.ones((20, 20), bool)
@@ -237,7 +238,7 @@ def test_hills_let_views_differ_in_brightness() -> None:
     assert how_hilly(slope, everywhere, 1.0) == 1.0
     assert how_hilly(slope, ~everywhere, 1.0) == 0.0  # nobody is sure that it is one
     hills = for_hills(options, 1.0)
-    assert (hills.brightness, hills.small_jump, hills.edges) == pytest.approx((0.3, 0.1, 0.12))
+    assert (hills.brightness, hills.edges) == pytest.approx((0.3, 0.12))
     assert for_hills(options, 0.0) == options
 
 
@@ -287,7 +288,9 @@ def test_half_a_hill_keeps_its_walls() -> None:
     half = np.zeros((20, 200), np.float32)
     half[:, 77:] = 0.5 * np.arange(123)  # 61.5 % of the cells: halfway from town to hills
     hills = how_hilly(half, np.ones(half.shape, bool), 1.0)
-    found = for_hills(PriorOptions(brightness=0.1, small_jump=0.2), hills)
+    options = PriorOptions(brightness=0.1, small_jump=0.2)
+    found = for_hills(options, hills)
     assert hills < 1
-    assert (found.brightness, found.small_jump) == (pytest.approx(0.2), pytest.approx(0.15))
+    assert found.brightness == pytest.approx(0.2)
+    assert penalties(options, 60, hills).small == pytest.approx(0.15)
     assert found.edges == pytest.approx(2 * PriorOptions().edges)

@@ -180,7 +180,7 @@ def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() ->
     assert [penalties(options, n).small for n in (60, 30, 15, 10, 1)] == pytest.approx(
         [0.2, 0.2, 0.2828, 0.3, 0.3], abs=1e-4
     )
-    # slopes of one material look unlike, and heights change from cell to cell
+    # on hills slopes of one material look unlike, and heights change from cell to cell, however many pairs tell of them
     assert penalties(for_hills(options, 1.0), 15, hills=1.0) == pytest.approx((0.1, 1.4, 0.4, 0.12))
     assert penalties(replace(options, edges=0.0), 15) == pytest.approx((0.2 * 2**0.5, 1.0, 1.0, 1.0))
 

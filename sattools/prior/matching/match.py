@@ -48,7 +48,6 @@ SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than wa
 HILLS = (0.58, 0.65)  # share of the sure cells that are such slopes: up to the first a town, from the second on hills
 HILLS_PAIRS = 10  # pairs without which slopes are not believed: old towns in three views look like hills
 HILLS_UNLIKE = 3.0  # factor of `brightness` and `edges` there: seen from nearer to the sun open ground is brighter
-HILLS_JUMP = 0.5  # factor of `small_jump` there: heights change from cell to cell
 
 
 @dataclass(frozen=True)
@@ -190,7 +189,6 @@ def for_hills(options: PriorOptions, hills: float) -> PriorOptions:
         options,
         brightness=options.brightness * unlike,
         edges=options.edges * unlike,
-        small_jump=options.small_jump * (1 + hills * (HILLS_JUMP - 1)),
     )
 
 

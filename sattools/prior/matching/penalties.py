@@ -11,6 +11,7 @@ MANY_PAIRS = 60.0  # pairs from which on the penalty of a height jump is the one
 MOST = 4.0  # factor of it where there are few
 MANY_FOR_ONE_PLANE = 30.0  # the same for a change by one plane
 MOST_FOR_ONE_PLANE = 1.5
+HILLS_FOR_ONE_PLANE = 0.5  # factor of it on hills, however many pairs: heights change from cell to cell there
 PLAIN = 1.4  # factor of the penalty of a jump where the images show nothing that changes at the upper height
 EDGE = 0.4  # the same where they show an edge there
 LEAST_CONTRAST = 1e-6  # of the images that tells an edge: its inverse's square must be a number in single precision
@@ -38,10 +39,10 @@ def penalties(options: PriorOptions, pairs: int, hills: float = 0.0) -> Penaltie
     Args:
         options: see `PriorOptions`.
         pairs: number of pairs.
-        hills: whether the ground rises and falls, 0 to 1; then heights change by a plane wherever one looks.
+        hills: whether the ground rises and falls, 0 to 1.
     """
-    more = scarcity(pairs, MANY_FOR_ONE_PLANE, MOST_FOR_ONE_PLANE) - 1.0
-    small = options.small_jump * (1.0 + (1.0 - hills) * more)
+    in_town = scarcity(pairs, MANY_FOR_ONE_PLANE, MOST_FOR_ONE_PLANE)
+    small = options.small_jump * (in_town + hills * (HILLS_FOR_ONE_PLANE - in_town))
     large = options.large_jump * scarcity(pairs)
     if not options.edges:
         return Penalties(small, large, large, 1.0)
