@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from sattools.prior.frame import Frame
-from sattools.prior.visibility.edges import Surroundings, compare_sides, leaning, snap_edges
+from sattools.prior.visibility.edges import FOOT, LIT_FOOT, Surroundings, compare_sides, leaning, snap_edges
 
 NOISE = 0.04
 
@@ -115,15 +115,34 @@ def test_a_rim_is_lowered_only_where_views_from_outside_see_the_ground_in_the_su
     assert (northern_rim == (10.0 if stays else 0.0)).all()
 
 
+@pytest.mark.parametrize(("lit", "of", "stays"), [(1, 4, False), (4, 4, True)])
+def test_one_lit_view_alone_makes_no_wall_lean(roof: Any, lit: int, of: int, stays: bool) -> None:
+    image, true = roof
+    wide = true.copy()
+    wide[8:32, 8:32] = 10.0
+    margin = 10
+    shown = np.roll(np.pad(image, margin, mode="edge"), 8, axis=0)  # as above, with the ground at the foot
+    shown[margin + 10 : margin + 18, margin + 10 : margin + 30] = 0.35
+    images = np.stack([shown] * of).astype(np.float32)
+    images[:lit, margin + 8 : margin + 10, margin + 10 : margin + 30] = 0.35  # these show the wall there
+    suns = (NORTH,) * lit + (SOUTH,) * (of - lit)
+    frame = Frame(images, np.ones(images.shape, np.uint8), np.array([[0.8, 0.0]] * of), 0.0, 0.5, margin, suns)
+    found = snap_edges(frame, unseen(frame), wide, 2.0, NOISE)[0]
+    assert (found[8:10, 14:26] == (10.0 if stays else 0.0)).all()
+
+
 def test_walls_lean_where_the_foot_of_their_rims_looks_like_the_high_side() -> None:
     rims = np.zeros((9, 9), bool)
     rims[4, 2:7] = True
     foot = np.full((9, 9), np.nan)
-    for likeness, lean, lean_few in ((-0.5, 0.0, 0.0), (-0.2, 0.0, 0.5), (-0.1, 0.5, 1.0), (0.4, 1.0, 1.0)):
+    for likeness, lean_lit, lean in ((-0.5, 0.0, 0.0), (-0.2, 0.0, 0.5), (-0.1, 0.5, 1.0), (0.4, 1.0, 1.0)):
         foot[rims] = likeness
-        np.testing.assert_allclose(leaning(rims, foot, 40.0), lean, atol=1e-5)  # means are of single precision
-        np.testing.assert_allclose(leaning(rims, foot, 40.0, few=True), lean_few, atol=1e-5)
-    np.testing.assert_array_equal(leaning(np.zeros((9, 9), bool), foot, 40.0), 0.0)
+        np.testing.assert_allclose(leaning(rims, foot, 40.0, LIT_FOOT), lean_lit, atol=1e-5)  # single precision
+        np.testing.assert_allclose(leaning(rims, foot, 40.0, FOOT), lean, atol=1e-5)
+    foot[4, 2] = np.nan  # one that no view tells of is left out of the mean
+    np.testing.assert_allclose(leaning(rims, foot, 40.0, FOOT), 1.0, atol=1e-5)
+    np.testing.assert_array_equal(leaning(np.zeros((9, 9), bool), foot, 40.0, FOOT), 0.0)
+    np.testing.assert_array_equal(leaning(rims, np.full((9, 9), np.nan), 40.0, FOOT), 0.0)
 
 
 def test_slopes_and_low_steps_are_left_alone() -> None:
@@ -149,10 +168,10 @@ def plain_sides(
     i, j, high = i[kept], j[kept], height[r, c][kept] > 5
     weight = np.exp(-(i**2 + j**2) / (2 * np.where(high, around.high_fall, around.low_fall) ** 2))
     found = []
-    for z in (10.0, 0.0):
+    for z, in_the_sun in ((10.0, False), (0.0, False), (0.0, True)):
         likeness = []
         for image, slope, out, light in zip(frame.images, frame.parallax, outward, sunlight, strict=True):
-            if z == 0 and (out @ uphill <= 0.2 or light @ uphill <= 0.2):
+            if z == 0 and (out @ uphill <= 0.2 or (in_the_sun and light @ uphill <= 0.2)):
                 continue
             at = np.array([row, col]) + frame.margin + slope * z
             near = np.rint(at).astype(int)
@@ -177,22 +196,22 @@ def test_the_kernel_does_as_plain_numpy(roof: Any, around: Surroundings) -> None
     images = np.pad(image, margin, mode="edge") + rng.normal(0, 0.1, (5, 60, 60))
     frame = Frame(images.astype(np.float32), np.ones(images.shape, np.uint8), slopes, 0.0, 0.5, margin, (None,) * 5)
     outward = slopes / np.hypot(*slopes.T)[:, None]
-    # in the sun, any, any, in shadow, unknown: the first and the last are asked about the northern wall's foot
+    # in the sun, any, any, in shadow, unknown: all but the second and third see the northern wall's foot
     sunlight = np.array([[0.8, 0.6], [1.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [np.nan, np.nan]])
     sure = minimum_filter(maximum_filter(height, 3) - minimum_filter(height, 3) < 1.5, 3)
     uphill = np.zeros((2, 40, 40), np.float32)
     uphill[0] = 1.0  # the northern wall
-    below, above, roof_like, foot_like = (np.empty_like(height) for _ in range(4))
+    below, above, *likeness = (np.empty_like(height) for _ in range(5))
     compare_sides(
         height, sure, uphill, frame.images, frame.masks, slopes, outward, sunlight, 0.0, margin, unseen(frame), 2.0,
-        NOISE, around, below, above, roof_like, foot_like,
+        NOISE, around, below, above, *likeness,
     )  # fmt: skip
     for row, col in ((9, 20), (10, 17), (8, 24), (11, 13)):
         expected = plain_sides(frame, height, outward, sunlight, np.array([1.0, 0.0]), row, col, around)
-        np.testing.assert_allclose([roof_like[row, col], foot_like[row, col]], expected, atol=1e-4)
+        np.testing.assert_allclose([like[row, col] for like in likeness], expected, atol=1e-4)
         assert (below[row, col], above[row, col]) == (0.0, 10.0)
     assert np.isnan(below[20, 20])
-    assert np.isnan(foot_like[20, 20])
+    assert np.isnan([like[20, 20] for like in likeness[1:]]).all()
 
 
 def test_distances_around_a_wall_stay_the_same_on_finer_cells() -> None:

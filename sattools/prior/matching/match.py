@@ -133,7 +133,7 @@ def match(
     doubt, blur = None, 1.0
     if task.options.edges and task.hills < 1:
         height, doubt, blur = snap_edges(
-            frame, hits, height, tolerance, task.options.edges, finer, few=len(pairs) < ROBUST_PAIRS
+            frame, hits, height, tolerance, task.options.edges, finer, few=not task.robust
         )
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))

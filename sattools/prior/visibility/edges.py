@@ -20,9 +20,9 @@ CAP = 2.0  # log-likelihood ratio at which a view is sure: one date's facade, gl
 CONTRAST = 0.5  # standard deviations by which the sides have to differ in a view that can tell them apart
 STAY = 0.2  # likeness (-1 ... 1) that it takes to change sides
 RIM = -0.2  # likeness to the high side below which a cell of it is a doubtful rim
-# mean likeness to it at the lit foot of such rims: at the first walls are upright, at the second not
-FOOT = (-0.2, 0.0)
-FOOT_FEW = (-0.3, -0.1)  # the same at any foot, lit or not, where views are too few to ask for more
+# mean likeness to it at the foot of such rims: at the first walls are upright, at the second not
+FOOT = (-0.3, -0.1)
+LIT_FOOT = (-0.2, 0.0)  # the same in the views alone in which it is lit
 FOOT_SCALE_M = 20.0  # distance over which it is averaged
 OUTWARD = 0.8  # likeness by which walls that are not upright start outside the edge of their roof
 SLOPE_SCALE = 2.0  # cells over which the direction of a wall is averaged
@@ -85,8 +85,8 @@ def snap_edges(
     Where walls are upright, the roof's edge is the wall. Where they lean, or lidar and eaves make them wider, there is
     a strip which looks like neither roof nor ground: at the height of the ground, views from outside show something
     else than ground in place of the rims. There matching, which puts the step on the outer side of the strip, is
-    believed more than the edge. Only where the sun stands outside, too: in the shadow of a wall, the ground at its
-    foot never looks like the ground around.
+    believed more than the edge. So must those in which the sun stands outside, too: in the shadow of a wall, the ground
+    at its foot never looks like the ground around. But they are fewer, so that both have to say so.
 
     Args:
         frame: the views.
@@ -95,7 +95,7 @@ def snap_edges(
         tolerance: depth below the visible surface that still counts as seen [m].
         noise: standard deviation of brightness on one material.
         finer: number of the frame's cells along a cell of the result.
-        few: whether views are too few to be asked about lit ground alone.
+        few: whether views are too few to be asked about lit ground by itself.
 
     Returns:
         ``[H, W]`` float32 heights [m]; ``[H, W]`` how doubtful the walls around are, see `doubtful_walls`; and how
@@ -110,12 +110,13 @@ def snap_edges(
     # on its way up to the view a ray moves against the parallax, and to the sun against its light
     outward = _outward(frame.parallax * frame.cell)
     unknown = (np.nan, np.nan, 1.0)
-    suns = np.array([unknown if few or sun is None else sun for sun in frame.suns])
+    suns = np.array([unknown if sun is None else sun for sun in frame.suns])
     sunlight = _outward(np.stack([suns[:, 1], -suns[:, 0]], axis=1) / np.maximum(suns[:, 2:], STEEP))
-    below, above, roof, foot = (np.empty_like(height) for _ in range(4))
+    below, above, roof, foot, lit_foot = (np.empty_like(height) for _ in range(5))
     compare_sides(
         height, off_step, uphill, frame.images, frame.masks, frame.parallax, outward, sunlight, frame.z_ref,
         frame.margin, first_hit_height, tolerance, noise, Surroundings().times(finer), below, above, roof, foot,
+        lit_foot,
     )  # fmt: skip
     beside_wall = np.isfinite(below)
     doubt = doubtful_walls(roof, beside_wall, frame.cell)
@@ -123,7 +124,10 @@ def snap_edges(
     if not beside_wall.any():
         return median_filter(height, 3, mode="nearest"), doubt, blur
     side = np.where(height >= 0.5 * (below + above), 1.0, -1.0)
-    lean = leaning(beside_wall & (side > 0) & (roof < RIM) & np.isfinite(foot), foot, FOOT_SCALE_M / frame.cell, few)
+    rims, scale = beside_wall & (side > 0) & (roof < RIM), FOOT_SCALE_M / frame.cell
+    lean = leaning(rims, foot, scale, FOOT)
+    if not few:
+        np.minimum(lean, leaning(rims, lit_foot, scale, LIT_FOOT), out=lean)
     high = roof + (STAY + (1 - STAY) * lean) * side + OUTWARD * lean
     high += lean * (_mean_within(high, beside_wall, 1.0) - high)
     moved = np.where(beside_wall & (side > 0) & (high <= 0), below, height)
@@ -137,19 +141,20 @@ def _outward(tangent: np.ndarray) -> np.ndarray:
     return np.where(length < STEEP, np.nan, tangent / np.maximum(length, STEEP))
 
 
-def leaning(rims: np.ndarray, foot: np.ndarray, scale: float, few: bool = False) -> np.ndarray:
-    """How little upright the walls around every cell are, 0 ... 1.
+def leaning(rims: np.ndarray, foot: np.ndarray, scale: float, limits: tuple[float, float]) -> np.ndarray:
+    """How little upright the walls around every cell are, 0 ... 1; 0 where no foot tells.
 
     Args:
         rims: ``[H, W]`` bool cells that do not look like their roof.
-        foot: ``[H, W]`` how much they look like the high side at the ground's height, -1 ... 1.
+        foot: ``[H, W]`` how much they look like the high side at the ground's height, -1 ... 1; NaN = unknown.
         scale: standard deviation of the mean around [cells].
-        few: whether the feet need not be lit.
+        limits: means up to which walls are upright, and from which on they are not.
     """
-    if not rims.any():
+    known = rims & np.isfinite(foot)
+    if not known.any():
         return np.zeros(foot.shape)
-    mean = mean_around(foot, rims, scale)
-    upright, not_upright = FOOT_FEW if few else FOOT
+    mean = mean_around(foot, known, scale)
+    upright, not_upright = limits
     return np.clip((mean - upright) / (not_upright - upright), 0.0, 1.0)
 
 
@@ -262,7 +267,7 @@ def _likeness(image, mask, hit, parallax, z, z_ref, row, col, tolerance, where, 
 @njit(cache=True, nogil=True)
 def compare_sides(
     height, off_step, uphill, images, masks, parallax, outward, sunlight, z_ref, margin, first_hit_height, tolerance,
-    noise, around, below, above, roof, foot, first_row, end_row,
+    noise, around, below, above, roof, foot, lit_foot, first_row, end_row,
 ):  # fmt: skip
     """What either side of a wall looks like, for every cell near one.
 
@@ -284,8 +289,8 @@ def compare_sides(
         below: ``[H, W]`` float32, filled with the height of the low side [m]; NaN = not near a wall.
         above: the same of the high side.
         roof: ``[H, W]`` float32, filled with the mean likeness to the high side (-1 ... 1) at its height; 0 = unknown.
-        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside with the
-            sun outside, too.
+        foot: ``[H, W]`` float32, filled with that at the height of the low side; NaN = no view from outside.
+        lit_foot: ``[H, W]`` float32, the same of the views with the sun outside, too.
         first_row: first row, from `spread`.
         end_row: the one after the last.
     """
@@ -298,7 +303,7 @@ def compare_sides(
         where, weight = np.empty((2, most), np.int64), np.empty((2, most))
         count, total = np.empty(2, np.int64), np.empty(2)
         for col in range(cols):
-            below[row, col] = above[row, col] = foot[row, col] = np.nan
+            below[row, col] = above[row, col] = foot[row, col] = lit_foot[row, col] = np.nan
             roof[row, col] = 0.0
             low = high = height[row, col]
             for i in range(max(0, row - around.near), min(rows, row + around.near + 1)):
@@ -315,8 +320,8 @@ def compare_sides(
             if total.min() < around.fewest_looks:
                 continue
             up_row, up_col = uphill[0, row, col], uphill[1, row, col]
-            at_roof = at_foot = 0.0
-            roof_views = foot_views = 0
+            at_roof = at_foot = at_lit_foot = 0.0
+            roof_views = foot_views = lit_views = 0
             for v in range(views):
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], parallax[v], top, z_ref, row + margin, col + margin,
@@ -327,8 +332,6 @@ def compare_sides(
                     roof_views += 1
                 if outward[v, 0] * up_row + outward[v, 1] * up_col <= OUTSIDE:
                     continue
-                if sunlight[v, 0] * up_row + sunlight[v, 1] * up_col <= OUTSIDE:
-                    continue
                 like = _likeness(
                     images[v], masks[v], first_hit_height[v], parallax[v], bottom, z_ref, row + margin, col + margin,
                     tolerance, where, weight, count, total, noise,
@@ -336,10 +339,15 @@ def compare_sides(
                 if like == like:
                     at_foot += like
                     foot_views += 1
+                    if not sunlight[v, 0] * up_row + sunlight[v, 1] * up_col <= OUTSIDE:  # not so if unknown
+                        at_lit_foot += like
+                        lit_views += 1
             if roof_views >= FEWEST_VIEWS:
                 roof[row, col] = at_roof / roof_views
             if foot_views:
                 foot[row, col] = at_foot / foot_views
+            if lit_views:
+                lit_foot[row, col] = at_lit_foot / lit_views
 
 
 __all__ = ["compare_sides", "leaning", "snap_edges"]
