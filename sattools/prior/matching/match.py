@@ -132,9 +132,7 @@ def match(
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt, blur = None, 1.0
     if task.options.edges and task.hills < 1:
-        height, doubt, blur = snap_edges(
-            frame, hits, height, tolerance, task.options.edges, finer, few=not task.robust
-        )
+        height, doubt, blur = snap_edges(frame, hits, height, tolerance, task.options.edges, finer, few=not task.robust)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))
     return Match(height, score, uniqueness, views, agreeing, blur)
