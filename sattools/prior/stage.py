@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DSM, MapFiles, write_sensor_map
-from sattools.prior.gate import NO_STEREO, check_count, outputs, per_image_href, warn_of_window
+from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_window
 from sattools.prior.matched import Matched, match_area
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
@@ -19,6 +20,7 @@ from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.regrid import resize_map
 from sattools.scene.stored import pieces
 from sattools.views import Source, load_sources
 from sattools.views.check import check_extent
@@ -55,20 +57,23 @@ def prior(
     begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
     read = seen(scene, "prior", items)
-    whole = scene.require_grid()
-    grid = whole.resized(options.resolution or whole.cell_size)
+    grid, fine = grids(scene, items, options)
     z_range = scene.require_height_range()
-    notes = warn_of_window(scene, grid, options)
+    notes = warn_of_window(scene, fine, options)
     progress(0.0, "reading images")
     part = subprogress(progress, 0.2, 0.9)
-    if sources is None and grid.width * grid.height > AT_ONCE:
-        found = match_tiles(scene, items, grid, options, part)
+    if fine != grid:
+        sources = None  # the ones given may have been read for the wider cells
+    if sources is None and fine.width * fine.height > AT_ONCE:
+        found = match_tiles(scene, items, fine, options, part)
     else:
-        sources = load_sources(scene, items) if sources is None else sources
-        check_extent(grid)
-        found = match_area(sources, grid, z_range, options, part)
+        sources = load_sources(replace(scene, grid=fine), items) if sources is None else sources
+        check_extent(fine)
+        found = match_area(sources, fine, z_range, options, part)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
+    if fine != grid:
+        found = replace(found, height=_means(found.height, fine, grid), confidence=_means(found.confidence, fine, grid))
 
     progress(0.9, "writing")
     write_maps(scene, found.height, found.confidence, grid)
@@ -90,6 +95,17 @@ def prior(
         },
         MADE: record(scene, "prior", items, read, implicit=implicit),
     }
+
+
+def _means(values: np.ndarray, fine: Grid, grid: Grid) -> np.ndarray:
+    """Means ``[H, W]`` over the cells of a grid, some rows at a time."""
+    finer = round(grid.cell_size / fine.cell_size)
+    means = np.empty(grid.shape, np.float32)
+    for rows in pieces((grid.height, grid.width * finer * finer)):
+        below = slice(rows.start * finer, rows.stop * finer)
+        every = slice(0, grid.width)
+        means[rows] = resize_map(values[below], fine.part(below, slice(0, fine.width)), grid.part(rows, every))
+    return means
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
