@@ -59,6 +59,9 @@ def change(
     note = datums_differ({old.name: heights_above(old.layers["height"]), new.name: heights_above(new.layers["height"])})
     if note:
         log.warning("%s, unless --register takes it out", note)
+    notes = [_noise_alone(surface) for surface in (old, new) if "confidence" not in surface.layers]
+    for text in notes:
+        log.warning("%s", text)
     progress(0.2, "registering")
     make_folder(folder)
     found = register_dates(old, new, options.register, folder)
@@ -69,6 +72,7 @@ def change(
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
+    table["notes"] = notes
     table |= _table(heights, regions, options)
     if options.polygons:
         table["polygons"] = _per_polygon(Path(options.polygons), old.grid, heights)
@@ -106,6 +110,14 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
     inputs = [*old.files, *new.files, *polygons]
     check_outputs([Path(options.out) / name for name in names], inputs, overwrite)
     return old, new, names
+
+
+def _noise_alone(surface: Surface) -> str:
+    """What p-values of a surface are worth that does not say where it was matched surely."""
+    return (
+        f"{surface.layers['height']}: found heights without the confidence of their matching, so where matching failed "
+        "looks like a change, and p-values are about noise alone (the document of a scene with a prior brings it along)"
+    )
 
 
 def _check_metres(earlier: Surface) -> None:
