@@ -59,9 +59,6 @@ def change(
     note = datums_differ({old.name: heights_above(old.layers["height"]), new.name: heights_above(new.layers["height"])})
     if note:
         log.warning("%s, unless --register takes it out", note)
-    notes = [_noise_alone(surface) for surface in (old, new) if "confidence" not in surface.layers]
-    for text in notes:
-        log.warning("%s", text)
     progress(0.2, "registering")
     make_folder(folder)
     found = register_dates(old, new, options.register, folder)
@@ -71,6 +68,9 @@ def change(
     )  # fmt: skip
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
+    notes = [_noise_alone(surface) for surface in (old, new) if regions and "confidence" not in surface.layers]
+    for text in notes:
+        log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
     table["notes"] = notes
     table |= _table(heights, regions, options)
