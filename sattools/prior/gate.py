@@ -24,7 +24,7 @@ NO_STEREO = "found no two images from different directions, expected stereo imag
 # twice as wrong as with 3 x 3, with 13 x 13 2.4 to 3.3, with 33 x 33 6 to 9.5 times. Below 3 m it is narrower than
 # streets and houses, however small the cells are.
 WIDE_CELLS, WIDE_M = 9, 3.0
-COARSE = 1.5  # times as wide as cells that suit the pixels, from which on cells are matched finer
+COARSE, FINE = 1.5, 0.6  # times as wide as cells that suit the pixels, beyond which cells are not matched themselves
 
 
 def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> None:
@@ -53,7 +53,8 @@ def grids(scene: Scene, items: list[Item], options: PriorOptions) -> tuple[Grid,
     """Grid of the result, and that on which the images are matched.
 
     Windows of cells much wider than pixels see roof and street at once, and the roof wins. So a surface of such cells
-    is the mean of one of finer cells, unless somebody asks for it by ``resolution``.
+    is the mean of one of finer cells. Windows much narrower than pixels see noise, so a surface of such cells lies
+    between the cells of a coarser one. Who asks for a ``resolution`` is matched on that.
 
     Args:
         scene: with a grid.
@@ -65,9 +66,12 @@ def grids(scene: Scene, items: list[Item], options: PriorOptions) -> tuple[Grid,
         grid = whole.resized(options.resolution)
         return grid, grid
     sizes = [float(item.properties.get("gsd") or 0.0) for item in items]
-    finest = default_cell_size(float(np.median(sizes))) if all(size > 0 for size in sizes) else whole.cell_size
-    finer = math.ceil(whole.cell_size / finest - 1e-6) if whole.cell_size > COARSE * finest else 1
-    return whole, whole.resized(whole.cell_size / finer)
+    if not all(size > 0 for size in sizes):
+        return whole, whole
+    times = whole.cell_size / default_cell_size(float(np.median(sizes)))
+    if times > COARSE:
+        return whole, whole.resized(whole.cell_size / math.ceil(times - 1e-6))
+    return whole, whole.resized(whole.cell_size * (round(1 / times) if times < FINE else 1))
 
 
 def check_count(scene: Scene, items: list[Item]) -> None:

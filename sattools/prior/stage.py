@@ -73,7 +73,7 @@ def prior(
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
     if fine != grid:
-        found = replace(found, height=_means(found.height, fine, grid), confidence=_means(found.confidence, fine, grid))
+        found = replace(found, height=_on(grid, found.height, fine), confidence=_on(grid, found.confidence, fine))
 
     progress(0.9, "writing")
     write_maps(scene, found.height, found.confidence, grid)
@@ -97,15 +97,19 @@ def prior(
     }
 
 
-def _means(values: np.ndarray, fine: Grid, grid: Grid) -> np.ndarray:
-    """Means ``[H, W]`` over the cells of a grid, some rows at a time."""
-    finer = round(grid.cell_size / fine.cell_size)
-    means = np.empty(grid.shape, np.float32)
-    for rows in pieces((grid.height, grid.width * finer * finer)):
-        below = slice(rows.start * finer, rows.stop * finer)
-        every = slice(0, grid.width)
-        means[rows] = resize_map(values[below], fine.part(below, slice(0, fine.width)), grid.part(rows, every))
-    return means
+def _on(grid: Grid, values: np.ndarray, matched: Grid) -> np.ndarray:
+    """What was matched on other cells on those of a grid ``[H, W]``: means, or bilinear; some rows at a time."""
+    found = np.empty(grid.shape, np.float32)
+    finer, wider = (max(1, round(one.cell_size / other.cell_size)) for one, other in ((grid, matched), (matched, grid)))
+    for rows in pieces((grid.height, grid.width * finer**2)):
+        # rows of the matching, one more on either side for what lies between them
+        first = max(0, rows.start // wider - 1) if wider > 1 else rows.start * finer
+        last = min(matched.height, -(-rows.stop // wider) + 1) if wider > 1 else rows.stop * finer
+        top, bottom = (row * wider // finer for row in (first, last))
+        own = grid.part(slice(top, bottom), slice(0, matched.width * wider // finer))
+        part = resize_map(values[first:last], matched.part(slice(first, last), slice(0, matched.width)), own)
+        found[rows] = part[rows.start - top : rows.stop - top, : grid.width]
+    return found
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:

@@ -1,6 +1,7 @@
 """The stage and its command on a simulated town."""
 
 import json
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,7 +16,7 @@ from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.schedule import own_cell
-from sattools.prior import PriorOptions
+from sattools.prior import PriorOptions, stage
 from sattools.prior.gate import check_start, grids
 from sattools.prior.stage import prior
 from sattools.progress import silent
@@ -88,14 +89,19 @@ def test_masked_saturated_roofs_have_the_heights_of_kept_ones(make_town: Any) ->
         (5.0, 0.31, 0.5),
         (5.0, 2.0, 5 / 3),  # a whole number of times
         (5.0, None, 5.0),  # unknown
+        (0.3, 0.5, 0.3),  # no less than 0.6 of what suits the pixels
+        (0.25, 0.31, 0.5),
+        (0.1, 0.31, 0.5),
     ],
 )
-def test_wide_cells_are_matched_on_finer_ones(town_source: Any, cell: Any, gsd: Any, fine: Any) -> None:
+def test_cells_that_do_not_suit_the_pixels_are_matched_on_those_that_do(
+    town_source: Any, cell: Any, gsd: Any, fine: Any
+) -> None:
     items = [replace(item, properties={**item.properties, "gsd": gsd}) for item in town_source.items]
     scene = replace(town_source, grid=town_source.require_grid().resized(cell), items=items)
     whole, own = grids(scene, items, PriorOptions())
     assert (whole, own.cell_size) == (scene.grid, pytest.approx(fine))
-    assert own.width == round(cell / fine) * whole.width
+    assert own.width == math.ceil(round(whole.width * cell / fine, 6))
     assert own_cell(scene) == max(fine, cell / 2)
     assert [grid.cell_size for grid in grids(scene, items, PriorOptions(resolution=3.0))] == [3.0, 3.0]
 
@@ -115,6 +121,25 @@ def test_a_surface_of_wide_cells_is_the_mean_of_a_finer_one(make_town: Any) -> N
     prior(scene, PriorOptions(resolution=2.0))
     coarse, _ = product(scene, "prior_dsm")
     assert np.abs(coarse[0] - wide[0]).mean() > 0.3  # who asks for wide windows gets them
+
+
+def test_a_surface_of_narrow_cells_lies_between_those_of_a_wider_one(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_town()
+    prior(scene, PriorOptions())
+    wide, before = product(scene, "prior_dsm")
+    narrow = before.resized(0.1)
+    scene.grid = replace(narrow, width=narrow.width - 2, height=narrow.height - 3)
+    prior(scene, PriorOptions())
+    fine, grid = product(scene, "prior_dsm")
+    assert grid == scene.grid
+    # the middles of the wide cells; the narrow grid ends within the last ones
+    np.testing.assert_allclose(fine[0][2::5, 2::5][:120, :120], wide[0][:120, :120], atol=0.01)
+    # cut into strips of any height, it is the same
+    monkeypatch.setattr(stage, "pieces", lambda shape: [slice(k, min(k + 7, shape[0])) for k in range(0, shape[0], 7)])
+    prior(scene, PriorOptions())
+    np.testing.assert_array_equal(product(scene, "prior_dsm")[0], fine)
 
 
 def test_a_window_that_blurs_what_it_is_to_find_is_warned_of(make_town: Any, caplog: pytest.LogCaptureFixture) -> None:
