@@ -209,7 +209,7 @@ def _reflectance(exported: Exported, model: FittedModel, options: ExportOptions,
         progress(0.0, "reflectance")
         write_material(exported, material_maps(surface, model.extra), options.undetermined == "prior")
     elif model.brdf != "lambert":
-        write_material(exported, network_maps(model))
+        write_material(exported, network_maps(model), options.undetermined == "prior")
     return WholeModel(model, surface, exported.valid)
 
 

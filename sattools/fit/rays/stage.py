@@ -24,6 +24,7 @@ from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.judge import AT_ONCE, RAYS, begin_uncertainty, held_out_losses, judge_heights
 from sattools.fit.rays.maps import read_maps, rows_at_once
+from sattools.fit.rays.reflectance import known_of_start, reflectance_maps
 from sattools.fit.rays.start import (
     Beginning,
     base_surface,
@@ -122,9 +123,11 @@ def fit_rays(
         notes = job.run(options, progress)
         notes += judge_heights(trainer, options.steps)
         model = _model_of(trainer, base, views, grid, z_range)
+    model = model.to(torch.device("cpu"))
+    extra = {**model.extra, **known_of_start(start, grid)}
     if prior_here is not None and prior_here.normal is not None:
-        model = replace(model, extra={**model.extra, "normal": prior_here.normal})
-    return Fitted(model.to(torch.device("cpu")), trace, notes)
+        extra["normal"] = prior_here.normal
+    return Fitted(replace(model, extra=extra), trace, notes)
 
 
 def _model_of(
@@ -134,20 +137,24 @@ def _model_of(
     options = trainer.options
     maps = read_maps(trainer, grid, z_range)
     extra = {n: t.detach() for n, t in trainer.tensors.items() if n.startswith("field.")}
-    extra |= {f"map.{n}": t for n, t in maps.heads.items()} | {"embedding": trainer.embedding.detach()}
+    extra["embedding"] = trainer.embedding.detach()
     extra |= {f"base.{n}": t for n, t in base.tensors().items()} if base else {}
     box = box_over(grid, z_range)
     extra["box"] = torch.tensor([box.low, box.high])
     if options.brdf_at == "sample":
         extra["brdf_at_sample"] = torch.ones(1)
     assert options.brdf != "auto"  # `check_combination`
+    albedo = maps.albedo
+    if options.brdf != "lambert":
+        albedo, parameters = reflectance_maps(options.brdf, maps)
+        extra |= parameters
     return FittedModel(
         grid=grid,
         items=[v.id for v in views],
         suns=[v.sun for v in views],
         height=maps.height,
         height_std=maps.height_std,
-        albedo=maps.albedo,
+        albedo=albedo,
         gain=trainer.colour["gain"].detach(),
         offset=trainer.colour["offset"].detach(),
         ambient=trainer.colour["ambient"].detach(),
