@@ -45,6 +45,16 @@ def _preset(name: str, start: str, field: str) -> dict[str, Any]:
     return {k: v for k, v in with_preset(name, start, field).items() if context.get_parameter_source(k) in default}
 
 
+def _check_effect(options: FitOptions) -> None:
+    """Refuse what was given on the command line and would do nothing; a file may serve several fits."""
+    from sattools.fit.applicable import NEEDED, without_effect
+
+    context = click.get_current_context()
+    given = [name for name in NEEDED if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
+    if idle := without_effect(options, given):
+        raise click.BadParameter(idle[1], param_hint=f"--{idle[0].replace('_', '-')}")
+
+
 @click.command("fit", cls=FitCommand)
 @scene_argument
 @dataclass_options(FitOptions)
@@ -56,6 +66,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     --resume and ends with the same surface as one that was not; without it, only --overwrite begins anew.
     """
     options = build(FitOptions, {**values, **_preset(values["preset"], values["start"], values["field"])})
+    _check_effect(options)
     if options.tile == "auto" and options.part != "all":
         raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
     if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:
