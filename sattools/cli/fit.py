@@ -95,5 +95,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         from sattools.fit.presets import DIFFERENCES
 
         click.echo("".join(f"# {line}\n" for line in DIFFERENCES.splitlines()), nl=False)
+    plan = "fit the surface"
+    if dry_run:
+        from sattools.fit.foresight import plan_of
+
+        plan = plan_of(options)
     run = Run("fit", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen, check=check)
+    run_scenes(run, scenes, work, plan=plan, foreseen=foreseen, check=check)
