@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
@@ -14,6 +16,8 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+
+log = logging.getLogger(__name__)
 
 
 class FitCommand(GroupedCommand):
@@ -43,6 +47,18 @@ def _preset(name: str, start: str, field: str) -> dict[str, Any]:
     context = click.get_current_context()
     default = (click.core.ParameterSource.DEFAULT, None)
     return {k: v for k, v in with_preset(name, start, field).items() if context.get_parameter_source(k) in default}
+
+
+def _say_how_to_go_on(scene: Scene, options: FitOptions, began: float) -> None:
+    """One line for who has interrupted a fit that left something to go on with; began: [s since 1970]."""
+    from sattools.fit.files import CHECKPOINT
+    from sattools.fit.resume import how_to_go_on
+    from sattools.fit.tiles.state import STATE
+
+    if words := how_to_go_on(scene.path(CHECKPOINT), began, options.steps):
+        log.warning("%s", words)
+    elif scene.path(STATE).exists() and not scene.is_part:
+        log.warning("interrupted: `sattools fit --resume` with the same options goes on with the tiles that are there")
 
 
 def _check_effect(options: FitOptions) -> None:
@@ -79,7 +95,12 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     def work(scene: Scene, progress: Progress) -> dict[str, Any]:
         from sattools.fit.stage import fit
 
-        return fit(scene, options, progress, overwrite)
+        began = time.time()
+        try:
+            return fit(scene, options, progress, overwrite)
+        except (KeyboardInterrupt, SystemExit):  # see `sattools.cli.interrupts`
+            _say_how_to_go_on(scene, options, began)
+            raise
 
     def check(scene: Scene) -> None:
         from sattools.fit.stage import check_start
