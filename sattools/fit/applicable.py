@@ -48,7 +48,8 @@ _UNCERTAIN = Needed(
     lambda o: _has_head(o, "beta", "transient"), ("field", "network"), "--field mlp with --network satnerf or eonerf"
 )
 _TRANSIENT = Needed(
-    lambda o: o.field == "surface" or _has_head(o, "transient"), ("field", "network"),
+    # `check_combination` refuses auto
+    lambda o: o.field == "surface" or o.transient == "auto" or _has_head(o, "transient"), ("field", "network"),
     "--field surface, or mlp with --network eonerf",
 )  # fmt: skip
 _SOLAR = Needed(
