@@ -28,6 +28,7 @@ from sattools.export.surface_files import (
     STD,
     VALIDITY,
     SurfaceFiles,
+    heights_of_start,
 )
 from sattools.export.validity import Witnesses
 from sattools.fit.stored import StoredModel
@@ -105,9 +106,12 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
     notes = []
+    if words := heights_of_start(stored.about):
+        notes.append(f"heights: {words}")
+        log.warning("scene %s: %s", scene.id, notes[-1])
     if witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill:
         notes.append(EMPTY)
-        log.warning("scene %s: %s", scene.id, notes[0])
+        log.warning("scene %s: %s", scene.id, notes[-1])
     return {
         "vertical_datum": files.datum, "validity": fractions, "products": products, "notes": notes,
         MADE: record(scene, "export"),

@@ -181,6 +181,7 @@ def _model_of(
         shadow=options.shadow,
         transient=options.transient,
         field=options.field,
+        heights=options.start if trainer.put_back and options.start != "noise" else "own",
         network=options.network if options.field == "mlp" else None,
         radiance=trainer.radiance,
         brdf=options.brdf,
