@@ -38,6 +38,7 @@ log = logging.getLogger(__name__)
 # nearest of them (IoU 0.8 both), and 0.74, 0.68 and 0.57 at 6, 9 and 16 degrees, where cast ones are as good as ever
 # (`benchmarks/far_suns.py`)
 FAR_SUN_DEG = 5.0
+SCALED = "from the western half of the image, of unknown scale: only the eastern half can be scored"
 REACH_SPARE = 1.25  # times how far rays go within the height range
 Vector = tuple[float, float, float]
 
@@ -101,8 +102,8 @@ def render_item(
     """An item's image as the model predicts it, on the image's own pixels, and the heights that they show.
 
     A training image has the gain and offset that the fit found. Any other one has none where the radiance is absolute;
-    where it is relative, both are fitted on its western half, which is then left out (NaN), so that the eastern half
-    can be scored. Lines of sight are those of every part of the model.
+    where it is relative, both are fitted on its western half, and the eastern half alone can be scored (`scored`).
+    Lines of sight are those of every part of the model.
 
     Args:
         scene: holds the item.
@@ -123,8 +124,8 @@ def render_item(
         raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
     head, z_range = parts.head, scene.require_height_range()
     known = head.items.index(item_id) if item_id in head.items else None
-    picture = Picture(scene, items[0], head.albedo.shape[-1], folder)
-    scale = ColourScale(head.albedo.shape[-1]) if known is None and not head.absolute else None
+    scale = ColourScale(head.albedo.shape[-1]) if is_scaled(head, item_id) else None
+    picture = Picture(scene, items[0], head.albedo.shape[-1], folder, in_part=scale is not None)
     slope, _ = line_of_sight(picture.rpc, parts.grid, head.z_ref, z_range)
     steepest = max(abs(slope.east), abs(slope.north)) if all(map(math.isfinite, slope)) else 0.0
     pose = tuple(head.pose[known].tolist()) if known is not None else (0.0, 0.0)
@@ -135,15 +136,22 @@ def render_item(
             continue
         view = _view(scene, items[0], part.model, picture.rpc, sun_angles, scale is not None)
         radiance, height = _shown(parts.grid, part, view, known, (pose[0], pose[1]), z_range)
+        scored = None
         if scale is not None:
             west = max(0, min(parts.grid.width // 2 - part.cols.start, radiance.shape[1]))
             scale.add(radiance, view, part, west)
-            radiance[:, :west] = np.nan
-        picture.put(window, part, radiance, height, head.z_ref)
+            scored = np.where(np.isfinite(radiance).all(axis=-1), np.float32(1), np.float32(np.nan))
+            scored[:, :west] = np.nan
+        picture.put(window, part, radiance, height, head.z_ref, scored=scored)
     picture.check()
     if scale is not None:
         scale.apply(picture.bands)
     return picture
+
+
+def is_scaled(about: Description, item_id: str) -> bool:
+    """Whether a picture of an image gets its gain and offset from the image itself, as a fit knows none."""
+    return item_id not in about.items and not about.absolute
 
 
 def _view(
@@ -209,10 +217,17 @@ def write_view(exported: Shown, item_id: str, sun_angles: tuple[float, float] | 
     picture = render_item(scene, item_id, parts, sun_angles, scene.root)
     assert item is not None  # `render_item`
     files = {"relit": picture.bands} if sun_angles else {"rendered": picture.bands, "rendered_height": [picture.height]}
+    if picture.scored is not None:
+        tags |= {"GAIN": SCALED}
+        log.info("%s: gain and offset %s", item_id, SCALED)
+        if not sun_angles:
+            files["rendered_scored"] = [picture.scored]
     for name, maps in files.items():
         href = view_href(name, item_id)
-        write_sensor_maps(scene.output(href), maps, picture.rpc.to_tags(), {} if name == "rendered_height" else tags)
-        spectral = name != "rendered_height" and bands
+        write_sensor_maps(
+            scene.output(href), maps, picture.rpc.to_tags(), tags if name in ("rendered", "relit") else {}
+        )
+        spectral = name in ("rendered", "relit") and bands
         item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: bands} if spectral else {})
 
 
@@ -287,6 +302,7 @@ __all__ = [
     "Shown",
     "beyond_learned",
     "casting_under",
+    "is_scaled",
     "light_towards",
     "render_item",
     "write_relit",

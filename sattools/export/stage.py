@@ -183,6 +183,7 @@ def _outputs(scene: Scene, options: ExportOptions, stored: StoredModel, model: F
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(stored.about) if name in ids]
     hrefs += [view_href(m, n) for m in stored.image_maps for n in stored.about.items if n in ids]
     hrefs += [view_href(asset, name) for asset in ("rendered", "rendered_height") for name in options.view]
+    hrefs += [view_href("rendered_scored", name) for name in options.view if name not in stored.about.items]
     if model is not None:
         from sattools.export.material import material_names
 
