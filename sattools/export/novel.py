@@ -139,7 +139,11 @@ def render_item(
         scored = None
         if scale is not None:
             west = max(0, min(parts.grid.width // 2 - part.cols.start, radiance.shape[1]))
-            scale.add(radiance, view, part, west)
+            told = radiance
+            if sun_angles and items[0].sun is not None:  # the image shows the shadows of its own sun
+                own = replace(view, sun=grid_sun(part.model.grid, *items[0].sun))
+                told, _ = _shown(parts.grid, part, own, known, (pose[0], pose[1]), z_range)
+            scale.add(told, view, part, west)
             scored = np.where(np.isfinite(radiance).all(axis=-1), np.float32(1), np.float32(np.nan))
             scored[:, :west] = np.nan
         picture.put(window, part, radiance, height, head.z_ref, scored=scored)
