@@ -94,9 +94,8 @@ def fit_rays(
     first = prior if start is None or prior is None else start.guide(prior)
     prior_here = None if first is None else filled_prior(first, grid)
     rays = ray_set(views, grid, z_range, prior_here, normals=options.brdf != "lambert").to(device)
-    absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
-    if absolute:  # the images have one scale already
+    if radiance != "relative":  # the images have one scale already
         gain, offset = torch.ones_like(gain), torch.zeros_like(offset)
     # a field with neither shadows nor slopes has to begin with the mean image
     coloured = start if start is not None and (options.shadow != "none" or start.reflective is not None) else None
