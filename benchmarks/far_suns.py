@@ -37,7 +37,7 @@ def turned(sun: tuple[float, float, float], degrees: float) -> tuple[float, floa
 def main() -> None:
     """Simulate, fit, print."""
     from sattools.export.field_views import field_picture
-    from sattools.export.novel import _from_above
+    from sattools.export.novel import from_above
     from sattools.fit.model import FittedModel
     from sattools.fit.presets import resolve
     from sattools.fit.stage import fit
@@ -67,7 +67,7 @@ def main() -> None:
                 shaded = sun_visibility(height, model.grid.cell_size, sun).numpy() < 0.5
                 found = []
                 for shown in (model, replace(model, shadow="geometric")):
-                    picture, _, _ = field_picture(shown, _from_above(shown, sun), None, scene.require_height_range())
+                    picture, _, _ = field_picture(shown, from_above(shown, sun), None, scene.require_height_range())
                     dark = picture.mean(-1) < SHADE * model.albedo.numpy().mean(-1)
                     found.append(intersection_over_union(dark, shaded))
                 nearest = max(sum(a * b for a, b in zip(sun, known, strict=True)) for known in model.suns if known)

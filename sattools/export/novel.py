@@ -254,9 +254,7 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
             if head.field == "surface":
                 light = light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()
             else:
-                light, _, _ = field_picture(
-                    part.model, _from_above(part.model, sun), None, scene.require_height_range()
-                )
+                light, _, _ = field_picture(part.model, from_above(part.model, sun), None, scene.require_height_range())
             shown = light if part.valid is None else np.where(part.valid[..., None], light, np.nan)
             rows, cols = part.own
             own = shown[
@@ -295,7 +293,8 @@ def beyond_learned(about: Description, sun: Vector) -> float | None:
     return away if away > FAR_SUN_DEG else None
 
 
-def _from_above(model: FittedModel, sun: Vector) -> View:
+def from_above(model: FittedModel, sun: Vector) -> View:
+    """A vertical line of sight over a model under a sun (unit vector east, north, up); it has no pixels."""
     rows, cols, bands = model.albedo.shape
     nothing = np.zeros((rows, cols, bands), np.float32), np.zeros((rows, cols), np.uint8)
     return View("above", *nothing, ViewDirection(0.0, 0.0), model.z_ref, sun, 0.0)
@@ -306,6 +305,7 @@ __all__ = [
     "Shown",
     "beyond_learned",
     "casting_under",
+    "from_above",
     "is_scaled",
     "light_towards",
     "render_item",

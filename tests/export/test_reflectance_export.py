@@ -151,8 +151,8 @@ def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_ha
 
     with rasterio.open(scene.path(assets["rendered"].href)) as data:
         assert data.tags()["GAIN"].startswith("from the western half of the image, of unknown scale")
-    # gain and offset are those of the image's own light: where both suns reach a tenth of the pixels entirely, with
-    # nothing half in shade, they show the same numbers
+    # gain and offset are those of the image's own light: pixels that both suns reach entirely, a tenth of them, are
+    # the same
     relit = read_image(scene.path(assets["relit"].href))
     assert (np.abs(relit - rendered)[:, known] < 1e-5).mean() > 0.05
     figures = compare_views(scene)["views"]
