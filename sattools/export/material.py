@@ -22,7 +22,7 @@ from sattools.scene.raster import write_cog
 ABSOLUTE = "absolute: the images are reflectances"
 RELATIVE = "relative: the images have an unknown scale"
 OF_START = "of the surface fit that the network started from"
-UNKNOWN = "unknown: this network started from no surface fit, which would say so"
+UNKNOWN = "unknown: the model holds nothing of a surface fit, which would say so"
 
 
 def material_maps(surface: ReflectiveScene, tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:

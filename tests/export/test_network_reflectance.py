@@ -64,4 +64,4 @@ def test_a_network_from_noise_says_that_nothing_is_known_of_its_parameters(make_
     assert words in history["notes"]
     export(scene, ExportOptions())
     assert "identifiable" not in scene.products
-    assert read(scene, "theta")[1]["DETERMINED"].startswith("unknown: this network started from no surface fit")
+    assert read(scene, "theta")[1]["DETERMINED"].startswith("unknown: the model holds nothing of a surface fit")
