@@ -28,7 +28,11 @@ class ChangeOptions:
     )
     correlation: float = option(5.0, "Distance over which errors of heights go together [m].", minimum=0.0)
     confidence: float = option(
-        0.95, "Probability with which a surface without changes shows no region at all.", minimum=0.5, maximum=0.999999
+        0.95,
+        "Probability with which a surface without changes shows no region at all, by its noise; of scenes, places "
+        "where matching failed are left out, too, which rasters of heights do not tell.",
+        minimum=0.5,
+        maximum=0.999999,
     )
     min_confidence: float = option(
         0.25,

@@ -68,7 +68,11 @@ def change(
     )  # fmt: skip
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
+    notes = [_noise_alone(surface) for surface in (old, new) if regions and "confidence" not in surface.layers]
+    for text in notes:
+        log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
+    table["notes"] = notes
     table |= _table(heights, regions, options)
     if options.polygons:
         table["polygons"] = _per_polygon(Path(options.polygons), old.grid, heights)
@@ -106,6 +110,14 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
     inputs = [*old.files, *new.files, *polygons]
     check_outputs([Path(options.out) / name for name in names], inputs, overwrite)
     return old, new, names
+
+
+def _noise_alone(surface: Surface) -> str:
+    """What p-values of a surface are worth that does not say where it was matched surely."""
+    return (
+        f"{surface.layers['height']}: found heights without the confidence of their matching, so where matching failed "
+        "looks like a change, and p-values are about noise alone (the document of a scene with a prior brings it along)"
+    )
 
 
 def _check_metres(earlier: Surface) -> None:

@@ -14,6 +14,7 @@ from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
 from sattools.processors import side_by_side
+from sattools.radiometry.saturated import showing_asset
 from sattools.scene import Grid, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN
@@ -106,7 +107,7 @@ class Witnesses:
         self.known = len(used) == len(ids) and named
         items = used if self.known else []
         cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
-        parts = [image_part(scene, item, "radiance" if "radiance" in item.assets else "image") for item in items]
+        parts = [image_part(scene, item, showing_asset(item)) for item in items]
         largest = max((rows * cols for rows, cols in (part.shape for part in parts)), default=1)
         frames = side_by_side(_frame, parts, max(1, _WHOLE_PIXELS // max(largest, 1)))
         found = zip(cameras, parts, frames, strict=True)

@@ -12,7 +12,9 @@ from sattools.errors import SceneError
 from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.state import begun
+from sattools.prior.gate import grids
 from sattools.prior.options import PriorOptions
+from sattools.prior.tiled import AT_ONCE
 from sattools.processors import takes, threads
 from sattools.scene import Grid, Scene
 from sattools.scene.memory import available, to_spend
@@ -99,7 +101,8 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
     tiles, piece, work = _cut(grid, tile, options.overlap)
     seconds = work * _seconds_per_cell(scene, options)
     area = cells * grid.cell_size**2 / 1e6
-    each, beside = _bytes(piece, images, _finer(grid.cell_size, options)), 1
+    each = max(_bytes(piece, images, _finer(grid.cell_size, options)), _matching_bytes(scene, options, piece))
+    beside = 1
     if tiles > 1:
         beside = side_by_side(scene, options, tiles)
     return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, beside, beside * each, START_S + seconds)
@@ -139,11 +142,25 @@ def _seconds_per_cell(scene: Scene, options: FitOptions) -> float:
 
 
 def _matching_s(scene: Scene) -> float:
-    """CPU seconds of the matching per cell."""
-    images, cell = len(scene.train_items()), scene.require_grid().cell_size
+    """CPU seconds of the matching per cell of the grid, which may be matched on finer ones."""
+    items = scene.train_items()
+    grid, fine = grids(scene, items, PriorOptions())
     low, high = scene.require_height_range()
-    pairs = min(images * (images - 1) // 2, PriorOptions().pairs)
-    return MATCH_CELL_S + MATCH_S * (high - low) / (2 * cell) * pairs
+    pairs = min(len(items) * (len(items) - 1) // 2, PriorOptions().pairs)
+    each = MATCH_CELL_S + MATCH_S * (high - low) / (2 * fine.cell_size) * pairs
+    return each * (grid.cell_size / fine.cell_size) ** 2
+
+
+def _matching_bytes(scene: Scene, options: FitOptions, cells: float) -> float:
+    """Bytes that making the prior takes for a part of so many cells, beyond what a fit of them takes; 0 if it is there.
+
+    Only where they are matched on finer cells is that more.
+    """
+    if options.prior_weight == 0 or "prior_dsm" in scene.products:
+        return 0.0
+    items = scene.train_items()
+    grid, fine = grids(scene, items, PriorOptions())
+    return _bytes(min(cells * (grid.cell_size / fine.cell_size) ** 2, max(AT_ONCE, cells)), len(items), 0.0)
 
 
 def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
@@ -156,9 +173,11 @@ def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
     Raises:
         SceneError: a scene without grid or height range.
     """
-    grid = scene.require_grid()
+    items = scene.train_items()
+    grid, fine = grids(scene, items, PriorOptions())
     cells = grid.width * grid.height
-    memory = min(_bytes(cells, len(scene.train_items()), 0.0), limit_mb * 1e6 + 0.2e9)
+    at_once = max(cells, min(fine.width * fine.height, AT_ONCE))
+    memory = min(_bytes(at_once, len(items), 0.0), limit_mb * 1e6 + 0.2e9)
     return memory, START_S + cells * _matching_s(scene)
 
 

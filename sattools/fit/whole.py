@@ -22,7 +22,7 @@ from sattools.fit.rays.start import Beginning
 from sattools.fit.resume import check_checkpoint
 from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
-from sattools.fit.surface.schedule import schedule
+from sattools.fit.surface.schedule import own_cell, schedule
 from sattools.fit.surface.trainer import StageSettings
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
 from sattools.fit.tiles.state import end
@@ -81,8 +81,7 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     if options.field == "surface":
         if options.device == "cuda":
             log.warning("--device cuda: a surface is fitted on the CPU; a GPU is for --field mlp, neural and voxel")
-        grid = scene.require_grid()
-        schedule(options, grid.cell_size, scene.require_height_range(), options.prior_weight > 0)
+        schedule(options, own_cell(scene), scene.require_height_range(), options.prior_weight > 0)
     elif device.type == "cpu":
         check_step(options)
     check_prior(scene, options)
@@ -191,7 +190,7 @@ def _fit_surface(
 
     def stages_of(options: FitOptions) -> list[StageSettings]:
         relative = radiance == "relative"
-        return schedule(options, grid.cell_size, z_range, prior is not None, shortest, relative=relative)
+        return schedule(options, own_cell(scene), z_range, prior is not None, shortest, relative=relative)
 
     stages = stages_of(options)
     job = SurfaceJob(scene, sources, options, stages, prior, z_ref, SURFACE_DEVICE, radiance, lasting=lasting)

@@ -141,16 +141,6 @@ def cut_to_shown(asked: Bounds, outlines: Sequence[Sequence[Polygon]]) -> Bounds
     return (west, south, east, north) if share < 0.5 else asked
 
 
-def default_cell_size(gsd: float) -> float:
-    """The round cell size (0.5, 1, 2, 5, 10 ... m) nearest above a ground sample distance [m], 10 % grace."""
-    exponent = math.floor(math.log10(gsd))
-    for step in (1.0, 2.0, 5.0, 10.0):
-        size = step * 10.0**exponent
-        if size >= 0.9 * gsd:
-            break
-    return round(size, 6)
-
-
 def crop_window(
     rpc: RPC, crs: str, bounds: Bounds, heights: tuple[float, float], size: tuple[int, int], margin: int
 ) -> Window:
@@ -181,7 +171,6 @@ __all__ = [
     "common_bounds",
     "crop_window",
     "cut_to_shown",
-    "default_cell_size",
     "footprint",
     "ground_polygon",
     "groups",

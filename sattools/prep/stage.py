@@ -36,7 +36,6 @@ from sattools.prep.layout import (
     common_bounds,
     crop_window,
     cut_to_shown,
-    default_cell_size,
     ground_polygon,
     groups,
     outline,
@@ -49,6 +48,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
 from sattools.scene.dependencies import begin, may_begin
+from sattools.scene.grid import default_cell_size
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
+
+import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.files import MAPS
@@ -11,6 +14,7 @@ from sattools.prior.options import PriorOptions
 from sattools.prior.tiled import AT_ONCE
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.dependencies import may_begin
+from sattools.scene.grid import default_cell_size
 from sattools.views import line_of_sight, open_images
 from sattools.views.check import check_extent
 
@@ -20,6 +24,7 @@ NO_STEREO = "found no two images from different directions, expected stereo imag
 # twice as wrong as with 3 x 3, with 13 x 13 2.4 to 3.3, with 33 x 33 6 to 9.5 times. Below 3 m it is narrower than
 # streets and houses, however small the cells are.
 WIDE_CELLS, WIDE_M = 9, 3.0
+COARSE, FINE = 1.5, 0.6  # times as wide as cells that suit the pixels, beyond which cells are not matched themselves
 
 
 def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> None:
@@ -33,8 +38,7 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     items = scene.train_items()
     may_begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
-    whole = scene.require_grid()
-    grid = whole.resized(options.resolution or whole.cell_size)
+    grid = grids(scene, items, options)[1]
     warn_of_window(scene, grid, options)
     z_range = scene.require_height_range()
     images = open_images(scene, items)
@@ -43,6 +47,31 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     slopes = [line_of_sight(camera, grid, z_range[0], z_range)[0] for camera in images.cameras]
     if not len(choose_pairs(slopes, [None] * len(items), options.pairs)):
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
+
+
+def grids(scene: Scene, items: list[Item], options: PriorOptions) -> tuple[Grid, Grid]:
+    """Grid of the result, and that on which the images are matched.
+
+    Windows of cells much wider than pixels see roof and street at once, and the roof wins. So a surface of such cells
+    is the mean of one of finer cells. Windows much narrower than pixels see noise, so a surface of such cells lies
+    between the cells of a coarser one. Who asks for a ``resolution`` is matched on that.
+
+    Args:
+        scene: with a grid.
+        items: the images.
+        options: of the matching.
+    """
+    whole = scene.require_grid()
+    if options.resolution:
+        grid = whole.resized(options.resolution)
+        return grid, grid
+    sizes = [float(item.properties.get("gsd") or 0.0) for item in items]
+    if not all(size > 0 for size in sizes):
+        return whole, whole
+    times = whole.cell_size / default_cell_size(float(np.median(sizes)))
+    if times > COARSE:
+        return whole, whole.resized(whole.cell_size / math.ceil(times - 1e-6))
+    return whole, whole.resized(whole.cell_size * (round(1 / times) if times < FINE else 1))
 
 
 def check_count(scene: Scene, items: list[Item]) -> None:
@@ -84,4 +113,4 @@ def per_image_href(name: str, item_id: str) -> str:
     return f"prior/{name}/{item_id}.tif"
 
 
-__all__ = ["NO_STEREO", "check_count", "check_start", "outputs", "per_image_href", "warn_of_window"]
+__all__ = ["NO_STEREO", "check_count", "check_start", "grids", "outputs", "per_image_href", "warn_of_window"]

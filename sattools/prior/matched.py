@@ -208,7 +208,7 @@ def make_frame(
         grid.width + grid.width % 2 + 2 * margin,
         grid.height + grid.height % 2 + 2 * margin,
     )
-    views = views_on(sources, wide, z_ref, z_range)
+    views = views_on([source.complete() for source in sources], wide, z_ref, z_range)
     parallax = np.array([view.slope.parallax(cell) for view in views])
     balances = [s.balance for s in sources if s.balance]
     if len(balances) == len(sources):

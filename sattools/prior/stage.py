@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
-from sattools.prior.gate import NO_STEREO, check_count, outputs, per_image_href, warn_of_window
+from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_window
 from sattools.prior.matched import Matched, match_area
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
@@ -19,6 +20,7 @@ from sattools.scene import Asset, Grid, Scene
 from sattools.scene.dependencies import MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.regrid import resize_map
 from sattools.scene.stored import pieces
 from sattools.views import Source, load_sources
 from sattools.views.check import check_extent
@@ -55,20 +57,23 @@ def prior(
     begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
     read = seen(scene, "prior", items)
-    whole = scene.require_grid()
-    grid = whole.resized(options.resolution or whole.cell_size)
+    grid, fine = grids(scene, items, options)
     z_range = scene.require_height_range()
-    notes = warn_of_window(scene, grid, options)
+    notes = warn_of_window(scene, fine, options)
     progress(0.0, "reading images")
     part = subprogress(progress, 0.2, 0.9)
-    if sources is None and grid.width * grid.height > AT_ONCE:
-        found = match_tiles(scene, items, grid, options, part)
+    if fine != grid:
+        sources = None  # the ones given may have been read for the wider cells
+    if sources is None and fine.width * fine.height > AT_ONCE:
+        found = match_tiles(scene, items, fine, options, part)
     else:
-        sources = load_sources(scene, items) if sources is None else sources
-        check_extent(grid)
-        found = match_area(sources, grid, z_range, options, part)
+        sources = load_sources(replace(scene, grid=fine), items) if sources is None else sources
+        check_extent(fine)
+        found = match_area(sources, fine, z_range, options, part)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
+    if fine != grid:
+        found = replace(found, height=_on(grid, found.height, fine), confidence=_on(grid, found.confidence, fine))
 
     progress(0.9, "writing")
     write_maps(scene, found.height, found.confidence, grid)
@@ -90,6 +95,21 @@ def prior(
         },
         MADE: record(scene, "prior", items, read, implicit=implicit),
     }
+
+
+def _on(grid: Grid, values: np.ndarray, matched: Grid) -> np.ndarray:
+    """What was matched on other cells on those of a grid ``[H, W]``: means, or bilinear; some rows at a time."""
+    found = np.empty(grid.shape, np.float32)
+    finer, wider = (max(1, round(one.cell_size / other.cell_size)) for one, other in ((grid, matched), (matched, grid)))
+    for rows in pieces((grid.height, grid.width * finer**2)):
+        # rows of the matching, one more on either side for what lies between them
+        first = max(0, rows.start // wider - 1) if wider > 1 else rows.start * finer
+        last = min(matched.height, -(-rows.stop // wider) + 1) if wider > 1 else rows.stop * finer
+        top, bottom = (row * wider // finer for row in (first, last))
+        own = grid.part(slice(top, bottom), slice(0, matched.width * wider // finer))
+        part = resize_map(values[first:last], matched.part(slice(first, last), slice(0, matched.width)), own)
+        found[rows] = part[rows.start - top : rows.stop - top, : grid.width]
+    return found
 
 
 def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:

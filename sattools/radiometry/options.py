@@ -16,7 +16,11 @@ class NormaliseOptions:
         None, "Significant bits of the numbers (default: the scene's, by metadata or values).", minimum=1, maximum=32
     )
     black: float = option(0.0, "Digital number of no light.", minimum=0)
-    saturated: Literal["mask", "keep"] = option("mask", "Saturated pixels: masked (NaN), or kept as lower bounds.")
+    saturated: Literal["auto", "mask", "keep"] = option(
+        "auto",
+        "Saturated pixels: masked (NaN; `prior` looks at them all the same), or kept as lower bounds (auto: kept in "
+        "8-bit tone-mapped images, where white is no saturation; masked elsewhere).",
+    )
     saturation: float | None = option(
         None, "Digital number from which a pixel is saturated (default: 2^bits - 1).", minimum=0
     )

@@ -17,6 +17,7 @@ from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, image_scales
 from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.saturated import NOTED, Conversion
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, may_begin, record, seen
 from sattools.scene.jsonio import JsonObject
@@ -56,7 +57,7 @@ class _Job:
 def normalise(
     scene: Scene, options: NormaliseOptions, progress: Progress = silent, overwrite: bool = True
 ) -> JsonObject:
-    """Write a linear float32 `radiance` asset for every image; NaN where it has no data or is saturated.
+    """Write a linear float32 `radiance` asset for every image; NaN where it has no data or saturated pixels are masked.
 
     Sets per item `sattools:radiance` (``toa_reflectance``, ``reflectance_factor`` or ``relative``) and
     `sattools:tone` (``linear``, or ``tone-mapped`` for 8-bit images left as they are). Nothing is clipped.
@@ -127,6 +128,8 @@ class _Blocks:
         self.chosen = _bands(job.scene, item, part.bands, job.options)
         self.saturation = _saturation(job, item)
         self.tone_mapped = job.bits[item.id] <= 8 and job.scales[item.id].reflectance is None
+        wanted = job.options.saturated
+        self.masks = wanted == "mask" or (wanted == "auto" and not self.tone_mapped)
         self._matched: tuple[np.ndarray, np.ndarray] | None = None
         height, width = part.shape
         self._places = np.divmod(job.rng.integers(height * width, size=min(SAMPLE, height * width)), width)
@@ -135,16 +138,28 @@ class _Blocks:
 
     def _values(self, rows: slice, cols: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Digital numbers and radiance ``[C, h, w]``, and where there are no data or too much light ``[h, w]``."""
-        options, scale = self.job.options, self.job.scales[self.item.id]
         bands = self.part.read((rows, cols))[[b - 1 for b in self.chosen]]
         empty, full = invalid_numbers(bands, self.saturation)
-        values = np.where(empty | full if options.saturated == "mask" else empty, np.nan, bands)
+        return bands, self._radiance(np.where(empty | full if self.masks else empty, np.nan, bands)), empty, full
+
+    def _radiance(self, values: np.ndarray) -> np.ndarray:
+        """Radiance of digital numbers ``[C, h, w]``, but for --match."""
+        options, scale = self.job.options, self.job.scales[self.item.id]
         if self.job.quantity != "relative":
-            return bands, scale.apply(values - options.black, self.chosen, self.job.quantity), empty, full
+            return scale.apply(values - options.black, self.chosen, self.job.quantity)
         radiance = linear_radiance(values, self.job.bits[self.item.id], options.black)
-        if self.tone_mapped and options.gamma is not None:
-            radiance = undo_gamma(radiance, options.gamma)
-        return bands, radiance, empty, full
+        return undo_gamma(radiance, options.gamma) if self.tone_mapped and options.gamma is not None else radiance
+
+    def conversion(self) -> Conversion | None:
+        """How saturated pixels would have become radiance, if they are masked and it is linear in their numbers."""
+        if not self.masks or not self.counts["saturated"] or (self.tone_mapped and self.job.options.gamma is not None):
+            return None
+        most = float(self.saturation)
+        ends = self._radiance(np.tile([0.0, most], (len(self.chosen), 1, 1))).astype(np.float64)[:, 0]
+        gain, offset = (ends[:, 1] - ends[:, 0]) / most, ends[:, 0]
+        if self._matched is not None:
+            gain, offset = gain * self._matched[0], offset * self._matched[0] + self._matched[1]
+        return Conversion(self.chosen, gain.tolist(), offset.tolist())
 
     def match(self) -> None:
         """Bring the image to the first one's middle and spread, which pixels at even distances tell."""
@@ -197,7 +212,9 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
             rpc = source.tags(ns="RPC")
     names = [str(band["name"]) for band in bands_of]
     write_sensor_blocks(output, part.shape, len(names), blocks.block, rpc, descriptions=names, source_block=part.block)
-    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], {"eo:bands": bands_of})
+    conversion = blocks.conversion()
+    noted = {NOTED: conversion.to_dict()} if conversion else {}
+    item.assets["radiance"] = Asset(f"radiance/{item.id}.tif", GEOTIFF_TYPE, ["data"], {"eo:bands": bands_of, **noted})
     item.properties["sattools:radiance"] = "relative" if options.match else job.quantity
     left = blocks.tone_mapped and options.gamma is None
     item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
@@ -213,19 +230,20 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
             f"{part.path}: found no valid pixel after masking, expected an image (is --bits {bits} right?)"
         )
     shares = blocks.shares()
-    notes += _doubts(job, item, shares, blocks.saturation)
+    notes += _doubts(job, item, shares, blocks)
     return {name: round(share, 6) for name, share in shares.items()}
 
 
-def _doubts(job: _Job, item: Item, shares: dict[str, float], saturation: float) -> list[str]:
+def _doubts(job: _Job, item: Item, shares: dict[str, float], blocks: _Blocks) -> list[str]:
     """What of the result may not be meant."""
+    saturation, what = blocks.saturation, "masked: no radiance there" if blocks.masks else "kept"
     percent, found = {name: 100 * share for name, share in shares.items()}, []
     if job.scales[item.id].reflectance is not None and percent["above_1"] > 50:
         found.append(f"{percent['above_1']:.0f} % of the pixels have a reflectance above 1 (is the scale right?)")
     if percent["below_0"] > 50 and not job.options.match:
         found.append(f"{percent['below_0']:.0f} % of the pixels are below 0 (are --black and --offset right?)")
     if percent["saturated"] > 5:
-        found.append(f"{percent['saturated']:.1f} % of the pixels are saturated at {saturation:g}")
+        found.append(f"{percent['saturated']:.1f} % of the pixels are saturated at {saturation:g} and {what}")
     return [f"{item.id}: {text}" for text in found]
 
 

@@ -146,4 +146,14 @@ class Grid:
             raise SceneError(f"grid: found {dict(data)}, expected crs, left, top, cell_size, width, height") from error
 
 
-__all__ = ["Grid"]
+def default_cell_size(gsd: float) -> float:
+    """The round cell size (0.5, 1, 2, 5, 10 ... m) nearest above a ground sample distance [m], 10 % grace."""
+    exponent = math.floor(math.log10(gsd))
+    for step in (1.0, 2.0, 5.0, 10.0):
+        size = step * 10.0**exponent
+        if size >= 0.9 * gsd:
+            break
+    return round(size, 6)
+
+
+__all__ = ["Grid", "default_cell_size"]

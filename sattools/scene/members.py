@@ -96,6 +96,15 @@ ITEM = Table(
                     "roles": Items(Text()),
                     "eo:bands": Items(_BAND),
                     "sattools:window": Items(Number(0, 10**7, whole=True), 4, 4),
+                    "sattools:saturated": Table(
+                        {
+                            "bands": Items(Number(1, 10_000, whole=True), 1),
+                            "gain": Items(Number(), 1),
+                            "offset": Items(Number(), 1),
+                        },
+                        ("bands", "gain", "offset"),
+                        None,
+                    ),
                 },
                 ("href",),
             ),

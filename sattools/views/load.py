@@ -12,10 +12,11 @@ import numpy as np
 
 from sattools.camera.ground import ground_sample_distance, project, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.errors import SceneError
+from sattools.errors import InputError, SceneError
 from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.linear import item_bits, linear_radiance
+from sattools.radiometry.saturated import Saturated, conversion_of
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.views.check import check_cells, check_extent, check_scene
@@ -43,7 +44,10 @@ class RadiometricBalance:
 
 @dataclass(frozen=True)
 class Source:
-    """One image with its camera: radiance ``[C, h, w]`` float32 (NaN = invalid), sun (azimuth, elevation) or None."""
+    """One image with its camera: radiance ``[C, h, w]`` float32 (NaN = invalid), sun (azimuth, elevation) or None.
+
+    ``saturated``: what is known of pixels that are invalid because they are too bright.
+    """
 
     id: str
     radiance: np.ndarray
@@ -51,6 +55,11 @@ class Source:
     sun: tuple[float, float] | None
     linear: bool = True
     balance: RadiometricBalance | None = None
+    saturated: Saturated | None = None
+
+    def complete(self) -> Source:
+        """With saturated pixels as they are: no radiance to be explained, but structure to be matched."""
+        return replace(self, radiance=self.saturated.within(self.radiance)) if self.saturated else self
 
 
 def with_bands(sources: Sequence[Source], items: Sequence[Item], wanted: Sequence[str]) -> list[Source]:
@@ -59,8 +68,9 @@ def with_bands(sources: Sequence[Source], items: Sequence[Item], wanted: Sequenc
         return list(sources)
     found = []
     for source, item in zip(sources, items, strict=True):
-        numbers = chosen_bands(item, wanted, source.radiance.shape[0])
-        found.append(replace(source, radiance=source.radiance[[number - 1 for number in numbers]]))
+        places = [number - 1 for number in chosen_bands(item, wanted, source.radiance.shape[0])]
+        saturated = source.saturated.of_bands(places) if source.saturated else None
+        found.append(replace(source, radiance=source.radiance[places], saturated=saturated))
     return found
 
 
@@ -124,13 +134,23 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
         _needed(camera, part.shape, around, scene.height_range_m) for camera, part in zip(cameras, parts, strict=True)
     ]
 
-    def pixels(k: int) -> np.ndarray:
+    def pixels(k: int) -> tuple[np.ndarray, Saturated | None]:
         rows, cols, reduce = needed[k]
-        return parts[k].read((rows, cols), reduce)
+        radiance, conversion = parts[k].read((rows, cols), reduce), conversion_of(items[k])
+        if conversion is None:
+            return radiance, None
+        try:
+            numbers = image_part(scene, items[k]).read((rows, cols), reduce)
+        except InputError as error:
+            log.warning("%s: its saturated pixels stay unknown: %s", items[k].id, error)
+            return radiance, None
+        return radiance, conversion.saturated(radiance, numbers)
 
     sources = []
     read = side_by_side(pixels, range(len(parts)), AT_ONCE)
-    for item, camera, name, radiance, (rows, cols, reduce) in zip(items, cameras, names, read, needed, strict=True):
+    for item, camera, name, (radiance, saturated), (rows, cols, reduce) in zip(
+        items, cameras, names, read, needed, strict=True
+    ):
         if name == "image":
             radiance = linear_radiance(radiance, item_bits(item.properties))
         rpc = camera.cropped(cols.start, rows.start).reduced(reduce)
@@ -140,7 +160,8 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
         toned = item.properties.get("sattools:tone") == "tone-mapped"
         linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
         given = item.properties.get(BALANCE_PROPERTY)
-        sources.append(Source(item.id, radiance, rpc, item.sun, linear, RadiometricBalance(**given) if given else None))
+        balance = RadiometricBalance(**given) if given else None
+        sources.append(Source(item.id, radiance, rpc, item.sun, linear, balance, saturated))
     return sources
 
 

@@ -174,6 +174,15 @@ def test_a_prior_that_is_there_takes_no_time(town: Scene) -> None:
     assert foresee(there, AUTO).cpu_s - start < 0.7 * (foresee(town, AUTO).cpu_s - start)
 
 
+def test_wide_cells_take_as_long_to_match_as_the_finer_ones_they_are_means_of(town: Scene) -> None:
+    memory_b, seconds = foresight.matching(of_size(town, 200), 1000)
+    town.grid = town.require_grid().resized(2.0)
+    assert foresight.matching(town, 1000) == pytest.approx((memory_b, seconds))
+    made = foresee(town, AUTO).memory
+    town.products["prior_dsm"] = "prior/dsm.tif"
+    assert foresee(town, AUTO).memory < made
+
+
 def test_what_the_user_grants_is_what_tiles_go_by(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
     assert chosen_tile(of_size(town, 3000), AUTO) == 1024.0

@@ -23,6 +23,7 @@ from sattools.fit.tiles import plan as tile_plan
 from sattools.fit.tiles.shared import Coarse
 from sattools.prior import PriorOptions
 from sattools.prior.files import read_prior
+from sattools.prior.gate import grids
 from sattools.prior.stage import prior
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
@@ -135,6 +136,12 @@ def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town: Any) -> 
         assert torch.equal(one[name], two[name])
         assert torch.equal(one[name], common[name])
     assert float(common["gain"].std()) > 0.01
+
+
+def test_the_coarse_fit_of_the_whole_is_matched_on_its_own_cells(make_town: Any) -> None:
+    coarse = tile_plan.Plan.make(make_town(), TILED)._coarse_scene()
+    assert coarse.require_grid().cell_size > 0.75  # wide for the pixels of 0.5 m, and so large an area has many of them
+    assert grids(coarse, coarse.items, PriorOptions()) == (coarse.grid, coarse.grid)
 
 
 def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:

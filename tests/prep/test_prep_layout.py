@@ -14,7 +14,8 @@ from sattools.camera.ground import from_geographic
 from sattools.errors import InputError
 from sattools.prep.area import bounds_from_file, bounds_from_geojson, bounds_from_numbers
 from sattools.prep.items import off_nadir_deg
-from sattools.prep.layout import common_bounds, crop_window, default_cell_size, footprint, groups
+from sattools.prep.layout import common_bounds, crop_window, footprint, groups
+from sattools.scene.grid import default_cell_size
 
 UTM33 = "EPSG:32633"
 X, Y = from_geographic(UTM33, LON0, LAT0)

@@ -1,8 +1,10 @@
 """The stage and its command on a simulated town."""
 
 import json
+import math
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,13 @@ from sattools.compare import compare_dsm, read_reference
 from sattools.errors import OutputExistsError, SceneError
 from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
-from sattools.prior import PriorOptions
-from sattools.prior.gate import check_start
+from sattools.fit.surface.schedule import own_cell
+from sattools.prior import PriorOptions, stage
+from sattools.prior.gate import check_start, grids
 from sattools.prior.stage import prior
 from sattools.progress import silent
+from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.stage import normalise
 from sattools.scene.raster import read_raster
 
 
@@ -62,6 +67,79 @@ def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched: Any) -
     error = error[known][order]
     half = error.size // 2
     assert error[:half].mean() < 0.4 * error[half:].mean()
+
+
+def test_masked_saturated_roofs_have_the_heights_of_kept_ones(make_town: Any) -> None:
+    heights = []
+    for kept in ("keep", "mask"):
+        scene = make_town(f"TOWN_{kept}")
+        normalise(scene, NormaliseOptions(saturation=900, saturated=kept))
+        prior(scene, PriorOptions())
+        heights.append(product(scene, "prior_dsm")[0][0])
+    # numbers go to radiance and back in single precision, which may decide between two planes here and there
+    assert (np.abs(heights[1] - heights[0]) < 0.01).mean() > 0.99
+
+
+@pytest.mark.parametrize(
+    ("cell", "gsd", "fine"),
+    [
+        (0.5, 0.31, 0.5),
+        (0.7, 0.5, 0.7),  # less than 1.5 times what suits the pixels
+        (1.0, 0.5, 0.5),
+        (5.0, 0.31, 0.5),
+        (5.0, 2.0, 5 / 3),  # a whole number of times
+        (5.0, None, 5.0),  # unknown
+        (0.3, 0.5, 0.3),  # no less than 0.6 of what suits the pixels
+        (0.25, 0.31, 0.5),
+        (0.1, 0.31, 0.5),
+    ],
+)
+def test_cells_that_do_not_suit_the_pixels_are_matched_on_those_that_do(
+    town_source: Any, cell: Any, gsd: Any, fine: Any
+) -> None:
+    items = [replace(item, properties={**item.properties, "gsd": gsd}) for item in town_source.items]
+    scene = replace(town_source, grid=town_source.require_grid().resized(cell), items=items)
+    whole, own = grids(scene, items, PriorOptions())
+    assert (whole, own.cell_size) == (scene.grid, pytest.approx(fine))
+    assert own.width == math.ceil(round(whole.width * cell / fine, 6))
+    assert own_cell(scene) == max(fine, cell / 2)
+    assert [grid.cell_size for grid in grids(scene, items, PriorOptions(resolution=3.0))] == [3.0, 3.0]
+
+
+def test_a_surface_of_wide_cells_is_the_mean_of_a_finer_one(make_town: Any) -> None:
+    scene = make_town()
+    prior(scene, PriorOptions())
+    fine, _ = product(scene, "prior_dsm")
+    scene.grid = scene.require_grid().resized(2.0)
+    prior(scene, PriorOptions())
+    wide, grid = product(scene, "prior_dsm")
+    assert grid == scene.grid
+    rows, cols = (n // 4 for n in fine[0].shape)
+    means = fine[0][: 4 * rows, : 4 * cols].reshape(rows, 4, cols, 4).mean(axis=(1, 3))
+    # what lies within a cell or two of the border is seen with other surroundings
+    np.testing.assert_allclose(wide[0][2 : rows - 2, 2 : cols - 2], means[2:-2, 2:-2], atol=0.01)
+    prior(scene, PriorOptions(resolution=2.0))
+    coarse, _ = product(scene, "prior_dsm")
+    assert np.abs(coarse[0] - wide[0]).mean() > 0.3  # who asks for wide windows gets them
+
+
+def test_a_surface_of_narrow_cells_lies_between_those_of_a_wider_one(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_town()
+    prior(scene, PriorOptions())
+    wide, before = product(scene, "prior_dsm")
+    narrow = before.resized(0.1)
+    scene.grid = replace(narrow, width=narrow.width - 2, height=narrow.height - 3)
+    prior(scene, PriorOptions())
+    fine, grid = product(scene, "prior_dsm")
+    assert grid == scene.grid
+    # the middles of the wide cells; the narrow grid ends within the last ones
+    np.testing.assert_allclose(fine[0][2::5, 2::5][:120, :120], wide[0][:120, :120], atol=0.01)
+    # cut into strips of any height, it is the same
+    monkeypatch.setattr(stage, "pieces", lambda shape: [slice(k, min(k + 7, shape[0])) for k in range(0, shape[0], 7)])
+    prior(scene, PriorOptions())
+    np.testing.assert_array_equal(product(scene, "prior_dsm")[0], fine)
 
 
 def test_a_window_that_blurs_what_it_is_to_find_is_warned_of(make_town: Any, caplog: pytest.LogCaptureFixture) -> None:

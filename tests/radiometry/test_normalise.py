@@ -17,6 +17,7 @@ from sattools.errors import InputError, SceneError
 from sattools.radiometry.calibration import BandCalibration, earth_sun_distance, read_calibration, reflectance
 from sattools.radiometry.linear import invalid_numbers, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.saturated import conversion_of
 from sattools.radiometry.stage import LABELS, normalise
 from sattools.scene import Asset, Item, Scene
 from sattools.scene.raster import read_image
@@ -98,6 +99,71 @@ def test_saturated_pixels_and_the_frame_are_masked_in_all_bands_and_counted(make
     found = normalise(scene, NormaliseOptions(saturated="keep"))
     assert result(scene)[2].tolist()[1:] == pytest.approx([300 / 2047, 2100 / 2047, 2700 / 2047])
     assert found["images"]["i0"]["above_1"] == pytest.approx(2 / 9, abs=1e-6)
+
+
+def test_white_of_a_tone_mapped_image_is_kept_and_masked_when_asked(make_scene: Any) -> None:
+    scene = make_scene(np.array([[[200, 255, 10]]], np.uint8), **{"sattools:bits": 8, "sattools:dtype": "uint8"})
+    normalise(scene, NormaliseOptions())
+    assert result(scene)[0].tolist() == pytest.approx([200 / 255, 1.0, 10 / 255])
+    normalise(scene, NormaliseOptions(saturated="mask"))
+    assert np.isnan(result(scene)[0]).tolist() == [False, True, False]
+
+
+def test_masked_saturated_pixels_are_noted_as_they_would_have_become_radiance(make_scene: Any) -> None:
+    scene = make_scene(numbers(0, 100, 700, 900, bands=3))  # third band: 0, 300, 2100, 2700
+    normalise(scene, NormaliseOptions(black=47, bands=[3, 1]))
+    item = scene.items[0]
+    noted = item.assets["radiance"].extra["sattools:saturated"]
+    assert noted["bands"] == [3, 1]
+    assert noted["gain"] == pytest.approx([1 / 2000] * 2, rel=1e-6)  # radiance is of single precision
+    assert noted["offset"] == pytest.approx([-47 / 2000] * 2, rel=1e-6)
+    again = Scene.from_json(scene.to_json())
+    assert again.items[0].assets["radiance"].extra["sattools:saturated"] == noted
+    found = conversion_of(item).saturated(result(scene)[:, None], numbers(0, 100, 700, 900, bands=3))
+    assert found.at.tolist() == [2, 3]  # not the frame
+    assert found.radiance[0].tolist() == pytest.approx([2053 / 2000, 2653 / 2000])
+    assert found.radiance[1].tolist() == pytest.approx([653 / 2000, 853 / 2000])
+    normalise(scene, NormaliseOptions(saturated="keep"))
+    assert conversion_of(item) is None
+
+
+def test_the_conversion_is_that_of_matched_dates(make_scene: Any) -> None:
+    first = np.random.default_rng(0).integers(200, 900, (2, 40, 50)).astype(np.uint16)
+    second = (first * 0.5 + 100).astype(np.uint16)
+    second[:, 0, 0] = 2047
+    scene = make_scene(first, second)
+    normalise(scene, NormaliseOptions(match=True))
+    radiance, conversion = read_image(scene.path("radiance/i1.tif")), conversion_of(scene.items[1])
+    gain, offset = (np.array(part)[:, None, None] for part in (conversion.gain, conversion.offset))
+    known = np.isfinite(radiance)
+    np.testing.assert_allclose((gain * second + offset)[known], radiance[known], atol=1e-6)
+
+
+def test_matching_sees_saturated_roofs_and_the_fit_does_not(make_town: Any) -> None:
+    from sattools.views import load_sources, with_bands
+
+    scene = make_town()
+    before = load_sources(scene, scene.items)[0]
+    level = int(np.nanpercentile(before.radiance, 98) * 2047)
+    normalise(scene, NormaliseOptions(saturation=level))
+    after = load_sources(scene, scene.items)[0]
+    masked = np.isnan(after.radiance).any(axis=0) & np.isfinite(before.radiance).all(axis=0)
+    assert 0.01 < masked.mean() < 0.2
+    np.testing.assert_allclose(after.complete().radiance, before.radiance, atol=1e-6)
+    (first,) = with_bands([after], scene.items[:1], ["2"])
+    np.testing.assert_allclose(first.complete().radiance[0], before.radiance[1], atol=1e-6)
+
+
+def test_a_missing_original_costs_no_more_than_its_saturated_pixels(make_town: Any, caplog: Any) -> None:
+    from sattools.views import load_sources
+
+    scene = make_town()
+    normalise(scene, NormaliseOptions(saturation=300))
+    item = scene.items[0]
+    scene.path(item.assets["image"].href).unlink()
+    source = load_sources(scene, scene.items)[0]
+    assert source.saturated is None
+    assert f"{item.id}: its saturated pixels stay unknown" in caplog.text
 
 
 def test_a_pixel_that_is_dark_in_one_band_is_no_frame() -> None:

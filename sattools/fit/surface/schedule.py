@@ -8,6 +8,9 @@ from dataclasses import replace
 from sattools.errors import SceneError
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.trainer import StageSettings
+from sattools.prior.gate import grids
+from sattools.prior.options import PriorOptions
+from sattools.scene import Scene
 
 EPOCHS = 16
 FEW_EPOCHS, FEWEST_EPOCHS = 8, 5  # with a matched surface: in general, of uncalibrated images
@@ -29,7 +32,7 @@ def schedule(
 
     Args:
         options: `resolution`, `coarsest`, `epochs`, `softness`.
-        cell: the scene grid's cell [m].
+        cell: half the finest one [m], see `own_cell`.
         z_range: lowest and highest height [m].
         with_prior: a depth prior is there.
         shortest_m: shorter side of the area [m]; stages that would have next to no cells are left out.
@@ -57,6 +60,15 @@ def schedule(
     return stages if options.brdf in ("lambert", "auto") else [*stages[:-1], *pretrained(stages[-1], options.pretrain)]
 
 
+def own_cell(scene: Scene) -> float:
+    """Half the finest cell of a fit [m]: the grid's, or less where wide cells are matched as means of finer ones.
+
+    Rendering, too, takes wide cells that hold roof and street for roof.
+    """
+    grid, fine = grids(scene, scene.train_items(), PriorOptions())
+    return max(fine.cell_size, grid.cell_size / 2)
+
+
 def default_epochs(options: FitOptions, with_prior: bool, relative: bool) -> int:
     """Passes over all views of a stage: a matched surface needs fewer, unless light is to be learned, too.
 
@@ -79,4 +91,4 @@ def pretrained(stage: StageSettings, share: float) -> list[StageSettings]:
     return [replace(stage, epochs=before, softness=(first, middle)), later] if before else [later]
 
 
-__all__ = ["schedule"]
+__all__ = ["own_cell", "schedule"]

@@ -22,7 +22,7 @@ from sattools.fit.foresight import side_by_side
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.resume import ANEW, OTHER_FIT
-from sattools.fit.surface.schedule import schedule
+from sattools.fit.surface.schedule import own_cell, schedule
 from sattools.fit.tiles.clearing import COMMON, WHOLE, remove_parts
 from sattools.fit.tiles.crew import Part, fit_parts
 from sattools.fit.tiles.shared import PRODUCT
@@ -30,6 +30,7 @@ from sattools.fit.tiles.state import COARSE, STATE, read_state, write_state
 from sattools.fit.whole import fit_whole
 from sattools.prior.matched import matching_height
 from sattools.progress import Progress, subprogress
+from sattools.radiometry.saturated import NOTED
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.copies import href_of_part, part_copy
@@ -71,7 +72,7 @@ class Plan:
     def make(cls, scene: Scene, options: FitOptions) -> Plan:
         """Cut a scene. Raises SceneError where no tiles of that size can be cut."""
         grid = scene.require_grid()
-        stages = schedule(options, grid.cell_size, scene.require_height_range(), options.prior_weight > 0)
+        stages = schedule(options, own_cell(scene), scene.require_height_range(), options.prior_weight > 0)
         cells = [grid.cell_size, stages[0].cell_size, stages[-1].cell_size]
         if PRIOR[0] in scene.products and options.prior_weight > 0:
             cells.append(raster_grid(scene.path(scene.products[PRIOR[0]])).cell_size)
@@ -263,7 +264,11 @@ class Plan:
 
     def _coarse_scene(self) -> Scene:
         whole = self.scene.require_grid()
-        return self._scene(COARSE, whole.resized(whole.cell_size * self.factor))
+        coarse = self._scene(COARSE, whole.resized(whole.cell_size * self.factor))
+        for item in coarse.items:
+            if item.properties.get("gsd"):  # their pixels are read as coarsely, and matched on these cells
+                item.properties["gsd"] *= self.factor
+        return coarse
 
     def _tile_scene(self, tile: Tile, name: str, unseen: dict[str, set[str]]) -> Scene:
         one = self._scene(name, tile.grid)
@@ -346,7 +351,9 @@ def override_shared(model: FittedModel, pilots: Sequence[FittedModel]) -> Fitted
 
 
 def _used(assets: Mapping[str, Asset]) -> list[str]:
-    return ["rpc", "radiance" if "radiance" in assets else "image"]
+    radiance = assets.get("radiance")
+    pixels = ["radiance", *(["image"] if NOTED in radiance.extra else [])] if radiance else ["image"]
+    return ["rpc", *(name for name in pixels if name in assets)]
 
 
 __all__ = ["Plan"]
