@@ -5,7 +5,9 @@ import json
 import os
 from typing import Any
 
-MATERIAL = ("w", "b", "c", "theta", "rho0", "k", "rhoc")
+PARAMETERS = ("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc")
+MATERIAL = ("reflectance", *PARAMETERS, "identifiable", *(f"{name}_std" for name in PARAMETERS))
+MATERIAL += ("normal", "normal_std")
 # commands in the order of work: name -> (title, group, products that are loaded afterwards)
 ALGORITHMS = {
     "prep": ("Prepare images", "Steps", ("footprints", "tie_points")),
@@ -27,6 +29,7 @@ ALGORITHMS = {
             "dtm",
             "dtm_validity",
             "ndsm",
+            "relit",
             *MATERIAL,
         ),
     ),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
@@ -14,6 +16,8 @@ from sattools.progress import Progress
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
+
+log = logging.getLogger(__name__)
 
 
 class FitCommand(GroupedCommand):
@@ -45,6 +49,28 @@ def _preset(name: str, start: str, field: str) -> dict[str, Any]:
     return {k: v for k, v in with_preset(name, start, field).items() if context.get_parameter_source(k) in default}
 
 
+def _say_how_to_go_on(scene: Scene, options: FitOptions, began: float) -> None:
+    """One line for who has interrupted a fit that left something to go on with; began: [s since 1970]."""
+    from sattools.fit.files import CHECKPOINT
+    from sattools.fit.resume import how_to_go_on
+    from sattools.fit.tiles.state import STATE
+
+    if words := how_to_go_on(scene.path(CHECKPOINT), began, options.steps):
+        log.warning("%s", words)
+    elif scene.path(STATE).exists() and not scene.is_part:
+        log.warning("interrupted: `sattools fit --resume` with the same options goes on with the tiles that are there")
+
+
+def _check_effect(options: FitOptions) -> None:
+    """Refuse what was given on the command line and would do nothing; a file may serve several fits."""
+    from sattools.fit.applicable import NEEDED, without_effect
+
+    context = click.get_current_context()
+    given = [name for name in NEEDED if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
+    if idle := without_effect(options, given):
+        raise click.BadParameter(idle[1], param_hint=f"--{idle[0].replace('_', '-')}")
+
+
 @click.command("fit", cls=FitCommand)
 @scene_argument
 @dataclass_options(FitOptions)
@@ -56,6 +82,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     --resume and ends with the same surface as one that was not; without it, only --overwrite begins anew.
     """
     options = build(FitOptions, {**values, **_preset(values["preset"], values["start"], values["field"])})
+    _check_effect(options)
     if options.tile == "auto" and options.part != "all":
         raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
     if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:
@@ -68,7 +95,12 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     def work(scene: Scene, progress: Progress) -> dict[str, Any]:
         from sattools.fit.stage import fit
 
-        return fit(scene, options, progress, overwrite)
+        began = time.time()
+        try:
+            return fit(scene, options, progress, overwrite)
+        except (KeyboardInterrupt, SystemExit):  # see `sattools.cli.interrupts`
+            _say_how_to_go_on(scene, options, began)
+            raise
 
     def check(scene: Scene) -> None:
         from sattools.fit.stage import check_start
@@ -84,5 +116,10 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         from sattools.fit.presets import DIFFERENCES
 
         click.echo("".join(f"# {line}\n" for line in DIFFERENCES.splitlines()), nl=False)
+    plan = "fit the surface"
+    if dry_run:
+        from sattools.fit.foresight import plan_of
+
+        plan = plan_of(options)
     run = Run("fit", options, dry_run, print_config, overwrite)
-    run_scenes(run, scenes, work, plan="fit the surface", foreseen=foreseen, check=check)
+    run_scenes(run, scenes, work, plan=plan, foreseen=foreseen, check=check)

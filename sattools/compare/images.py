@@ -18,6 +18,7 @@ from sattools.scene.raster import image_shape, read_image
 from sattools.scene.stored import pieces
 
 AT_ONCE = 4_000_000  # pixels of images that are compared as a whole
+SCORED = "rendered_scored"  # asset: where a view may be scored, that took its gain and offset from the image elsewhere
 FIGURES = ("psnr", "ssim", "lpips", "avg", "avg_geometric")
 
 
@@ -65,6 +66,9 @@ def _figures(scene: Scene, item: Item, weights: Sequence[str]) -> dict[str, floa
     if image_shape(path) != own.shape:
         found = " x ".join(map(str, image_shape(path)))
         raise InputError(f"{path}: found {found} pixels, expected {height} x {width} as the image has")
+    scored = scene.path(item.assets[SCORED].href) if SCORED in item.assets else None
+    if scored is not None and image_shape(scored) != own.shape:
+        raise InputError(f"{scored}: found another size than the image's, expected {height} x {width} pixels")
     bands = [number - 1 for number in chosen_bands(item, shown.extra.get(BANDS_MEMBER, []), own.bands)]
 
     def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +76,10 @@ def _figures(scene: Scene, item: Item, weights: Sequence[str]) -> dict[str, floa
         radiance = own.read(window)
         if "radiance" not in item.assets:
             radiance = linear_radiance(radiance, item_bits(item.properties))
-        return read_image(path, window), radiance[bands]
+        picture = read_image(path, window)
+        if scored is not None:
+            picture = np.where(np.isfinite(read_image(scored, window)), picture, np.float32(np.nan))
+        return picture, radiance[bands]
 
     if weights or height * width <= AT_ONCE:
         return image_errors(*read(slice(0, height)), weights=weights)

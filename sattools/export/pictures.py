@@ -29,23 +29,30 @@ class Picture:
         item: the image.
         bands: number of bands.
         folder: for temporary files; None = the system's.
+        in_part: whether only a part of it tells how good it is.
 
     Attributes:
         bands: ``[h, w]`` float32 each, maps that are read by rows; NaN = nothing.
         height: ``[h, w]`` float32 [m].
+        scored: ``[h, w]`` float32, 1 where it may be held against the image, NaN elsewhere; None = everywhere.
         rpc: the image's camera.
     """
 
-    def __init__(self, scene: Scene, item: Item, bands: int, folder: Path | None) -> None:
+    def __init__(self, scene: Scene, item: Item, bands: int, folder: Path | None, *, in_part: bool = False) -> None:
         name = "radiance" if "radiance" in item.assets else "image"
         self.rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
         self.shape, self._id = image_part(scene, item, name).shape, item.id
         self.bands = [new_map(self.shape, np.float32, folder) for _ in range(bands)]
         self.height = new_map(self.shape, np.float32, folder)
+        self.scored = new_map(self.shape, np.float32, folder) if in_part else None
         self._any = False
-        for map_ in (*self.bands, self.height):
+        for map_ in (*self.bands, self.height, *self._more):
             for rows in pieces(self.shape):
                 map_[rows] = np.nan
+
+    @property
+    def _more(self) -> list[np.ndarray]:
+        return [] if self.scored is None else [self.scored]
 
     def window(self, part: Part, whole: Grid, z_ref: float) -> Window | None:
         """Rows and columns of the pixels whose lines of sight cross a height on a part's own cells; None = none."""
@@ -63,7 +70,16 @@ class Picture:
         )
         return (rows, cols) if rows.start < rows.stop and cols.start < cols.stop else None
 
-    def put(self, window: Window, part: Part, radiance: np.ndarray, height: np.ndarray, z_ref: float) -> None:
+    def put(
+        self,
+        window: Window,
+        part: Part,
+        radiance: np.ndarray,
+        height: np.ndarray,
+        z_ref: float,
+        *,
+        scored: np.ndarray | None = None,
+    ) -> None:
         """Show a part in the pixels of a window whose lines of sight cross a height on its own cells.
 
         Args:
@@ -72,6 +88,7 @@ class Picture:
             radiance: ``[h, w, C]`` on the part's cells at that height; NaN = nothing.
             height: ``[h, w]`` of what is seen there [m].
             z_ref: that height [m].
+            scored: ``[h, w]`` on the part's cells, see `Picture.scored`.
         """
         import cv2
 
@@ -82,7 +99,8 @@ class Picture:
         for at, inner, outer in ((at_row, part.own[0], part.rows), (at_col, part.own[1], part.cols)):
             first, last = inner.start - outer.start - 0.5, inner.stop - outer.start - 0.5
             own &= (at >= first - _TOLERANCE) & (at < last + _TOLERANCE)
-        for map_, values in zip((*self.bands, self.height), (*np.moveaxis(radiance, -1, 0), height), strict=True):
+        layers = [*np.moveaxis(radiance, -1, 0), height, *([] if scored is None else [scored])]
+        for map_, values in zip((*self.bands, self.height, *self._more), layers, strict=True):
             shown = cv2.remap(
                 np.ascontiguousarray(values, np.float32), at_col, at_row, cv2.INTER_LINEAR,
                 borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4,

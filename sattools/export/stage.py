@@ -28,6 +28,7 @@ from sattools.export.surface_files import (
     STD,
     VALIDITY,
     SurfaceFiles,
+    heights_of_start,
 )
 from sattools.export.validity import Witnesses
 from sattools.fit.stored import StoredModel
@@ -105,9 +106,12 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
     notes = []
+    if words := heights_of_start(stored.about):
+        notes.append(f"heights: {words}")
+        log.warning("scene %s: %s", scene.id, notes[-1])
     if witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill:
         notes.append(EMPTY)
-        log.warning("scene %s: %s", scene.id, notes[0])
+        log.warning("scene %s: %s", scene.id, notes[-1])
     return {
         "vertical_datum": files.datum, "validity": fractions, "products": products, "notes": notes,
         MADE: record(scene, "export"),
@@ -179,6 +183,7 @@ def _outputs(scene: Scene, options: ExportOptions, stored: StoredModel, model: F
     hrefs += [view_href("shadow", name) for name, _ in shadow_suns(stored.about) if name in ids]
     hrefs += [view_href(m, n) for m in stored.image_maps for n in stored.about.items if n in ids]
     hrefs += [view_href(asset, name) for asset in ("rendered", "rendered_height") for name in options.view]
+    hrefs += [view_href("rendered_scored", name) for name in options.view if name not in stored.about.items]
     if model is not None:
         from sattools.export.material import material_names
 
@@ -209,7 +214,7 @@ def _reflectance(exported: Exported, model: FittedModel, options: ExportOptions,
         progress(0.0, "reflectance")
         write_material(exported, material_maps(surface, model.extra), options.undetermined == "prior")
     elif model.brdf != "lambert":
-        write_material(exported, network_maps(model))
+        write_material(exported, network_maps(model), options.undetermined == "prior")
     return WholeModel(model, surface, exported.valid)
 
 

@@ -15,6 +15,7 @@ from sattools.export.blocks import Block, Surroundings
 from sattools.export.context import Exported, shadow_suns, view_href
 from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
+from sattools.fit.described import Description
 from sattools.fit.stored import CellMaps, StoredModel
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter, cogs
@@ -65,6 +66,9 @@ class SurfaceFiles:
         self._step = max(1, math.ceil(max(grid.shape) / _PICTURE_CELLS))
         self._picture = np.full([math.ceil(n / self._step) for n in grid.shape], np.nan, np.float32)
         method = "curvature of the photometric loss; gross errors of matching are not in it"
+        if model.field != "surface":
+            method = "spread of the height at which vertical rays lose their light; gross errors are not in it"
+        kept = {"HEIGHTS": words} if (words := heights_of_start(model)) else {}
         scale = "relative: radiance of the first training image in full sun"
         if model.absolute:
             scale = f"absolute: {model.radiance}"
@@ -72,7 +76,7 @@ class SurfaceFiles:
         about: dict[str, dict[str, Any]] = {
             DSM: {
                 "units": "m",
-                "tags": {"VERTICAL_DATUM": self.datum, **_SOFTWARE},
+                "tags": {"VERTICAL_DATUM": self.datum, **kept, **_SOFTWARE},
                 "descriptions": ["height"],
                 "vertical": vertical_crs(vertical),
             },
@@ -180,6 +184,14 @@ class SurfaceFiles:
             items[name].assets[kind] = Asset(href)
 
 
+def heights_of_start(about: Description) -> str | None:
+    """Where the heights of a field of rays are from, in words, if they are not its own."""
+    if about.heights == "own":
+        return None
+    start = "surface fit" if about.heights == "surface" else "prior"
+    return f"those of the {start} that the field started from: its own were not found to explain held-out rays better"
+
+
 def _one_band(path: Path, target: Grid) -> np.ndarray:
     """A raster with one band ``[h, w]`` on a part of the ground."""
     array = read_on(path, target)
@@ -195,4 +207,15 @@ def _known(stored: StoredModel, kind: str) -> NDArray[np.bool_]:
     return np.logical_or.reduce([np.isfinite(part).any(axis=(1, 2)) for part in parts])
 
 
-__all__ = ["ALBEDO", "DSM", "ERROR95", "IMAGE_MAPS", "PICTURE", "PROBABILITY", "STD", "VALIDITY", "SurfaceFiles"]
+__all__ = [
+    "ALBEDO",
+    "DSM",
+    "ERROR95",
+    "IMAGE_MAPS",
+    "PICTURE",
+    "PROBABILITY",
+    "STD",
+    "VALIDITY",
+    "SurfaceFiles",
+    "heights_of_start",
+]

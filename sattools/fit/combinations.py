@@ -89,11 +89,16 @@ def _check_reflectance(options: FitOptions, with_prior: bool) -> None:
 def check_step(options: FitOptions) -> None:
     """Raise SattoolsError where the samples of one step of a field of rays are surely more than memory holds."""
     samples = options.rays * (options.samples + options.guided)
+    check_memory(step_bytes(options), f"--rays {options.rays}: {samples} samples a step", "fewer --rays or --samples")
+
+
+def step_bytes(options: FitOptions) -> float:
+    """Bytes that one step of a field of rays surely takes."""
     held = LEAST_HELD  # numbers of a sample that wait for the way back
     if options.field == "mlp":
         network = NETWORKS[options.network]
         held = network.depth * (options.width or network.width)
-    check_memory(4.0 * held * samples, f"--rays {options.rays}: {samples} samples a step", "fewer --rays or --samples")
+    return 4.0 * held * options.rays * (options.samples + options.guided)
 
 
-__all__ = ["check_combination", "check_sky", "check_step", "starts_from_prior"]
+__all__ = ["check_combination", "check_sky", "check_step", "starts_from_prior", "step_bytes"]

@@ -37,6 +37,7 @@ _DESCRIPTION = Table(
         "radiance": Text(("toa_reflectance", "reflectance_factor", "relative")),
         "brdf": Text(("lambert", "rpv", "hapke")),
         "field": Text(),
+        "heights": Text(("own", "surface", "prior")),
         "network": Maybe(Text()),
         "bands": Items(Text()),
     },
@@ -60,6 +61,8 @@ class Description:
         radiance: what the images' numbers were.
         brdf: reflectance model.
         field: what was fitted.
+        heights: ``own``, or those that a field of rays started from, of the ``surface`` fit or the ``prior``, where its
+            own were not found to explain held-out rays better.
         network: of ``field="mlp"``.
         bands: of the images that were fitted, as the user named them; none = all.
     """
@@ -75,6 +78,7 @@ class Description:
     radiance: Radiance = "relative"
     brdf: Literal["lambert", "rpv", "hapke"] = "lambert"
     field: str = "surface"
+    heights: Literal["own", "surface", "prior"] = "own"
     network: str | None = None
     bands: list[str] = dataclasses.field(default_factory=list)
 

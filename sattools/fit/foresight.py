@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sattools.errors import SceneError
+from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.state import begun
 from sattools.prior.gate import grids
@@ -56,7 +57,8 @@ class Foresight:
         tile_m: their edge [m], or None.
         beside: pieces that are fitted at a time.
         memory: bytes at a time.
-        cpu_s: CPU seconds.
+        cpu_s: CPU seconds; None = not foretold.
+        training: how a field of rays is trained, in words.
     """
 
     area_km2: float
@@ -66,9 +68,13 @@ class Foresight:
     tile_m: float | None
     beside: int
     memory: float
-    cpu_s: float
+    cpu_s: float | None
+    training: str = ""
 
     def __str__(self) -> str:
+        if self.cpu_s is None:
+            what = f"{self.area_km2:.3g} km2, {self.cells} cells, {self.images} images, {self.training}"
+            return f"{what}: at least {self.memory / 2**30:.1f} GiB of memory"
         how = f"{self.tiles} tiles of {self.tile_m:g} m" if self.tile_m else "all at once"
         if self.beside > 1:
             how += f", {self.beside} at a time"
@@ -88,6 +94,10 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
     if tile:
         check_tiled(options)
     cells = grid.width * grid.height
+    if options.field != "surface":
+        memory = _bytes(cells, images, 0.0) + step_bytes(options)
+        area = cells * grid.cell_size**2 / 1e6
+        return Foresight(area, cells, images, 1, None, 1, memory, None, _training(options))
     tiles, piece, work = _cut(grid, tile, options.overlap)
     seconds = work * _seconds_per_cell(scene, options)
     area = cells * grid.cell_size**2 / 1e6
@@ -96,6 +106,20 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
     if tiles > 1:
         beside = side_by_side(scene, options, tiles)
     return Foresight(area, cells, images, tiles, tile if tiles > 1 else None, beside, beside * each, START_S + seconds)
+
+
+def plan_of(options: FitOptions) -> str:
+    """What a fit does, in words."""
+    if options.field == "surface":
+        return "fit the surface" if options.brdf == "lambert" else f"fit the surface with --brdf {options.brdf}"
+    return f"train the network {options.network}" if options.field == "mlp" else f"train a {options.field} field"
+
+
+def _training(options: FitOptions) -> str:
+    steps = f"at most {options.steps} steps of {options.rays} rays"
+    if options.budget:
+        return f"{steps}, ended by --budget {options.budget:g} s after the matching"
+    return f"{steps}, whose seconds are not foretold (its progress tells them; --budget SECONDS ends it in time)"
 
 
 def _cut(grid: Grid, tile: float | None, overlap: float) -> tuple[int, float, float]:
@@ -258,4 +282,4 @@ def _bytes(cells: float, images: int, finer: float) -> float:
     return BASE_BYTES + cells * (BYTES_PER_CELL + per_image * images)
 
 
-__all__ = ["Foresight", "check_tiled", "chosen_tile", "foresee", "matching", "side_by_side", "with_tile"]
+__all__ = ["Foresight", "check_tiled", "chosen_tile", "foresee", "matching", "plan_of", "side_by_side", "with_tile"]

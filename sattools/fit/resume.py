@@ -138,15 +138,44 @@ def check_nothing_begun(path: Path) -> None:
     )
 
 
-def _how_far(description: JsonObject) -> str:
+def how_to_go_on(path: Path, since: float, steps: int) -> str | None:
+    """What can be done with the checkpoint that an interruption leaves, in words; None where it leaves none.
+
+    Args:
+        path: of the checkpoint.
+        since: when the fit began [s since 1970]; an older one is none of this fit.
+        steps: that a field of rays was to be trained.
+    """
+    try:
+        if path.stat().st_mtime < since:
+            return None
+        done = _how_far(describe(path), steps)
+    except (OSError, InputError):
+        return None
+    return (
+        f"interrupted; kept{done}: `sattools fit --resume` with the same options goes on, and with --budget 1 beside "
+        "it ends there, so that `export` can show it"
+    )
+
+
+def _how_far(description: JsonObject, steps: int | None = None) -> str:
     """Where an interrupted fit is, in the words of its progress; older checkpoints may not say it."""
     try:
         last = description["rows"][-1]
         step = description.get("step")  # of a field
-        where = f"step {step}" if step else f"{last['cell_m']:g} m, epoch {last['epoch']}"
+        of = f" of {steps}" if steps else ""
+        where = f"step {step}{of}" if step else f"{last['cell_m']:g} m, epoch {last['epoch']}"
         return f" after {duration(last['seconds'])} ({where})"
     except (KeyError, IndexError, TypeError, ValueError):
         return ""
 
 
-__all__ = ["ANEW", "OTHER_FIT", "IlluminationOptions", "Interrupted", "check_checkpoint", "check_nothing_begun"]
+__all__ = [
+    "ANEW",
+    "OTHER_FIT",
+    "IlluminationOptions",
+    "Interrupted",
+    "check_checkpoint",
+    "check_nothing_begun",
+    "how_to_go_on",
+]

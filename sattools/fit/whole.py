@@ -35,6 +35,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, with_bands
 
 log = logging.getLogger(__name__)
+UNKNOWN = "no uncertainty of the reflectance's parameters is known: the network started from no surface fit"
 SURFACE_DEVICE = torch.device("cpu")  # compiled kernels: plain torch on an H200 took about three times as long
 
 
@@ -127,6 +128,8 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
                 start = _beginning(scene, setup, sources, prior)
             given = (scene, sources, setup.options, prior, setup.device, told)
             fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace, basis=setup.basis)
+            if setup.options.brdf != "lambert":
+                fitted.notes[:0] = start.notes if start else [UNKNOWN]
         fitted.notes[:0] = setup.notes
         return save_fit(scene, fitted, made, read)
 
@@ -145,9 +148,9 @@ def _beginning(scene: Scene, setup: FitSetup, sources: list[Source], prior: Dept
     plain = replace(plain, prior_weight=asked.prior_weight)  # which knows the radiance already
     if asked.brdf in ("rpv", "hapke"):  # on the network's own cells: what it begins with is what was fitted
         plain = replace(plain, brdf=asked.brdf, resolution=asked.resolution or prior.grid.cell_size)
-    model = _fit_surface(scene, replace(setup, options=plain), sources, prior, silent, lasting=False).model
-    assert isinstance(model, FittedModel)
-    return Beginning(model)
+    fitted = _fit_surface(scene, replace(setup, options=plain), sources, prior, silent, lasting=False)
+    assert isinstance(fitted.model, FittedModel)
+    return Beginning(fitted.model, [f"the surface fit that the network started from: {text}" for text in fitted.notes])
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,16 @@ from sattools.scene.raster import read_raster, write_sensor_image
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 PROBABILITY = "prior/probability.tif"
 STD, ERROR95 = "prior/dsm_std.tif", "prior/dsm_error95.tif"
+DATUM = {"VERTICAL_DATUM": "WGS84 ellipsoid"}
 MAPS = {
     "dsm": DSM, "confidence": CONFIDENCE, "probability": PROBABILITY, "dsm_std": STD, "dsm_error95": ERROR95,
     "normals": NORMALS,
 }  # fmt: skip
 
 
-def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str) -> None:
+def write_sensor_map(
+    path: Path, array: np.ndarray, rpc: RPC, name: str, unit: str, tags: Mapping[str, str] | None = None
+) -> None:
     """Write a map of an image's pixels as tiled GeoTIFF with the image's camera in its RPC tags.
 
     Args:
@@ -42,13 +46,14 @@ def write_sensor_map(path: Path, array: np.ndarray, rpc: RPC, name: str, unit: s
         rpc: the camera.
         name: of the band.
         unit: of the values.
+        tags: beside the software's.
 
     Raises:
         SattoolsError: the file cannot be written.
     """
     write_sensor_image(
         path, array[None].astype(np.float32), rpc.to_tags(), nodata=float("nan"), descriptions=[name], units=unit,
-        tags={"SOFTWARE": "sattools"},
+        tags={"SOFTWARE": "sattools", **(tags or {})},
     )  # fmt: skip
 
 
@@ -71,7 +76,7 @@ class MapFiles:
 
     def __init__(self, scene: Scene, grid: Grid) -> None:
         about = {"SOFTWARE": "sattools"}
-        datum = {"VERTICAL_DATUM": "WGS84 ellipsoid", **about}
+        datum = {**DATUM, **about}
         height: dict[str, Any] = {"units": "m", "tags": datum, "descriptions": ["height"]}
         trust: dict[str, Any] = {"units": "1", "tags": about, "descriptions": ["confidence"]}
         method = {"METHOD": METHOD, **about}
@@ -148,4 +153,4 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
     return arrays[0], arrays[1], grids[0]
 
 
-__all__ = ["CONFIDENCE", "DSM", "MAPS", "NORMALS", "PROBABILITY", "MapFiles", "read_prior", "write_sensor_map"]
+__all__ = ["CONFIDENCE", "DATUM", "DSM", "MAPS", "NORMALS", "PROBABILITY", "MapFiles", "read_prior", "write_sensor_map"]

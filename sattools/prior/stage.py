@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sattools.errors import SceneError
-from sattools.prior.files import CONFIDENCE, DSM, MapFiles, write_sensor_map
+from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
 from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_window
 from sattools.prior.matched import Matched, match_area
 from sattools.prior.normals import normals
@@ -156,9 +156,15 @@ def _per_image(
         depth, (image_confidence,) = seen_by(
             source.rpc, source.radiance.shape[1:], grid, height, [confidence], (low, high)
         )
-        for name, array, unit in (("depth", depth, "m"), ("confidence", image_confidence, "1")):
+        # called depth, as other programs call the map of an image's distances; its numbers are heights
+        maps = {
+            "depth": (depth, "height of what the pixel shows", "m"),
+            "confidence": (image_confidence, "confidence", "1"),
+        }
+        for name, (array, words, unit) in maps.items():
             href = per_image_href(name, source.id)
-            write_sensor_map(scene.output(href), array, source.rpc, name, unit)
+            tags = DATUM if unit == "m" else None
+            write_sensor_map(scene.output(href), array, source.rpc, words, unit, tags)
             items[source.id].assets[name] = Asset(href, GEOTIFF_TYPE)
 
 

@@ -64,7 +64,7 @@ STAGES: dict[str, Stage] = {
             *("points", "points_ply", "contours", "dtm", "dtm_validity", "ndsm", "ortho", "ortho_source"),
             *("mesh", "mesh_obj", "mesh_mtl", "mesh_texture", "tileset", "collection", "collection_item"),
         ),
-        ("shadow", "s_net", "tau", "beta", "rendered", "rendered_height", "relit"),
+        ("shadow", "s_net", "tau", "beta", "rendered", "rendered_height", "rendered_scored", "relit"),
     ),
     "compare": Stage(("difference", "errors")),
 }

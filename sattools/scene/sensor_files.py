@@ -20,7 +20,9 @@ _VALUES = 1 << 20  # of all bands that are held at a time
 _LEAST_ROWS, _MOST_ROWS = 16, 2048  # of a block: tiles of a TIFF have multiples of 16, those of JPEG 2000 are large
 
 
-def write_sensor_maps(path: Path, maps: Sequence[np.ndarray], rpc: Mapping[str, str]) -> None:
+def write_sensor_maps(
+    path: Path, maps: Sequence[np.ndarray], rpc: Mapping[str, str], tags: Mapping[str, str] | None = None
+) -> None:
     """Write bands in the geometry of an image; see `write_sensor_blocks`.
 
     Args:
@@ -28,12 +30,13 @@ def write_sensor_maps(path: Path, maps: Sequence[np.ndarray], rpc: Mapping[str, 
         maps: ``[H, W]`` float32 each, of any unit, which may be read by pieces (`sattools.scene.stored`); NaN = no
             data.
         rpc: the image's camera as RPC tags.
+        tags: of the file, beside them.
 
     Raises:
         SattoolsError: the file cannot be written.
     """
     shape = (maps[0].shape[0], maps[0].shape[1])
-    write_sensor_blocks(path, shape, len(maps), lambda *place: np.stack([map_[place] for map_ in maps]), rpc)
+    write_sensor_blocks(path, shape, len(maps), lambda *place: np.stack([map_[place] for map_ in maps]), rpc, tags=tags)
 
 
 def write_sensor_blocks(
@@ -44,6 +47,7 @@ def write_sensor_blocks(
     rpc: Mapping[str, str],
     *,
     descriptions: Sequence[str] | None = None,
+    tags: Mapping[str, str] | None = None,
     source_block: tuple[int, int] = (TILE, TILE),
 ) -> None:
     """Write an image as a tiled GeoTIFF, some pixels at a time; see `sattools.scene.raster.write_sensor_image`.
@@ -55,6 +59,7 @@ def write_sensor_blocks(
         block_of: makes some rows and columns ``[B, h, w]`` float32, of any unit, NaN = no data; asked once for each.
         rpc: the image's camera as RPC tags.
         descriptions: one name per band.
+        tags: of the file, beside those of the camera.
         source_block: rows and columns in which what they are made from is stored.
 
     Raises:
@@ -72,6 +77,7 @@ def write_sensor_blocks(
         with rasterio.open(target, "w", **profile, bigtiff="if_safer") as data:
             if descriptions:
                 data.descriptions = tuple(descriptions)
+            data.update_tags(**(tags or {}))
             data.update_tags(ns="RPC", **rpc)
             for place in places:
                 values = np.ascontiguousarray(block_of(*place), np.float32)

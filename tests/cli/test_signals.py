@@ -39,7 +39,7 @@ def fitting(make_town: Any) -> Iterator[Any]:
 def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting: Any, number: Any, code: Any) -> None:
     process, scene = fitting
     records = []
-    while len(records) < 12:  # past the first checkpoint
+    while len(records) < 12 or not (scene.root / "fit/checkpoint.safetensors").exists():
         text = process.stderr.readline()
         assert text, "the fit ended before it was interrupted"
         if text.startswith("{"):  # a first run says that it compiles
@@ -49,6 +49,9 @@ def test_a_signal_ends_the_fit_with_its_code_and_no_half_written_file(fitting: A
     assert process.returncode == code
     assert output == ""
     assert "Traceback" not in rest
+    told = [line for line in rest.splitlines() if "interrupted" in line]
+    assert len(told) == 1
+    assert "`sattools fit --resume` with the same options goes on, and with --budget 1 beside it ends there" in told[0]
     assert [str(p) for p in scene.root.rglob("*.tmp*")] == []
     assert not (scene.root / "fit/model.safetensors").exists()
     # progress for programs: every line is a record, and it only grows

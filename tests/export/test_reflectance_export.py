@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.compare.images import compare_views
+from sattools.compare.metrics import image_errors
 from sattools.errors import SceneError
 from sattools.export.context import Exported
 from sattools.export.material import material_maps, write_material
@@ -136,13 +137,30 @@ def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_ha
     scene = make_town("TOWN")
     scene.items[0].properties["sattools:role"] = "test"
     fit(scene, FitOptions(resolution=2.0, coarsest=4.0, epochs=[4], prior_weight=0.0))
-    export(scene, ExportOptions(view=[scene.items[0].id]))
-    rendered = read_image(scene.path(scene.items[0].assets["rendered"].href))
+    export(scene, ExportOptions(view=[scene.items[0].id], sun=(250.0, 30.0)))
+    assets = scene.items[0].assets
+    rendered = read_image(scene.path(assets["rendered"].href))
+    scored = np.isfinite(read_image(scene.path(assets["rendered_scored"].href))[0])
     known = np.isfinite(rendered).all(0)
-    columns = np.flatnonzero(known.any(0))
-    # the western half set the gain and offset
-    assert columns.min() > 0.35 * rendered.shape[2]
-    assert compare_views(scene)["views"].keys() == {scene.items[0].id}
+    # the western half set the gain and offset; it is shown, and not scored
+    assert np.flatnonzero(scored.any(0)).min() > 0.35 * rendered.shape[2]
+    assert np.flatnonzero(known.any(0)).min() < 0.2 * rendered.shape[2]
+    assert not (scored & ~known).any()
+    assert 0.4 < scored.sum() / known.sum() < 0.6
+    import rasterio
+
+    with rasterio.open(scene.path(assets["rendered"].href)) as data:
+        assert data.tags()["GAIN"].startswith("from the western half of the image, of unknown scale")
+    # gain and offset are those of the image's own light: pixels that both suns reach entirely, a tenth of them, are
+    # the same
+    relit = read_image(scene.path(assets["relit"].href))
+    assert (np.abs(relit - rendered)[:, known] < 1e-5).mean() > 0.05
+    figures = compare_views(scene)["views"]
+    assert figures.keys() == {scene.items[0].id}
+    image = read_image(scene.path(assets["image"].href)) / 2047
+    east = image_errors(np.where(scored, rendered, np.nan), image)
+    assert figures[scene.items[0].id]["psnr"] == pytest.approx(east["psnr"], abs=1e-6)
+    assert abs(image_errors(rendered, image)["psnr"] - east["psnr"]) > 1e-3
 
 
 def test_the_sun_takes_two_numbers_on_the_command_line() -> None:

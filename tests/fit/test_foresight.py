@@ -11,6 +11,7 @@ from sattools.cli import main
 from sattools.fit import foresight
 from sattools.fit.foresight import chosen_tile, foresee, side_by_side, with_tile
 from sattools.fit.options import FitOptions
+from sattools.fit.presets import resolve
 from sattools.scene import Grid, Scene, memory
 
 AUTO = FitOptions(tile="auto")
@@ -223,3 +224,30 @@ def test_auto_in_a_configuration_file(make_town: Callable[[], Scene]) -> None:
     assert 'tile = "auto"' in result.stdout
     config.write_text('[fit]\ntile = "often"\n')
     assert CliRunner().invoke(main, arguments).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("flags", "plan", "training"),
+    [
+        (["--preset", "satnerf"], "train the network satnerf", "at most 2000 steps of 256 rays, whose seconds are not"),
+        (["--field", "neural"], "train a neural field", "at most 1500 steps of 2048 rays"),
+        (["--field", "voxel", "--budget", "9"], "train a voxel field", "rays, ended by --budget 9 s after the match"),
+    ],
+)
+def test_the_seconds_of_a_field_of_rays_are_not_those_of_a_surface(
+    town_source: Scene, flags: list[str], plan: str, training: str
+) -> None:
+    said = (
+        CliRunner()
+        .invoke(main, ["fit", *flags, "--overwrite", "--dry-run", str(town_source.root / "scene.json")])
+        .stderr
+    )
+    assert f"would {plan} for scene TOWN" in said
+    assert training in said
+    assert "CPU seconds" not in said
+
+
+def test_a_wide_network_takes_the_memory_of_its_step(town: Scene) -> None:
+    """Eight layers of 512 numbers, four bytes each, for 256 rays of 24 samples: 101 MB."""
+    narrow, wide = (foresee(town, resolve("satnerf", {"width": width})).memory for width in (8, 512))
+    assert wide - narrow == 4 * 8 * (512 - 8) * 256 * 24

@@ -162,7 +162,7 @@ def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_to
     # twelve steps of a tiny network change next to nothing: what is left is how a volume is read off
     assert error < start + 0.05
     item = scene.items[0].id
-    export(scene, ExportOptions(view=[item], sun=(180.0, 45.0)))
+    export(scene, ExportOptions(view=[item], sun=(180.0, 45.0), undetermined="prior"))
     with rasterio.open(scene.path(scene.items[0].assets["rendered"].href)) as shown:
         picture = shown.read()
     with rasterio.open(scene.path(scene.items[0].assets["image"].href)) as image:
@@ -175,8 +175,8 @@ def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_to
     assert correlation > (0.4 if resolve(preset, {}).shadow == "geometric" else 0.2)
     assert scene.path(scene.products["relit"]).is_file()
     expected = {
-        "hapke-nerf": {"w", "b", "c", "theta", "normal", "reflectance"},
-        "rpv-nerf": {"rho0", "k", "asymmetry", "rhoc", "normal", "reflectance"},
+        "hapke-nerf": {"w", "b", "c", "theta", "w_std", "c_std", "identifiable", "normal", "reflectance"},
+        "rpv-nerf": {"rho0", "k", "asymmetry", "rhoc", "asymmetry_std", "identifiable", "normal", "reflectance"},
     }.get(preset, set())
     assert expected <= set(scene.products)
     for name in expected:
@@ -307,8 +307,12 @@ def test_a_network_begins_with_the_reflectance_that_the_fit_finds(make_town: Any
     assert isinstance(scene, ReflectiveScene)
     amplitude, (b, c, theta) = scene.values()
     assert one.grid == other.grid
-    for name, fitted, tolerance in (("b", b, 0.02), ("c", c, 0.02), ("theta", theta, 1.0)):
+    for name, fitted, tolerance in (("w", amplitude, 0.02), ("b", b, 0.02), ("c", c, 0.02), ("theta", theta, 1.0)):
         assert (other.extra[f"map.{name}"] - fitted).abs().median() < tolerance, name
-    assert (other.albedo - amplitude).abs().median() < 0.02
+        assert torch.equal(other.extra[f"{name}_std"], one.extra[f"{name}_std"])
+    # as of a surface, the albedo is the reflectance of level ground, a quarter of w or less
+    assert (other.albedo - one.albedo).abs().median() < 0.005
+    assert other.albedo.median() < 0.5 * amplitude.median()
+    assert torch.equal(other.extra["identifiable"], one.extra["identifiable"])
     # and with its normals, so that the same light makes the same image
     assert torch.allclose(other.extra["normal"], scene.normals(), atol=1e-4)

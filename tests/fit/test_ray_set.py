@@ -132,16 +132,16 @@ def test_reading_off_that_was_slow_once_does_not_end_a_fit(monkeypatch: pytest.M
     slow = 10.0 * GRID.height
     assert job._reading_s == pytest.approx(slow)
     clock["now"] = 0.93 * 1000 - slow + 1
-    assert job._is_over(options, clock["now"] - 1)  # it is as slow as ever
+    assert job._is_over(options, 1.0)  # it is as slow as ever
     clock["row"] = 0.1
-    assert not job._is_over(options, clock["now"] - 1)
+    assert not job._is_over(options, 1.0)
     assert job._reading_s == pytest.approx(0.1 * GRID.height)
 
 
 class SlowAtFirst:
     """A trainer whose first steps take a second, as they are compiled or recorded, and each later one a hundredth."""
 
-    rest_from, judged, unsaid = None, False, (0.0, 0.0)
+    rest_from, judged, at_rest, unsaid = None, False, False, (0.0, 0.0)
     field, device = None, torch.device("cpu")
 
     def __init__(self, clock: dict[str, float]) -> None:

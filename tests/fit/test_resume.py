@@ -22,6 +22,8 @@ from sattools.errors import InputError, OutputExistsError, SattoolsError, SceneE
 from sattools.fit import whole as whole_fit
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
+from sattools.fit.resume import Interrupted as Checkpoint
+from sattools.fit.resume import how_to_go_on
 from sattools.fit.stage import check_start, fit
 from sattools.scene import Scene
 from sattools.scene.raster import write_cog
@@ -351,3 +353,16 @@ def test_a_model_file_survives_a_round_trip_and_others_are_refused(tmp_path: Pat
     (tmp_path / "text").write_text("text")
     with pytest.raises(InputError, match="found no sattools model"):
         load(tmp_path / "text")
+
+
+def test_an_interruption_is_told_how_far_it_came_where_it_leaves_a_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    assert how_to_go_on(path, 0.0, 2000) is None
+    rows: list[Any] = [{"seconds": 12.0, "step": 400, "loss": 0.1}]
+    Checkpoint({"a": torch.zeros(1)}, "key", rows, step=400).save(path)
+    assert how_to_go_on(path, path.stat().st_mtime + 1, 2000) is None  # of an earlier fit
+    words = how_to_go_on(path, path.stat().st_mtime - 1, 2000)
+    assert words is not None
+    assert words.startswith("interrupted; kept after 12 s (step 400 of 2000): `sattools fit --resume` ")
+    path.write_bytes(b"half")
+    assert how_to_go_on(path, 0.0, 2000) is None

@@ -198,6 +198,9 @@ def test_depth_per_image_is_the_height_that_its_pixel_sees(matched: Any) -> None
     for item in scene.train_items()[:2]:
         with rasterio.open(scene.path(item.assets["depth"].href)) as data:
             depth = data.read(1)
+            assert data.descriptions == ("height of what the pixel shows",)
+            assert data.units == ("m",)
+            assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
             assert data.tags(ns="RPC")  # the image's camera
         with rasterio.open(scene.path(item.assets["image"].href)) as image:
             assert depth.shape == image.shape

@@ -84,6 +84,15 @@ def test_the_products_in_the_form_are_those_of_export() -> None:
     assert set(forms.PRODUCTS) == set(FILES)
 
 
+@pytest.mark.parametrize("kind", ["hapke", "rpv"])
+def test_every_map_of_a_reflectance_model_is_loaded_after_an_export(kind: Any) -> None:
+    from sattools.fit.materials.parameters import AMPLITUDE, SHAPE
+
+    names = [parameter.name for parameter in (AMPLITUDE[kind], *SHAPE[kind])]
+    names += [*(f"{name}_std" for name in names), "identifiable", "normal", "normal_std", "reflectance", "relit"]
+    assert set(names) <= set(forms.ALGORITHMS["export"][2])
+
+
 def test_a_scene_that_has_been_moved_is_read_from_where_it_lies(tmp_path: Path) -> None:
     (tmp_path / "dsm.tif").write_text("")
     document = {"sattools": {"root": "/somewhere/else", "products": {"dsm": "dsm.tif"}}}

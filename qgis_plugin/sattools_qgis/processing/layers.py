@@ -7,12 +7,14 @@ their places here, one after the other.
 
 from typing import Any
 
+from ..forms import MATERIAL
+
 SHOWN = ("changes", "height_change", "contours", "footprints", "difference", "dsm", "prior_dsm")
 # From top to bottom. QGIS gives a new project its topmost layer's CRS: footprints in degrees would squeeze the maps.
 ORDER = (
     "changes", "height_change", "significance",
     "contours", "difference", "dsm", "dsm hillshade", "prior_dsm", "prior_dsm hillshade", "dtm", "dtm hillshade",
-    "ndsm", "ortho", "albedo", "reflectance", "w", "b", "c", "theta", "rho0", "k", "rhoc", "dsm_std",
+    "ndsm", "ortho", "relit", "albedo", *MATERIAL, "dsm_std",
     "dsm_error95", "probability", "validity", "dtm_validity", "prior_confidence", "prior_probability",
     "tie_points", "footprints",
 )  # fmt: skip

@@ -24,6 +24,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QColor, QPainter
 
+from ..forms import PARAMETERS
 from .layers import place
 
 # product -> (ramp, lowest, highest); None = from the data, without the outermost hundredths
@@ -43,10 +44,13 @@ RAMPS = {
     "theta": ("Inferno", 0.0, 60.0),
     "rho0": ("Viridis", 0.0, None),
     "k": ("Plasma", None, None),
+    "asymmetry": ("Plasma", -0.6, 0.6),
     "rhoc": ("Plasma", None, None),
+    "identifiable": ("Cividis", 0.0, 1.0),
 }
+RAMPS |= {f"{name}_std": ("Magma", 0.0, None) for name in (*PARAMETERS, "normal")}
 SURFACES = ("dsm", "dtm", "prior_dsm")
-COLOURS = ("albedo", "ortho", "reflectance")
+COLOURS = ("albedo", "ortho", "reflectance", "relit", "normal")
 VALIDITY = ((0, "#d9d9d9", "unseen"), (1, "#1a9850", "measured"), (2, "#fdae61", "filled"), (3, "#f7f7f7", "outside"))
 LINES = {
     "footprints": lambda: QgsFillSymbol.createSimple(

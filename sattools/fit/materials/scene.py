@@ -312,12 +312,22 @@ class ReflectiveScene(SurfaceScene):
 
 def standard_reflectance(scene: ReflectiveScene) -> Tensor:
     """BRF ``[H, W, C]`` of level ground seen from above, the sun `STANDARD_SUN_DEG` from the vertical."""
-    amplitude, shape = scene.values()
+    return level_reflectance(scene.kind, *scene.values())
+
+
+def level_reflectance(kind: Kind, amplitude: Tensor, shape: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    """`standard_reflectance` ``[H, W, C]`` of an amplitude ``[H, W, C]`` and shape parameters ``[H, W]``.
+
+    Args:
+        kind: model.
+        amplitude: w or rho0.
+        shape: in their own units.
+    """
     up = amplitude.new_tensor([0.0, 0.0, 1.0])
     tilt = math.radians(STANDARD_SUN_DEG)
     sun = amplitude.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
     level = up.expand(*amplitude.shape[:-1], 3)
-    return radiance_factor(scene.kind, level, sun, up, amplitude, shape) / math.cos(tilt)
+    return radiance_factor(kind, level, sun, up, amplitude, shape) / math.cos(tilt)
 
 
 def restored(
@@ -337,4 +347,4 @@ def restored(
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
 
 
-__all__ = ["LIT", "ReflectiveScene", "Sky", "restored", "standard_reflectance"]
+__all__ = ["LIT", "ReflectiveScene", "Sky", "level_reflectance", "restored", "standard_reflectance"]

@@ -46,6 +46,7 @@ def judge_heights(trainer: RayTrainer, number: int) -> list[str]:
     _put(trainer, start)
     block = block_of(rays.place[chosen], rays.view[chosen])
     better, text = verdict(with_own, held_out_losses(trainer, chosen), block)
+    trainer.put_back = not better
     if better:
         _put(trainer, trained)
     elif isinstance(trainer.field, MlpField):

@@ -136,7 +136,7 @@ class RayScene:
         if s is None:
             lit = albedo
         elif "sky" in look:  # Sat-NeRF shades every sample
-            visible = look["sun"]
+            visible = look["sun"] if options.shadow == "learned" else s[:, None]
             lit = (weights[..., None] * look["albedo"] * (visible + (1 - visible) * look["sky"])).sum(dim=1)
         else:
             ambient = mean["ambient"] if "ambient" in mean else self.colour["ambient"][view]

@@ -24,6 +24,7 @@ from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.judge import AT_ONCE, RAYS, begin_uncertainty, held_out_losses, judge_heights
 from sattools.fit.rays.maps import read_maps, rows_at_once
+from sattools.fit.rays.reflectance import known_of_start, reflectance_maps
 from sattools.fit.rays.start import (
     Beginning,
     base_surface,
@@ -84,6 +85,7 @@ def fit_rays(
         basis: of a checkpoint, see `Interrupted`.
     """
     trace = trace or Trace()
+    asked_at = time.perf_counter() - trace.seconds()
     whole, z_range = scene.require_grid(), scene.require_height_range()
     warm = starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
@@ -92,9 +94,8 @@ def fit_rays(
     first = prior if start is None or prior is None else start.guide(prior)
     prior_here = None if first is None else filled_prior(first, grid)
     rays = ray_set(views, grid, z_range, prior_here, normals=options.brdf != "lambert").to(device)
-    absolute = radiance != "relative"
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
-    if absolute:  # the images have one scale already
+    if radiance != "relative":  # the images have one scale already
         gain, offset = torch.ones_like(gain), torch.zeros_like(offset)
     # a field with neither shadows nor slopes has to begin with the mean image
     coloured = start if start is not None and (options.shadow != "none" or start.reflective is not None) else None
@@ -119,12 +120,30 @@ def fit_rays(
         begin_uncertainty(trainer)
         mark = fingerprint(scene, options, sources, prior)
         job = _RayJob(scene.output(CHECKPOINT), mark, trainer, grid, z_range, trace, basis)
+        begun = time.perf_counter()
         notes = job.run(options, progress)
+        ended = time.perf_counter()
         notes += judge_heights(trainer, options.steps)
         model = _model_of(trainer, base, views, grid, z_range)
+    notes += _exceeded(options, begun - asked_at, ended - begun, time.perf_counter() - ended)
+    model = model.to(torch.device("cpu"))
+    extra = {**model.extra, **known_of_start(start, grid)}
     if prior_here is not None and prior_here.normal is not None:
-        model = replace(model, extra={**model.extra, "normal": prior_here.normal})
-    return Fitted(model.to(torch.device("cpu")), trace, notes)
+        extra["normal"] = prior_here.normal
+    return Fitted(replace(model, extra=extra), trace, notes)
+
+
+def _exceeded(options: FitOptions, before: float, training: float, after: float) -> list[str]:
+    """That a budget was exceeded, and by what: seconds before the training, of it, and of reading off what it left."""
+    spent = before + training + after
+    if not options.budget or options.resume or spent <= options.budget:
+        return []
+    text = (
+        f"the budget of {options.budget:g} s was exceeded: {spent:.0f} s, of which its start took {before:.0f} and the "
+        f"reading off of its surface {after:.0f}"
+    )
+    log.warning(text)
+    return [text]
 
 
 def _model_of(
@@ -134,20 +153,24 @@ def _model_of(
     options = trainer.options
     maps = read_maps(trainer, grid, z_range)
     extra = {n: t.detach() for n, t in trainer.tensors.items() if n.startswith("field.")}
-    extra |= {f"map.{n}": t for n, t in maps.heads.items()} | {"embedding": trainer.embedding.detach()}
+    extra["embedding"] = trainer.embedding.detach()
     extra |= {f"base.{n}": t for n, t in base.tensors().items()} if base else {}
     box = box_over(grid, z_range)
     extra["box"] = torch.tensor([box.low, box.high])
     if options.brdf_at == "sample":
         extra["brdf_at_sample"] = torch.ones(1)
     assert options.brdf != "auto"  # `check_combination`
+    albedo = maps.albedo
+    if options.brdf != "lambert":
+        albedo, parameters = reflectance_maps(options.brdf, maps)
+        extra |= parameters
     return FittedModel(
         grid=grid,
         items=[v.id for v in views],
         suns=[v.sun for v in views],
         height=maps.height,
         height_std=maps.height_std,
-        albedo=maps.albedo,
+        albedo=albedo,
         gain=trainer.colour["gain"].detach(),
         offset=trainer.colour["offset"].detach(),
         ambient=trainer.colour["ambient"].detach(),
@@ -157,6 +180,7 @@ def _model_of(
         shadow=options.shadow,
         transient=options.transient,
         field=options.field,
+        heights=options.start if trainer.put_back and options.start != "noise" else "own",
         network=options.network if options.field == "mlp" else None,
         radiance=trainer.radiance,
         brdf=options.brdf,
@@ -196,7 +220,9 @@ class _RayJob:
             self.trainer.load(saved.tensors)
             trace.go_on(saved.rows)
             start = saved.step
-        notes: list[str] = []
+        notes, step_s = self._begin_within(options), 0.0
+        if options.budget and (start or trainer.at_rest) and self._is_over(options, self._foreseen_s):
+            return [self._stopped(options, start, None if trace.rows else self._first_loss()), *notes]
         planned_at = start
         every = max(1, min(options.steps // ROWS, 500))
         first = planned_s = asked_s = trace.seconds()
@@ -208,16 +234,19 @@ class _RayJob:
             if options.budget and number - planned_at in TRIALS and planned_at in (0, trainer.rest_from):
                 self._plan_within(options, number, number - asked_at, asked_s)
                 asked_at, asked_s = number, trace.seconds()
-            if number and self._is_to_ask(number, options):
+            if number and self._is_to_ask(number, options, step_s):
                 notes += judge_heights(trainer, number)
-                self.__dict__.pop("_reading_s", None)
+                self._forget()
+                if self._is_over(options, step_s):
+                    return [self._stopped(options, number, total / count if count else None), *notes]
                 planned_at, planned_s = number, trace.seconds()
                 asked_at, asked_s = planned_at, planned_s
             begun = trace.seconds()
             loss = trainer.step(number)
             total, count = total + loss, count + 1
             done, now = number + 1, trace.seconds()
-            over = done < options.steps and self._is_over(options, begun)
+            step_s = now - begun
+            over = done < options.steps and not self._may_rest and self._is_over(options, step_s)
             if done % every == 0 or done == options.steps or over:
                 row: Row = {"seconds": round(now, 3), "step": done, "loss": total / count}
                 trace.rows.append(row | self._score(options.reference))
@@ -237,35 +266,64 @@ class _RayJob:
                     self.path
                 )
             if over:
-                return [f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}", *notes]
+                return [self._stopped(options, done, None), *notes]
         return notes
+
+    def _stopped(self, options: FitOptions, done: int, loss: float | None) -> str:
+        """That the training was stopped, with a last row of the trace if there is a loss to tell."""
+        if loss is not None:
+            self.trace.rows.append({"seconds": round(self.trace.seconds(), 3), "step": done, "loss": loss})
+        return f"stopped by the budget of {options.budget:g} s at step {done} of {options.steps}"
+
+    def _begin_within(self, options: FitOptions) -> list[str]:
+        """Let a network be at rest from the start where a budget is too short to try heights of its own; notes.
+
+        To ask for its heights, and to read them off, can take longer than the whole budget.
+        """
+        if not options.budget or not self._may_rest or self.trace.rows:
+            return []
+        needed = self.trace.seconds() + 2 * self._foreseen_s
+        if needed + self._judging_s <= BUDGET_SHARE * options.budget and needed <= self._room(options):
+            return []
+        self.trainer.asked = True
+        self.trainer.rest(0)
+        self.__dict__.pop("_reading_s", None)
+        return [f"the budget of {options.budget:g} s has no room to try heights of its own"]
 
     @property
     def _may_rest(self) -> bool:
         trainer = self.trainer
         return trainer.judged and not trainer.asked and isinstance(trainer.field, MlpField)
 
-    def _is_to_ask(self, number: int, options: FitOptions) -> bool:
-        """Whether half of the training is over, after which a network that moved nothing may rest."""
-        trainer = self.trainer
+    def _is_to_ask(self, number: int, options: FitOptions, step_s: float) -> bool:
+        """Whether half of the training is over, after which a network that moved nothing may rest.
+
+        With a budget it is over, too, where there is no room for another step as long as the last [s].
+        """
         if not self._may_rest:
             return False
-        if options.budget and self.trace.seconds() >= self._room(options) / 2:
-            return True
-        return number >= trainer.steps / 2
+        if options.budget:
+            now, room = self.trace.seconds(), self._room(options)
+            if now >= room / 2 or now + step_s > room:
+                return True
+        return number >= self.trainer.steps / 2
 
-    def _is_over(self, options: FitOptions, begun: float) -> bool:
-        """Whether the budget has no room for a step as long as the last, which began then: one can take a minute."""
-        if not options.budget or 2 * self.trace.seconds() - begun <= self._room(options) or self._may_rest:
+    def _is_over(self, options: FitOptions, step_s: float) -> bool:
+        """Whether the budget has no room for a step as long as the last [s]: one can take a minute."""
+        if not options.budget or self.trace.seconds() + step_s <= self._room(options):
             return False
         # what reading off takes is known from a few rows: those of another time may have met a busy machine
-        step_s = self.trace.seconds() - begun
-        self.__dict__.pop("_reading_s", None)
+        self._forget()
         return self.trace.seconds() + step_s > self._room(options)
 
     def _room(self, options: FitOptions) -> float:
-        """Seconds of the budget for steps: the surface must still be read off."""
-        return BUDGET_SHARE * (options.budget or 0.0) - self._reading_s
+        """Seconds of the budget for steps: the heights must still be judged, the surface be read off."""
+        return BUDGET_SHARE * (options.budget or 0.0) - self._reading_s - self._judging_s
+
+    def _forget(self) -> None:
+        """Measure anew, when asked next, what reading off and judging take."""
+        for name in ("_reading_s", "_prediction_s"):
+            self.__dict__.pop(name, None)
 
     @functools.cached_property
     def _reading_s(self) -> float:
@@ -274,11 +332,30 @@ class _RayJob:
         for part in (1, rows):
             begun = time.perf_counter()
             read_maps(self.trainer, self.grid.part(slice(0, part), slice(0, self.grid.width)), self.z_range)
-        reading = (time.perf_counter() - begun) * self.grid.height / rows
+        return (time.perf_counter() - begun) * self.grid.height / rows
+
+    @property
+    def _judging_s(self) -> float:
+        """Seconds that it takes to judge the heights, with the field's own and with those of the start."""
+        judged = self.trainer.judged and not self.trainer.at_rest
+        return self._prediction_s * 2 * RAYS / AT_ONCE if judged else 0.0
+
+    @property
+    def _foreseen_s(self) -> float:
+        """Seconds of a step before one was taken: its way back takes twice as long as its prediction."""
+        return self._prediction_s * 3 * self.trainer.count / AT_ONCE
+
+    @functools.cached_property
+    def _prediction_s(self) -> float:
+        """Seconds of the prediction of `AT_ONCE` rays."""
         begun = time.perf_counter()
-        if self.trainer.judged:
-            held_out_losses(self.trainer, torch.zeros(AT_ONCE, dtype=torch.long))
-        return reading + (time.perf_counter() - begun) * 2 * RAYS / AT_ONCE
+        held_out_losses(self.trainer, torch.zeros(AT_ONCE, dtype=torch.long))
+        return time.perf_counter() - begun
+
+    def _first_loss(self) -> float:
+        """Photometric loss before any step, by the first rays."""
+        some = torch.arange(min(AT_ONCE, len(self.trainer.rays.target)))
+        return float(held_out_losses(self.trainer, some).mean())
 
     def _plan_within(self, options: FitOptions, number: int, last: int, since: float) -> None:
         """Let rates and phases be shares of the steps that the budget has room for.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -97,9 +97,11 @@ class Beginning:
 
     Attributes:
         surface: that `fit` makes of the prior, with the reflectance model that the field has.
+        notes: of that fit, for the history.
     """
 
     surface: FittedModel
+    notes: list[str] = field(default_factory=list)
 
     def guide(self, prior: DepthPrior) -> DepthPrior:
         """What rays are guided by: the surface's heights [m] and normals, the prior's confidence."""

@@ -78,6 +78,7 @@ class RayTrainer(RayScene):
         self.asked = False  # whether it is known if its heights are better than those
         self.told = False  # whether that has been told since the training began or went on
         self.rest_from: int | None = None  # the step from which it is at rest
+        self.put_back = False  # whether its heights are those that it started from
         self.gauge = slice(1) if radiance == "relative" else slice(None)  # images whose gain and offset stay
         self.columns = ColumnSteps.where_possible(field, rays, options, self.colour)
         self.tensors: dict[str, Tensor] = {f"field.{n}": t for n, t in field.named_tensors().items()}
@@ -111,7 +112,7 @@ class RayTrainer(RayScene):
         """
         if not isinstance(self.field, MlpField):
             raise TypeError(f"{type(self.field).__name__}: found no surface that it could rest on")
-        self.at_rest, self.rest_from = True, number
+        self.at_rest, self.rest_from, self.put_back = True, number, True
         self.plan(self.steps)
 
     @property
@@ -225,6 +226,7 @@ class RayTrainer(RayScene):
         steps, asked, rest_from = [*planned, 0, -1][:3]  # older checkpoints have but the first
         self.asked, self.at_rest = bool(asked), rest_from >= 0
         self.rest_from = rest_from if self.at_rest else None
+        self.put_back = self.at_rest
         self.plan(steps)
         self.unsaid = state["unsaid"]
         for name, tensor in self.tensors.items():

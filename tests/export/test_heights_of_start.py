@@ -1,0 +1,59 @@
+"""Whose heights and deviations a network's export shows is said where they are not its own."""
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import rasterio
+
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.fit.options import FitOptions
+from sattools.fit.presets import resolve
+from sattools.fit.stage import fit
+from sattools.scene import Scene
+
+TINY = {"width": 16, "rays": 64, "steps": 6, "resolution": 2.0}
+
+
+def tags(scene: Scene, name: str) -> dict[str, Any]:
+    with rasterio.open(scene.path(scene.products[name])) as data:
+        return dict(data.tags())
+
+
+@pytest.mark.parametrize(
+    ("preset", "start", "words"),
+    [
+        ("eonerf", "surface", "those of the surface fit that the field started from: "),
+        ("spsnerf", "prior", "those of the prior that the field started from: "),
+    ],
+)
+def test_a_network_whose_heights_were_put_back_says_so(
+    make_town: Callable[..., Scene], caplog: pytest.LogCaptureFixture, preset: Any, start: str, words: str
+) -> None:
+    scene = make_town()
+    fit(scene, resolve(preset, {**TINY, "start": start, "rate": 0.0}))
+    with caplog.at_level(logging.WARNING):
+        entry = export(scene, ExportOptions())
+    assert tags(scene, "dsm")["HEIGHTS"].startswith(words)
+    assert any(note.startswith(f"heights: {words}") for note in entry["notes"])
+    assert f"heights: {words}" in caplog.text
+    assert tags(scene, "dsm_std")["METHOD"] == "of the prior, see prior_dsm_std"
+
+
+def test_a_field_with_heights_of_its_own_says_nothing_of_the_kind(make_town: Callable[..., Scene]) -> None:
+    scene = make_town()
+    fit(scene, FitOptions(field="voxel", prior_weight=0.0, rays=64, steps=4, samples=8, resolution=2.0))
+    entry = export(scene, ExportOptions())
+    assert "HEIGHTS" not in tags(scene, "dsm")
+    assert not any("heights" in note for note in entry["notes"])
+    assert tags(scene, "dsm_std")["METHOD"].startswith("spread of the height at which vertical rays lose their light")
+
+
+def test_the_deviations_of_a_surface_without_a_prior_are_those_of_its_loss(make_town: Callable[..., Scene]) -> None:
+    scene = make_town()
+    fit(scene, FitOptions(prior_weight=0.0, resolution=2.0, coarsest=2.0, epochs=[2]))
+    export(scene, ExportOptions())
+    assert tags(scene, "dsm_std")["METHOD"].startswith("curvature of the photometric loss")
+    assert "HEIGHTS" not in tags(scene, "dsm")

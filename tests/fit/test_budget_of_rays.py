@@ -1,0 +1,59 @@
+"""A budget of a field that is trained ray by ray: what counts, and what is said where it cannot be kept."""
+
+import dataclasses
+import logging
+from typing import Any
+
+import pytest
+import torch
+
+from sattools.export.options import ExportOptions
+from sattools.export.stage import export
+from sattools.fit.model import FittedModel
+from sattools.fit.presets import resolve
+from sattools.fit.rays import stage as rays_stage
+from sattools.fit.stage import fit
+
+TINY = {"width": 16, "rays": 64, "steps": 40, "resolution": 2.0}
+
+
+@pytest.mark.parametrize("preset", ["satnerf", "eonerf", "hapke-nerf"])
+def test_a_budget_without_room_for_a_step_leaves_the_surface_that_a_network_starts_from(
+    make_town: Any, caplog: pytest.LogCaptureFixture, preset: str
+) -> None:
+    scene = make_town()
+    with caplog.at_level(logging.WARNING):
+        notes = fit(scene, resolve(preset, {**TINY, "budget": 0.001}))["notes"]
+    assert "stopped by the budget of 0.001 s at step 0 of 40" in notes
+    assert "the budget of 0.001 s has no room to try heights of its own" in notes
+    assert "the budget of 0.001 s was exceeded: " in caplog.text
+    assert "held-out rays" not in caplog.text  # no step, nothing to judge
+    model = FittedModel.load(scene.path(scene.products["model"]))
+    assert not any(bool(model.extra[f"field.sigma.{part}"].any()) for part in ("weight", "bias"))
+    assert (model.height - model.extra["base.height"]).abs().median() < 0.02
+    export(scene, ExportOptions())
+
+
+def test_an_interrupted_network_that_has_used_its_budget_is_judged_and_read_off_without_another_step(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
+    scene, options = make_town(), resolve("satnerf", TINY)
+
+    def stop(fraction: float, message: str) -> None:
+        if message.startswith("step 12/"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit(scene, options, stop)
+    weights = rays_stage.Interrupted.load
+    saved: list[Any] = []
+    monkeypatch.setattr(rays_stage.Interrupted, "load", lambda *given: saved.append(weights(*given)) or saved[0])
+    notes = fit(scene, dataclasses.replace(options, resume=True, budget=0.001))["notes"]
+    assert f"stopped by the budget of 0.001 s at step {saved[0].step} of 40" in notes
+    assert saved[0].step == 11  # the one that had been saved
+    model = FittedModel.load(scene.path(scene.products["model"]))
+    for name, tensor in saved[0].tensors.items():
+        if name.startswith("field.") and "sigma" not in name:  # whose heights are put back where they are no better
+            assert torch.equal(model.extra[name], tensor), name
