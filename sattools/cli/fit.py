@@ -61,14 +61,14 @@ def _say_how_to_go_on(scene: Scene, options: FitOptions, began: float) -> None:
         log.warning("interrupted: `sattools fit --resume` with the same options goes on with the tiles that are there")
 
 
-def _check_effect(options: FitOptions) -> None:
-    """Refuse what was given on the command line and would do nothing; a file may serve several fits."""
+def _tell_idle(options: FitOptions) -> None:
+    """One line for each option that was given on the command line and does nothing; a file may serve several fits."""
     from sattools.fit.applicable import NEEDED, without_effect
 
     context = click.get_current_context()
     given = [name for name in NEEDED if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
-    if idle := without_effect(options, given):
-        raise click.BadParameter(idle[1], param_hint=f"--{idle[0].replace('_', '-')}")
+    for name, why in without_effect(options, given):
+        log.warning("--%s does nothing here: %s", name.replace("_", "-"), why)
 
 
 @click.command("fit", cls=FitCommand)
@@ -82,7 +82,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     --resume and ends with the same surface as one that was not; without it, only --overwrite begins anew.
     """
     options = build(FitOptions, {**values, **_preset(values["preset"], values["start"], values["field"])})
-    _check_effect(options)
+    _tell_idle(options)
     if options.tile == "auto" and options.part != "all":
         raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
     if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:

@@ -67,8 +67,8 @@ NEEDED = {
 }  # fmt: skip
 
 
-def without_effect(options: FitOptions, given: Iterable[str]) -> tuple[str, str] | None:
-    """The first of some options that does nothing beside the others, and what was found and expected; None if all do.
+def without_effect(options: FitOptions, given: Iterable[str]) -> list[tuple[str, str]]:
+    """Those of some options that do nothing beside the others, each with what was found and expected.
 
     One that was given the value that it has anyway asks for nothing.
 
@@ -76,14 +76,14 @@ def without_effect(options: FitOptions, given: Iterable[str]) -> tuple[str, str]
         options: of the fit.
         given: names of options that the user gave.
     """
-    plain = FitOptions()
+    plain, idle = FitOptions(), []
     for name in given:
         needed = NEEDED.get(name)
         if needed is None or getattr(options, name) == getattr(plain, name) or needed.met(options):
             continue
         found = " and ".join(f"--{other} {getattr(options, other)}" for other in needed.found)
-        return name, f"found {found}, expected {needed.expected}: it would do nothing"
-    return None
+        idle.append((name, f"found {found}, expected {needed.expected}"))
+    return idle
 
 
 __all__ = ["NEEDED", "without_effect"]
