@@ -46,6 +46,18 @@ def test_a_page_does_not_replace_the_document_that_it_shows(make_town: Any, tmp_
     assert document.read_text() == before
 
 
+@pytest.mark.parametrize("flags", [[], ["--overwrite"]])
+def test_a_page_replaces_no_file_that_is_none(make_town: Any, tmp_path: Path, flags: list[str]) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine")
+    document = make_town().root / "scene.json"
+    refused = run("report", document, "--out", notes, *flags)
+    assert (refused.exit_code, refused.stdout, notes.read_text()) == (1, "", "mine")
+    assert "notes.txt: found a file that is no report of sattools, expected a new name or a report" in refused.stderr
+    notes.write_text("")  # as `mktemp` makes it: nothing is lost
+    assert run("report", document, "--out", notes, "--overwrite").exit_code == 0
+
+
 # ---- stages that are done on the way ------------------------------------------------------------------------------
 
 
