@@ -100,6 +100,17 @@ class Rendered:
     height: np.ndarray
 
 
+def view_files(name: str) -> dict[str, str]:
+    """Hrefs of the files of a view, by its assets."""
+    return {
+        "image": f"images/{name}.tif",
+        "rpc": f"rpc/{name}_RPC.TXT",
+        "metadata": f"metadata/{name}.json",
+        "truth_lit": f"truth/views/{name}_LIT.tif",
+        "truth_height": f"truth/views/{name}_HEIGHT.tif",
+    }
+
+
 def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.ndarray, gsd: float) -> Item:
     """Write the files of one view.
 
@@ -114,13 +125,7 @@ def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.nd
         The view's item.
     """
     delivered = view.rpc.shifted(*view.bias)
-    files = {
-        "image": f"images/{view.id}.tif",
-        "rpc": f"rpc/{view.id}_RPC.TXT",
-        "metadata": f"metadata/{view.id}.json",
-        "truth_lit": f"truth/views/{view.id}_LIT.tif",
-        "truth_height": f"truth/views/{view.id}_HEIGHT.tif",
-    }
+    files = view_files(view.id)
     taken = {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
     write_sensor_image(scene.output(files["image"]), rendered.image, delivered.to_tags(), tags=taken)
     write_text(scene.output(files["rpc"]), view.rpc.to_rpc_txt())
@@ -189,4 +194,4 @@ def _footprint(view: SimulatedView, height: float) -> list[list[float]]:
     return [[float(a), float(b)] for a, b in zip(lon, lat, strict=True)]
 
 
-__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "write_view"]
+__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "view_files", "write_view"]
