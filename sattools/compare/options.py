@@ -21,7 +21,10 @@ class CompareOptions:
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
         "ncc", "ncc: whole cells, then mean height; nuth-kaab: parts of cells; z: mean height only; none."
     )
-    region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
+    region: str | None = option(
+        None,
+        "Part to score: west, east, north, south or W,S,E,N in the reference's CRS (the scene's for one in degrees).",
+    )
     map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
     points: str | None = option(
         None,

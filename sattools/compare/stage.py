@@ -18,7 +18,7 @@ from sattools.compare.options import CompareOptions
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.steps import step_text
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
-from sattools.compare.truth import Truth, open_reference, read_dfc2019
+from sattools.compare.truth import Truth, crs_on_ground, open_reference, read_dfc2019
 from sattools.errors import InputError, MissingProductError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
@@ -75,14 +75,18 @@ def compare_dsm(
     return replace(result, difference=np.asarray(result.difference))
 
 
-def read_truth(options: CompareOptions, scene: Scene | None = None, folder: Path | None = None) -> Truth:
+def read_truth(
+    options: CompareOptions, scene: Scene | None = None, folder: Path | None = None, crs: str | None = None
+) -> Truth:
     """The reference that the options name, else the truth that a simulated scene brings along.
 
     Args:
         options: of the stage.
         scene: that is scored, or None.
         folder: for temporary files, if large maps are to be read by rows (`open_reference`); None = the system's.
+        crs: onto which a reference in degrees comes [m]; None = the scene's, else UTM.
     """
+    crs = scene.grid.crs if crs is None and scene and scene.grid else crs
     if options.truth and options.dsm:
         raise InputError("compare: found both --truth and --dsm, expected one of them")
     if options.truth:
@@ -91,7 +95,7 @@ def read_truth(options: CompareOptions, scene: Scene | None = None, folder: Path
             raise InputError("compare: found --truth without a scene, expected --aoi NAME as well")
         truth = read_dfc2019(options.truth, aoi)
     elif options.dsm:
-        truth = open_reference(options.dsm, options.classes, folder)
+        truth = open_reference(options.dsm, options.classes, folder, crs)
     elif scene and "truth_dsm" in scene.products:
         classes = scene.products.get("truth_classes")
         own = scene.path(classes) if classes else None
@@ -262,9 +266,9 @@ def check_file(options: CompareOptions, overwrite: bool = False) -> tuple[Truth,
         overwrite: replace outputs that are there.
     """
     assert options.predicted is not None
-    truth = read_truth(options)
     surface = FiledSurface(Path(options.predicted))
     surface.check()
+    truth = read_truth(options, crs=crs_on_ground(surface.path))
     if options.out:
         given = [options.predicted, options.dsm, options.classes]
         outputs = [Path(options.out) / name for name in BESIDE]
