@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.camera.ground import check_projected, utm_crs
+from sattools.compare.doubts import check_heights
 from sattools.compare.heights import WATER
 from sattools.errors import InputError, SceneError
 from sattools.scene.datums import horizontal
@@ -36,6 +37,7 @@ class Truth:
         heights: [H, W] float32 in metres, NaN = not known; from `open_reference`, a map that is read by rows.
         classes: [H, W] uint8 class codes (2 ground, 5 trees, 6 building, 9 water, 17 bridge, 65 unlabelled), or None.
         region: part of the reference that is used, for the report.
+        path: its file, for messages.
     """
 
     name: str
@@ -44,6 +46,12 @@ class Truth:
     heights: np.ndarray
     classes: np.ndarray | None = None
     region: str | None = None
+    path: Path | None = None
+
+    @property
+    def source(self) -> str:
+        """The file's name, else the reference's own."""
+        return str(self.path or self.name)
 
     def scored(self) -> np.ndarray:
         """[H, W] heights [m] of the cells that are scored, known and not water; NaN elsewhere."""
@@ -120,7 +128,7 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     classes = read_image(path)[0]
     if classes.shape != heights.shape:
         raise InputError(f"{path}: found {classes.shape} cells, expected {heights.shape} as in {aoi}_DSM.tif")
-    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path))
+    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path), path=folder / f"{aoi}_DSM.tif")
 
 
 def _check_tile(folder: Path, aoi: str) -> None:
@@ -169,6 +177,7 @@ def open_reference(
         aoi = dsm.name.removesuffix("_DSM.tif")
         if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
             return read_dfc2019(dsm.parent, aoi)
+    check_heights(dsm, one_band=False)
     grid, own = _grid_of(dsm, crs)
     heights, codes = new_map(grid.shape, np.float32, folder), None
     for rows, cols in cut(grid.shape):
@@ -178,7 +187,7 @@ def open_reference(
         for rows, cols in cut(grid.shape):
             there = read_warped(Path(classes), grid.part(rows, cols), nearest=True)[0]
             codes[rows, cols] = _class_codes(there, Path(classes))
-    return Truth(dsm.stem, "dsm", grid, heights, codes)
+    return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
 
 
 def _grid_of(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
