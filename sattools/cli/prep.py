@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli.kinds import Finite, PathText
-from sattools.cli.options import build, common_options, dataclass_options
+from sattools.cli.options import as_usage, build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
 from sattools.cli.plans import of_prep
 from sattools.errors import InputError
@@ -61,6 +61,11 @@ def command(
     if images and dfc2019 is not None:
         raise click.UsageError("expected either IMAGE... or --dfc2019, found both")
     options = replace(build(PrepOptions, values), aoi=aoi, bounds=list(bounds or ()))
+    if options.crs is not None:
+        from sattools.camera.ground import check_projected
+
+        with as_usage():
+            check_projected(options.crs)
     paths: list[Path] = []
     if dfc2019 is not None:
         from sattools.prep.dfc2019 import find_images

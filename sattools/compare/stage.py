@@ -13,7 +13,7 @@ import numpy as np
 from sattools.compare.doubts import check_metres
 from sattools.compare.images import check_views, compare_views
 from sattools.compare.maps import Pair, compare_map
-from sattools.compare.options import CompareOptions
+from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.text import to_json
@@ -314,27 +314,6 @@ def _scatter_href(name: str) -> str:
 def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -> tuple[JsonObject, Pair]:
     east, north, _ = result.registration.metres(result.grid.cell_size)
     return compare_map(name, scene.path(scene.products[name]), reference, (east, north))
-
-
-def name_and_file(texts: Sequence[str], option: str) -> dict[str, Path]:
-    """Files by name, of texts NAME=FILE.
-
-    Args:
-        texts: of the option.
-        option: its name, for messages.
-
-    Raises:
-        InputError: another text, or a name twice.
-    """
-    files: dict[str, Path] = {}
-    for text in texts:
-        name, separator, file = text.partition("=")
-        if not (separator and name and file):
-            raise InputError(f"{option}: found {text!r}, expected NAME=FILE")
-        if name in files:
-            raise InputError(f"{option}: found {name!r} twice, expected every name once")
-        files[name] = Path(file)
-    return files
 
 
 def write_difference(result: Comparison, tif: Path, png: Path) -> None:

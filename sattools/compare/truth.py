@@ -10,6 +10,7 @@ import numpy as np
 from sattools.camera.ground import check_projected, utm_crs
 from sattools.compare.doubts import check_heights
 from sattools.compare.heights import WATER
+from sattools.compare.options import parse_region
 from sattools.errors import InputError, SceneError
 from sattools.scene.datums import horizontal
 from sattools.scene.grid import Grid
@@ -94,16 +95,8 @@ def _region(grid: Grid, region: str) -> tuple[np.ndarray, np.ndarray]:
         "south": (west, south, east, middle_y),
         "north": (west, middle_y, east, north),
     }
-    if region in halves:
-        box = halves[region]
-    else:
-        try:
-            a, b, c, d = (float(value) for value in region.replace(",", " ").split())
-        except ValueError as error:
-            raise InputError(
-                f"region: found {region!r}, expected west, east, north, south or four numbers W,S,E,N"
-            ) from error
-        box = (a, b, c, d)
+    found = parse_region(region)
+    box = halves[found] if isinstance(found, str) else found
     x, y = grid.x(), grid.y()
     rows, cols = (y >= box[1]) & (y <= box[3]), (x >= box[0]) & (x <= box[2])
     if not (rows.any() and cols.any()):
