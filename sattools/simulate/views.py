@@ -15,6 +15,7 @@ from sattools.processors import threads
 from sattools.progress import Progress
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.files import write_text
+from sattools.scene.globe import outline_on_globe
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_sensor_image
 from sattools.simulate.camera import Pushbroom
@@ -143,15 +144,8 @@ def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.nd
         "truth_lit": Asset(files["truth_lit"], GEOTIFF_TYPE, ["truth"]),
         "truth_height": Asset(files["truth_height"], GEOTIFF_TYPE, ["truth"]),
     }
-    lons, lats = [c[0] for c in corners], [c[1] for c in corners]
-    ring = [*corners, corners[0]]
-    return Item(
-        view.id,
-        {"type": "Polygon", "coordinates": [ring]},
-        [min(lons), min(lats), max(lons), max(lats)],
-        _properties(scene, view, rendered.image, sun, gsd),
-        assets,
-    )
+    geometry, box = outline_on_globe([*corners, corners[0]])
+    return Item(view.id, geometry, box, _properties(scene, view, rendered.image, sun, gsd), assets)
 
 
 def _properties(scene: Scene, view: SimulatedView, image: np.ndarray, sun: np.ndarray, gsd: float) -> JsonObject:
