@@ -172,10 +172,11 @@ def _from_json(path: Path) -> Fields:
 
 
 def _from_raster(path: Path) -> Fields:
+    from sattools.scene.gdal import rpc_tags
     from sattools.scene.opening import opened
 
     with opened(path, "an image or metadata") as dataset:
-        fields = dict(dataset.tags(ns="RPC"))
+        fields: Fields = dict(rpc_tags(dataset))
     if not fields:
         raise InputError(f"{path}: found an image without RPC, expected RPC tags or a metadata file beside it")
     return fields

@@ -49,14 +49,15 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         return
 
     def work(scene: Scene, progress: Progress) -> JsonObject:
-        from sattools.compare.stage import compare, table
+        from sattools.compare.stage import compare
+        from sattools.compare.text import table
 
         figures = compare(options, scene, progress, overwrite)
         click.echo(table(figures), err=True)
         return {"errors": figures}
 
     def emit(scene: Scene, entry: JsonObject) -> str:
-        from sattools.compare.stage import to_json
+        from sattools.compare.text import to_json
 
         return to_json(entry["errors"])
 
@@ -125,7 +126,8 @@ def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:
 
 
 def _compare_file(options: CompareOptions, overwrite: bool, dry_run: bool, show: bool) -> None:
-    from sattools.compare.stage import check_file, compare_file, table, to_json
+    from sattools.compare.stage import check_file, compare_file
+    from sattools.compare.text import table, to_json
 
     if show:
         print_config("compare", options)
@@ -156,7 +158,7 @@ def _compare_fits(options: CompareOptions, overwrite: bool, dry_run: bool, show:
         markdown,
         view_rows,
     )
-    from sattools.compare.stage import to_json
+    from sattools.compare.text import to_json
 
     try:
         if dry_run:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli import plans
-from sattools.cli.options import build, common_options, dataclass_options, scene_argument
+from sattools.cli.options import as_usage, build, common_options, dataclass_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
 from sattools.progress import Progress
 from sattools.radiometry.options import NormaliseOptions
@@ -28,6 +28,11 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     says whether the values are reflectances or radiance up to an unknown factor.
     """
     options = build(NormaliseOptions, values)
+    if options.scale is not None or options.offset:
+        from sattools.radiometry.kind import declared_by_user
+
+        with as_usage():
+            declared_by_user(options)
 
     def work(scene: Scene, progress: Progress) -> JsonObject:
         from sattools.radiometry.stage import normalise

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,7 +12,7 @@ import click
 
 from sattools.cli.commands import COMMANDS
 from sattools.cli.kinds import check_value, kind_of
-from sattools.errors import InputError
+from sattools.errors import InputError, SattoolsError
 from sattools.settings import OptionSpec, as_dict, specs
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -96,10 +97,20 @@ def dataclass_options(cls: type) -> Callable[[F], F]:
     return decorate
 
 
+@contextmanager
+def as_usage() -> Iterator[None]:
+    """What is found inside is known from the command line alone: wrong usage, and its status."""
+    try:
+        yield
+    except SattoolsError as error:
+        raise click.UsageError(str(error)) from None
+
+
 def build(cls: type[T], values: dict[str, Any]) -> T:
     """The options dataclass from click's keyword arguments (lists come as tuples)."""
     fields = {spec.name: spec for spec in specs(cls)}
-    return cls(**{k: list(v) if fields[k].multiple else v for k, v in values.items() if k in fields})
+    with as_usage():
+        return cls(**{k: list(v) if fields[k].multiple else v for k, v in values.items() if k in fields})
 
 
 def print_config(command: str, options: Any) -> None:
@@ -187,6 +198,7 @@ def configure_logging(verbose: int, quiet: bool) -> None:
 
 __all__ = [
     "WHOLE_DOCUMENT",
+    "as_usage",
     "build",
     "common_options",
     "configure_logging",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli.kinds import Finite, PathText
-from sattools.cli.options import build, common_options, dataclass_options
+from sattools.cli.options import as_usage, build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
 from sattools.cli.plans import of_prep
 from sattools.errors import InputError
@@ -61,6 +61,7 @@ def command(
     if images and dfc2019 is not None:
         raise click.UsageError("expected either IMAGE... or --dfc2019, found both")
     options = replace(build(PrepOptions, values), aoi=aoi, bounds=list(bounds or ()))
+    _check_crs(options.crs)
     paths: list[Path] = []
     if dfc2019 is not None:
         from sattools.prep.dfc2019 import find_images
@@ -98,3 +99,12 @@ def command(
         raise SystemExit(1) from None
     label = options.id or f"a scene of {len(paths)} images"
     run_source(Run("prep", options, dry_run, print_config, overwrite, tuple(paths)), make, label, check)
+
+
+def _check_crs(crs: str | None) -> None:
+    """A CRS that is none, or not in metres, is wrong usage whatever the images are."""
+    if crs is not None:
+        from sattools.camera.ground import check_projected
+
+        with as_usage():
+            check_projected(crs)

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from sattools.cli.pipe import NOTHING, documents, parse, report_error
-from sattools.errors import SattoolsError, SceneError
+from sattools.errors import OutputExistsError, SattoolsError, SceneError
 
 
 @click.command("report")
@@ -17,7 +17,7 @@ from sattools.errors import SattoolsError, SceneError
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="The page [default: report.html beside the data]."
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing page.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing page of sattools; never another file.")
 def command(source: str, out: Path | None, overwrite: bool) -> None:
     """Write one self-contained HTML page about a scene, or about a folder that `batch` or `compare --fit` has written.
 
@@ -62,7 +62,7 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
 
 
 def write(path: Path, page: str, overwrite: bool, inputs: Iterable[Path]) -> None:
-    """The page, unless it would replace what it was made from; its path on stdout.
+    """The page, unless it would replace what it was made from, or a file that is no page; its path on stdout.
 
     Args:
         path: file to write.
@@ -70,8 +70,12 @@ def write(path: Path, page: str, overwrite: bool, inputs: Iterable[Path]) -> Non
         overwrite: replace outputs that are there.
         inputs: files that it was made from.
     """
+    from sattools.report.page import may_be_replaced
     from sattools.scene.files import check_outputs, write_text
 
-    check_outputs([path], inputs, overwrite)
+    check_outputs([path], inputs, overwrite=True)  # an input is told as one, whatever it is
+    if path.is_file() and not may_be_replaced(path):
+        raise OutputExistsError(f"{path}: found a file that is no report of sattools, expected a new name or a report")
+    check_outputs([path], overwrite=overwrite)
     write_text(path, page)
     click.echo(str(path))

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from sattools.compare.metrics import image_errors, map_errors
     from sattools.compare.options import CompareOptions
     from sattools.compare.registration import Registration, register
-    from sattools.compare.stage import compare, compare_dsm, compare_file, read_truth, table
+    from sattools.compare.stage import compare, compare_dsm, compare_file, read_truth
     from sattools.compare.surface import Comparison
+    from sattools.compare.text import table
     from sattools.compare.truth import Truth, read_dfc2019, read_reference
 
 _HOMES = {
@@ -21,8 +22,9 @@ _HOMES = {
     "metrics": ("image_errors", "map_errors"),
     "options": ("CompareOptions",),
     "registration": ("Registration", "register"),
-    "stage": ("compare", "compare_dsm", "compare_file", "read_truth", "table"),
+    "stage": ("compare", "compare_dsm", "compare_file", "read_truth"),
     "surface": ("Comparison",),
+    "text": ("table",),
     "truth": ("Truth", "read_dfc2019", "read_reference"),
 }
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from sattools.compare.brdf import AMPLITUDE, SHAPE, brdf_figure, errors, place_in, place_of, unit_vector
 from sattools.compare.images import FIGURES
-from sattools.compare.options import CompareOptions
+from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.points import Point, Values, band_of, compare_points, filed, read_points, sampled, with_values_of
-from sattools.compare.stage import check_scene, name_and_file, score, to_json
+from sattools.compare.stage import check_scene, score
+from sattools.compare.text import to_json
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene.dependencies import files_of

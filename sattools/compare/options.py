@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from sattools.errors import InputError
 from sattools.settings import option
+
+HALVES = ("west", "east", "south", "north")
 
 
 @dataclass
@@ -21,7 +26,10 @@ class CompareOptions:
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
         "ncc", "ncc: whole cells, then mean height; nuth-kaab: parts of cells; z: mean height only; none."
     )
-    region: str | None = option(None, "Part to score: west, east, north, south or W,S,E,N in the reference's CRS.")
+    region: str | None = option(
+        None,
+        "Part to score: west, east, north, south or W,S,E,N in the reference's CRS (the scene's for one in degrees).",
+    )
     map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
     points: str | None = option(
         None,
@@ -43,5 +51,45 @@ class CompareOptions:
         None, "With --predicted: folder for the difference map; with --fit: for everything.", path="folder"
     )
 
+    def __post_init__(self) -> None:
+        name_and_file(self.map, "--map")
+        name_and_file(self.fit, "--fit")
+        if self.region is not None:
+            parse_region(self.region)
 
-__all__ = ["CompareOptions"]
+
+def name_and_file(texts: Sequence[str], option: str) -> dict[str, Path]:
+    """Files by name, of texts NAME=FILE.
+
+    Args:
+        texts: of the option.
+        option: its name, for messages.
+
+    Raises:
+        InputError: another text, or a name twice.
+    """
+    files: dict[str, Path] = {}
+    for text in texts:
+        name, separator, file = text.partition("=")
+        if not (separator and name and file):
+            raise InputError(f"{option}: found {text!r}, expected NAME=FILE")
+        if name in files:
+            raise InputError(f"{option}: found {name!r} twice, expected every name once")
+        files[name] = Path(file)
+    return files
+
+
+def parse_region(text: str) -> str | tuple[float, float, float, float]:
+    """A half, ``west`` and so on, or west, south, east, north. Raises InputError for another text."""
+    if text in HALVES:
+        return text
+    try:
+        west, south, east, north = (float(value) for value in text.replace(",", " ").split())
+    except ValueError:
+        raise InputError(
+            f"--region: found {text!r}, expected west, east, north, south or four numbers W,S,E,N"
+        ) from None
+    return west, south, east, north
+
+
+__all__ = ["HALVES", "CompareOptions", "name_and_file", "parse_region"]

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from sattools.compare.doubts import check_metres
 from sattools.compare.images import check_views, compare_views
 from sattools.compare.maps import Pair, compare_map
-from sattools.compare.options import CompareOptions
+from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.picture import difference_picture, scatter_picture
-from sattools.compare.steps import step_text
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
-from sattools.compare.truth import Truth, open_reference, read_dfc2019
+from sattools.compare.text import to_json
+from sattools.compare.truth import Truth, crs_on_ground, open_reference, read_dfc2019
 from sattools.errors import InputError, MissingProductError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
@@ -75,14 +74,18 @@ def compare_dsm(
     return replace(result, difference=np.asarray(result.difference))
 
 
-def read_truth(options: CompareOptions, scene: Scene | None = None, folder: Path | None = None) -> Truth:
+def read_truth(
+    options: CompareOptions, scene: Scene | None = None, folder: Path | None = None, crs: str | None = None
+) -> Truth:
     """The reference that the options name, else the truth that a simulated scene brings along.
 
     Args:
         options: of the stage.
         scene: that is scored, or None.
         folder: for temporary files, if large maps are to be read by rows (`open_reference`); None = the system's.
+        crs: onto which a reference in degrees comes [m]; None = the scene's, else UTM.
     """
+    crs = scene.grid.crs if crs is None and scene and scene.grid else crs
     if options.truth and options.dsm:
         raise InputError("compare: found both --truth and --dsm, expected one of them")
     if options.truth:
@@ -91,7 +94,7 @@ def read_truth(options: CompareOptions, scene: Scene | None = None, folder: Path
             raise InputError("compare: found --truth without a scene, expected --aoi NAME as well")
         truth = read_dfc2019(options.truth, aoi)
     elif options.dsm:
-        truth = open_reference(options.dsm, options.classes, folder)
+        truth = open_reference(options.dsm, options.classes, folder, crs)
     elif scene and "truth_dsm" in scene.products:
         classes = scene.products.get("truth_classes")
         own = scene.path(classes) if classes else None
@@ -219,13 +222,13 @@ def score(options: CompareOptions, scene: Scene, progress: Progress = silent, fo
     """
     truth = read_truth(options, scene, folder)
     path = scene.path(scene.products["dsm"])
-    about = _datums(path, options)
+    notes = _datums(path, options)
     progress(0.1, "registering")
     validity = scene.products.get("validity")
     surface = FiledSurface(path, scene.path(validity) if validity else None)
     surface.check()
     result = compare_surface(surface, truth, options.register, folder)
-    figures: dict[str, Any] = {"scene": scene.id, **result.figures, **about}
+    figures: dict[str, Any] = {"scene": scene.id, **result.figures, **_checked(result, surface, truth, notes)}
     pairs = {}
     if options.map:
         progress(0.6, "parameter maps")
@@ -244,8 +247,9 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject
     """Score the DSM file `options.predicted` without a scene; the difference map goes below `options.out` if given."""
     assert options.predicted is not None  # the caller chooses this function by it
     truth, surface = check_file(options, overwrite)
-    about = _datums(Path(options.predicted), options)
+    notes = _datums(Path(options.predicted), options)
     result = compare_surface(surface, truth, options.register)
+    about = _checked(result, surface, truth, notes)
     if options.out:
         place = Scene(id="compare", root=Path(options.out))
         outputs = [place.output(name) for name in BESIDE]
@@ -262,9 +266,9 @@ def check_file(options: CompareOptions, overwrite: bool = False) -> tuple[Truth,
         overwrite: replace outputs that are there.
     """
     assert options.predicted is not None
-    truth = read_truth(options)
     surface = FiledSurface(Path(options.predicted))
     surface.check()
+    truth = read_truth(options, crs=crs_on_ground(surface.path))
     if options.out:
         given = [options.predicted, options.dsm, options.classes]
         outputs = [Path(options.out) / name for name in BESIDE]
@@ -272,15 +276,24 @@ def check_file(options: CompareOptions, overwrite: bool = False) -> tuple[Truth,
     return truth, surface
 
 
-def _datums(predicted: Path, options: CompareOptions) -> JsonObject:
+def _checked(result: Comparison, surface: FiledSurface, truth: Truth, notes: Sequence[str]) -> JsonObject:
+    """Notes for the table, with what speaks against the registration; InputError where a surface is in feet."""
+    check_metres(result.feet, surface.name, truth.source)
+    for text in result.notes:
+        log.warning("%s: %s", surface.name, text)
+    both = [*notes, *result.notes]
+    return {"notes": both} if both else {}
+
+
+def _datums(predicted: Path, options: CompareOptions) -> list[str]:
     """A warning, and the same for the table, where both surfaces are known to be above different things."""
     if options.dsm is None:
-        return {}
+        return []
     text = datums_differ({"the DSM": heights_above(predicted), "the reference": heights_above(Path(options.dsm))})
     if text is None:
-        return {}
+        return []
     log.warning("%s (the mean is registered away unless --register none)", text)
-    return {"notes": [text]}
+    return [text]
 
 
 def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:
@@ -303,27 +316,6 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -
     return compare_map(name, scene.path(scene.products[name]), reference, (east, north))
 
 
-def name_and_file(texts: Sequence[str], option: str) -> dict[str, Path]:
-    """Files by name, of texts NAME=FILE.
-
-    Args:
-        texts: of the option.
-        option: its name, for messages.
-
-    Raises:
-        InputError: another text, or a name twice.
-    """
-    files: dict[str, Path] = {}
-    for text in texts:
-        name, separator, file = text.partition("=")
-        if not (separator and name and file):
-            raise InputError(f"{option}: found {text!r}, expected NAME=FILE")
-        if name in files:
-            raise InputError(f"{option}: found {name!r} twice, expected every name once")
-        files[name] = Path(file)
-    return files
-
-
 def write_difference(result: Comparison, tif: Path, png: Path) -> None:
     """Signed difference as a COG and as a picture.
 
@@ -337,55 +329,3 @@ def write_difference(result: Comparison, tif: Path, png: Path) -> None:
         for rows in pieces(result.grid.shape):
             out.write(result.difference[rows], rows)
     difference_picture(result.difference, result.grid, title, png)
-
-
-def to_json(figures: Mapping[str, Any], indent: int | None = None) -> str:
-    """The figures as JSON; what is infinite (the PSNR of equal images) becomes null, which JSON can say."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: plain(inner) for key, inner in value.items()}
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    return json.dumps(plain(figures), indent=indent, allow_nan=False)
-
-
-def table(figures: Mapping[str, Any]) -> str:
-    """The figures for people: a few lines of text."""
-    east, north, up = figures["shift_m"]
-    name = figures.get("scene") or figures.get("predicted", "")
-    lines = [
-        f"{name} against {figures['reference']} ({figures['protocol']})",
-        f"  MAE {figures['mae']:.3f} m   holes filled {figures['mae_filled']:.3f} m   RMSE {figures['rmse']:.3f} m   "
-        f"median {figures['median']:.3f} m   NMAD {figures['nmad']:.3f} m",
-        f"  completeness {100 * figures['completeness']:.2f} % (MAE there {_text(figures['measured']['mae'])} m)   "
-        f"within 1 m {100 * figures['within_1m']:.1f} %   within 2.5 m {100 * figures['within_2_5m']:.1f} %   "
-        f"of {figures['cells']} cells",
-        f"  shift {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up ({figures['registration']['method']})",
-        f"  {step_text(figures)}",
-        f"  scored: {figures['mask']}",
-    ]
-    for name, errors in figures.get("classes", {}).items():
-        if errors["n"]:
-            lines.append(f"  {name:9s} MAE {errors['mae']:.3f} m   median {errors['median']:.3f} m   n {errors['n']}")
-    for name, errors in figures.get("parameters", {}).items():
-        if not errors["n"]:
-            lines.append(f"  {name:9s} no cell was determined: nothing to score")
-            continue
-        lines.append(
-            f"  {name:9s} NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
-            f"one factor {_text(errors['nrmse_scaled'])})   correlation {_text(errors['correlation'])}"
-        )
-    for row in figures.get("points", []):
-        values = (
-            f"{key} {_text(v['map'])} (sample {_text(v['sample'])}, difference {_text(v['difference'])})"
-            for key, v in row["values"].items()
-        )
-        lines.append(f"  {row['name']:9s} " + "   ".join(values))
-    if "psnr" in figures:
-        lines.append("  views     " + "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg")))
-    return "\n".join(lines)
-
-
-def _text(value: float | None) -> str:
-    return "n/a" if value is None else f"{value:.3f}"

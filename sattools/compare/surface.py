@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from sattools.compare.doubts import check_heights, in_feet, of_registration
 from sattools.compare.heights import Rows, errors_of
 from sattools.compare.holes import fill_holes
 from sattools.compare.registration import Registration, register, search_margin, shifted
@@ -16,7 +17,7 @@ from sattools.errors import InputError, SceneError
 from sattools.scene.grid import Grid
 from sattools.scene.raster import raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map, window_around
-from sattools.scene.stored import cut, new_map
+from sattools.scene.stored import cut, new_map, pieces
 from sattools.scene.validity import MEASURED
 
 Method = Literal["ncc", "nuth-kaab", "z", "none"]
@@ -31,12 +32,16 @@ class Comparison:
         difference: [H, W] registered prediction minus reference in metres, on `grid`; NaN = not scored.
         grid: grid of the reference.
         registration: how the prediction was moved.
+        notes: what speaks against that.
+        feet: "surface" or "reference" where that one is in feet by its looks.
     """
 
     figures: dict[str, Any]
     difference: np.ndarray
     grid: Grid
     registration: Registration
+    notes: tuple[str, ...] = ()
+    feet: str | None = None
 
 
 class Surface(Protocol):
@@ -81,7 +86,8 @@ class FiledSurface:
         return str(self.path)
 
     def check(self) -> None:
-        """Raises InputError where a file is no raster, or the two are on different grids."""
+        """Raises InputError where a file is no raster of heights, or the two are on different grids."""
+        check_heights(self.path, one_band=True)
         grid = raster_grid(self.path)
         if self.validity is not None and raster_grid(self.validity) != grid:
             raise InputError(f"{self.validity}: found another grid than the DSM's, expected the same")
@@ -125,6 +131,8 @@ def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", fold
     """
     grid = truth.grid
     reference = truth.scored()
+    if not any(np.isfinite(reference[rows]).any() for rows in pieces(grid.shape)):
+        raise InputError(f"{truth.source}: found no height to score by, expected some ({truth.mask_text()})")
     margin = search_margin(grid.shape) if method in ("ncc", "nuth-kaab") else 0
     around = grid.widened(margin)
     wide, only, found = new_map(around.shape, np.float32, folder), None, False
@@ -140,7 +148,10 @@ def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", fold
             only[rows, cols] = measured
     if not found:
         raise InputError(f"{surface.name}: found no height where the reference {truth.name} lies, expected overlap")
-    shift = register(wide, reference, method, margin)
+    try:
+        shift = register(wide, reference, method, margin)
+    except InputError as error:
+        raise InputError(_named(str(error), surface.name, truth.source)) from None
     complete = fill_holes(wide)
 
     def moved(rows: slice) -> Rows:
@@ -156,7 +167,16 @@ def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", fold
         "reference": truth.name,
         "mask": truth.mask_text(),
     }
-    return Comparison(figures, difference, grid, shift)
+    notes = of_registration(wide, reference, shift, margin, grid)
+    return Comparison(figures, difference, grid, shift, tuple(notes), in_feet(wide, reference, shift, margin))
+
+
+def _named(text: str, surface: str, reference: str) -> str:
+    """What is said of "prediction" and "reference" with their files' names."""
+    for what, name in (("prediction:", f"{surface}:"), ("reference:", f"{reference}:")):
+        if text.startswith(what):
+            return text.replace(what, name, 1).replace("the reference,", f"{reference},")
+    return text
 
 
 __all__ = ["Comparison", "FiledSurface", "HeldSurface", "Method", "Surface", "compare_surface"]

@@ -7,15 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.camera.ground import check_projected
+from sattools.camera.ground import check_projected, utm_crs
+from sattools.compare.doubts import check_heights
 from sattools.compare.heights import WATER
-from sattools.errors import InputError
+from sattools.compare.options import parse_region
+from sattools.errors import InputError, SceneError
 from sattools.scene.datums import horizontal
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.opening import opened
-from sattools.scene.raster import raster_grid, read_image, read_on, read_raster
+from sattools.scene.placement import crs_of, has_grid
+from sattools.scene.raster import raster_grid, read_image, read_raster
 from sattools.scene.stored import cut, map_like, new_map, pieces
+from sattools.scene.warped import ground_grid, read_warped
 
 DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none
 CORRECTED_CLASSES = ("JAX_004", "JAX_260")  # their first class map misses water; users of the contest mask with _v2
@@ -34,6 +38,7 @@ class Truth:
         heights: [H, W] float32 in metres, NaN = not known; from `open_reference`, a map that is read by rows.
         classes: [H, W] uint8 class codes (2 ground, 5 trees, 6 building, 9 water, 17 bridge, 65 unlabelled), or None.
         region: part of the reference that is used, for the report.
+        path: its file, for messages.
     """
 
     name: str
@@ -42,6 +47,12 @@ class Truth:
     heights: np.ndarray
     classes: np.ndarray | None = None
     region: str | None = None
+    path: Path | None = None
+
+    @property
+    def source(self) -> str:
+        """The file's name, else the reference's own."""
+        return str(self.path or self.name)
 
     def scored(self) -> np.ndarray:
         """[H, W] heights [m] of the cells that are scored, known and not water; NaN elsewhere."""
@@ -84,16 +95,8 @@ def _region(grid: Grid, region: str) -> tuple[np.ndarray, np.ndarray]:
         "south": (west, south, east, middle_y),
         "north": (west, middle_y, east, north),
     }
-    if region in halves:
-        box = halves[region]
-    else:
-        try:
-            a, b, c, d = (float(value) for value in region.replace(",", " ").split())
-        except ValueError as error:
-            raise InputError(
-                f"region: found {region!r}, expected west, east, north, south or four numbers W,S,E,N"
-            ) from error
-        box = (a, b, c, d)
+    found = parse_region(region)
+    box = halves[found] if isinstance(found, str) else found
     x, y = grid.x(), grid.y()
     rows, cols = (y >= box[1]) & (y <= box[3]), (x >= box[0]) & (x <= box[2])
     if not (rows.any() and cols.any()):
@@ -118,7 +121,7 @@ def read_dfc2019(folder: Path | str, aoi: str) -> Truth:
     classes = read_image(path)[0]
     if classes.shape != heights.shape:
         raise InputError(f"{path}: found {classes.shape} cells, expected {heights.shape} as in {aoi}_DSM.tif")
-    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path))
+    return Truth(aoi, "dfc2019", grid, heights, _class_codes(classes, path), path=folder / f"{aoi}_DSM.tif")
 
 
 def _check_tile(folder: Path, aoi: str) -> None:
@@ -137,6 +140,9 @@ def _check_tile(folder: Path, aoi: str) -> None:
 def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
     """Any georeferenced DSM as reference, with an optional class map in any grid.
 
+    Its own cells are kept where they are square, in metres. One in degrees, turned or of oblong cells comes onto square
+    ones of about that size, bilinear, classes by the nearest; holes neither grow nor shrink.
+
     A tile of the contest, `<AOI>_DSM.tif` with `<AOI>_DSM.txt` and a class map beside it or without a georeference of
     its own, is read by `read_dfc2019`, its class map included. Raises InputError.
     """
@@ -145,13 +151,16 @@ def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
     return replace(truth, heights=np.asarray(truth.heights), classes=codes)
 
 
-def open_reference(dsm: Path | str, classes: Path | str | None = None, folder: Path | None = None) -> Truth:
+def open_reference(
+    dsm: Path | str, classes: Path | str | None = None, folder: Path | None = None, crs: str | None = None
+) -> Truth:
     """`read_reference` without holding all of a large one: its maps are read by rows.
 
     Args:
         dsm: the file.
         classes: class map, or None.
         folder: for temporary files; None = the system's.
+        crs: projected CRS [m] onto which a reference in degrees comes; None = UTM.
 
     Raises:
         InputError: as `read_reference`.
@@ -161,20 +170,47 @@ def open_reference(dsm: Path | str, classes: Path | str | None = None, folder: P
         aoi = dsm.name.removesuffix("_DSM.tif")
         if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
             return read_dfc2019(dsm.parent, aoi)
-    grid = raster_grid(dsm)
-    try:
-        check_projected(grid.crs)
-    except InputError as error:
-        raise InputError(f"{dsm}: {error}") from None
+    check_heights(dsm, one_band=False)
+    grid, own = _grid_of(dsm, crs)
     heights, codes = new_map(grid.shape, np.float32, folder), None
     for rows, cols in cut(grid.shape):
-        heights[rows, cols] = known_heights(read_raster(dsm, grid.part(rows, cols))[0][0])
+        heights[rows, cols] = _heights_on(dsm, grid.part(rows, cols), own)
     if classes is not None:
         codes = new_map(grid.shape, np.uint8, folder)
         for rows, cols in cut(grid.shape):
-            there = read_on(Path(classes), grid.part(rows, cols), nearest=True)[0]
+            there = read_warped(Path(classes), grid.part(rows, cols), nearest=True)[0]
             codes[rows, cols] = _class_codes(there, Path(classes))
-    return Truth(dsm.stem, "dsm", grid, heights, codes)
+    return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
+
+
+def _grid_of(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
+    """The grid of a reference, and whether it is that of the file's own cells."""
+    own = crs_on_ground(dsm)
+    if own is not None and has_grid(dsm):
+        return raster_grid(dsm), True
+    try:
+        return ground_grid(dsm, lambda lon, lat: own or crs or utm_crs(lon, lat)), False
+    except SceneError as error:
+        raise InputError(f"{dsm}: {error}") from None
+
+
+def crs_on_ground(path: Path) -> str | None:
+    """The CRS of a raster, None where it is in degrees. Raises InputError for one in feet, or unreadable."""
+    with opened(path) as data:
+        crs = crs_of(data, path)
+        if data.crs.is_geographic:
+            return None
+    try:
+        return check_projected(crs)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _heights_on(dsm: Path, where: Grid, own: bool) -> np.ndarray:
+    """Heights ``[h, w]`` [m] of a reference on a part of its `_grid_of`."""
+    if own:
+        return known_heights(read_raster(dsm, where)[0][0])
+    return read_warped(dsm, where, lambda array: known_heights(array[:1]))[0]
 
 
 def _has_classes(folder: Path, aoi: str) -> bool:

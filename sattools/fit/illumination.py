@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
@@ -19,7 +18,7 @@ from sattools.fit.described import Radiance
 from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import SHAPE
 from sattools.fit.materials.scene import ReflectiveScene
-from sattools.fit.options import FitOptions
+from sattools.fit.options import FitOptions, parse_views
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.regrid import resize_map
 from sattools.views import Source
@@ -99,19 +98,18 @@ def views_left_out(scene: Scene, which: str) -> list[str]:
     """Ids of the training images that ``which`` (``all`` or ``nearest-nadir:N``) leaves out.
 
     Raises:
-        SceneError: another text, or an image without its off-nadir angle.
+        InputError: another text.
+        SceneError: an image without its off-nadir angle.
     """
-    if which == "all":
+    count = parse_views(which)
+    if count is None:
         return []
-    match = re.fullmatch(r"nearest-nadir:([1-9]\d*)", which)
-    if not match:
-        raise SceneError(f"--views: found {which!r}, expected all or nearest-nadir:N")
     items = scene.train_items()
     for item in items:
         if item.properties.get("view:off_nadir") is None:
             raise SceneError(f"scene {scene.id}: item {item.id} has no view:off_nadir, expected it for --views {which}")
     items.sort(key=lambda item: float(item.properties["view:off_nadir"]))
-    return [item.id for item in items[int(match[1]) :]]
+    return [item.id for item in items[count:]]
 
 
 def phase_angles(items: Sequence[Item]) -> np.ndarray:

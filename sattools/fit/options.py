@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
+from sattools.errors import InputError
 from sattools.fit.rays.options import RayOptions
 from sattools.settings import option
 
@@ -134,6 +136,17 @@ class FitOptions(RayOptions):
         "Where networks and other fields of rays are trained; auto = on a GPU where there is one. Surfaces: the CPU.",
     )
     resume: bool = option(False, "Continue an interrupted fit from its last checkpoint.")
+
+    def __post_init__(self) -> None:
+        parse_views(self.views)
+
+
+def parse_views(text: str) -> int | None:
+    """How many images are trained on, of ``nearest-nadir:N``; None = ``all``. Raises InputError for another text."""
+    match = re.fullmatch(r"nearest-nadir:([1-9]\d*)", text)
+    if match is None and text != "all":
+        raise InputError(f"--views: found {text!r}, expected all or nearest-nadir:N")
+    return int(match[1]) if match else None
 
 
 __all__ = ["FitOptions"]

@@ -7,7 +7,7 @@ import math
 import re
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,7 @@ from sattools.errors import InputError
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.prep.numbers import Numbers
 from sattools.scene.files import write_with
+from sattools.scene.gdal import rpc_tags
 from sattools.scene.location import RemotePath
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
@@ -122,7 +123,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
     with opened(path) as data:
         size = (data.height, data.width)
         bands, dtype = data.count, str(data.dtypes[0])
-        tags, rpc_tags = data.tags(), data.tags(ns="RPC")
+        tags, found_rpc = data.tags(), rpc_tags(data)
         meanings = tuple(interpretation.name for interpretation in data.colorinterp)
         mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
         masked = any(flags == [MaskFlags.per_dataset] for flags in data.mask_flag_enums)
@@ -130,17 +131,21 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
     metadata = Metadata()
     notes = []
+    misread: dict[Path, InputError] = {}
     own = path.parent if not isinstance(path, RemotePath) else None
     folders = [f for f in (metadata_dir, own) if f is not None]
-    for sidecar in sidecars(path, folders):
+    beside = sidecars(path, folders)
+    for sidecar in beside:
         try:
             part = read_sidecar(sidecar)
-        except InputError:
-            # Beside an image may lie anything; what the user pointed to must be readable.
+        except InputError as error:
+            # Beside an image may lie anything; what the user pointed to must be readable, and what is a camera by its
+            # name: it comes before the image's own tags.
             if metadata_dir is not None and sidecar.parent == metadata_dir:
                 raise
-            if sidecar.suffix.lower() == ".json":
+            if sidecar.suffix.lower() in (".json", ".rpb") or sidecar.stem.lower().endswith("_rpc"):
                 raise
+            misread[sidecar] = error
             notes.append(f"{sidecar.name}: not understood, left aside")
             continue
         if part.size is not None and part.size != size:
@@ -151,17 +156,44 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         metadata = metadata.filled(part)
     metadata = metadata.filled(from_tags(tags, path.stem))
     if metadata.rpc is None:
-        if not rpc_tags:
-            where = f" or a metadata file in {' or '.join(str(f) for f in folders)}" if folders else ""
-            raise InputError(f"{path}: found no RPC, expected RPC tags in the image{where}")
-        metadata.rpc = RPC.from_tags(rpc_tags, source=str(path))
+        metadata.rpc = _camera_of_tags(path, found_rpc, beside, misread, folders)
         metadata.rpc_source = str(path)
     source = SourceImage(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), notes)
     source.meanings, source.mask_like, source.masked = meanings, mask_like, masked
-    if rpc_tags and metadata.rpc_source != str(path):
+    if found_rpc and metadata.rpc_source != str(path):
         with suppress(InputError):  # it is not used
-            source.tags_rpc = RPC.from_tags(rpc_tags, source=str(path))
+            source.tags_rpc = RPC.from_tags(found_rpc, source=str(path))
     return source
+
+
+def _camera_of_tags(
+    path: Path,
+    tags: Mapping[str, str],
+    beside: Sequence[Path],
+    misread: Mapping[Path, InputError],
+    folders: Sequence[Path],
+) -> RPC:
+    """The camera of an image that no metadata file has one for; raises InputError, naming those that were looked at.
+
+    Args:
+        path: of the image.
+        tags: the RPC that GDAL finds, which may be that of a file beside it.
+        beside: metadata files that belong to the image by their names.
+        misread: those of them that were not understood, and why.
+        folders: where they were looked for.
+    """
+    try:
+        if tags:
+            return RPC.from_tags(tags, source=str(path))
+    except InputError:
+        if not misread:
+            raise
+    if misread:
+        file, why = next(iter(misread.items()))
+        raise InputError(f"{why} (and {path.name}, to which {file.name} belongs, has no other RPC)") from None
+    nor = f", nor one in {' or '.join(str(file) for file in beside)}" if beside else ""
+    where = f" or a metadata file in {' or '.join(str(folder) for folder in folders)}" if folders else ""
+    raise InputError(f"{path}: found no RPC{nor}, expected RPC tags in the image{where}")
 
 
 def _two_values(data: DatasetReader, path: Path, band: int) -> bool:

@@ -7,7 +7,6 @@ import math
 from typing import Any
 
 import numpy as np
-from shapely.geometry import mapping
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, ViewAdjustment
@@ -24,7 +23,7 @@ from sattools.prep.images import SourceImage, significant_bits, value_range
 from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
-from sattools.scene.jsonio import JsonObject
+from sattools.scene.globe import outline_on_globe
 from sattools.scene.location import RemotePath
 
 
@@ -118,12 +117,7 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
         "image": Asset(f"images/{source.id}.tif", GEOTIFF_TYPE, ["data"]),
         "rpc": Asset(f"rpc/{source.id}_RPC.TXT", "text/plain", ["metadata"]),
     }
-    return Item(source.id, mapping_lists(polygon), list(polygon.bounds), properties, assets)
-
-
-def mapping_lists(polygon: Any) -> JsonObject:
-    """GeoJSON geometry with lists, as JSON gives them back."""
-    return dict(json.loads(json.dumps(mapping(polygon))))
+    return Item(source.id, *outline_on_globe(list(polygon.exterior.coords)), properties, assets)
 
 
 def tie_point_features(result: Adjustment) -> str:

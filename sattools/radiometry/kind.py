@@ -108,7 +108,7 @@ def image_scales(scene: Scene, items: Sequence[Item], options: NormaliseOptions)
         SceneError: no such folder of metadata, or a scale without its quantity.
         InputError: an image or metadata file that cannot be read.
     """
-    declared = _declared_by_user(options)
+    declared = declared_by_user(options)
     return {item.id: _of_image(scene, item, options, declared) for item in items}
 
 
@@ -154,16 +154,18 @@ def _reason(scale: ImageScale, quantity: str) -> str | None:
     return scale.lacks(quantity == "toa_reflectance")
 
 
-def _declared_by_user(options: NormaliseOptions) -> Declared | None:
+def declared_by_user(options: NormaliseOptions) -> Declared | None:
+    """What the options say of the numbers, None where nothing; SceneError where they make no sense together."""
     if options.scale is None:
         if options.offset:
             raise SceneError("--offset: found it without --scale, expected both")
         return None
+    scale = parse_scale(options.scale)
     if options.quantity in ("auto", "relative"):
         raise SceneError(
             f"--scale: found --quantity {options.quantity}, expected toa_reflectance, reflectance_factor or radiance"
         )
-    return Declared(options.quantity, (parse_scale(options.scale),), (options.offset,), "--scale")
+    return Declared(options.quantity, (scale,), (options.offset,), "--scale")
 
 
 def _of_image(scene: Scene, item: Item, options: NormaliseOptions, declared: Declared | None) -> ImageScale:
@@ -210,4 +212,4 @@ def _calibration(files: Sequence[Path], item: Item) -> list[BandCalibration]:
     return []
 
 
-__all__ = ["REFLECTANCES", "ImageScale", "choose_quantity", "image_scales"]
+__all__ = ["REFLECTANCES", "ImageScale", "choose_quantity", "declared_by_user", "image_scales"]

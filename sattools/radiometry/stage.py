@@ -20,6 +20,7 @@ from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.saturated import NOTED, Conversion
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.dependencies import MADE, begin, may_begin, record, seen
+from sattools.scene.gdal import rpc_tags
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.opening import opened
 from sattools.scene.pixels import ImagePart, image_part
@@ -209,7 +210,7 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
         rpc = RPC.from_file(job.scene.path(item.assets["rpc"].href)).to_tags()
     else:
         with opened(part.path) as source:
-            rpc = source.tags(ns="RPC")
+            rpc = rpc_tags(source)
     names = [str(band["name"]) for band in bands_of]
     write_sensor_blocks(output, part.shape, len(names), blocks.block, rpc, descriptions=names, source_block=part.block)
     conversion = blocks.conversion()

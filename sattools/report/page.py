@@ -7,11 +7,18 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 # the browser itself refuses whatever is not in the page
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_BEGINNING = f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+"""
 _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 100rem; margin: 1.5rem auto; padding: 0 1rem; }
@@ -111,6 +118,16 @@ def render(title: str, sections: Sequence[Section]) -> str:
     return page
 
 
+def may_be_replaced(path: Path) -> bool:
+    """Whether a page may take the place of what is there: nothing that anybody would miss, or a page from here."""
+    try:
+        with open(path, "rb") as file:
+            start = file.read(len(_BEGINNING))
+    except OSError:  # told where it is written
+        return True
+    return not start or start == _BEGINNING.encode()
+
+
 def _page(title: str, sections: Sequence[Section], dpi: int) -> str:
     shown = [section for section in sections if section.parts]
     links = "".join(f'<a href="#s{k}">{escape(section.title)}</a>' for k, section in enumerate(shown))
@@ -120,12 +137,7 @@ def _page(title: str, sections: Sequence[Section], dpi: int) -> str:
         + "\n</div></section>"
         for k, section in enumerate(shown)
     )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
+    return f"""{_BEGINNING}<meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
 <title>{escape(title)}</title>
 <style>{_STYLE}</style>
@@ -174,4 +186,4 @@ def _png(figure: Any, dpi: int) -> bytes:
     return small.getvalue()
 
 
-__all__ = ["Code", "Link", "Picture", "Section", "Table", "render"]
+__all__ = ["Code", "Link", "Picture", "Section", "Table", "may_be_replaced", "render"]

@@ -75,6 +75,13 @@ MADE = "made"  # member of a history entry: stage -> record
 SOURCES = ("prep", "simulate")
 
 
+# what is meant, perhaps, by a file that stands in the place of what a stage left
+_OF_ANOTHER_TOOL = {
+    "prior": "; another tool's surface is named as prior_dsm, with prior_confidence, in a document from before `prior`",
+    "export": "; another tool's surface is scored by `compare --predicted`",
+}
+
+
 def begin(
     scene: Scene, stage: str, outputs: Iterable[str], overwrite: bool, inputs: Iterable[Path] = ()
 ) -> dict[str, Path]:
@@ -202,7 +209,8 @@ def stale(scene: Scene, stage: str) -> str | None:
         changed = [n for n, hash_ in entry["outputs"].items() if n in now and now[n] not in (hash_, None)]
         again = f"expected what `sattools {name}` left (run it again with --overwrite)"
         if changed:
-            return f"found another file for {changed[0]} than the history knows, {again}"
+            other = _OF_ANOTHER_TOOL.get(name, "")
+            return f"found another file for {changed[0]} than the history knows, {again}{other}"
         if _inputs(scene, name, entry["items"]) != entry["inputs"]:
             gone = _gone(scene, name, entry["items"])
             if gone is not None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from sattools.errors import InputError, SceneError
 from sattools.scene.files import make_folder
+from sattools.scene.globe import box_of_all
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject, parse_json, read_text
 from sattools.scene.location import check_allowed, is_remote, location
@@ -173,12 +174,7 @@ class Scene:
             },
         }
         if boxes:
-            document["bbox"] = [
-                min(b[0] for b in boxes),
-                min(b[1] for b in boxes),
-                max(b[2] for b in boxes),
-                max(b[3] for b in boxes),
-            ]
+            document["bbox"] = box_of_all(boxes)
         return document
 
     def to_json(self, root: str | None = None) -> str:

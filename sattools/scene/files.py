@@ -33,7 +33,9 @@ _WHOLE = 256 << 20  # bytes up to which a digest is that of the whole file
 _SAMPLES = 128
 _temporary: set[Path] = set()  # of this process, for the case that an interrupt keeps a cleaning from its work
 _folders: list[tuple[int, Path]] = []  # made by the process of this number, parents first
-_held_back: contextvars.ContextVar[list[tuple[Path, Path]] | None] = contextvars.ContextVar("held_back", default=None)
+# temporary file and its name to be; no temporary one: what has this name goes
+_Waiting = list[tuple[Path | None, Path]]
+_held_back: contextvars.ContextVar[_Waiting | None] = contextvars.ContextVar("held_back", default=None)
 
 
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
@@ -76,6 +78,22 @@ def write_with(path: Path, write: Callable[[Path], None], check: Callable[[Path]
             raise
     except OSError as error:
         raise SattoolsError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def remove(path: Path) -> None:
+    """Remove a file, if it is there: within `all_or_nothing` when the new ones get their names, else at once.
+
+    Raises:
+        SattoolsError: it cannot be removed.
+    """
+    waiting = _held_back.get()
+    if waiting is not None:
+        waiting.append((None, Path(path)))
+        return
+    try:
+        Path(path).unlink(missing_ok=True)
+    except OSError as error:
+        raise SattoolsError(f"{path}: cannot be removed ({error.strerror})") from error
 
 
 @contextmanager
@@ -153,7 +171,7 @@ def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False
         inputs: where given, all files are checked at the end by `check_outputs` with these.
         overwrite: for that check.
     """
-    waiting: list[tuple[Path, Path]] = []
+    waiting: _Waiting = []
     token = _held_back.set(waiting)
     try:
         yield
@@ -162,11 +180,13 @@ def all_or_nothing(inputs: Iterable[Path] | None = None, overwrite: bool = False
         try:
             _rename(waiting)
         except OSError as error:
-            raise SattoolsError(f"{error.filename2}: cannot be written ({error.strerror})") from error
+            what = "written" if error.filename2 else "removed"
+            raise SattoolsError(f"{error.filename2 or error.filename}: cannot be {what} ({error.strerror})") from error
     finally:
         _held_back.reset(token)
         for temporary, _ in waiting:
-            _discard(temporary)
+            if temporary is not None:
+                _discard(temporary)
 
 
 @contextmanager
@@ -189,7 +209,7 @@ def immediately() -> Iterator[None]:
 def written(path: Path) -> Path:
     """Where the content of a file is now: under its temporary name while it is held back, else under its own."""
     path = Path(path)
-    return {target: temporary for temporary, target in _held_back.get() or ()}.get(path, path)
+    return {target: temporary for temporary, target in _held_back.get() or () if temporary}.get(path, path)
 
 
 def digest(path: Path) -> str | None:
@@ -255,13 +275,13 @@ def _check(path: Path, data: memoryview) -> None:
                 raise OSError(5, "found other bytes than were written")
 
 
-def _rename(pairs: list[tuple[Path, Path]]) -> None:
+def _rename(pairs: _Waiting) -> None:
     try:
         _rename_all(pairs)
     except OSError:
         raise
     except BaseException:  # an interrupt among the names: what is half old and half new would be neither
-        _rename_all([(temporary, path) for temporary, path in pairs if temporary.exists()])
+        _rename_all([(temporary, path) for temporary, path in pairs if temporary is None or temporary.exists()])
         raise
     for folder in {path.parent for _, path in pairs}:
         with suppress(OSError):  # not every file system can sync a folder
@@ -272,10 +292,13 @@ def _rename(pairs: list[tuple[Path, Path]]) -> None:
                 os.close(handle)
 
 
-def _rename_all(pairs: list[tuple[Path, Path]]) -> None:
+def _rename_all(pairs: _Waiting) -> None:
     for temporary, path in pairs:
-        os.replace(temporary, path)
-        _temporary.discard(temporary)
+        if temporary is None:
+            path.unlink(missing_ok=True)
+        else:
+            os.replace(temporary, path)
+            _temporary.discard(temporary)
 
 
 def _discard(temporary: Path) -> None:
@@ -348,6 +371,7 @@ __all__ = [
     "immediately",
     "locked",
     "make_folder",
+    "remove",
     "remove_orphans",
     "scratch",
     "together",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import logging
 import os
 import shutil
 import threading
@@ -13,6 +14,9 @@ from pathlib import Path
 
 from rasterio._err import CPLE_BaseError
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
+
+log = logging.getLogger(__name__)
 
 ERRORS = (RasterioError, CPLE_BaseError)  # the second is what closing a file raises, and is not one of the first
 _PIECE = 4 << 20  # bytes: more than may be left where GDAL found too little
@@ -37,6 +41,23 @@ def why_not_written(path: Path, error: Exception) -> OSError:
     # GDAL may have removed the file, and there is room again
     left = shutil.disk_usage(path.parent).free >> 20
     return OSError(5, f"{' '.join(str(error).split())[:200]}; {left} MiB are free now")
+
+
+def rpc_tags(data: DatasetReader) -> dict[str, str]:
+    """The RPC that GDAL finds in an image or in a file beside it; empty where it finds none.
+
+    What it has against a file beside the image waits in its state for the next call, of whatever: it is taken out.
+
+    Args:
+        data: an image.
+    """
+    tags = dict(data.tags(ns="RPC"))
+    for _ in range(2):  # it may have something against several
+        try:
+            data.colorinterp  # noqa: B018  # any call that looks at the state
+        except CPLE_BaseError as error:
+            log.debug("%s: %s", data.name, error)
+    return tags
 
 
 class _Quiet:
@@ -78,4 +99,4 @@ def quiet_libtiff() -> None:
                 ctypes.CDLL(path).TIFFSetErrorHandler(None)
 
 
-__all__ = ["ERRORS", "not_georeferenced", "quiet_libtiff", "why_not_written"]
+__all__ = ["ERRORS", "not_georeferenced", "quiet_libtiff", "rpc_tags", "why_not_written"]

@@ -14,12 +14,13 @@ from rasterio.windows import Window
 
 from sattools.errors import InputError
 from sattools.scene.cog import CogWriter
-from sattools.scene.datums import ELLIPSOID, horizontal, is_solid, vertical_of
+from sattools.scene.datums import ELLIPSOID, is_solid, vertical_of
 from sattools.scene.files import write_bytes
 from sattools.scene.gdal import not_georeferenced
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
+from sattools.scene.placement import grid_of, is_south_up, stored_window
 from sattools.scene.regrid import reproject_map, window_around
 from sattools.scene.values import meant
 
@@ -61,7 +62,9 @@ def write_cog(
 
 
 def read_raster(path: Path, within: Grid | None = None, stored: bool = False) -> tuple[np.ndarray, Grid]:
-    """Read a georeferenced north-up raster, or the part of it that lies within a grid whose edges lie on its cells.
+    """Read a georeferenced raster, or the part of it that lies within a grid whose edges lie on its cells.
+
+    One that is stored from south to north is turned over.
 
     Args:
         path: the file.
@@ -73,22 +76,36 @@ def read_raster(path: Path, within: Grid | None = None, stored: bool = False) ->
         becomes NaN), and its grid.
 
     Raises:
-        InputError: unreadable, without CRS, or not north-up with square cells.
+        InputError: unreadable, without CRS, turned or not of square cells.
     """
     with opened(path) as data:
-        grid = _grid_of(data, path)
+        grid = grid_of(data, path)
         window = None
         if within is not None:
             rows, cols = grid.window(within)
-            window = Window.from_slices(rows, cols)
+            window = stored_window(data, rows, cols)
             grid = grid.part(rows, cols)
         check_memory(
             8.0 * data.count * grid.width * grid.height, f"{path}: {grid.width} x {grid.height} cells", "crop it"
         )
-        array = _read(data, path, window)
-        if not stored:
-            array = meant(array, data, window)
+        array = _read(data, path, window) if stored else read_window(data, path, window)
+        if is_south_up(data):
+            array = array[:, ::-1]
     return array, grid
+
+
+def read_window(data: rasterio.DatasetReader, path: Path, window: Window | None = None) -> np.ndarray:
+    """Some pixels ``[B, H, W]`` of an open file, rows as stored; the numbers as `read_raster` has them.
+
+    Args:
+        data: the file.
+        path: its name, for messages.
+        window: what is read; None = all.
+
+    Raises:
+        InputError: they cannot be read.
+    """
+    return meant(_read(data, path, window), data, window)
 
 
 def read_overview(path: Path, cells: int = 400_000) -> tuple[np.ndarray, Grid]:
@@ -104,13 +121,15 @@ def read_overview(path: Path, cells: int = 400_000) -> tuple[np.ndarray, Grid]:
         InputError: as `read_raster`.
     """
     with opened(path) as data:
-        grid = _grid_of(data, path)
+        grid = grid_of(data, path)
         step = math.ceil(math.sqrt(max(1.0, grid.width * grid.height / cells)))
         if step == 1:
             return read_raster(path)
         rows, cols = grid.height // step, grid.width // step
-        window = Window(0, 0, cols * step, rows * step)
+        window = stored_window(data, slice(0, rows * step), slice(0, cols * step))
         array = _decimated(data, path, window, (rows, cols), np.issubdtype(np.dtype(data.dtypes[0]), np.floating))
+        if is_south_up(data):
+            array = array[:, ::-1]
     return array, Grid(grid.crs, grid.left, grid.top, grid.cell_size * step, cols, rows)
 
 
@@ -183,9 +202,9 @@ def read_around(path: Path, target: Grid) -> tuple[np.ndarray, Grid] | None:
 
 
 def raster_grid(path: Path) -> Grid:
-    """The grid of a georeferenced north-up raster; raises as `read_raster` does."""
+    """The grid of a georeferenced raster; raises as `read_raster` does."""
     with opened(path) as data:
-        return _grid_of(data, path)
+        return grid_of(data, path)
 
 
 def raster_bands(path: Path) -> int:
@@ -212,18 +231,6 @@ def heights_above(path: Path) -> str | None:
     if own is not None:
         return own
     return "ellipsoid" if solid or tag == ELLIPSOID else tag
-
-
-def _grid_of(data: rasterio.DatasetReader, path: Path) -> Grid:
-    transform = data.transform
-    if data.crs is None:
-        raise InputError(f"{path}: found no coordinate reference system, expected a georeferenced raster")
-    if not (data.crs.is_projected or data.crs.is_geographic):
-        name = " ".join(data.crs.to_wkt().split())[:60]
-        raise InputError(f"{path}: found a coordinate reference system of no place on Earth ({name}), expected a map's")
-    if abs(transform.b) > 1e-9 or abs(transform.d) > 1e-9 or abs(transform.a + transform.e) > 1e-6 * abs(transform.a):
-        raise InputError(f"{path}: found a rotated or non-square grid, expected north-up square cells")
-    return Grid(horizontal(data.crs), transform.c, transform.f, transform.a, data.width, data.height)
 
 
 def image_shape(path: Path) -> tuple[int, int]:
@@ -358,6 +365,7 @@ __all__ = [
     "read_overview",
     "read_raster",
     "read_some_pixels",
+    "read_window",
     "sensor_profile",
     "write_cog",
     "write_sensor_image",

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
+from affine import Affine
 
 from sattools.errors import SceneError
 from sattools.scene.grid import Grid
@@ -34,17 +35,36 @@ def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: boo
     """
     if source == target:
         return array.astype(np.float32)
+    return warp_map(array, source.crs, source.transform, target, nearest=nearest)
+
+
+def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, nearest: bool = False) -> np.ndarray:
+    """`reproject_map` of a map with cells of any shape.
+
+    Args:
+        array: ``[H, W]`` or ``[B, H, W]``.
+        crs: its CRS.
+        transform: from (column, row) of cells' corners to that CRS.
+        target: grid to resample to.
+        nearest: take the nearest cell instead of interpolating.
+
+    Returns:
+        ``[h, w]`` or ``[B, h, w]`` float32.
+
+    Raises:
+        SceneError: no transformation between the two CRS is known.
+    """
     from rasterio.enums import Resampling
     from rasterio.warp import reproject
 
     def warp(method: Resampling) -> np.ndarray:
         result = np.full((*array.shape[:-2], *target.shape), np.nan, dtype=np.float32)
-        with _ways(source.crs, target.crs):
+        with _ways(crs, target.crs):
             reproject(
                 array.astype(np.float32),
                 result,
-                src_transform=source.transform,
-                src_crs=source.crs,
+                src_transform=transform,
+                src_crs=crs,
                 src_nodata=np.nan,
                 dst_transform=target.transform,
                 dst_crs=target.crs,
@@ -84,12 +104,17 @@ def bounds_in(crs: str, grid: Grid) -> tuple[float, float, float, float]:
     Raises:
         SceneError: no transformation between the two CRS is known.
     """
-    if grid.crs == crs:
-        return grid.bounds
+    return bounds_of(crs, grid.crs, grid.bounds)
+
+
+def bounds_of(crs: str, own: str, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """`bounds_in` of (west, south, east, north) in a CRS of their own."""
+    if own == crs:
+        return bounds
     from rasterio.warp import transform_bounds
 
-    with _ways(grid.crs, crs):
-        west, south, east, north = transform_bounds(grid.crs, crs, *grid.bounds)
+    with _ways(own, crs):
+        west, south, east, north = transform_bounds(own, crs, *bounds)
     return west, south, east, north
 
 
@@ -215,4 +240,13 @@ def split_cells(array: np.ndarray) -> np.ndarray:
     return array.repeat(2, axis=-2).repeat(2, axis=-1)
 
 
-__all__ = ["bounds_in", "reproject_map", "resize_map", "sample_map", "split_cells", "window_around"]
+__all__ = [
+    "bounds_in",
+    "bounds_of",
+    "reproject_map",
+    "resize_map",
+    "sample_map",
+    "split_cells",
+    "warp_map",
+    "window_around",
+]

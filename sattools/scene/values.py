@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from rasterio.enums import MaskFlags
 from rasterio.io import DatasetReader
@@ -11,6 +13,15 @@ _FEET = {
     **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
     **dict.fromkeys(("us-ft", "usft", "ftus", "us survey foot", "us_survey_foot", "us survey feet"), 1200 / 3937),
 }
+
+
+_METRES = re.compile(r"m|met(er|re)s?\b.*|m[èe]tres?", re.IGNORECASE)
+
+
+def is_length(unit: str | None) -> bool:
+    """Whether a band's unit is one of heights, or says nothing."""
+    text = (unit or "").strip()
+    return text.lower() in ("", "unknown", *_FEET) or _METRES.fullmatch(text) is not None
 
 
 def scale_of(data: DatasetReader, band: int = 0) -> tuple[float, float]:
@@ -60,4 +71,4 @@ def _known(array: np.ndarray, data: DatasetReader, window: Window | None) -> np.
     return None if known is None or known.all() else known
 
 
-__all__ = ["meant", "scale_of"]
+__all__ = ["is_length", "meant", "scale_of"]

@@ -12,6 +12,11 @@ from sattools.simulate.views import SimulatedView
 NAMES = ("red", "green", "blue")
 
 
+def colour_files(name: str) -> tuple[str, str]:
+    """Hrefs of the multispectral image of a view and of its true camera."""
+    return f"colours/{name}_MS.tif", f"truth/rpc/{name}_MS_RPC.TXT"
+
+
 def write_colours(
     scene: Scene, view: SimulatedView, image: np.ndarray, ratio: int, rng: np.random.Generator
 ) -> np.ndarray:
@@ -35,9 +40,10 @@ def write_colours(
     delivered = view.rpc.shifted(*view.bias).cropped(left, top).reduced(ratio)
     taken = {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
     own = np.rint(means).astype(image.dtype)
-    write_sensor_image(scene.output(f"colours/{view.id}_MS.tif"), own, delivered.to_tags(), tags=taken)
-    write_text(scene.output(f"truth/rpc/{view.id}_MS_RPC.TXT"), true.to_rpc_txt())
+    href, camera = colour_files(view.id)
+    write_sensor_image(scene.output(href), own, delivered.to_tags(), tags=taken)
+    write_text(scene.output(camera), true.to_rpc_txt())
     return np.asarray(np.rint(image.mean(axis=0, keepdims=True)).astype(image.dtype))
 
 
-__all__ = ["NAMES", "write_colours"]
+__all__ = ["NAMES", "colour_files", "write_colours"]

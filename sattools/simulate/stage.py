@@ -19,6 +19,7 @@ from sattools.scene.raster import read_raster
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
 from sattools.simulate.detailed import DetailedWorld, leaves_on
+from sattools.simulate.earlier import remove_earlier
 from sattools.simulate.fan import simulate_natural
 from sattools.simulate.files import write_truth
 from sattools.simulate.multispectral import write_colours
@@ -40,7 +41,8 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
 
     Writes `images/` (digital numbers, RPC tags with the bias asked for), `metadata/` (Sat-NeRF JSON with the same
     RPCs), `rpc/` (the true RPCs, which the scene's items use), `truth/` (DSM, classes, albedo on the scene's grid;
-    per view the share of sunlit ground and the height seen). Raises OutputExistsError where a scene is there already.
+    per view the share of sunlit ground and the height seen). What an earlier simulation in that folder has written and
+    this one does not goes. Raises OutputExistsError where a scene is there already.
 
     Args:
         options: of the simulation.
@@ -50,8 +52,14 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     """
     scene = check_start(options, root, overwrite)
     scene.output("scene.json")
-    if options.terrain == "natural":
-        return simulate_natural(scene, options, progress)
+    make = simulate_natural if options.terrain == "natural" else _simulate_town
+    make(scene, options, progress)
+    remove_earlier(scene, bool(options.pan))
+    return scene
+
+
+def _simulate_town(scene: Scene, options: SimulateOptions, progress: Progress) -> Scene:
+    """Fill a scene with buildings on flat ground, or with the ground of `options.dsm`."""
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     progress(0.0, "building")
     grid, world = world_of(options)

@@ -15,6 +15,7 @@ from sattools.processors import threads
 from sattools.progress import Progress
 from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.files import write_text
+from sattools.scene.globe import outline_on_globe
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import write_sensor_image
 from sattools.simulate.camera import Pushbroom
@@ -100,6 +101,17 @@ class Rendered:
     height: np.ndarray
 
 
+def view_files(name: str) -> dict[str, str]:
+    """Hrefs of the files of a view, by its assets."""
+    return {
+        "image": f"images/{name}.tif",
+        "rpc": f"rpc/{name}_RPC.TXT",
+        "metadata": f"metadata/{name}.json",
+        "truth_lit": f"truth/views/{name}_LIT.tif",
+        "truth_height": f"truth/views/{name}_HEIGHT.tif",
+    }
+
+
 def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.ndarray, gsd: float) -> Item:
     """Write the files of one view.
 
@@ -114,13 +126,7 @@ def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.nd
         The view's item.
     """
     delivered = view.rpc.shifted(*view.bias)
-    files = {
-        "image": f"images/{view.id}.tif",
-        "rpc": f"rpc/{view.id}_RPC.TXT",
-        "metadata": f"metadata/{view.id}.json",
-        "truth_lit": f"truth/views/{view.id}_LIT.tif",
-        "truth_height": f"truth/views/{view.id}_HEIGHT.tif",
-    }
+    files = view_files(view.id)
     taken = {"TIFFTAG_DATETIME": view.time.strftime("%Y:%m:%d %H:%M:%S")}
     write_sensor_image(scene.output(files["image"]), rendered.image, delivered.to_tags(), tags=taken)
     write_text(scene.output(files["rpc"]), view.rpc.to_rpc_txt())
@@ -138,15 +144,8 @@ def write_view(scene: Scene, view: SimulatedView, rendered: Rendered, sun: np.nd
         "truth_lit": Asset(files["truth_lit"], GEOTIFF_TYPE, ["truth"]),
         "truth_height": Asset(files["truth_height"], GEOTIFF_TYPE, ["truth"]),
     }
-    lons, lats = [c[0] for c in corners], [c[1] for c in corners]
-    ring = [*corners, corners[0]]
-    return Item(
-        view.id,
-        {"type": "Polygon", "coordinates": [ring]},
-        [min(lons), min(lats), max(lons), max(lats)],
-        _properties(scene, view, rendered.image, sun, gsd),
-        assets,
-    )
+    geometry, box = outline_on_globe([*corners, corners[0]])
+    return Item(view.id, geometry, box, _properties(scene, view, rendered.image, sun, gsd), assets)
 
 
 def _properties(scene: Scene, view: SimulatedView, image: np.ndarray, sun: np.ndarray, gsd: float) -> JsonObject:
@@ -189,4 +188,4 @@ def _footprint(view: SimulatedView, height: float) -> list[list[float]]:
     return [[float(a), float(b)] for a, b in zip(lon, lat, strict=True)]
 
 
-__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "write_view"]
+__all__ = ["BORDER_PX", "Rendered", "SimulatedView", "framed", "take_all", "view_files", "write_view"]

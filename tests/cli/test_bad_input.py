@@ -153,9 +153,15 @@ def test_an_id_that_is_no_name(images: Any, out: Any, name: Any) -> None:
     assert not (out.parent / "escape").exists()
 
 
-def test_nothing_in_common_in_a_crs_of_degrees(images: Any, out: Any) -> None:
-    assert_refused(prep(*images, "--crs", "EPSG:4326", "--out", out), "prep", "EPSG:4326")
-    assert_refused(prep(*images, "--crs", "nonsense", "--out", out), "prep", "nonsense")
+@pytest.mark.parametrize(
+    ("crs", "told"),
+    [("EPSG:4326", "found one that is not projected in metres"), ("nonsense", "found none that is known")],
+)
+def test_a_crs_that_is_none_of_metres_is_wrong_usage(images: Any, out: Any, crs: str, told: str) -> None:
+    result = prep(*images, "--crs", crs, "--out", out)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.splitlines()[-1].startswith(f"Error: CRS '{crs}': {told}")
+    assert not out.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -112,7 +112,7 @@ def test_a_comparison(fitted: Path, make_town: Callable[[str], Scene], tmp_path:
         (["--map", "w=w.tif"], "found no product 'w'"),
         (["--map", "albedo=nowhere.tif"], "nowhere.tif: no such file, expected one for --map albedo"),
         (["--views"], "found no rendered view"),
-        (["--region", "here"], "region: found 'here'"),
+        (["--region", "0 0 1 1"], "region: found no reference cell"),
     ):
         assert why in refused("compare", *options, fitted)
 
@@ -152,7 +152,7 @@ def test_on_a_pipe_of_dry_runs_a_comparison_is_refused_that_could_not_be_made(ma
     (scene.root / "points.csv").write_text("name,x,y\nroof,1,2\n")
     for options, why in (
         (["--truth", scene.root / "nowhere"], "nowhere: no such folder"),
-        (["--region", "here"], "region: found 'here'"),
+        (["--region", "0 0 1 1"], "region: found no reference cell"),
         (["--map", f"w={scene.root}/nowhere.tif"], "nowhere.tif: no such file, expected one for --map w"),
         (["--points", scene.root / "points.csv"], "found no value beside the places"),
     ):

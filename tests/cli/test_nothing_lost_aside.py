@@ -5,6 +5,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -14,6 +15,7 @@ from sattools.progress import Progress
 from sattools.runlog import NAME
 from sattools.scene import Scene
 from sattools.scene.files import locked, write_text
+from sattools.scene.raster import read_raster, write_cog
 from sattools.scene.runner import Step, run_first
 
 
@@ -44,6 +46,18 @@ def test_a_page_does_not_replace_the_document_that_it_shows(make_town: Any, tmp_
     assert result.exit_code == 1
     assert "kept.json: is an input too" in result.stderr
     assert document.read_text() == before
+
+
+@pytest.mark.parametrize("flags", [[], ["--overwrite"]])
+def test_a_page_replaces_no_file_that_is_none(make_town: Any, tmp_path: Path, flags: list[str]) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine")
+    document = make_town().root / "scene.json"
+    refused = run("report", document, "--out", notes, *flags)
+    assert (refused.exit_code, refused.stdout, notes.read_text()) == (1, "", "mine")
+    assert "notes.txt: found a file that is no report of sattools, expected a new name or a report" in refused.stderr
+    notes.write_text("")  # as `mktemp` makes it: nothing is lost
+    assert run("report", document, "--out", notes, "--overwrite").exit_code == 0
 
 
 # ---- stages that are done on the way ------------------------------------------------------------------------------
@@ -192,3 +206,31 @@ def test_a_scene_is_not_made_anew_under_a_command_that_works_on_it(make_town: An
         assert {name: text for name, text in contents(town.root).items() if "tmp-sattools" not in name} == before
     again.join(60)
     assert (town.root / "images/TOWN_001.tif").read_text() == "new"
+
+
+# ---- another tool's surface ---------------------------------------------------------------------------------------
+
+
+def test_another_tools_surface_is_fitted_from_where_no_prior_has_run(make_town: Any) -> None:
+    town = make_town()
+    heights, grid = read_raster(town.path("truth/TOWN_DSM.tif"))
+    write_cog(town.root / "theirs.tif", heights, grid)
+    write_cog(town.root / "trust.tif", np.full(grid.shape, 0.9, np.float32), grid)
+    town.products |= {"prior_dsm": "theirs.tif", "prior_confidence": "trust.tif"}
+    town.write()
+    document = town.root / "scene.json"
+    done = run("fit", "--resolution", "2", "--coarsest", "2", "--epochs", "2", document)
+    assert done.exit_code == 0, done.stderr
+    assert not (town.root / "prior").exists()
+    assert Scene.from_file(document).products["prior_dsm"] == "theirs.tif"
+
+
+def test_another_surface_in_place_of_a_priors_is_refused_with_the_way_to_use_it(make_town: Any) -> None:
+    town = make_town()
+    document = town.root / "scene.json"
+    assert run("prior", "--resolution", "2", document).exit_code == 0
+    shutil.copy(town.path("truth/TOWN_DSM.tif"), town.root / "prior/dsm.tif")
+    refused = run("fit", "--resolution", "2", "--coarsest", "2", "--epochs", "2", document)
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "found another file for prior_dsm than the history knows" in refused.stderr
+    assert "named as prior_dsm, with prior_confidence, in a document from before `prior`" in refused.stderr

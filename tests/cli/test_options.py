@@ -139,3 +139,24 @@ def test_memory_for_nothing_is_wrong_usage() -> None:
     result = CliRunner().invoke(main, ["--max-memory", "1", "info"])
     assert result.exit_code == 2
     assert "1.0 is not in the range x>=100" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["export", "--products", "foo"], "--products: found 'foo', expected some of dsm"),
+        (["export", "--sun", "120", "-40"], "--sun: found azimuth 120 and elevation -40"),
+        (["fit", "--views", "foo"], "--views: found 'foo', expected all or nearest-nadir:N"),
+        (["compare", "--region", "foo"], "--region: found 'foo', expected west, east, north, south or four numbers"),
+        (["compare", "--map", "x"], "--map: found 'x', expected NAME=FILE"),
+        (["prep", "--crs", "foo", "a.tif"], "CRS 'foo': found none that is known"),
+        (["normalise", "--scale", "abc"], "--scale: found 'abc', expected a positive number or a fraction"),
+        (["normalise", "--scale", "0.1"], "--scale: found --quantity auto, expected toa_reflectance"),
+        (["simulate", "--terrain", "natural", "--pan", "2"], "--pan: found natural ground, expected a city"),
+    ],
+)
+def test_what_the_command_line_alone_shows_to_be_wrong_is_wrong_usage(arguments: list[str], told: str) -> None:
+    """Status 2, whatever scene would come: there is none here."""
+    result = CliRunner().invoke(main, arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.splitlines()[-1].startswith(f"Error: {told}")

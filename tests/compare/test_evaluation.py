@@ -165,9 +165,9 @@ def test_a_spoilt_evaluation_is_one_line(call: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "code", "message"),
     [
-        (["--fit", "Hpk=x.json"], 1, "'Hpk' twice"),
+        (["--fit", "Hpk=x.json"], 2, "'Hpk' twice"),
         (["--fit", "truth=nowhere.json"], 1, "nowhere.json"),
-        (["--fit", "nonsense"], 1, "expected NAME=FILE"),
+        (["--fit", "nonsense"], 2, "expected NAME=FILE"),
         (["--predicted", "x.tif"], 2, "expected one of them"),
     ],
 )

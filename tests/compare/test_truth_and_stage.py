@@ -133,12 +133,6 @@ def test_no_data_values_of_a_reference_become_nan(tmp_path: Path) -> None:
     assert np.isfinite(truth.heights[10:]).all()
 
 
-def test_geographic_reference_is_refused(tmp_path: Path) -> None:
-    write_cog(tmp_path / "ref.tif", np.zeros((20, 20), np.float32), Grid("EPSG:4326", -81.0, 30.0, 1e-5, 20, 20))
-    with pytest.raises(InputError, match="projected"):
-        read_reference(tmp_path / "ref.tif")
-
-
 def test_class_map_of_another_grid_is_carried_over_by_nearest_cell(tmp_path: Path) -> None:
     write_cog(tmp_path / "ref.tif", city(), GRID)
     classes = np.repeat(np.array([[2, 6]], np.uint8), 40, axis=1).repeat(80, axis=0)

@@ -174,12 +174,15 @@ def test_the_page_links_the_log(make_town: Any) -> None:
 
 
 def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
-    (finished.root / "report.html").write_text("mine")
-    refused = run(finished.root / "scene.json")
+    page = finished.root / "report.html"
+    assert run(finished.root).exit_code == 0
+    page.write_text(page.read_text() + "<!-- mine -->")
+    refused = run(finished.root)
     assert refused.exit_code == 1
     assert "exists already; give --overwrite" in refused.stderr
-    assert (finished.root / "report.html").read_text() == "mine"
-    assert run(finished.root / "scene.json", "--overwrite").exit_code == 0
+    assert page.read_text().endswith("<!-- mine -->")
+    assert run(finished.root, "--overwrite").exit_code == 0
+    assert not page.read_text().endswith("<!-- mine -->")
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from sattools.scene.files import (
     check_outputs,
     digest,
     locked,
+    remove,
     remove_orphans,
     write_bytes,
     write_figure,
@@ -136,6 +137,23 @@ def test_files_appear_together_at_the_end(tmp_path: Path) -> None:
         assert not [name for name in names(tmp_path) if not name.startswith(".")]
         assert digest(tmp_path / "a.txt") == "ca978112ca1bbdcafac231b39a23dc4da786eff8147c4e72b9807785afee48bb"
     assert names(tmp_path) == ["a.txt", "b.txt"]
+
+
+def test_a_file_that_goes_stays_until_the_new_ones_appear(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.txt", tmp_path / "new.txt"
+    old.write_text("old")
+    with pytest.raises(SattoolsError), all_or_nothing():  # noqa: PT012
+        remove(old)
+        write_text(tmp_path, "a folder")
+    assert old.read_text() == "old"
+    with all_or_nothing():
+        remove(old)
+        write_text(new, "new")
+        assert (old.exists(), new.exists()) == (True, False)
+    assert (old.exists(), new.exists()) == (False, True)
+    with pytest.raises(OutputIsInputError), all_or_nothing([new], overwrite=True):
+        remove(new)
+    assert new.exists()
 
 
 def test_a_failure_at_the_last_file_leaves_the_first_as_it_was(tmp_path: Path) -> None:

@@ -177,6 +177,30 @@ def test_an_existing_scene_is_not_replaced_unasked(tmp_path: Path) -> None:
         simulate(SimulateOptions(), tmp_path / "s/SIM_001")
 
 
+def test_views_of_an_earlier_world_go_with_it_and_files_of_others_stay(tmp_path: Path) -> None:
+    """`prep X/images` reads the whole folder and would mix two worlds."""
+
+    def made(*more: str) -> Any:
+        world = ["simulate", "--out", str(tmp_path), "--id", "X", "--size", "32", "--gsd", "1"]
+        return CliRunner().invoke(main, [*world, *more])
+
+    def names(folder: str) -> list[str]:
+        return sorted(path.name for path in (tmp_path / "X" / folder).iterdir())
+
+    assert made("--views", "3", "--pan", "2").exit_code == 0
+    (tmp_path / "X/images/mine_003.tif").write_text("mine")
+    (tmp_path / "X/images/X_003.tif.aux.xml").write_text("of another program")
+    before = digest(tmp_path / "X/images")
+    assert made("--views", "0", "--overwrite").exit_code != 0  # nothing new: nothing goes
+    assert digest(tmp_path / "X/images") == before
+    assert made("--views", "2", "--overwrite").exit_code == 0
+    assert names("images") == ["X_001.tif", "X_002.tif", "X_003.tif.aux.xml", "mine_003.tif"]
+    assert names("metadata") == ["X_001.json", "X_002.json"]
+    assert names("rpc") == ["X_001_RPC.TXT", "X_002_RPC.TXT"]
+    assert names("truth/views") == ["X_001_HEIGHT.tif", "X_001_LIT.tif", "X_002_HEIGHT.tif", "X_002_LIT.tif"]
+    assert names("colours") == names("truth/rpc") == []
+
+
 def test_simulation_imports_nothing_of_the_renderer_that_it_tests() -> None:
     folder = Path(sattools.simulate.__file__).parent
     imported = set()

@@ -16,6 +16,7 @@ from sattools.scene.datums import horizontal, vertical_of
 from sattools.scene.dependencies import STAGES, names_of
 from sattools.scene.document import COG_TYPE
 from sattools.scene.files import write_text, written
+from sattools.scene.globe import outline_on_globe
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.opening import opened
@@ -73,7 +74,7 @@ def write_collection(scene: Scene, grid: Grid) -> None:
         for name, href in scene.products.items()
         if name in made
     }
-    box, ring = _place(grid)
+    outline, box = _place(grid)
     times = sorted(str(t) for t in (item.properties.get("datetime") for item in scene.items) if t)
     collection = {
         "type": "Collection",
@@ -98,7 +99,7 @@ def write_collection(scene: Scene, grid: Grid) -> None:
             "stac_extensions": _extensions(assets),
             "id": scene.id,
             "collection": collection["id"],
-            "geometry": {"type": "Polygon", "coordinates": [ring]},
+            "geometry": outline,
             "bbox": box,
             "properties": {
                 "datetime": times[0] if times[0] == times[-1] else None,
@@ -178,15 +179,15 @@ def _band(text: str, length: str | None) -> JsonObject:
     return band
 
 
-def _place(grid: Grid) -> tuple[list[float], list[list[float]]]:
-    """Bounding box and outline of a grid in degrees."""
+def _place(grid: Grid) -> tuple[JsonObject, list[float]]:
+    """Outline and bounding box of a grid in degrees."""
     west, south, east, north = grid.bounds
     t = np.linspace(0.0, 1.0, 5)[:-1]
     x = np.concatenate([west + t * (east - west), 0 * t + east, east - t * (east - west), 0 * t + west])
     y = np.concatenate([0 * t + south, south + t * (north - south), 0 * t + north, north - t * (north - south)])
     lon, lat = (np.round(np.asarray(v), 7) for v in to_geographic(grid.crs, x, y))
     ring = [[float(a), float(b)] for a, b in zip(lon, lat)]
-    return [float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())], [*ring, ring[0]]
+    return outline_on_globe([*ring, ring[0]])
 
 
 __all__ = ["COLLECTION", "ITEM", "PRODUCTS", "write_collection"]

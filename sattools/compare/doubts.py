@@ -1,0 +1,134 @@
+"""What speaks against a comparison: numbers that are no heights in metres, registrations that lead away."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rasterio.enums import ColorInterp
+
+from sattools.compare.registration import Registration, shifted
+from sattools.errors import InputError
+from sattools.scene.grid import Grid
+from sattools.scene.opening import opened
+from sattools.scene.stored import pieces
+from sattools.scene.values import is_length
+
+FEET = 1 / 0.3048  # in a metre
+ALIKE, AS_LARGE = 0.9, 1.15  # correlation of two surfaces, and by what factor their ratio may be another than feet's
+RELIEF_M = 0.5  # standard deviation of a surface from which that can be told
+SAMPLED = 1_000_000  # cells that are looked at
+WORSE, LEAST_WORSE_M = 1.05, 0.01  # times what is left without a registration, and so much more: not chance
+FAR_M, FAR_SHARE = 10.0, 0.25  # metres, share of the smaller side: no camera of a delivered image is off like that
+
+
+def check_heights(path: Path, one_band: bool) -> None:
+    """Raise InputError where a file says itself that it has no heights.
+
+    Args:
+        path: the file.
+        one_band: whether more bands than one (and transparency) say so.
+    """
+    with opened(path) as data:
+        count = sum(kind != ColorInterp.alpha for kind in data.colorinterp)
+        unit = data.units[0]
+    if one_band and count > 1:
+        raise InputError(f"{path}: found {count} bands, expected one of heights [m]")
+    if not is_length(unit):
+        raise InputError(f"{path}: found numbers in the unit {unit[:40]!r}, expected heights in metres or feet")
+
+
+def in_feet(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int) -> str | None:
+    """Which of "surface" and "reference" is in feet without saying so; None where neither is.
+
+    One varies as much more than the other as feet do, and alike: bad heights do the first at most. Arguments as of
+    `of_registration`.
+    """
+    found = []
+    for rows, step in _some(reference.shape):
+        part = shifted(wide, shift.columns, shift.rows, margin, rows)[::step], reference[rows][::step]
+        known = np.isfinite(part[0]) & np.isfinite(part[1])
+        found.append([values[known].astype(np.float64) for values in part])
+    surface, own = (np.concatenate(values) for values in zip(*found, strict=True))
+    if not own.size:
+        return None
+    spread, own_spread = float(surface.std()), float(own.std())
+    if min(spread, own_spread) < RELIEF_M or np.corrcoef(surface, own)[0, 1] < ALIKE:
+        return None
+    ratio = max(own_spread, spread) / min(own_spread, spread) / FEET
+    if not 1 / AS_LARGE < ratio < AS_LARGE:
+        return None
+    return "reference" if own_spread > spread else "surface"
+
+
+def check_metres(feet: str | None, name: str, reference: str) -> None:
+    """Raise InputError, naming the file, for what `in_feet` finds.
+
+    Args:
+        feet: see there.
+        name: of the surface.
+        reference: its name.
+    """
+    if feet is not None:
+        raise InputError(
+            f"{reference if feet == 'reference' else name}: found heights that are {FEET:.2f} times the other "
+            "surface's, as feet are, expected metres (or a file that says its unit: gdal_edit.py -units ft)"
+        )
+
+
+def of_registration(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int, grid: Grid) -> list[str]:
+    """Reasons not to believe a horizontal shift; none where there are none.
+
+    Args:
+        wide: ``[H + 2 margin, W + 2 margin]`` the surface [m], read by rows.
+        reference: ``[H, W]`` heights [m]; NaN = not scored.
+        shift: of the surface.
+        margin: see above.
+        grid: of the reference.
+    """
+    if shift.method not in ("ncc", "nuth-kaab") or not (shift.columns or shift.rows):
+        return []
+    east, north, _ = shift.metres(grid.cell_size)
+    reasons = []
+    limit = min(FAR_M, FAR_SHARE * min(grid.shape) * grid.cell_size)
+    if math.hypot(east, north) > limit:
+        reasons.append(f"more than {limit:.1f} m")
+    here = _left(wide, reference, Registration(0.0, 0.0, 0.0, "none"), margin)
+    there = _left(wide, reference, shift, margin)
+    names = ("median", "mean")
+    worse = [k for k in range(2) if there[k] > WORSE * here[k] + LEAST_WORSE_M]
+    reasons += [
+        f"the {names[k]} absolute deviation from the median error is {there[k]:.2f} m, {here[k]:.2f} m without it"
+        for k in worse
+    ]
+    if not reasons:
+        return []
+    return [
+        f"registration by {shift.method} moves the surface {east:+.1f} m east and {north:+.1f} m north, which is "
+        f"doubtful: {'; '.join(reasons)}; --register z or none scores it where it is"
+    ]
+
+
+def _left(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int) -> tuple[float, float]:
+    """Median and mean absolute deviation from the median error [m]; infinite without a cell in common."""
+    errors = []
+    for rows, step in _some(reference.shape):
+        apart = (shifted(wide, shift.columns, shift.rows, margin, rows) - reference[rows])[::step]
+        errors.append(apart[np.isfinite(apart)].astype(np.float64))
+    values = np.concatenate(errors)
+    if not values.size:
+        return math.inf, math.inf
+    apart = np.abs(values - np.median(values))
+    return float(np.median(apart)), float(apart.mean())
+
+
+def _some(shape: tuple[int, ...]) -> Iterator[tuple[slice, int]]:
+    """Pieces of a map, and the step at which rows of them are looked at: no more than about `SAMPLED` cells."""
+    step = math.ceil(shape[0] * shape[1] / SAMPLED)
+    for rows in pieces((shape[0], shape[1])):
+        yield rows, step
+
+
+__all__ = ["check_heights", "check_metres", "in_feet", "of_registration"]

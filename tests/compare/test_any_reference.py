@@ -1,0 +1,96 @@
+"""References as others deliver them: in degrees, with oblong cells, stored from south to north."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from rasterio.enums import Resampling
+from rasterio.warp import reproject, transform_bounds
+
+from sattools.change.surfaces import read_surface
+from sattools.cli import main
+from sattools.compare.truth import open_reference, read_reference
+from sattools.scene import Grid
+from sattools.scene.raster import read_on, read_overview, read_raster, write_cog
+
+GRID = Grid("EPSG:32617", 436000.0, 3357800.0, 1.0, 80, 60)
+SLOPE = np.add.outer(0.25 * np.arange(60), 0.5 * np.arange(80)).astype(np.float32)
+CLASSES = np.repeat(np.array([[2, 6]], np.uint8), 40, axis=1).repeat(60, axis=0)
+
+
+def stored(path: Path, array: np.ndarray, transform: rasterio.Affine, crs: str, **more: Any) -> Path:
+    height, width = array.shape
+    about: dict[str, Any] = {"width": width, "height": height, "count": 1, "dtype": array.dtype, "crs": crs, **more}
+    with rasterio.open(path, "w", driver="GTiff", transform=transform, **about) as data:
+        data.write(array, 1)
+    return path
+
+
+def south_up(path: Path, array: np.ndarray) -> Path:
+    _, south, _, _ = GRID.bounds
+    return stored(path, array[::-1], rasterio.Affine(1, 0, GRID.left, 0, 1, south), GRID.crs)
+
+
+def in_degrees(path: Path, array: np.ndarray, oblong: float = 1.0) -> Path:
+    """As `gdalwarp -t_srs EPSG:4326` makes it; with cells so many times as wide as high where asked for."""
+    west, south, east, north = transform_bounds(GRID.crs, "EPSG:4326", *GRID.bounds)
+    cell = 1e-5
+    width, height = round((east - west) / cell / oblong), round((north - south) / cell)
+    transform = rasterio.Affine(oblong * cell, 0, west, 0, -cell, north)
+    nodata: float = -9999.0 if array.dtype == np.float32 else 255
+    there = np.full((height, width), nodata, array.dtype)
+    reproject(
+        array, there, src_transform=GRID.transform, src_crs=GRID.crs, src_nodata=np.nan if nodata < 0 else 255,
+        dst_transform=transform, dst_crs="EPSG:4326", dst_nodata=nodata,
+        resampling=Resampling.bilinear if nodata < 0 else Resampling.nearest,
+    )  # fmt: skip
+    return stored(path, there, transform, "EPSG:4326", nodata=nodata)
+
+
+def compared(*arguments: Any) -> Any:
+    result = CliRunner().invoke(main, ["compare", *map(str, arguments)])
+    assert result.exit_code == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_a_reference_stored_from_south_to_north_is_turned_over(tmp_path: Path) -> None:
+    path = south_up(tmp_path / "up.tif", SLOPE)
+    truth = read_reference(path, south_up(tmp_path / "classes.tif", CLASSES))
+    assert truth.grid == GRID
+    np.testing.assert_array_equal(truth.heights, SLOPE)
+    np.testing.assert_array_equal(truth.classes, CLASSES)
+    np.testing.assert_array_equal(read_surface(str(path)).height, SLOPE)  # a date of `change`
+    part = GRID.part(slice(5, 9), slice(3, 10))
+    np.testing.assert_array_equal(read_raster(path, part)[0][0], SLOPE[5:9, 3:10])
+    np.testing.assert_array_equal(read_on(path, part)[0], SLOPE[5:9, 3:10])
+    small, grid = read_overview(path, cells=1200)
+    assert (grid.top, grid.cell_size, small.shape) == (GRID.top, 2.0, (1, 30, 40))
+    assert small[0, 0, 0] == pytest.approx(SLOPE[:2, :2].mean())
+
+
+@pytest.mark.parametrize("oblong", [1.0, 2.0])
+def test_a_reference_in_degrees_comes_onto_the_scenes_crs(tmp_path: Path, oblong: float) -> None:
+    heights = SLOPE.copy()
+    heights[20:30, 30:45] = np.nan
+    write_cog(tmp_path / "dsm.tif", SLOPE, GRID)
+    reference = in_degrees(tmp_path / "degrees.tif", heights, oblong)
+    classes = in_degrees(tmp_path / "classes.tif", CLASSES, oblong)
+    figures = compared(
+        "--predicted", tmp_path / "dsm.tif", "--dsm", reference, "--classes", classes, "--register", "none"
+    )
+    # resampled twice; beside the hole and the edge a bilinear value leans on what is there
+    assert figures["mae"] < 0.05 * oblong
+    assert figures["completeness"] == pytest.approx(1.0, abs=0.03)
+    assert set(figures["classes"]) == {"ground", "trees", "buildings"}
+    truth = open_reference(reference, classes, crs=GRID.crs)
+    assert truth.grid.crs == "EPSG:32617"
+    inside = truth.heights[truth.grid.window(GRID.part(slice(5, 55), slice(5, 75)))]
+    assert np.isnan(inside).sum() * truth.grid.cell_size**2 == pytest.approx(
+        150, abs=40
+    )  # m2: neither grown nor shrunk
+    assert truth.classes is not None
+    assert set(np.unique(truth.classes)) <= {2, 6, 65, 255}
