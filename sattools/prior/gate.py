@@ -38,13 +38,13 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     items = scene.train_items()
     may_begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
-    grid = grids(scene, items, options)[1]
-    warn_of_window(scene, grid, options)
+    grid, fine = grids(scene, items, options)
+    warn_of_window(scene, fine, options)
     z_range = scene.require_height_range()
     images = open_images(scene, items)
-    if grid.width * grid.height <= AT_ONCE:
+    if fine.width * fine.height <= AT_ONCE:
         check_extent(grid)
-    slopes = [line_of_sight(camera, grid, z_range[0], z_range)[0] for camera in images.cameras]
+    slopes = [line_of_sight(camera, fine, z_range[0], z_range)[0] for camera in images.cameras]
     if not len(choose_pairs(slopes, [None] * len(items), options.pairs)):
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
 

@@ -67,8 +67,8 @@ def prior(
     if sources is None and fine.width * fine.height > AT_ONCE:
         found = match_tiles(scene, items, fine, options, part)
     else:
+        check_extent(grid)
         sources = load_sources(replace(scene, grid=fine), items) if sources is None else sources
-        check_extent(fine)
         found = match_area(sources, fine, z_range, options, part)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")

@@ -1,6 +1,7 @@
 """What a command will take is said before it begins: in a dry run, on a terminal, and in the scene's log."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +122,8 @@ def test_what_is_said_is_what_was_measured(
     scene, told = Scene.from_json(town_source.to_json()), []
     cell, edge = (1.0, 91.0) if images == 3 else (0.5, 74.3)
     scene.grid, scene.height_range_m = Grid("EPSG:32617", 0.0, 0.0, cell, cells, 1), (0.0, edge)
-    monkeypatch.setattr(scene, "train_items", lambda: [None] * images)
+    item = replace(scene.items[0], properties={})  # of pixels that suit the cells, whatever these are
+    monkeypatch.setattr(scene, "train_items", lambda: [item] * images)
     monkeypatch.setattr(plans, "takes", lambda memory, cpu_s: told.append(cpu_s) or "")
     plan(scene)
     assert told[0] == pytest.approx(seconds, rel=0.25)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from sattools.camera.view_direction import ViewDirection
-from sattools.errors import SceneError
+from sattools.errors import InputError, SceneError
 from sattools.fit.checkpoint import load
 from sattools.fit.illumination import LEAST_KNOWN, light_scale, phase_angles, radiance_kind, views_left_out
 from sattools.fit.materials.blocks import blocks_of
@@ -164,7 +164,7 @@ def test_views_near_the_nadir_are_chosen_and_the_others_held_out(source: Any) ->
         item.properties["sattools:role"] = "train"
     left_out = views_left_out(scene, "nearest-nadir:3")
     assert [i.id[-3:] for i in scene.items if i.id not in left_out] == ["004", "005", "006"]
-    with pytest.raises(SceneError, match="nearest-nadir:N"):
+    with pytest.raises(InputError, match="nearest-nadir:N"):
         views_left_out(scene, "nearest-nadir:some")
 
 
