@@ -22,7 +22,7 @@ from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.regrid import resize_map
 from sattools.scene.stored import pieces
-from sattools.views import Source, load_sources
+from sattools.views import Source, load_sources, open_images
 from sattools.views.check import check_extent
 
 log = logging.getLogger(__name__)
@@ -67,8 +67,9 @@ def prior(
     if sources is None and fine.width * fine.height > AT_ONCE:
         found = match_tiles(scene, items, fine, options, part)
     else:
+        images = open_images(scene, items)  # which looks at the scene's own grid
         check_extent(grid)
-        sources = load_sources(replace(scene, grid=fine), items) if sources is None else sources
+        sources = load_sources(replace(scene, grid=fine), items, images) if sources is None else sources
         found = match_area(sources, fine, z_range, options, part)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
