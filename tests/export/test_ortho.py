@@ -22,7 +22,7 @@ from sattools.export.stage import export
 from sattools.fit.model import FittedModel
 from sattools.progress import silent
 from sattools.scene import Scene
-from sattools.scene.raster import read_raster
+from sattools.scene.raster import read_raster, write_cog
 from sattools.scene.validity import MEASURED
 
 COARSE = 2  # the model's cells over the images' pixels
@@ -158,8 +158,6 @@ def test_blocks_leave_no_trace(exported: Scene, tmp_path: Path, monkeypatch: pyt
 def test_heights_above_a_geoid_give_the_same_photo(
     exported: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from sattools.scene.raster import write_cog
-
     height, grid = read_raster(exported.path(exported.products["dsm"]))
     write_cog(tmp_path / "dsm.tif", height + 28.0, grid, vertical="EPSG:5773")
     maps = Maps.of({"dsm": tmp_path / "dsm.tif", "albedo": exported.path(exported.products["albedo"])})
@@ -178,6 +176,31 @@ def test_images_that_differ_in_gain_and_haze_are_balanced_and_their_shadows_lift
     shown = Shown(radiance.reshape(1, 40, 50), np.ones((40, 50)), lit.reshape(40, 50))
     assert found.albedo(shown).ravel() == pytest.approx(albedo.ravel(), abs=0.4)
     assert np.median(np.abs(found.albedo(shown).ravel() - albedo.ravel())) < 1e-6
+
+
+def test_no_image_has_more_haze_than_its_darkest_pixels_and_no_ground_is_darker_than_black() -> None:
+    rng = np.random.default_rng(1)
+    albedo = np.r_[rng.normal(0.3, 0.01, 1000), np.full(1000, 0.3)][None]  # ground of one brightness tells no line
+    lit = np.r_[np.ones(1000), np.zeros(1000)]
+    radiance = np.where(lit == 1, 0.25, 0.08) + rng.normal(0, 0.01, 2000)[None]
+    found = balance_of(np.concatenate([radiance, albedo, lit[None]]), 1)
+    assert found.offset[0] == pytest.approx(np.percentile(radiance, 0.05))  # not 0.25, as a line through the lit has it
+    assert found.gain[0] == pytest.approx((0.25 - found.offset[0]) / 0.3, rel=0.02)
+    darker = Shown(np.full((1, 1, 1), -0.5), np.ones((1, 1)), np.ones((1, 1)))
+    assert found.albedo(darker).tolist() == [[[0.0]]]
+
+
+def test_its_bands_are_those_that_were_fitted_in_their_order(exported: Scene, tmp_path: Path) -> None:
+    photo, _, _ = photo_of(exported)
+    albedo, grid = read_raster(exported.path(exported.products["albedo"]))
+    write_cog(tmp_path / "albedo.tif", albedo[[2, 0]], grid)
+    maps = Maps.of({"dsm": exported.path(exported.products["dsm"]), "albedo": tmp_path / "albedo.tif"})
+    files = tmp_path / "a.tif", tmp_path / "b.tif"
+    write_ortho(exported, replace(model_of(exported), bands=["3", "1"]), maps, files, "ellipsoid", silent)
+    found, _ = read_raster(files[0])
+    # haze is looked for in all bands together, so what is dark differs a little
+    assert np.nanmedian(np.abs(found - photo[[2, 0]])) < 0.002
+    assert np.nanmedian(np.abs(found - photo[[0, 2]])) > 0.006  # red and blue of a town are not far apart
 
 
 def test_haze_is_not_lifted_together_with_the_shadows() -> None:

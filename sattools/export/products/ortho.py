@@ -74,7 +74,8 @@ class Balance:
         bright = (shown.value - self.offset[at]) / self.gain[at]
         light = shown.lit + (1 - shown.lit) * self.shade[at]
         lifted = (bright - self.haze[at]) / light + self.haze[at]
-        return np.asarray(np.where((lifted <= self.brightest[at]).all(axis=0), lifted, bright))
+        # darker than the darkest that the balance knew: nothing is less than black
+        return np.maximum(np.where((lifted <= self.brightest[at]).all(axis=0), lifted, bright), 0.0)
 
 
 def write_ortho(
@@ -271,7 +272,8 @@ def balance_of(samples: np.ndarray, bands: int) -> Balance:
         bands: their number C.
     """
     albedo, sunny = samples[bands : 2 * bands], samples[-1] > 0.5
-    gain, offset = _lines(samples[:, sunny], bands)
+    darkest = np.percentile(samples[:bands], _DARKEST_PIXELS, axis=1) if samples.size else np.zeros(bands)
+    gain, offset = _lines(samples[:, sunny], bands, darkest)
     unknown = ~np.isfinite(gain) | (gain <= 0)
     gain, offset = np.where(unknown, 1.0, gain), np.where(unknown, 0.0, offset)
     brightest = np.percentile(albedo, _BRIGHT, axis=1) if albedo.size else np.full(bands, np.inf)
@@ -323,8 +325,12 @@ def with_usual_shadows(balances: Sequence[Balance]) -> list[Balance]:
     return [b if np.isfinite(b.shade).all() else replace(b, shade=usual) for b in balances]
 
 
-def _lines(samples: np.ndarray, bands: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and offset ``[C]`` of radiance over albedo, outliers left out; NaN where too few points say."""
+def _lines(samples: np.ndarray, bands: int, darkest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and offset ``[C]`` of radiance over albedo, outliers left out; NaN where too few points say.
+
+    Where nothing is there but light of the air, an image shows its offset, so none is above its darkest pixels
+    (``darkest`` [C]), whatever a line through few brightnesses says.
+    """
     gain, offset = np.full(bands, np.nan), np.full(bands, np.nan)
     if samples.shape[1] < _FEWEST:
         return gain, offset
@@ -335,6 +341,9 @@ def _lines(samples: np.ndarray, bands: int) -> tuple[np.ndarray, np.ndarray]:
             gain[b], offset[b] = np.polyfit(albedo[kept], value[kept], 1)
             left = np.abs(value - gain[b] * albedo - offset[b])
             kept = left <= max(3.0 * 1.4826 * float(np.median(left)), 1e-6)
+        if offset[b] > darkest[b]:
+            offset[b] = darkest[b]
+            gain[b] = float((value[kept] - offset[b]) @ albedo[kept]) / max(float(albedo[kept] @ albedo[kept]), 1e-9)
     return gain, offset
 
 

@@ -18,6 +18,7 @@ from sattools.errors import SceneError
 from sattools.export.validity import valid_pixels
 from sattools.fit.described import Sun
 from sattools.fit.model import FittedModel
+from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.linear import item_bits, linear_radiance
 from sattools.render import sun_visibility
 from sattools.render.visibility import plate_slopes
@@ -55,6 +56,7 @@ class Camera:
         sun: unit vector (east, north, up) to the sun, or None.
         slope: line of sight.
         colours: pixels and camera of the multispectral image of the same acquisition, or None.
+        bands: places of the model's bands among the image's; None = all of them, in their order.
     """
 
     item: Item
@@ -65,6 +67,7 @@ class Camera:
     sun: Sun | None
     slope: ViewDirection
     colours: Colours | None = None
+    bands: list[int] | None = None
 
 
 class Patch(NamedTuple):
@@ -131,7 +134,8 @@ def cameras_of(scene: Scene, model: FittedModel, heights: tuple[float, float]) -
             own = RPC.from_file(scene.path(item.assets["colours_rpc"].href))
             colours = Colours(image_part(scene, item, "colours"), own)
         part = image_part(scene, item, asset)
-        cameras.append(Camera(item, part, bits, rpc, (pose[0], pose[1]), sun, slope, colours))
+        places = [number - 1 for number in chosen_bands(item, model.bands, part.bands)] if model.bands else None
+        cameras.append(Camera(item, part, bits, rpc, (pose[0], pose[1]), sun, slope, colours, places))
     if not cameras:
         raise SceneError(f"scene {scene.id}: found no image with a camera, expected those of the fit for an orthophoto")
     return cameras
@@ -204,6 +208,7 @@ def shown_at(camera: Camera, patch: Patch) -> Shown | None:
         return None
     image = camera.part.read((rows, cols))
     valid = valid_pixels(image).astype(np.float32)
+    image = image if camera.bands is None else image[camera.bands]
     if camera.bits is not None:
         image = linear_radiance(image, camera.bits)
     at = (col - cols.start).astype(np.float32), (row - rows.start).astype(np.float32)
