@@ -157,7 +157,7 @@ def _write_block(
         valid = valid & wanted
         validity = None if validity is None else np.where(wanted, validity, UNWANTED).astype(np.uint8)
     exported = Exported(scene, stored.about, valid)
-    files.write(block, exported, maps, surface, validity)
+    files.write(block, exported, maps, surface, validity, witnesses.saturated(block, surface))
     counts = np.zeros(4, np.int64) if validity is None else np.bincount(validity.ravel(), minlength=4)
     return exported, counts
 

@@ -125,6 +125,7 @@ class SurfaceFiles:
         maps: CellMaps,
         surface: Surroundings,
         validity: NDArray[np.uint8] | None,
+        saturated: NDArray[np.bool_] | None = None,
     ) -> None:
         """Write a block.
 
@@ -134,12 +135,15 @@ class SurfaceFiles:
             maps: of that.
             surface: heights of the whole.
             validity: ``[h, w]``, how its heights came about.
+            saturated: ``[h, w]``, where no image shows a radiance; None = nowhere.
         """
         heights, _ = to_datum(maps.height, block.grid, self.vertical)
         dsm = exported.shown(heights)
         self._put(DSM, dsm, block)
         # where an image's own offset was found wrong, the darkest ground comes out below none at all
         albedo = np.maximum(maps.albedo.transpose(2, 0, 1), 0)
+        if saturated is not None:
+            albedo = np.where(saturated, np.float32(np.nan), albedo)
         self._put(ALBEDO, exported.shown(albedo), block)
         if validity is not None:
             self._put(VALIDITY, validity, block)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
 from sattools.processors import side_by_side
-from sattools.radiometry.saturated import showing_asset
+from sattools.radiometry.saturated import conversion_of, showing_asset
 from sattools.scene import Grid, Scene
 from sattools.scene.pixels import ImagePart, image_part
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN
@@ -112,6 +112,11 @@ class Witnesses:
         frames = side_by_side(_frame, parts, max(1, _WHOLE_PIXELS // max(largest, 1)))
         found = zip(cameras, parts, frames, strict=True)
         self._witnesses = [Witness(rpc, part, frame, step) for rpc, part, (frame, step) in found]
+        # what they show of the radiance, where that is less
+        self._radiant = list(self._witnesses) if any(conversion_of(item) for item in items) else []
+        for k, item in enumerate(items if self._radiant else []):
+            if conversion_of(item):
+                self._radiant[k] = Witness(cameras[k], image_part(scene, item, "radiance"), None, 1)
 
     def validity(self, block: Block, surface: Surroundings) -> NDArray[np.uint8]:
         """How every cell of a block came by its height.
@@ -125,19 +130,42 @@ class Witnesses:
             from all of them but one by what stands around it; 1 measured = two see it.
         """
         reached, seen = (np.zeros(block.grid.shape, np.uint16) for _ in range(2))
-        height = surface.read(block.rows, block.cols)
-        known, level = np.isfinite(height), surface.level(height)
-        low, high = surface.low, max(surface.high, surface.low + 1.0)
-        witnesses = self._witnesses if known.any() else []
-        most = max(1, _STRIP_CELLS // level.size)
-        looks = side_by_side(lambda witness: witness.shown(block.grid, level), witnesses, most)
-        for witness, shown in zip(witnesses, looks, strict=True):
+        known = np.isfinite(surface.read(block.rows, block.cols))
+        for shown, visible in _looks(self._witnesses, block, surface):
             reached += shown
-            if shown.any():
-                slope, _ = line_of_sight(witness.rpc, block.grid, low, (low, high))
-                seen += shown & (surface.lit(block, slope.unit()) >= 0.5)
+            seen += visible
         of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)
         return np.where(known & (reached >= NEEDED), of_reached, UNSEEN).astype(np.uint8)
+
+    def saturated(self, block: Block, surface: Surroundings) -> NDArray[np.bool_] | None:
+        """Cells ``[h, w]`` of which the images that see them show no radiance, as it is masked; None = nowhere.
+
+        Arguments as of `validity`.
+        """
+        if not self._radiant:
+            return None
+        seen, radiant = (np.zeros(block.grid.shape, bool) for _ in range(2))
+        for witnesses, found in ((self._witnesses, seen), (self._radiant, radiant)):
+            for _, visible in _looks(witnesses, block, surface):
+                found |= visible
+        return np.asarray(seen & ~radiant)
+
+
+def _looks(
+    witnesses: Sequence[Witness], block: Block, surface: Surroundings
+) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """Per image, the cells ``[h, w]`` that it shows, hidden or not, and those of them that it sees."""
+    height = surface.read(block.rows, block.cols)
+    level = surface.level(height)
+    low, high = surface.low, max(surface.high, surface.low + 1.0)
+    asked = witnesses if np.isfinite(height).any() else []
+    looks = side_by_side(lambda witness: witness.shown(block.grid, level), asked, max(1, _STRIP_CELLS // level.size))
+    for witness, shown in zip(asked, looks, strict=True):
+        visible = shown
+        if shown.any():
+            slope, _ = line_of_sight(witness.rpc, block.grid, low, (low, high))
+            visible = shown & (surface.lit(block, slope.unit()) >= 0.5)
+        yield shown, visible
 
 
 def _frame(part: ImagePart) -> tuple[NDArray[np.bool_] | None, int]:

@@ -16,6 +16,8 @@ from sattools.export.validity import Witnesses, valid_pixels
 from sattools.fit.checkpoint import load, save
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.stage import normalise
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN
@@ -92,6 +94,20 @@ def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted: Any
         if "shadow" in item.assets:
             mask, _ = read_raster(fitted.path(item.assets["shadow"].href))
             assert np.array_equal(mask[0] == 255, unseen)
+
+
+def test_ground_that_is_saturated_in_all_images_has_a_height_and_no_albedo(fitted: Any) -> None:
+    export(fitted, ExportOptions())
+    before = {name: read_raster(fitted.path(fitted.products[name]))[0] for name in ("dsm", "albedo", "validity")}
+    normalise(fitted, NormaliseOptions(saturation=500))
+    fit(fitted, QUICK)
+    export(fitted, ExportOptions())
+    dsm, albedo, validity = (read_raster(fitted.path(fitted.products[n]))[0] for n in ("dsm", "albedo", "validity"))
+    dark = np.isnan(albedo).any(axis=0) & np.isfinite(dsm[0])
+    assert 0.005 < dark.mean() < 0.2
+    assert before["albedo"].mean(axis=0)[dark].mean() > 1.5 * np.nanmean(before["albedo"])  # the brightest ground
+    assert np.isnan(dsm).mean() == np.isnan(before["dsm"]).mean()
+    assert (validity != before["validity"]).mean() < 0.02  # heights of the two fits differ a little
 
 
 def test_images_of_nothing_but_zeros_leave_empty_maps_and_that_is_said(
