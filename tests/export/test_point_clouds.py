@@ -63,6 +63,20 @@ def test_a_laz_says_what_was_filled(maps: Any, tmp_path: Path) -> None:
     assert set(np.asarray(found.classification)[~filled]) == {1}
 
 
+def test_heights_that_no_image_has_seen_are_filled_ones_in_a_laz(maps: Any, tmp_path: Path) -> None:
+    validity = np.ones(GRID.shape, np.uint8)
+    validity[30:, :] = 0  # `export --fill` keeps their heights
+    write_cog(tmp_path / "validity.tif", validity, GRID, nodata=None)
+    write_laz(tmp_path / "a.laz", maps, None, silent)
+    found = laspy.read(tmp_path / "a.laz")
+    unseen = np.asarray(found["validity"]) == 0
+    assert unseen.sum() == 600
+    assert set(np.asarray(found.classification)[unseen]) == {64}
+    assert set(np.asarray(found.synthetic)[unseen]) == {1}
+    assert set(np.asarray(found.classification)[~unseen]) == {1}
+    assert set(np.asarray(found.synthetic)[~unseen]) == {0}
+
+
 def test_colours_are_red_green_and_blue_by_the_bands_names(maps: Any, tmp_path: Path) -> None:
     write_laz(tmp_path / "a.laz", maps, None, silent)
     found = laspy.read(tmp_path / "a.laz")
