@@ -12,7 +12,7 @@ import trimesh
 from sattools.errors import InputError, SattoolsError
 from sattools.export.options import ExportOptions
 from sattools.export.products import points
-from sattools.export.products.colours import Palette
+from sattools.export.products.colours import Palette, rgb_bands
 from sattools.export.products.maps import Maps
 from sattools.export.products.points import las_wkt, write_laz, write_ply
 from sattools.export.stage import export
@@ -86,6 +86,22 @@ def test_colours_are_red_green_and_blue_by_the_bands_names(maps: Any, tmp_path: 
     assert set(np.asarray(found.blue)[~east]) == {0}
     assert np.asarray(found.green)[~east] == pytest.approx(65535 / 3, rel=0.01)
     assert Palette.of(maps, "albedo").bands == (2, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        ([f"albedo {number}" for number in range(1, 9)], (4, 2, 1)),  # WorldView's: coastal, blue, green, yellow, red
+        ([f"albedo {name}" for name in ("red", "a", "b", "green", "c", "d", "e", "blue")], (0, 3, 7)),
+        ([f"albedo {name}" for name in "abcdefgh"], (0, 1, 2)),
+        (["albedo 1", "albedo 2", "albedo 3", "albedo 4"], (0, 1, 2)),
+        (["albedo 1"], (0, 0, 0)),
+    ],
+)
+def test_eight_bands_without_names_are_worldviews(names: Any, shown: Any, tmp_path: Path) -> None:
+    bands = np.zeros((len(names), *GRID.shape), np.float32)
+    write_cog(tmp_path / "albedo.tif", bands, GRID, descriptions=names)
+    assert rgb_bands(tmp_path / "albedo.tif") == shown
 
 
 def test_the_crs_of_a_laz_has_a_vertical_part(maps: Any, tmp_path: Path) -> None:
