@@ -7,9 +7,9 @@
     scene.dsm().plot()
 
 Every function takes a scene (a `Scene`, or the path of a `scene.json`) and the stage's options (its dataclass, or the
-options as a dict; None = the defaults), does what the command of that name does, history and files included, and
-returns the scene (`change`, which has two, its table). ``progress=True`` shows a bar; any function of (share done,
-message) is told instead.
+options as a dict, in which a text stands for a list of that one; None = the defaults), does what the command of that
+name does, history and files included, and returns the scene (`change`, which has two, its table). ``progress=True``
+shows a bar; any function of (share done, message) is told instead.
 """
 
 from __future__ import annotations
@@ -287,6 +287,9 @@ def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
         names = ", ".join(sorted(known.keys() | set(cls.__dataclass_fields__)))  # type: ignore[attr-defined]
         raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {names}")
     values = {name: _plain(value) for name, value in given.items()}
+    texts = {spec.name for spec in known.values() if spec.multiple and spec.kind is str} & values.keys()
+    # a text is an option that a command line gives once
+    values |= {name: [values[name]] for name in texts if isinstance(values[name], str)}
     for name, value in values.items():
         if (own := known.get(name)) is not None:
             _kind(own).check(value, f"{cls.__name__}: option {name!r}")

@@ -144,8 +144,16 @@ def test_options_are_python_values_of_any_make(make_town: Any) -> None:
     scene = sattools.export(sattools.fit(town, options), {"sun": [150, 40]})
     scene = sattools.compare(scene, {"dsm": town.root / "truth/TOWN_DSM.tif"})
     assert scene.history[-1]["options"]["dsm"] == str(town.root / "truth/TOWN_DSM.tif")
-    with pytest.raises(InputError, match="ExportOptions: option 'products': found 'laz', expected a list"):
-        sattools.export(scene, {"products": "laz"})
+    with pytest.raises(InputError, match="ExportOptions: option 'products': found 5, expected a list"):
+        sattools.export(scene, {"products": 5})
+
+
+def test_a_text_is_taken_in_place_of_a_list_as_the_command_takes_it(make_town: Any) -> None:
+    scene = sattools.export(sattools.fit(make_town(), QUICK), {"products": "ply,dtm"})
+    assert {"points_ply", "dtm"} <= scene.products.keys()
+    assert scene.history[-1]["options"]["products"] == ["ply,dtm"]
+    with pytest.raises(InputError, match="--products: found 'plx', expected some of"):
+        sattools.export(scene, {"products": "plx,dtm"})
 
 
 def test_progress_is_a_bar_on_request(make_town: Any, capsys: pytest.CaptureFixture[str]) -> None:
@@ -166,7 +174,11 @@ def test_products_are_data_arrays_as_rioxarray_knows_them(make_town: Any) -> Non
         np.testing.assert_allclose(dsm.y, other.y)
         assert dsm.rio.crs == other.rio.crs
         assert tuple(dsm.rio.transform()) == tuple(other.rio.transform())
+        assert dsm.attrs["units"] == other.attrs["units"] == "m"
+        assert dsm.attrs["VERTICAL_DATUM"] == other.attrs["VERTICAL_DATUM"] == "WGS84 ellipsoid"
     albedo = scene.product("albedo")
+    assert "VERTICAL_DATUM" not in albedo.attrs
+    assert albedo.attrs["units"] == "1"
     assert albedo.dims == ("band", "y", "x")
     with pytest.raises(SceneError, match="found no product 'theta', expected one of"):
         scene.product("theta")

@@ -150,10 +150,11 @@ def _begun(scene: Scene, options: AlignOptions, overwrite: bool) -> tuple[dict[t
 
 
 def _check(shift: Shift, reference: Path, options: AlignOptions) -> None:
-    if not np.hypot(shift.tilt_east, shift.tilt_north) <= MAX_TILT:
+    tilt = np.hypot(shift.tilt_east, shift.tilt_north)
+    if not tilt <= MAX_TILT:
         raise InputError(
-            f"{reference}: found a tilt of {shift.tilt_east:.3f} and {shift.tilt_north:.3f} m/m, expected at most "
-            f"{MAX_TILT:g}: are both of the same ground?"
+            f"{reference}: found a tilt of {np.ceil(1e4 * tilt) / 1e4:g} m/m ({shift.tilt_east:.4f} eastwards, "
+            f"{shift.tilt_north:.4f} northwards), expected at most {MAX_TILT:g}: are both of the same ground?"
         )
     if not np.hypot(np.hypot(shift.east, shift.north), shift.up) <= options.max_shift:
         raise InputError(

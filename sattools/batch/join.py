@@ -16,6 +16,7 @@ from sattools.compare.metrics import nmad
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
+from sattools.scene.datums import ELLIPSOID
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
@@ -77,12 +78,13 @@ def join(scenes: Sequence[Scene], out: Path, progress: Progress = silent) -> Jso
     seams = [found for a, b in combinations(parts, 2) if (found := seam(a, b)) is not None]
     names = [name for name in MAPS if all(name in part.scene.products for part in parts)]
     above = heights_above(_file(parts[0], HEIGHTS))
+    datum = ELLIPSOID if above == "ellipsoid" else above
     with ExitStack() as stack:
         writers = {
             name: stack.enter_context(
                 CogWriter(
                     out / f"{name}.tif", whole, units="m",
-                    tags={"VERTICAL_DATUM": above} if above and name == HEIGHTS and not vertical else None,
+                    tags={"VERTICAL_DATUM": datum} if datum and name == HEIGHTS and not vertical else None,
                     vertical=vertical if name == HEIGHTS else None,
                 )
             )

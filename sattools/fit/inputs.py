@@ -34,6 +34,7 @@ from sattools.scene.raster import raster_grid
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
+FINER = 1.1  # times that a prior's cells may be as wide as the fit's
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "budget", "reference")
 
@@ -193,6 +194,25 @@ def makes_prior(scene: Scene, options: FitOptions) -> bool:
     return options.prior_weight > 0 and ("prior_dsm" not in scene.products or _is_left_over(scene))
 
 
+def warn_of_prior(scene: Scene, options: FitOptions) -> None:
+    """Warn where ``resolution`` asks for a surface on finer cells than the prior has, whose walls it would keep.
+
+    Args:
+        scene: of the fit; its prior, if it has one, is readable.
+        options: of the fit.
+    """
+    if options.resolution is None or options.field != "surface" or options.prior_weight == 0 or scene.is_part:
+        return
+    made = makes_prior(scene, options)
+    cell = (scene.require_grid() if made else raster_grid(scene.path(scene.products["prior_dsm"]))).cell_size
+    if cell > FINER * options.resolution:
+        log.warning(
+            "scene %s: --resolution %g is finer than the prior, which has cells of %.3g m: with `sattools prior "
+            "--resolution %g` before the fit its heights are better", scene.id, options.resolution, cell,
+            options.resolution,
+        )  # fmt: skip
+
+
 def _is_left_over(scene: Scene) -> bool:
     """Whether an earlier fit has made the prior of other images, or of images as they are no more."""
     made = latest(scene, "prior")
@@ -260,4 +280,6 @@ def _hash(array: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
-__all__ = ["basis_of", "check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write"]
+__all__ = [
+    "basis_of", "check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write", "warn_of_prior",
+]  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import check_tiled, with_tile
-from sattools.fit.inputs import holding_out, makes_prior, may_write
+from sattools.fit.inputs import holding_out, makes_prior, may_write, warn_of_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
@@ -64,6 +64,8 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
             plan = Plan.make(scene, setup.options)
             if len(plan.tiles) > 1 and options.part != "mosaic":
                 plan.begun()
+            if len(plan.tiles) > 1 and options.part in ("all", "coarse"):
+                warn_of_prior(scene, options)
             if len(plan.tiles) > 1 or options.part in ("coarse", "split"):
                 return
             options = replace(setup.options, tile=None, part="all")

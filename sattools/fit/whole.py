@@ -15,7 +15,7 @@ from sattools.fit.depth_prior import DepthPrior, certainty, reference_height
 from sattools.fit.described import COLOURS, Radiance
 from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import basis_of, check_prior, holding_out, load_prior, may_write
+from sattools.fit.inputs import basis_of, check_prior, holding_out, load_prior, may_write, warn_of_prior
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.start import Beginning
@@ -94,6 +94,7 @@ def set_up_whole(scene: Scene, options: FitOptions) -> FitSetup:
     setup = set_up(scene, options)
     if options.resume:
         check_checkpoint(scene.path(CHECKPOINT), setup.basis)
+    warn_of_prior(scene, options)
     return setup
 
 

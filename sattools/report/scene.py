@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sattools.export.products.colours import rgb_bands
 from sattools.report import figures
 from sattools.report.alignment import alignment_section
 from sattools.report.commands import pipeline
@@ -227,7 +228,7 @@ def _maps(scene: Scene) -> Section:
             continue
         array, grid = read_overview(path)
         shown = array.astype(np.float32)
-        shown = shown[:3] if shown.shape[0] >= 3 else shown[:1]
+        shown = shown[list(rgb_bands(path))] if shown.shape[0] >= 3 else shown[:1]
         caption = f"{label[0].upper()}{label[1:]}, product {name}."
         section.parts.append(Picture(figures.map_figure(shown, grid, label), f"Map: {label}", caption))
     return section

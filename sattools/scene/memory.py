@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import resource
 from contextlib import AbstractContextManager
@@ -129,14 +130,13 @@ def check_memory(needed: float, what: str, remedy: str) -> None:
     if there is not None and needed > there:
         granted_mb = os.environ.get(LIMIT)
         whose = f"that --max-memory {float(granted_mb):g} MB leaves" if granted_mb else "that are free"
+        unit, size = ("GiB", 2**30) if there >= 0.1 * 2**30 else ("MiB", 2**20)
+        # rounded away from each other: a need is never the same as what there is
+        more, less = math.ceil(10 * needed / size) / 10, math.floor(10 * there / size) / 10
         raise SattoolsError(
-            f"{what}: found a need of {_size(needed)} of memory, expected at most the {_size(there)} {whose} ({remedy})"
+            f"{what}: found a need of {more:.6g} {unit} of memory, expected at most the {less:g} {unit} {whose} "
+            f"({remedy})"
         )
-
-
-def _size(number: float) -> str:
-    """Bytes in words; what is less than a tenth of a GiB is not called none."""
-    return f"{number / 2**30:.1f} GiB" if number >= 0.1 * 2**30 or not number else f"{number / 2**20:.3g} MiB"
 
 
 __all__ = [

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sattools.errors import extra
+from sattools.scene.opening import opened
 from sattools.scene.raster import read_raster
 
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ def data_array(path: Path, name: str) -> xarray.DataArray:
 
     Returns:
         ``(y, x)``, or ``(band, y, x)`` of more than one band, with the scalar coordinate `spatial_ref` (CRS as WKT and
-        the affine transform), as `rioxarray.open_rasterio` gives it.
+        the affine transform), as `rioxarray.open_rasterio` gives it. Attributes are ``units``, where all bands have the
+        same, and ``VERTICAL_DATUM`` (what heights are above), where the file has that tag.
 
     Raises:
         SattoolsError: xarray is not installed.
@@ -29,6 +31,13 @@ def data_array(path: Path, name: str) -> xarray.DataArray:
     from rasterio.crs import CRS
 
     array, grid = read_raster(path)
+    attributes = {"grid_mapping": "spatial_ref"}
+    with opened(path) as data:
+        units = set(data.units)
+        if len(units) == 1 and (unit := units.pop()):
+            attributes["units"] = unit
+        if (datum := data.tags().get("VERTICAL_DATUM")) is not None:
+            attributes["VERTICAL_DATUM"] = datum
     t = grid.transform
     about = {
         "crs_wkt": CRS.from_user_input(grid.crs).to_wkt(),
@@ -40,7 +49,7 @@ def data_array(path: Path, name: str) -> xarray.DataArray:
         array = array[0]
     else:
         dimensions, coordinates["band"] = ("band", *dimensions), np.arange(1, len(array) + 1)
-    return xarray.DataArray(array, coordinates, dimensions, name, {"grid_mapping": "spatial_ref"})
+    return xarray.DataArray(array, coordinates, dimensions, name, attributes)
 
 
 __all__ = ["data_array"]

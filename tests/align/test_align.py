@@ -19,8 +19,9 @@ from align_ground import CRS
 from click.testing import CliRunner, Result
 
 from sattools.align.estimate import ControlPoint, shift_to_points
+from sattools.align.options import AlignOptions
 from sattools.align.shift import Shift
-from sattools.align.stage import Move, _write_moved
+from sattools.align.stage import Move, _check, _write_moved
 from sattools.camera.ground import project, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.cli import main
@@ -370,3 +371,14 @@ def test_a_missing_reference_is_told_before_work_and_in_a_dry_run(exported: Scen
     result = run("align", "--to", tmp_path, exported.output("scene.json"))
     assert result.exit_code == 1
     assert "found a folder, expected" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("east", "north", "told"),
+    [(0.02, 0.01, "0.0224 m/m (0.0200 eastwards, 0.0100 northwards)"), (0.02, 0.0001, "0.0201 m/m (0.0200 eastwards")],
+)
+def test_a_tilt_beyond_the_limit_is_told_as_a_larger_number(east: float, north: float, told: str) -> None:
+    with pytest.raises(InputError) as found:
+        _check(Shift(0, 0, 0, 1, 1, 100, tilt_east=east, tilt_north=north), Path("dem.tif"), AlignOptions())
+    assert str(found.value).startswith(f"dem.tif: found a tilt of {told}")
+    assert "expected at most 0.02: " in str(found.value)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from click.testing import CliRunner
 
 from sattools.batch.join import Part, join, seam
@@ -127,6 +128,8 @@ def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> 
     assert not (tmp_path / "other").exists()
     join(tiles[1:], tmp_path / "one")
     assert heights_above(tmp_path / "one/dsm.tif") == "ellipsoid"
+    with rasterio.open(tmp_path / "one/dsm.tif") as data:
+        assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
 
 
 def test_what_cannot_be_joined_is_named(tiles: list[Scene], tmp_path: Path) -> None:

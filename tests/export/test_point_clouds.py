@@ -12,7 +12,7 @@ import trimesh
 from sattools.errors import InputError, SattoolsError
 from sattools.export.options import ExportOptions
 from sattools.export.products import points
-from sattools.export.products.colours import Palette
+from sattools.export.products.colours import Palette, rgb_bands
 from sattools.export.products.maps import Maps
 from sattools.export.products.points import las_wkt, write_laz, write_ply
 from sattools.export.stage import export
@@ -63,6 +63,20 @@ def test_a_laz_says_what_was_filled(maps: Any, tmp_path: Path) -> None:
     assert set(np.asarray(found.classification)[~filled]) == {1}
 
 
+def test_heights_that_no_image_has_seen_are_filled_ones_in_a_laz(maps: Any, tmp_path: Path) -> None:
+    validity = np.ones(GRID.shape, np.uint8)
+    validity[30:, :] = 0  # `export --fill` keeps their heights
+    write_cog(tmp_path / "validity.tif", validity, GRID, nodata=None)
+    write_laz(tmp_path / "a.laz", maps, None, silent)
+    found = laspy.read(tmp_path / "a.laz")
+    unseen = np.asarray(found["validity"]) == 0
+    assert unseen.sum() == 600
+    assert set(np.asarray(found.classification)[unseen]) == {64}
+    assert set(np.asarray(found.synthetic)[unseen]) == {1}
+    assert set(np.asarray(found.classification)[~unseen]) == {1}
+    assert set(np.asarray(found.synthetic)[~unseen]) == {0}
+
+
 def test_colours_are_red_green_and_blue_by_the_bands_names(maps: Any, tmp_path: Path) -> None:
     write_laz(tmp_path / "a.laz", maps, None, silent)
     found = laspy.read(tmp_path / "a.laz")
@@ -72,6 +86,22 @@ def test_colours_are_red_green_and_blue_by_the_bands_names(maps: Any, tmp_path: 
     assert set(np.asarray(found.blue)[~east]) == {0}
     assert np.asarray(found.green)[~east] == pytest.approx(65535 / 3, rel=0.01)
     assert Palette.of(maps, "albedo").bands == (2, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        ([f"albedo {number}" for number in range(1, 9)], (4, 2, 1)),  # WorldView's: coastal, blue, green, yellow, red
+        ([f"albedo {name}" for name in ("red", "a", "b", "green", "c", "d", "e", "blue")], (0, 3, 7)),
+        ([f"albedo {name}" for name in "abcdefgh"], (0, 1, 2)),
+        (["albedo 1", "albedo 2", "albedo 3", "albedo 4"], (0, 1, 2)),
+        (["albedo 1"], (0, 0, 0)),
+    ],
+)
+def test_eight_bands_without_names_are_worldviews(names: Any, shown: Any, tmp_path: Path) -> None:
+    bands = np.zeros((len(names), *GRID.shape), np.float32)
+    write_cog(tmp_path / "albedo.tif", bands, GRID, descriptions=names)
+    assert rgb_bands(tmp_path / "albedo.tif") == shown
 
 
 def test_the_crs_of_a_laz_has_a_vertical_part(maps: Any, tmp_path: Path) -> None:

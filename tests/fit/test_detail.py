@@ -12,7 +12,7 @@ from sattools.export.stage import export
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.stage import fit
+from sattools.fit.stage import check_start, fit
 from sattools.fit.surface.detail import with_detail
 from sattools.prior import PriorOptions
 from sattools.prior.stage import prior
@@ -122,3 +122,43 @@ def test_tiles_have_the_cells_of_a_fit_at_once(make_town: Any) -> None:
     assert model.grid == scene.grid
     height, _ = read_raster(scene.path(scene.products["prior_dsm"]))
     assert float(np.median(np.abs(model.height.numpy() - height[0]))) < 0.3
+
+
+BETTER = (
+    "scene TOWN: --resolution 0.25 is finer than the prior, which has cells of 0.5 m: with `sattools prior "
+    "--resolution 0.25` before the fit its heights are better"
+)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"resolution": 0.25}, [BETTER]),  # the fit would make a prior on the grid's cells of 0.5 m
+        ({"resolution": 0.25, "tile": 32.0, "overlap": 8.0}, [BETTER]),
+        ({"resolution": 0.25, "tile": 500.0}, [BETTER]),  # all in one tile
+        ({"resolution": 0.46}, []),  # finer by less than a tenth
+        ({"resolution": 1.0}, []),
+        ({"resolution": 0.25, "prior_weight": 0.0}, []),
+        ({}, []),
+    ],
+    ids=str,
+)
+def test_cells_finer_than_the_priors_are_warned_of(make_town: Any, caplog: Any, options: Any, told: Any) -> None:
+    check_start(make_town(), replace(FitOptions(), **options))
+    assert [line for line in caplog.messages if "finer than the prior" in line] == told
+
+
+def test_a_prior_of_the_fits_own_cells_is_not_warned_of(make_town: Any, caplog: Any) -> None:
+    scene = make_town()
+    prior(scene, PriorOptions(rough_passes=0, pairs=2, resolution=1.0))
+    fit(scene, FitOptions(epochs=[1], coarsest=0.9, resolution=0.92))
+    assert "finer than the prior" not in caplog.text
+    check_start(scene, FitOptions(resolution=0.5))
+    assert "--resolution 0.5 is finer than the prior, which has cells of 1 m" in caplog.text
+
+
+def test_tiles_are_warned_of_a_coarse_prior_once(make_town: Any, caplog: Any) -> None:
+    scene = make_town()
+    prior(scene, PriorOptions(rough_passes=0, pairs=2, resolution=2.0))
+    fit(scene, FitOptions(epochs=[1], resolution=1.0, tile=32.0, overlap=8.0))
+    assert caplog.text.count("finer than the prior, which has cells of 2 m") == 1

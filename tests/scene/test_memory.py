@@ -41,7 +41,23 @@ def test_what_is_missing_is_told_in_numbers_that_say_something(monkeypatch: pyte
     with memory.limited(200.0), pytest.raises(SattoolsError) as found:
         memory.check_memory(45e6, "a.tif", "crop it")
     expected = "expected at most the 1 MiB that --max-memory 200 MB leaves (crop it)"
-    assert str(found.value) == f"a.tif: found a need of 42.9 MiB of memory, {expected}"
+    assert str(found.value) == f"a.tif: found a need of 43 MiB of memory, {expected}"
     monkeypatch.delenv(memory.LIMIT, raising=False)
-    with pytest.raises(SattoolsError, match=r"need of 4\.2 GiB of memory, expected at most the 1 MiB that are free"):
+    with pytest.raises(SattoolsError, match=r"need of 4291\.6 MiB of memory, expected at most the 1 MiB that are free"):
         memory.check_memory(4.5e9, "a.tif", "crop it")
+
+
+@pytest.mark.parametrize(
+    ("need", "there", "told"),
+    [
+        (1.1 * 2**20, 0, r"need of 1\.1 MiB of memory, expected at most the 0 MiB that --max-memory 100 MB leaves"),
+        (3.2 * 2**30, 2 * 2**30, r"need of 3\.2 GiB of memory, expected at most the 2 GiB that --max-memory"),
+        (2**31 + 1, 2**31, r"need of 2\.1 GiB of memory, expected at most the 2 GiB that"),  # never the same number
+    ],
+)
+def test_a_need_and_what_there_is_have_one_unit(
+    monkeypatch: pytest.MonkeyPatch, need: float, there: int, told: str
+) -> None:
+    monkeypatch.setattr(memory, "available", lambda: there)
+    with memory.limited(100.0), pytest.raises(SattoolsError, match=told):
+        memory.check_memory(need, "a.tif", "crop it")

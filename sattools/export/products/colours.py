@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.export.products.maps import Maps
+from sattools.radiometry.stage import RGB_OF_EIGHT
 from sattools.scene.opening import opened
 
 _TAILS = (0.5, 99.5)  # per cent of the values that are clipped below and above
@@ -42,11 +43,17 @@ class Palette:
 
 
 def rgb_bands(path: Path) -> tuple[int, int, int]:
-    """Bands of a map to show in red, green and blue: those with these names, else the first three, or the only one."""
+    """Bands of a map to show in red, green and blue: those with these names, else the first three, or the only one.
+
+    Eight bands without names are taken as WorldView's, as `normalise` takes them.
+    """
     with opened(path) as data:
         words = [str(text or "").lower().rpartition(" ")[2] for text in data.descriptions]
     if {"red", "green", "blue"} <= set(words):
         return words.index("red"), words.index("green"), words.index("blue")
+    if words == [str(number) for number in range(1, 9)]:
+        red, green, blue = (number - 1 for number in RGB_OF_EIGHT)
+        return red, green, blue
     return (0, 1, 2) if len(words) >= 3 else (0, 0, 0)
 
 

@@ -14,6 +14,7 @@ import logging
 from dataclasses import replace
 
 from sattools.fit.foresight import check_tiled
+from sattools.fit.inputs import warn_of_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.clearing import WHOLE
 from sattools.fit.tiles.mosaic import mosaic_tiles
@@ -54,6 +55,8 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
                 write_text(scene.output(WHOLE), scene.to_json(root="../..") + "\n")
             return {"tiles": [], "pilots": []} if options.part == "coarse" else {"tiles": []}
         return fit_whole(scene, replace(options, tile=None, part="all"), progress)
+    if options.part in ("all", "coarse"):
+        warn_of_prior(scene, options)
     notes: list[str] = []
     read = seen(scene, "fit", scene.train_items())
     with immediately():  # all of it is there for another run to go on with
