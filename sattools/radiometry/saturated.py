@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sattools.errors import InputError
 from sattools.scene.document import Item
 
 NOTED = "sattools:saturated"  # of an asset `radiance`: a `Conversion`, where saturated pixels are masked
@@ -41,7 +42,17 @@ class Conversion:
         Args:
             radiance: ``[C, h, w]``, NaN where masked.
             numbers: ``[B, h, w]`` of the same pixels; NaN, or 0 in all bands, where there are none.
+
+        Raises:
+            InputError: the image is not the one that this is of.
         """
+        if not len(self.gain) == len(self.offset) == len(self.bands) == len(radiance) or (
+            max(self.bands) > len(numbers) or numbers.shape[1:] != radiance.shape[1:]
+        ):
+            raise InputError(
+                f"found an image of {len(numbers)} bands and {numbers.shape[1]} x {numbers.shape[2]} pixels, expected "
+                f"the bands {self.bands} that became {len(radiance)} of {radiance.shape[1]} x {radiance.shape[2]}"
+            )
         own = numbers[[band - 1 for band in self.bands]]
         there = np.isfinite(own).all(axis=0) & (own != 0).any(axis=0) & ~np.isfinite(radiance).all(axis=0)
         gain, offset = (np.array(part)[:, None] for part in (self.gain, self.offset))

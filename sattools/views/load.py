@@ -140,11 +140,10 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
         if conversion is None:
             return radiance, None
         try:
-            numbers = image_part(scene, items[k]).read((rows, cols), reduce)
+            return radiance, conversion.saturated(radiance, image_part(scene, items[k]).read((rows, cols), reduce))
         except InputError as error:
             log.warning("%s: its saturated pixels stay unknown: %s", items[k].id, error)
             return radiance, None
-        return radiance, conversion.saturated(radiance, numbers)
 
     sources = []
     read = side_by_side(pixels, range(len(parts)), AT_ONCE)

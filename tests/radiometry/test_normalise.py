@@ -154,6 +154,19 @@ def test_matching_sees_saturated_roofs_and_the_fit_does_not(make_town: Any) -> N
     np.testing.assert_allclose(first.complete().radiance[0], before.radiance[1], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"bands": [1, 2, 9]}, {"gain": [1.0]}, {"bands": [1], "gain": [1.0], "offset": [0.0]}]
+)
+def test_a_conversion_of_another_image_is_told(make_town: Any, caplog: Any, wrong: Any) -> None:
+    from sattools.views import load_sources
+
+    scene = make_town()
+    normalise(scene, NormaliseOptions(saturation=300))
+    scene.items[0].assets["radiance"].extra["sattools:saturated"] |= wrong
+    assert [source.saturated is None for source in load_sources(scene, scene.items)[:2]] == [True, False]
+    assert "saturated pixels stay unknown: found an image of 3 bands" in caplog.text
+
+
 def test_a_missing_original_costs_no_more_than_its_saturated_pixels(make_town: Any, caplog: Any) -> None:
     from sattools.views import load_sources
 
