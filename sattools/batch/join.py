@@ -16,12 +16,11 @@ from sattools.compare.metrics import nmad
 from sattools.errors import InputError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
-from sattools.scene.datums import ELLIPSOID
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import heights_above, raster_grid, raster_vertical, read_on, read_raster
+from sattools.scene.raster import datum_tag, raster_grid, raster_vertical, read_on, read_raster
 
 log = logging.getLogger(__name__)
 HEIGHTS = "dsm"
@@ -77,14 +76,13 @@ def join(scenes: Sequence[Scene], out: Path, progress: Progress = silent) -> Jso
     vertical = _vertical(parts)
     seams = [found for a, b in combinations(parts, 2) if (found := seam(a, b)) is not None]
     names = [name for name in MAPS if all(name in part.scene.products for part in parts)]
-    above = heights_above(_file(parts[0], HEIGHTS))
-    datum = ELLIPSOID if above == "ellipsoid" else above
+    datum = datum_tag(_file(parts[0], HEIGHTS))
     with ExitStack() as stack:
         writers = {
             name: stack.enter_context(
                 CogWriter(
                     out / f"{name}.tif", whole, units="m",
-                    tags={"VERTICAL_DATUM": datum} if datum and name == HEIGHTS and not vertical else None,
+                    tags={"VERTICAL_DATUM": datum} if datum and name == HEIGHTS else None,
                     vertical=vertical if name == HEIGHTS else None,
                 )
             )

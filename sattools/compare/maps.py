@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from sattools.compare.metrics import MAP_FIGURES, MapErrors
+from sattools.compare.truth import grid_on_ground
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map
 from sattools.scene.stored import cut
+from sattools.scene.warped import read_warped
 
 SHOWN = 1_000_000  # cells of a picture: more would not be seen
 Pair = tuple[np.ndarray, np.ndarray]
@@ -25,7 +27,7 @@ def compare_map(name: str, path: Path, reference: Path, shift: tuple[float, floa
     Args:
         name: of the map, for messages.
         path: its file.
-        reference: file on any grid; the map is brought onto that.
+        reference: file on any grid; the map is brought onto that, or onto square cells in metres of about its size.
         shift: (east, north) by which the surface was moved to fit its reference [m]: a map lies where its surface lies.
 
     Returns:
@@ -38,14 +40,14 @@ def compare_map(name: str, path: Path, reference: Path, shift: tuple[float, floa
     found, wanted = raster_bands(path), raster_bands(reference)
     if found != wanted:
         raise InputError(f"{reference}: found {wanted} bands, expected {found} as in {name}")
-    grid = raster_grid(reference)
+    grid, as_stored = grid_on_ground(reference, raster_grid(path).crs)
     step = math.ceil(math.sqrt(max(1.0, wanted * grid.width * grid.height / SHOWN)))
     errors = MapErrors()
     shown: list[Pair] = []
     for round_ in range(MapErrors.ROUNDS):
         for rows, cols in cut(grid.shape):
             there = grid.part(rows, cols)
-            own = read_raster(reference, there)[0].astype(np.float32)
+            own = (read_raster(reference, there)[0] if as_stored else read_warped(reference, there)).astype(np.float32)
             carried = _carried(path, there.moved(-shift[0], -shift[1]), found)
             errors.add(round_, carried, own)
             if round_ == 0:

@@ -17,7 +17,7 @@ from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.picture import difference_picture, scatter_picture
 from sattools.compare.surface import Comparison, FiledSurface, HeldSurface, Surface, compare_surface
 from sattools.compare.text import to_json
-from sattools.compare.truth import Truth, crs_on_ground, open_reference, read_dfc2019
+from sattools.compare.truth import Truth, crs_on_ground, grid_on_ground, open_reference, read_dfc2019
 from sattools.errors import InputError, MissingProductError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
@@ -28,7 +28,7 @@ from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import is_remote
-from sattools.scene.raster import heights_above, raster_grid
+from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
 
 log = logging.getLogger(__name__)
@@ -195,7 +195,7 @@ def _check_asked(options: CompareOptions, scene: Scene, made: Collection[str] | 
         if not is_remote(str(path)):
             if not path.exists():
                 raise InputError(f"{path}: no such file, expected one for --map {name}")
-            raster_grid(path)
+            grid_on_ground(path, scene.grid.crs if scene.grid else None)
     if options.points:
         from sattools.compare.points import read_points
 

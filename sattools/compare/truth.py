@@ -171,7 +171,7 @@ def open_reference(
         if _has_classes(dsm.parent, aoi) or not _georeferenced(dsm):
             return read_dfc2019(dsm.parent, aoi)
     check_heights(dsm, one_band=False)
-    grid, own = _grid_of(dsm, crs)
+    grid, own = grid_on_ground(dsm, crs)
     heights, codes = new_map(grid.shape, np.float32, folder), None
     for rows, cols in cut(grid.shape):
         heights[rows, cols] = _heights_on(dsm, grid.part(rows, cols), own)
@@ -183,8 +183,16 @@ def open_reference(
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
 
 
-def _grid_of(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
-    """The grid of a reference, and whether it is that of the file's own cells."""
+def grid_on_ground(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
+    """The grid of a reference, and whether it is that of the file's own cells.
+
+    Args:
+        dsm: the file.
+        crs: projected CRS [m] onto which one in degrees comes; None = UTM.
+
+    Raises:
+        InputError: in feet, without a georeference, or unreadable.
+    """
     own = crs_on_ground(dsm)
     if own is not None and has_grid(dsm):
         return raster_grid(dsm), True
@@ -207,7 +215,7 @@ def crs_on_ground(path: Path) -> str | None:
 
 
 def _heights_on(dsm: Path, where: Grid, own: bool) -> np.ndarray:
-    """Heights ``[h, w]`` [m] of a reference on a part of its `_grid_of`."""
+    """Heights ``[h, w]`` [m] of a reference on a part of its `grid_on_ground`."""
     if own:
         return known_heights(read_raster(dsm, where)[0][0])
     return read_warped(dsm, where, lambda array: known_heights(array[:1]))[0]

@@ -233,6 +233,13 @@ def heights_above(path: Path) -> str | None:
     return "ellipsoid" if solid or tag == ELLIPSOID else tag
 
 
+def datum_tag(path: Path) -> str | None:
+    """The tag ``VERTICAL_DATUM`` of a raster; of one without it what its CRS says where that is the ellipsoid."""
+    with opened(path) as data:
+        tag = data.tags().get("VERTICAL_DATUM")
+    return ELLIPSOID if tag is None and heights_above(path) == "ellipsoid" else tag
+
+
 def image_shape(path: Path) -> tuple[int, int]:
     """(rows, columns) of an image. Raises InputError where it cannot be read."""
     with opened(path) as data:
@@ -355,6 +362,7 @@ def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
 
 
 __all__ = [
+    "datum_tag",
     "image_shape",
     "raster_bands",
     "raster_grid",

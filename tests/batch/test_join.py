@@ -119,9 +119,13 @@ def test_cells_that_one_does_not_know_come_from_the_other(tiles: list[Scene], tm
 def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> None:
     for scene in tiles:
         heights, grid = read_raster(scene.path("export/dsm.tif"))
-        write_cog(scene.path("export/dsm.tif"), heights, grid, vertical="EPSG:5773")
+        write_cog(
+            scene.path("export/dsm.tif"), heights, grid, vertical="EPSG:5773", tags={"VERTICAL_DATUM": "EGM96 geoid"}
+        )
     join(tiles, tmp_path / "out")
     assert raster_vertical(tmp_path / "out/dsm.tif") == "EPSG:5773"
+    with rasterio.open(tmp_path / "out/dsm.tif") as data:
+        assert data.tags()["VERTICAL_DATUM"] == "EGM96 geoid"
     write_cog(tiles[1].path("export/dsm.tif"), heights, grid, tags={"VERTICAL_DATUM": "WGS84 ellipsoid"})
     with pytest.raises(InputError, match="EAST: found heights above the ellipsoid, expected EPSG:5773 as of WEST"):
         join(tiles, tmp_path / "other")

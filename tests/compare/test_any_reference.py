@@ -13,6 +13,7 @@ from rasterio.warp import reproject, transform_bounds
 
 from sattools.change.surfaces import read_surface
 from sattools.cli import main
+from sattools.compare.maps import compare_map
 from sattools.compare.truth import open_reference, read_reference
 from sattools.scene import Grid
 from sattools.scene.raster import read_on, read_overview, read_raster, write_cog
@@ -94,3 +95,14 @@ def test_a_reference_in_degrees_comes_onto_the_scenes_crs(tmp_path: Path, oblong
     )  # m2: neither grown nor shrunk
     assert truth.classes is not None
     assert set(np.unique(truth.classes)) <= {2, 6, 65, 255}
+
+
+@pytest.mark.parametrize("moved", [0.0, 3.0])
+def test_a_reference_of_a_map_may_be_in_degrees(tmp_path: Path, moved: float) -> None:
+    write_cog(tmp_path / "w.tif", SLOPE, GRID)
+    further_east = SLOPE - np.float32(0.5 * moved)  # of a plane that rises by 0.5 a metre to the east
+    figures, _ = compare_map(
+        "w", tmp_path / "w.tif", in_degrees(tmp_path / "reference.tif", further_east), (moved, 0.0)
+    )
+    assert figures["n"] > 4000 - 60 * moved
+    assert figures["rmse"] < 0.05  # a plane is kept by interpolation but at its rim, where the nearest cell counts
