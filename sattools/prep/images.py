@@ -105,8 +105,9 @@ def check_there(path: Path) -> None:
         there = path.exists()
     except OSError as error:
         raise InputError(f"{path}: found {error.strerror}, expected an image") from None
-    if not there:
-        raise InputError(f"{path}: no such file, expected an image")
+    if not there or path.suffix.lower() == ".json":
+        found = "found a document (of a scene? it goes on with `sattools prior`)" if there else "no such file"
+        raise InputError(f"{path}: {found}, expected an image")
 
 
 def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage:

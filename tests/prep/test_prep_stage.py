@@ -187,6 +187,11 @@ def test_one_image_is_refused(images: Any, options: Any) -> None:
     refused(images[:1], options, "found this one image only")
 
 
+def test_a_scene_is_no_image(images: Any, options: Any, tmp_path: Path) -> None:
+    (tmp_path / "scene.json").write_text("{}")
+    refused([tmp_path / "scene.json"], options, "found a document .of a scene. it goes on with `sattools prior`.")
+
+
 def test_two_images_with_one_id_are_refused(images: Any, options: Any, tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     twin = tmp_path / "b" / "city_0.tif"
