@@ -11,14 +11,15 @@ import numpy as np
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
+from sattools.prior.normals import normals
 from sattools.prior.probability import (
     ERROR95_MEANING,
     ERROR_METHOD,
     MEANING,
     METHOD,
     STD_MEANING,
-    height_errors,
-    height_probability,
+    height_doubt,
+    margin,
 )
 from sattools.scene import Grid, Scene
 from sattools.scene.cog import CogWriter, cogs
@@ -100,19 +101,24 @@ class MapFiles:
         self._stack.enter_context(cogs(self._files))
         return self
 
-    def write(self, height: np.ndarray, confidence: np.ndarray, slant: np.ndarray, rows: slice | None = None) -> None:
-        """Write some rows; None = all of them.
+    def around(self, rows: slice) -> slice:
+        """Rows that `write` wants to see to write some: what follows from heights depends on those around."""
+        beyond = max(1, margin(self.grid.cell_size))  # a row for the normals
+        return slice(max(0, rows.start - beyond), min(self.grid.height, rows.stop + beyond))
+
+    def write(self, height: np.ndarray, confidence: np.ndarray, rows: slice) -> None:
+        """Write some rows of height and confidence, and of what follows from them.
 
         Args:
-            height: ``[h, W]`` [m].
-            confidence: ``[h, W]`` in [0, 1].
-            slant: normals ``[3, h, W]``.
-            rows: see above.
+            height: ``[h, W]`` [m], of the rows that `around` tells.
+            confidence: ``[h, W]`` in [0, 1], of the same.
+            rows: to write.
         """
-        probable = height_probability(confidence, self.grid.cell_size)
-        errors = height_errors(confidence, self.grid.cell_size)
-        for file, values in zip(self._files, (height, confidence, probable, *errors, slant), strict=True):
-            file.write(values, rows)
+        cell, first = self.grid.cell_size, self.around(rows).start
+        own = slice(rows.start - first, rows.stop - first)
+        maps = height, confidence, *height_doubt(height, confidence, cell), normals(height, cell)
+        for file, values in zip(self._files, maps, strict=True):
+            file.write(values[..., own, :], rows)
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)

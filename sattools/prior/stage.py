@@ -11,7 +11,6 @@ from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
 from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_window
 from sattools.prior.matched import Matched, match_area
-from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
 from sattools.prior.tiled import AT_ONCE, match_tiles
@@ -126,11 +125,8 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
     """
     with MapFiles(scene, grid) as files:
         for rows in pieces(grid.shape):
-            # a row more on either side, for the normals
-            around = slice(max(0, rows.start - 1), min(grid.height, rows.stop + 1))
-            own = slice(rows.start - around.start, rows.stop - around.start)
-            slant = normals(height[around], grid.cell_size)[:, own]
-            files.write(height[rows], confidence[rows], slant, rows)
+            around = files.around(rows)
+            files.write(height[around], confidence[around], rows)
 
 
 def _mean(values: np.ndarray) -> float:

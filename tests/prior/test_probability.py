@@ -1,40 +1,132 @@
 """The probability that a height is right to a metre, and how far off it may be."""
 
+import json
+import math
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
-from sattools.prior.probability import height_errors, height_probability
+from sattools.prior.probability import NAMES, arrays, features, from_features, height_doubt, margin, the_network
+
+FLAT = np.full((40, 40), 12.0, np.float32)
 
 
-def test_probability_grows_with_the_confidence_and_falls_with_the_cell() -> None:
-    confidence = np.linspace(0, 1, 101, dtype=np.float32)[None]
-    p = height_probability(confidence, 0.5)[0]
+def a_town(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Heights [m] with blocks of 3 to 20 m, and confidence, both ``[60, 50]``."""
+    rng = np.random.default_rng(seed)
+    height = rng.normal(100, 0.1, (60, 50))
+    for _ in range(6):
+        row, col = rng.integers(0, 45, 2)
+        height[row : row + 12, col : col + 9] += rng.uniform(3, 20)
+    return height.astype(np.float32), rng.uniform(0, 1, height.shape).astype(np.float32)
+
+
+def test_the_surer_the_match_of_a_town_the_more_probable_and_the_nearer() -> None:
+    height, _ = a_town()
+    found = [height_doubt(height, np.full_like(height, c), 0.5) for c in (0.02, 0.1, 0.3, 0.6, 0.9)]
+    p, std, error95 = (np.array([one[k].mean() for one in found]) for k in range(3))
     assert (np.diff(p) > 0).all()
-    # 1 / (1 + exp(1.025)), and sums of the other weights
-    assert p[0] == pytest.approx(0.264, abs=5e-4)
-    assert p[25] == pytest.approx(1 / (1 + np.exp(1.025 - 3.642 * 0.25 - 5.506 * 0.5)), abs=1e-4)
-    assert p[100] == pytest.approx(0.9997, abs=2e-4)
-    coarse = height_probability(confidence, 2.0)[0]
-    assert (coarse < p).all()
-    odds = [v / (1 - v) for v in (float(p[25]), float(coarse[25]))]
-    assert np.log(odds[0] / odds[1]) == pytest.approx(2 * 0.7286, abs=1e-3)
-
-
-def test_what_has_no_confidence_has_no_probability() -> None:
-    confidence = np.full((3, 4), 0.5, np.float32)
-    confidence[1, 2] = np.nan
-    p = height_probability(confidence, 0.5)
-    np.testing.assert_array_equal(np.isnan(p), np.isnan(confidence))
-    assert p.dtype == np.float32
-
-
-def test_errors_fall_with_the_confidence_and_grow_with_the_cell() -> None:
-    confidence = np.linspace(0, 1, 101, dtype=np.float32)[None]
-    std, error95 = (e[0] for e in height_errors(confidence, 0.5))
-    assert std.dtype == error95.dtype == np.float32
+    assert p[-1] > 0.98
     assert (np.diff(std) < 0).all()
-    assert (np.diff(error95) < 0).all()
-    assert std[[0, 25, 100]] == pytest.approx([10.14, 0.2486, 0.0223], rel=5e-3)
-    assert error95[[0, 25, 100]] == pytest.approx([77.9, 1.294, 0.0313], rel=5e-3)
-    coarse = height_errors(confidence, 2.0)[0][0]
-    assert coarse / std == pytest.approx(np.exp(2 * 0.7217), rel=1e-4)
+    assert (error95 > 1.5 * std).all()  # long tails
+
+
+def test_heights_about_which_nothing_around_agrees_are_guesses() -> None:
+    confidence = np.full_like(FLAT, 0.6)
+    confidence[:, 20:] = 0
+    p, std, error95 = height_doubt(FLAT, confidence, 0.5)
+    assert p[20, 10] > 0.98
+    assert p[20, 21] > 0.5  # level beside what is sure
+    assert p[20, 35] <= 0.3
+    assert std[20, 35] >= 10
+    assert error95[20, 35] >= 40
+
+
+def test_what_stands_beside_a_step_is_less_sure() -> None:
+    confidence = np.full_like(FLAT, 0.1)
+    step = FLAT.copy()
+    step[:, 20:] += 12
+    flat, beside = (height_doubt(height, confidence, 0.5) for height in (FLAT, step))
+    assert beside[0][20, 19] < flat[0][20, 19] - 0.03
+    assert beside[2][20, 19] > 4 * flat[2][20, 19]
+    np.testing.assert_allclose(beside[0][20, 0], flat[0][20, 0], atol=1e-6)  # 10 m away it is as without
+
+
+def test_what_is_not_known_has_no_probability() -> None:
+    height, confidence = a_town()
+    height[3, 4], confidence[30, 20] = np.nan, np.nan
+    unknown = np.isnan(height) | np.isnan(confidence)
+    for values in height_doubt(height, confidence, 0.5):
+        np.testing.assert_array_equal(np.isnan(values), unknown)
+        assert values.dtype == np.float32
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.5, 3.0, 200.0])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (30, 2)])
+def test_any_map_has_a_probability(shape: tuple[int, int], cell: float) -> None:
+    rng = np.random.default_rng(1)
+    height = (rng.uniform(-400, 9000, shape)).astype(np.float32)
+    p, std, error95 = height_doubt(height, rng.uniform(0, 1, shape).astype(np.float32), cell)
+    assert ((p >= 0) & (p <= 1)).all()
+    assert np.isfinite(error95).all()
+    assert (std > 0).all()
+    assert (error95 >= std).all()
+
+
+def test_a_map_without_any_height_has_no_probability() -> None:
+    assert all(np.isnan(v).all() for v in height_doubt(np.full_like(FLAT, np.nan), np.zeros_like(FLAT), 0.5))
+
+
+@pytest.mark.parametrize("cell", [0.35, 1.0, 5.0])
+def test_a_part_with_its_margin_has_what_the_whole_has(cell: float) -> None:
+    height, confidence = a_town(3)
+    rows, beyond = slice(25, 35), margin(cell)
+    around = slice(max(0, rows.start - beyond), rows.stop + beyond)
+    own = slice(rows.start - around.start, rows.stop - around.start)
+    whole, part = height_doubt(height, confidence, cell), height_doubt(height[around], confidence[around], cell)
+    for a, b in zip(whole, part, strict=True):
+        np.testing.assert_allclose(a[rows], b[own], rtol=1e-5, atol=1e-5)  # sums of other rows round otherwise
+
+
+def test_features_are_what_their_names_say() -> None:
+    height, confidence = a_town(5)
+    row, col, cell = 30, 24, 0.5
+    every = features(height, confidence, cell)
+
+    def around(values: np.ndarray, metres: float, at: tuple[int, int] = (row, col)) -> np.ndarray:
+        half = round(metres / cell)
+        return values[at[0] - half : at[0] + half + 1, at[1] - half : at[1] + half + 1].astype(np.float64)
+
+    z = float(height[row, col])
+    means = [around(height, 1, (r, c)).mean() for r in range(row - 12, row + 13) for c in range(col - 12, col + 13)]
+    expected = [
+        math.sqrt(confidence[row, col]),
+        np.sqrt(around(confidence, 1)).mean(),
+        np.sqrt(around(confidence, 4.5)).mean(),
+        math.log1p(abs(z - around(height, 2.5).mean())),
+        math.log1p(np.ptp(around(height, 3))),
+        math.log1p(max(0.0, z - min(means))),
+        math.log1p(around(height, 2).std()),
+        0.0,
+    ]
+    np.testing.assert_allclose(every[row, col], expected, atol=2e-5)
+    assert features(FLAT, FLAT * 0, 2.0)[0, 0].tolist() == [0, 0, 0, 0, 0, 0, 0, 2]
+
+
+def test_the_network_is_of_these_features() -> None:
+    stored = json.loads(files("sattools.prior").joinpath("probability.json").read_text())
+    assert stored["features"] == list(NAMES)
+    assert [weights.shape for weights, _ in the_network()["layers"]] == [(8, 16), (16, 16), (16, 3)]
+
+
+def test_a_network_is_layers_of_rectified_sums() -> None:
+    first = {"weights": [[2.0], [1.0], [0.0]], "bias": [-1.0]}
+    network = arrays(
+        {"mean": [1, 0, 0], "std": [1, 2, 1], "layers": [first, {"weights": [[1, 0.5, 1]], "bias": [0, 0, 1]}]}
+    )
+    p, std, error95 = from_features(np.array([[2.0, 2.0, 0.1], [-9.0, 0.0, 0.1]]), network)
+    # 2 (2 - 1) + 2 / 2 - 1 = 2; and nothing is below 0
+    np.testing.assert_allclose(p, [1 / (1 + math.exp(-2)), 0.5], rtol=1e-6)
+    np.testing.assert_allclose(std, [math.e - 0.02, 0.98], rtol=1e-6)
+    np.testing.assert_allclose(error95, [math.exp(3) - 0.02, math.e - 0.02], rtol=1e-6)

@@ -187,7 +187,6 @@ def _resampled(model: FittedModel, grid: Grid) -> CellMaps:
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:
     """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
     from sattools.prior.files import CONFIDENCE, DSM, MapFiles
-    from sattools.prior.normals import normals
 
     whole = plan.scene.require_grid()
     rough, rough_grid = read_raster(plan.root(COARSE) / DSM)
@@ -211,8 +210,7 @@ def _mosaic_priors(plan: Plan, names: list[str]) -> None:
         strip = _strip_rows(whole)
         for first in range(0, whole.height, strip):
             last = min(first + strip, whole.height)
-            # a row more on either side, for the normals
-            rows = slice(max(0, first - 1), min(whole.height, last + 1))
+            rows = files.around(slice(first, last))
             mosaics = FeatheredMosaic(whole, rows, 1), FeatheredMosaic(whole, rows, 1)
             for one in pieces:
                 own = one.rows_within(whole, rows)
@@ -221,9 +219,7 @@ def _mosaic_priors(plan: Plan, names: list[str]) -> None:
                     for mosaic, values in zip(mosaics, one.read(own), strict=True):
                         mosaic.add(one.tile, share, values, own)
             height, confidence = (mosaic.done()[..., 0] for mosaic in mosaics)
-            inner = slice(first - rows.start, last - rows.start)
-            slant = normals(height, whole.cell_size)
-            files.write(height[inner], confidence[inner], slant[:, inner], slice(first, last))
+            files.write(height, confidence, slice(first, last))
 
 
 def _trace(plan: Plan, names: list[str]) -> Trace:
