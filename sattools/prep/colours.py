@@ -15,12 +15,14 @@ import numpy as np
 from sattools.camera.ground import to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, image_id, load_source, write_image
+from sattools.prep.images import SourceImage, image_id, load_source
 from sattools.prep.layout import crop_window
+from sattools.prep.pixels import look_for_frame, write_image
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text
 from sattools.scene.location import images_in
+from sattools.scene.opening import opened
 
 # words of a name that say which sensor took an image, not which acquisition it is
 SENSORS = {
@@ -172,6 +174,8 @@ def add_colours(
         if min(colour.window[2:]) < 1:
             raise InputError(f"{colour.path}: found nothing of the area, expected colours of {item.id}")
         own = rpc.cropped(colour.window[0], colour.window[1])
+        with opened(colour.path) as data:
+            look_for_frame(data, colour)
         write_image(colour, own, scene.output(_image(item.id)))
         write_text(scene.output(_camera(item.id)), own.to_rpc_txt())
         item.assets["colours"] = Asset(_image(item.id), GEOTIFF_TYPE, ["data"])

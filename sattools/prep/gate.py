@@ -78,11 +78,9 @@ def _check_bands(source: SourceImage) -> None:
                 keep = " ".join(f"-b {b}" for b in range(1, source.bands + 1) if b != number)
                 raise InputError(
                     f"{source.path}: found a transparency mask in band {number}, expected spectral bands only "
-                    f"(gdal_translate {keep} leaves it out)"
+                    f"(gdal_translate {keep} -mask {number} makes a mask of it, which is read)"
                 )
             source.warn(f"band {number} is marked as transparency and taken for a spectral band")
-    if source.masked:
-        source.warn("its mask is not read: give no-data pixels a no-data number")
 
 
 def _check_time(source: SourceImage) -> None:

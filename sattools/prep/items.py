@@ -19,9 +19,10 @@ from sattools.camera.ground import (
     view_direction,
 )
 from sattools.camera.sun import sun_position
-from sattools.prep.images import SourceImage, significant_bits, value_range
+from sattools.prep.images import SourceImage
 from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
+from sattools.prep.pixels import significant_bits, value_range
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
 from sattools.scene.globe import outline_on_globe
 from sattools.scene.location import RemotePath

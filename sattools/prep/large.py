@@ -21,8 +21,9 @@ from sattools.camera.ground import ground_sample_distance
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, at_once, block_factor, read_gray
+from sattools.prep.images import SourceImage, at_once, block_factor
 from sattools.prep.layout import Bounds, common_bounds, crop_window, ground_polygon
+from sattools.prep.pixels import read_gray
 from sattools.processors import side_by_side
 from sattools.progress import Progress, subprogress
 

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
 
 from sattools.errors import InputError
 
@@ -24,7 +27,7 @@ class Numbers:
         low, high: ``[bands]``.
         odd: pixels of the first band that are not finite.
         seen: pixels.
-        zero: pixels that are 0 in all bands without being declared as no-data.
+        zero: pixels that are 0 in all bands without being no data.
         negative: pixels that are negative in a band.
         lowest: pixels of the first band that have its smallest number.
     """
@@ -67,10 +70,7 @@ class Numbers:
         if self.odd:
             found.append(f"{self._percent(self.odd)} % of the pixels are NaN and were masked")
         if self.zero > MANY_ZEROS * self.seen:
-            found.append(
-                f"{self._percent(self.zero)} % of the pixels are 0 in all bands and taken for no data, which "
-                "the file does not say (gdal_edit.py -a_nodata 0 does)"
-            )
+            found.append(f"{self._percent(self.zero)} % of the pixels are 0 in all bands: they tie no images")
         return found
 
     def doubts(self) -> list[str]:
@@ -99,4 +99,24 @@ class Numbers:
         return float(self.low.min()), float(self.high.max())
 
 
-__all__ = ["Numbers"]
+def read_band(data: DatasetReader, path: Path, band: int, window: Window) -> NDArray[np.generic]:
+    """Numbers ``[H, W]`` of a band as stored.
+
+    Args:
+        data: the open image.
+        path: its name, for messages.
+        band: from 1.
+        window: of the file.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    try:
+        return np.asarray(data.read(band, window=window))
+    except (RasterioError, ValueError):
+        raise InputError(
+            f"{path}: found a damaged or truncated image in band {band}, expected {data.width} x {data.height} pixels"
+        ) from None
+
+
+__all__ = ["Numbers", "read_band"]

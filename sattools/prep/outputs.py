@@ -10,10 +10,11 @@ import numpy as np
 
 from sattools.camera.adjust import Adjustment
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, at_once, write_image
+from sattools.prep.images import SourceImage, at_once
 from sattools.prep.items import describe, tie_point_features
 from sattools.prep.layout import crop_window
 from sattools.prep.pairs import residual_vectors
+from sattools.prep.pixels import write_image
 from sattools.processors import side_by_side
 from sattools.progress import Progress
 from sattools.scene import GEOTIFF_TYPE, Asset, Scene
@@ -74,6 +75,9 @@ def write_images(
         progress(k / len(sources), f"writing {source.id}")
         item = describe(source, camera, result.views[k], grid, heights)
         if not copied[k]:
+            if source.frame is not None:
+                number = f"{source.frame.value:g}"
+                source.warn(f"is not copied, so its frame of {number} is ground later on: declare it as no data")
             item.assets["image"] = Asset(
                 str(source.path.absolute()), GEOTIFF_TYPE, ["data"], {WINDOW: list(source.window)}
             )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import rasterio
+from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
@@ -151,7 +152,14 @@ def read_some_pixels(path: Path, pixels: int = 4_000_000) -> np.ndarray:
         array = _decimated(data, path, Window(0, 0, data.width, data.height), shape, False).astype(np.float32)
         if data.nodata is not None and np.isfinite(data.nodata):
             array[array == np.float32(data.nodata)] = np.nan
+        if _has_mask(data):
+            array[:, data.dataset_mask(out_shape=shape) == 0] = np.nan
     return array
+
+
+def _has_mask(data: rasterio.DatasetReader) -> bool:
+    """Whether a mask says which pixels are data; transparency is another thing."""
+    return bool(data.mask_flag_enums[0] == [MaskFlags.per_dataset])
 
 
 def _decimated(
@@ -281,6 +289,8 @@ def _numbers(data: rasterio.DatasetReader, path: Path, rows: slice, cols: slice)
     array = _read(data, path, window).astype(np.float32)
     if data.nodata is not None and np.isfinite(data.nodata):
         array[array == np.float32(data.nodata)] = np.nan
+    if _has_mask(data):
+        array[:, data.dataset_mask(window=window) == 0] = np.nan
     return array
 
 

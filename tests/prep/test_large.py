@@ -12,8 +12,10 @@ from sattools.camera.tracks import Tracks
 from sattools.errors import InputError, SattoolsError
 from sattools.prep import images as prep_images
 from sattools.prep import large
-from sattools.prep.images import block_factor, load_source, read_gray, value_range, write_image
+from sattools.prep import pixels as prep_pixels
+from sattools.prep.images import block_factor, load_source
 from sattools.prep.options import PrepOptions
+from sattools.prep.pixels import read_gray, value_range, write_image
 from sattools.prep.stage import prepare
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
@@ -79,7 +81,7 @@ def test_the_range_of_values_is_that_of_all_pixels_however_they_are_read(
         pixels = data.read()
     expected = (float(pixels.min()), float(pixels.max()))
     assert value_range(source) == expected
-    monkeypatch.setattr(prep_images, "_STRIP_PX", 1000)
+    monkeypatch.setattr(prep_pixels, "_STRIP_PX", 1000)
     assert value_range(source) == expected
     read_gray(source, 4)
     assert source.read_range == (source.window, expected)
@@ -168,7 +170,7 @@ def test_a_copy_that_cannot_be_read_back_is_not_kept(folder: Path, monkeypatch: 
     source = load_source(paths(folder)[0], "a", None)
     target = folder / "copy.tif"
     sums = iter(range(1000))
-    monkeypatch.setattr(prep_images.zlib, "crc32", lambda _: next(sums))
+    monkeypatch.setattr(prep_pixels.zlib, "crc32", lambda _: next(sums))
     with pytest.raises(SattoolsError, match=r"copy.tif: cannot be written \(found other pixels than were written\)"):
         write_image(source, source.rpc, target)
     assert not target.exists()

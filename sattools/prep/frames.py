@@ -1,0 +1,114 @@
+"""Frames around images: pixels of one number from a corner on, which vendors write without calling them no data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
+from scipy.ndimage import binary_dilation, label
+
+from sattools.prep.numbers import read_band
+
+CORNER_PX = 4  # edge of what must be of one number in a corner
+LEAST_SHARE = 0.005  # of the pixels: less is no frame, or does no harm
+LOOKED_AT = 1_000_000  # pixels by which the shape of a frame is found
+_STRIP_PX = 4_000_000
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where an image has a frame.
+
+    Attributes:
+        value: of its pixels, in all bands.
+        share: of the pixels that were looked at.
+        places: ``[h, w]`` bool, blocks of pixels where it may be: a pixel of the number elsewhere is ground.
+        step: pixels along the edge of a block.
+        corner: column and row of the first.
+    """
+
+    value: float
+    share: float
+    places: NDArray[np.bool_]
+    step: int
+    corner: tuple[int, int]
+
+    def within(self, window: Window) -> NDArray[np.bool_]:
+        """Where it may be, ``[height, width]`` of a window of the file."""
+        (col, row), (height, width) = self.corner, self.places.shape
+        rows = (np.arange(window.row_off, window.row_off + window.height) - row) // self.step
+        cols = (np.arange(window.col_off, window.col_off + window.width) - col) // self.step
+        inside = (rows >= 0)[:, None] & (rows < height)[:, None] & (cols >= 0) & (cols < width)
+        return np.asarray(self.places[np.clip(rows, 0, height - 1)][:, np.clip(cols, 0, width - 1)] & inside)
+
+    def __str__(self) -> str:
+        percent = f"{100 * self.share:.2g}" if self.share < 0.1 else f"{100 * self.share:.0f}"
+        return (
+            f"{percent} % of the pixels, from a corner on, are {self.value:g} in all bands and taken for no data, "
+            f"which the file does not say (gdal_edit.py -a_nodata {self.value:g} does)"
+        )
+
+
+def find_frame(data: DatasetReader, path: Path, window: tuple[int, int, int, int]) -> Frame | None:
+    """The frame of a window of an image, None where it has none.
+
+    An image's outline is convex: whatever lies outside of it within a window reaches one of the window's corners.
+
+    Args:
+        data: the open image.
+        path: its name, for messages.
+        window: column, row, width, height.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    col, row, width, height = window
+    size = min(CORNER_PX, width, height)
+    corners = [(c, r) for r in (row, row + height - size) for c in (col, col + width - size)]
+    values = {corner: _one_number(data, path, Window(*corner, size, size)) for corner in corners}
+    found = []
+    for value in {v for v in values.values() if v is not None}:
+        step = max(1, math.ceil(math.sqrt(width * height / LOOKED_AT)))
+        same = np.concatenate(list(_sampled(data, path, window, value, step)))
+        pieces, _ = label(same)
+        middles = [
+            ((r - row + size // 2) // step, (c - col + size // 2) // step) for (c, r), v in values.items() if v == value
+        ]
+        last = np.array(pieces.shape) - 1
+        of_corners = {int(pieces[tuple(np.minimum(middle, last))]) for middle in middles} - {0}
+        places = np.isin(pieces, list(of_corners))
+        share = float(places.mean())
+        if share >= LEAST_SHARE:
+            # a block whose sampled pixel is ground may hold some of the frame
+            found.append(Frame(value, share, binary_dilation(places, np.ones((3, 3))), step, (col, row)))
+    return max(found, key=lambda frame: frame.share, default=None)
+
+
+def _one_number(data: DatasetReader, path: Path, window: Window) -> float | None:
+    """The number that all bands have in a window, None where it is not one or declared as no data."""
+    values = np.stack([read_band(data, path, band, window) for band in range(1, data.count + 1)])
+    value = float(values.flat[0])
+    if not math.isfinite(value) or value == data.nodata or not (values == values.flat[0]).all():
+        return None
+    return value
+
+
+def _sampled(
+    data: DatasetReader, path: Path, window: tuple[int, int, int, int], value: float, step: int
+) -> Iterator[NDArray[np.bool_]]:
+    """Whether all bands have a number at every so many-th pixel, some rows at a time."""
+    col, row, width, height = window
+    strip = max(1, _STRIP_PX // (width * step)) * step
+    for first in range(0, height, strip):
+        rows = Window(col, row + first, width, min(strip, height - first))
+        same = [read_band(data, path, band, rows)[::step, ::step] == value for band in range(1, data.count + 1)]
+        yield np.logical_and.reduce(same)
+
+
+__all__ = ["Frame", "find_frame"]

@@ -1,0 +1,139 @@
+"""Pixels without data that no number declares: frames of one number, and masks."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+from spoilt import Town, made, prep
+
+from sattools.prep.frames import find_frame
+from sattools.scene import Scene
+from sattools.views import load_sources
+
+
+@pytest.fixture
+def town(town_source: Any, tmp_path: Path) -> Any:
+    return Town(tmp_path, town_source, 4)
+
+
+def cut(value: int, dtype: Any = np.uint16, roof: bool = True) -> Any:
+    """The corner at the left top is one number, and so is a roof somewhere."""
+
+    def change(values: Any) -> Any:
+        values = np.clip(values.astype(np.float64), 1, 60000).astype(dtype)
+        values[:, corner_of(values[0])] = value
+        if roof:
+            values[:, 50:60, 50:60] = value
+        return values
+
+    return change
+
+
+def corner_of(values: Any) -> NDArray[np.bool_]:
+    rows, cols = np.indices(values.shape)
+    return np.asarray(rows + cols < 40)
+
+
+def unknown(result: Any, number: int) -> NDArray[np.bool_]:
+    """Pixels of an image without data, as later stages read them."""
+    scene = Scene.from_json(result if isinstance(result, str) else result.stdout)
+    source = load_sources(scene, [item for item in scene.items if item.id == f"TOWN_{number:03d}"])[0]
+    return np.asarray(np.isnan(source.radiance).all(axis=0))
+
+
+@pytest.mark.parametrize("value", [0, 1, 65535])
+def test_a_cut_corner_of_one_number_is_no_data_and_a_roof_of_that_number_is(town: Any, value: int) -> None:
+    for number in range(1, 5):
+        town.pixels(number, cut(value))
+    result = prep(town)
+    assert result.exit_code == 0, result.output
+    percent = "% of the pixels, from a corner on, are " + str(value)
+    assert (percent in result.stderr) == (value != 0)  # zeros are what every vendor writes: they are noted
+    assert percent in "".join(Scene.from_json(result.stdout).history[-1]["notes"])
+    for number in range(1, 5):
+        with rasterio.open(town.folder / f"out/Q/images/TOWN_{number:03d}.tif") as data:
+            masked, values = data.dataset_mask() == 0, data.read()
+        np.testing.assert_array_equal(masked, corner_of(masked))
+        assert (values[:, masked] == value).all()  # pixels stay as they were
+        assert unknown(result, number).sum() > 0
+        assert not unknown(result, number)[50:60, 50:60].any()
+
+
+def test_a_picture_of_eight_bits_with_white_corners(town: Any) -> None:
+    for number in range(1, 5):
+        town.pixels(number, lambda values: cut(255, np.uint8)(np.minimum(values / 8, 254)))
+    made(town, "are 255 in all bands and taken for no data", "gdal_edit.py -a_nodata 255")
+
+
+def test_a_bright_roof_in_a_corner_is_no_frame(town: Any) -> None:
+    def small(values: Any) -> Any:
+        values = values.copy()
+        values[:, :5, :5] = 2047  # 0.2 % of the pixels
+        return values
+
+    town.pixels(2, small)
+    result = prep(town)
+    assert "from a corner on" not in result.stderr
+    assert not unknown(result, 2).any()
+
+
+def test_a_mask_is_honoured(town: Any) -> None:
+    for number in range(1, 5):
+        with rasterio.open(town.image(number), "r+") as data:
+            data.write_mask(~corner_of(data.read(1)))
+    result = prep(town)
+    assert result.stderr == ""
+    for number in range(1, 5):
+        with rasterio.open(town.folder / f"out/Q/images/TOWN_{number:03d}.tif") as data:
+            masked = data.dataset_mask() == 0
+        np.testing.assert_array_equal(masked, corner_of(masked))
+        assert unknown(result, number).sum() > 0
+
+
+def test_a_frame_that_is_not_copied_is_told(town: Any) -> None:
+    for number in range(1, 5):
+        town.pixels(number, cut(1))
+    result = prep(town, "--no-copy")
+    assert "TOWN_001: is not copied, so its frame of 1 is ground later on: declare it as no data" in result.stderr
+
+
+def test_a_window_knows_the_frame_that_reaches_its_corners(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    values = rng.integers(1, 1000, (2, 300, 400)).astype(np.uint16)
+    values[:, :, 250:] = 7
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", count=2, height=300, width=400, dtype="uint16") as data:
+        data.write(values)
+    with rasterio.open(path) as data:
+        assert find_frame(data, path, (0, 0, 240, 300)) is None
+        frame = find_frame(data, path, (200, 100, 150, 150))
+        assert frame is not None
+        assert frame.value == 7
+        assert frame.share == pytest.approx(100 / 150, abs=0.01)
+        there = frame.within(rasterio.windows.Window(240, 120, 40, 20))
+    assert there.shape == (20, 40)
+    assert there[:, 10:].all()
+    assert not there[:, :8].any()
+
+
+def test_a_frame_of_a_large_image_is_found_by_some_of_its_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sattools.prep.frames.LOOKED_AT", 1000)
+    values = np.random.default_rng(0).integers(1, 1000, (1, 300, 400)).astype(np.uint16)
+    rows, cols = np.indices((300, 400))
+    frame = rows > 150 + cols / 4
+    values[0, frame] = 0
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", count=1, height=300, width=400, dtype="uint16") as data:
+        data.write(values)
+    with rasterio.open(path) as data:
+        found = find_frame(data, path, (0, 0, 400, 300))
+    assert found is not None
+    assert found.step > 1
+    there = found.within(rasterio.windows.Window(0, 0, 400, 300))
+    assert there[frame].all()  # of which the pixels of that number are taken
+    assert there[~frame].mean() < 0.3
