@@ -9,6 +9,7 @@ import torch
 
 from sattools.field.mlp import MlpField
 from sattools.fit.depth_prior import DepthPrior
+from sattools.fit.illumination import level_towards
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.scene import ALL_IN, RayScene
@@ -49,6 +50,8 @@ def field_picture(
         one = slice(known, known + 1)
         gain, offset, ambient = model.gain[one], model.offset[one], model.ambient[one]
         embedding = model.extra["embedding"][one]
+    if model.absolute:  # the sun may be another one than the image's
+        gain = torch.full_like(gain, level_towards(model, model.gain, view.sun))
     scene = RayScene(restored_field(model), rays, _options(model), gain, offset, radiance=model.radiance)
     scene.colour["ambient"].copy_(ambient)
     scene.embedding.copy_(embedding)

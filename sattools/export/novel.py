@@ -20,7 +20,7 @@ from sattools.export.field_views import field_picture, surface_picture
 from sattools.export.parts import Part, Parts, WholeModel
 from sattools.export.pictures import ColourScale, Picture
 from sattools.fit.described import Description
-from sattools.fit.illumination import light_scale
+from sattools.fit.illumination import level_towards, light_scale
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.surface.scene import SurfaceScene
@@ -182,8 +182,9 @@ def _shown(
     model, surface, grid = part.model, part.surface, part.model.grid
     if model.field == "surface":
         light = light_towards(surface, part.lit(view.sun), view.sun, view.slope.unit())
-        if known is not None:
+        if known is not None and not model.absolute:
             light = surface.gain[known] * light + surface.offset[known]
+        light = light * level_towards(model, surface.gain, view.sun)
         light = light * light_scale(model.radiance, view.sun) if isinstance(surface, ReflectiveScene) else light
         rays = ParallelRays(view.slope, view.z_ref, pose)
         picture, depth, opacity = surface_picture(model, surface.height, light, rays, z_range)
@@ -253,6 +254,7 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
         for part in parts.parts():
             if head.field == "surface":
                 light = light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()
+                light = light * level_towards(part.model, part.surface.gain, sun)
             else:
                 light, _, _ = field_picture(part.model, from_above(part.model, sun), None, scene.require_height_range())
             shown = light if part.valid is None else np.where(part.valid[..., None], light, np.nan)

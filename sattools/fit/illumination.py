@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sattools.errors import SceneError
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.described import Radiance
+from sattools.fit.described import Description, Radiance
 from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import SHAPE
 from sattools.fit.materials.scene import ReflectiveScene
@@ -32,6 +32,7 @@ CALIBRATED_SMOOTH = 0.2
 PLAIN_PRIOR = 5.0  # factor of the prior's weight where one colour per cell has to explain calibrated images
 NORMAL_SMOOTHING_M = 6.0
 EXPOSURE = 1 / 3  # median radiance of images that fill their range
+LEAST_LEVEL = 0.05  # sine of the sun's elevation that still lights level ground
 LEAST_KNOWN = 0.5  # share of the prior's variance that the images must take away before a parameter counts as found
 UNKNOWN_SHARE = 0.2  # standard deviation, as share of the range, from which a parameter counts as unknown
 
@@ -59,6 +60,34 @@ def light_scale(kind: Radiance, sun: tuple[float, float, float] | None) -> float
     if kind == "toa_reflectance" and sun is not None:
         return 1 / max(sun[2], 0.02)
     return 1.0
+
+
+def levels(kind: Radiance, suns: Sequence[tuple[float, float, float] | None], bands: int) -> np.ndarray:
+    """Gains ``[V, bands]`` of images of one scale where the light of a cell has no cosine of the incidence, Lambert's.
+
+    Level ground shows a reflectance factor times the sine of the sun's elevation, so this belongs to the image, not to
+    the albedo.
+
+    Args:
+        kind: what the images' numbers are.
+        suns: unit vectors to the suns of the images; None = unknown.
+        bands: number of bands.
+    """
+    each = [max(sun[2], LEAST_LEVEL) if sun and kind == "reflectance_factor" else 1.0 for sun in suns]
+    return np.repeat(np.array(each, np.float32)[:, None], bands, axis=1)
+
+
+def level_towards(model: Description, gain: Tensor, sun: tuple[float, float, float] | None) -> float:
+    """The gain of a picture under a sun that no image has, see `levels`; 1 for a model that has none.
+
+    Args:
+        model: what was fitted.
+        gain: ``[V, C]`` of its images.
+        sun: unit vector to the sun, or None.
+    """
+    if model.brdf != "lambert" or not model.absolute or bool((gain == 1).all()):
+        return 1.0
+    return float(levels(model.radiance, [sun], 1)[0, 0])
 
 
 def calibrated(options: FitOptions, kind: Radiance) -> FitOptions:

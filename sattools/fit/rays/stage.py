@@ -19,6 +19,7 @@ from sattools.fit.combinations import starts_from_prior
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import Radiance
 from sattools.fit.files import CHECKPOINT, Fitted
+from sattools.fit.illumination import levels
 from sattools.fit.inputs import fingerprint
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
@@ -97,6 +98,8 @@ def fit_rays(
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
     if radiance != "relative":  # the images have one scale already
         gain, offset = torch.ones_like(gain), torch.zeros_like(offset)
+        if options.brdf == "lambert":
+            gain = torch.from_numpy(levels(radiance, [view.sun for view in views], gain.shape[1]))
     # a field with neither shadows nor slopes has to begin with the mean image
     coloured = start if start is not None and (options.shadow != "none" or start.reflective is not None) else None
     base = None

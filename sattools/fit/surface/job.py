@@ -15,7 +15,7 @@ from torch import Tensor
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.described import Radiance
 from sattools.fit.files import CHECKPOINT
-from sattools.fit.illumination import light_scale, material_notes, prior_normals
+from sattools.fit.illumination import levels, light_scale, material_notes, prior_normals
 from sattools.fit.inputs import fingerprint
 from sattools.fit.materials.scene import ReflectiveScene, restored
 from sattools.fit.materials.selection import Choice, choose_model, draw
@@ -168,7 +168,10 @@ class SurfaceJob:
         if self.coarse:
             gain, offset = (self.coarse.colours[name].numpy() for name in ("gain", "offset"))
         elif self.radiance != "relative":
+            # a reflectance model has the cosine of the incidence itself
             gain, offset = np.ones_like(gain), np.zeros_like(offset)
+            if self.options.brdf == "lambert":
+                gain = levels(self.radiance, [view.sun for view in self.views], gain.shape[1])
         total = np.zeros_like(self.views[0].target)
         weight = np.zeros((*grid.shape, 1), np.float32)
         for view, a, b in zip(self.views, gain, offset, strict=True):
