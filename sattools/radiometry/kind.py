@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -112,6 +113,57 @@ def image_scales(scene: Scene, items: Sequence[Item], options: NormaliseOptions)
     return {item.id: _of_image(scene, item, options, declared) for item in items}
 
 
+def contradictions(scene: Scene, items: Sequence[Item], options: NormaliseOptions) -> list[str]:
+    """Notes where the user's scale and offset are not those that the images' own files state: theirs are not applied.
+
+    Args:
+        scene: of the items.
+        items: the images.
+        options: of the stage.
+
+    Raises:
+        SceneError, InputError: as `image_scales`.
+    """
+    declared = declared_by_user(options)
+    if declared is None:
+        return []
+    found: dict[str, str] = {}
+    for item in items:
+        stated = _stated(*_files(scene, item, options))
+        if stated is not None and not _same(stated, declared):
+            gain, offset = stated.of_band(1)
+            found[item.id] = f"{Path(stated.source).name} states scale {gain:g} and offset {offset:g}"
+    if not found:
+        return []
+    name, text = next(iter(found.items()))
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    scale, offset = declared.of_band(1)
+    return [f"{name}{more}: {text}, which --scale {scale:g} and --offset {offset:g} replace"]
+
+
+def _same(a: Declared, b: Declared) -> bool:
+    count = max(len(a.gain), len(b.gain))
+    both = [(a.of_band(k), b.of_band(k)) for k in range(1, count + 1) if len(a.gain) in (1, count)]
+    return all(math.isclose(x, y, rel_tol=1e-6, abs_tol=1e-12) for one in both for x, y in zip(*one, strict=True))
+
+
+def _stated(copy: Path, original: Path, files: Sequence[Path]) -> Declared | None:
+    """What metadata or the image itself say of the numbers."""
+    return next(filter(None, (read_declared(path, original) for path in files)), None) or scale_of_image(copy)
+
+
+def _files(scene: Scene, item: Item, options: NormaliseOptions) -> tuple[Path, Path, list[Path]]:
+    """The image, the original that it was made of, and the metadata files that may speak of it."""
+    copy = scene.path(item.assets["image"].href)
+    original = Path(item.properties.get("sattools:source") or copy)
+    folders = [Path(options.metadata)] if options.metadata else []
+    if options.metadata and not folders[0].is_dir():
+        raise SceneError(f"{options.metadata}: found no folder, expected one with vendor metadata")
+    if original.parent.is_dir():
+        folders.append(original.parent)
+    return copy, original, sidecars(original, folders)
+
+
 def choose_quantity(scene: Scene, scales: dict[str, ImageScale], options: NormaliseOptions, notes: list[str]) -> str:
     """The quantity asked for, or the best that all images allow.
 
@@ -169,17 +221,10 @@ def declared_by_user(options: NormaliseOptions) -> Declared | None:
 
 
 def _of_image(scene: Scene, item: Item, options: NormaliseOptions, declared: Declared | None) -> ImageScale:
-    copy = scene.path(item.assets["image"].href)
-    original = Path(item.properties.get("sattools:source") or copy)
-    folders = [Path(options.metadata)] if options.metadata else []
-    if options.metadata and not folders[0].is_dir():
-        raise SceneError(f"{options.metadata}: found no folder, expected one with vendor metadata")
-    if original.parent.is_dir():
-        folders.append(original.parent)
-    files = sidecars(original, folders)
+    copy, original, files = _files(scene, item, options)
     bands = _calibration(files, item)
     if declared is None:
-        declared = next(filter(None, (read_declared(path, original) for path in files)), None) or scale_of_image(copy)
+        declared = _stated(copy, original, files)
         if declared is not None and declared.quantity is None:
             asked = options.quantity if options.quantity in (*REFLECTANCES, "radiance") else None
             declared = None if bands else replace(declared, quantity=asked)
@@ -212,4 +257,4 @@ def _calibration(files: Sequence[Path], item: Item) -> list[BandCalibration]:
     return []
 
 
-__all__ = ["REFLECTANCES", "ImageScale", "choose_quantity", "declared_by_user", "image_scales"]
+__all__ = ["REFLECTANCES", "ImageScale", "choose_quantity", "contradictions", "declared_by_user", "image_scales"]

@@ -14,7 +14,7 @@ from sattools.errors import SceneError
 from sattools.progress import Progress, silent
 from sattools.radiometry.bands import eo_bands
 from sattools.radiometry.histogram import histogram_figure
-from sattools.radiometry.kind import ImageScale, choose_quantity, image_scales
+from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
 from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.saturated import NOTED, Conversion
@@ -112,7 +112,7 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     items = _images(scene)
     if not items:
         raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
-    notes: list[str] = []
+    notes = contradictions(scene, items, options)
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
     job = _Job(scene, options, quantity, scales, _bits(items, options, notes))

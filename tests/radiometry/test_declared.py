@@ -211,6 +211,22 @@ def test_so_does_a_geotiff_with_scales(tmp_path: Path) -> None:
     np.testing.assert_allclose(values(scene)[:, 0], [0.4], atol=1e-6)
 
 
+def test_a_scale_that_is_not_the_files_own_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The file's offset is dropped with its scale: every value would be off by it without a word."""
+    scene = make_scene(tmp_path, two_bands(), scales=[1e-4, 2e-4], platform=None)
+    entry = normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/10000"))
+    told = "states scale 0.0001 and offset 0, which --scale 0.0001 and --offset 0 replace"
+    assert [told in note for note in entry["notes"]].count(True) == 1
+    assert told in caplog.text
+    assert values(scene)[1].flat[0] == pytest.approx(0.2)  # 2000 / 10000, not 0.4 as the file has it
+
+
+def test_the_files_own_scale_given_once_more_is_nothing_to_tell(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands(), scales=[1e-4, 1e-4], platform=None)
+    entry = normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/10000"))
+    assert not any("replace" in note for note in entry["notes"])
+
+
 def test_a_scale_for_fewer_bands_than_are_asked_for_is_an_error() -> None:
     declared = Declared("toa_reflectance", (1e-4, 1e-4), (0.0, 0.0), "x.xml")
     with pytest.raises(SceneError, match=r"x\.xml: found scales of 2 bands, expected one of band 3"):
