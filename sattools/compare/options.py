@@ -24,7 +24,8 @@ class CompareOptions:
     predicted: str | None = option(None, "DSM to score, instead of the scene's; then no scene is read.", path="file")
     aoi: str | None = option(None, "Name of the tile in --truth [default: the scene's id].")
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
-        "ncc", "ncc: whole cells, then mean height; nuth-kaab: parts of cells; z: mean height only; none."
+        "ncc",
+        "ncc: whole cells, then mean height; nuth-kaab: parts of cells, for open ground; z: mean height only; none.",
     )
     region: str | None = option(
         None,

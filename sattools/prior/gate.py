@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from itertools import combinations
 
 import numpy as np
 
@@ -24,6 +25,7 @@ NO_STEREO = "found no two images from different directions, expected stereo imag
 # twice as wrong as with 3 x 3, with 13 x 13 2.4 to 3.3, with 33 x 33 6 to 9.5 times. Below 3 m it is narrower than
 # streets and houses, however small the cells are.
 WIDE_CELLS, WIDE_M = 9, 3.0
+NARROW_DEG = 5.0  # between lines of sight, below which half a pixel is several pixels of height
 COARSE, FINE = 1.5, 0.6  # times as wide as cells that suit the pixels, beyond which cells are not matched themselves
 
 
@@ -40,6 +42,7 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     check_count(scene, items)
     grid, fine = grids(scene, items, options)
     warn_of_window(scene, fine, options)
+    warn_of_base(scene, items)
     z_range = scene.require_height_range()
     images = open_images(scene, items)
     if fine.width * fine.height <= AT_ONCE:
@@ -100,6 +103,31 @@ def warn_of_window(scene: Scene, grid: Grid, options: PriorOptions) -> list[str]
     return [text]
 
 
+def warn_of_base(scene: Scene, items: list[Item]) -> list[str]:
+    """Notes, and a warning, of images from so nearly one direction that displacements tell little of heights.
+
+    Args:
+        scene: for the message.
+        items: the images.
+    """
+    known = [item.properties.get("sattools:view_direction") for item in items]
+    if not all(known):
+        return []
+    towards = np.array(known, np.float64)
+    # by the chord: the cosine of a small angle has no digits left
+    widest = max(2 * math.asin(min(1.0, float(np.linalg.norm(a - b)) / 2)) for a, b in combinations(towards, 2))
+    if math.degrees(widest) >= NARROW_DEG:
+        return []
+    pixel = float(np.median([item.properties.get("gsd") or math.nan for item in items]))
+    worth = f"a pixel of displacement is {pixel / max(widest, 1e-6):.0f} m of height" if math.isfinite(pixel) else ""
+    text = (
+        f"lines of sight are {math.degrees(widest):.1f} degrees apart at most: {worth or 'heights are weakly known'}; "
+        "probability and bounds of the errors do not know of it"
+    )
+    log.warning("scene %s: %s", scene.id, text)
+    return [text]
+
+
 def outputs(items: list[Item], options: PriorOptions) -> list[str]:
     """All files that will be written."""
     found = list(MAPS.values())
@@ -113,4 +141,6 @@ def per_image_href(name: str, item_id: str) -> str:
     return f"prior/{name}/{item_id}.tif"
 
 
-__all__ = ["NO_STEREO", "check_count", "check_start", "grids", "outputs", "per_image_href", "warn_of_window"]
+__all__ = [
+    "NO_STEREO", "check_count", "check_start", "grids", "outputs", "per_image_href", "warn_of_base", "warn_of_window",
+]  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
-from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_window
+from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_base, warn_of_window
 from sattools.prior.matched import Matched, match_area
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
@@ -58,7 +58,7 @@ def prior(
     read = seen(scene, "prior", items)
     grid, fine = grids(scene, items, options)
     z_range = scene.require_height_range()
-    notes = warn_of_window(scene, fine, options)
+    notes = warn_of_window(scene, fine, options) + warn_of_base(scene, items)
     progress(0.0, "reading images")
     part = subprogress(progress, 0.2, 0.9)
     if fine != grid:
