@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import check_tiled, with_tile
-from sattools.fit.inputs import holding_out, makes_prior, may_write, warn_of_prior
+from sattools.fit.inputs import holding_out, makes_prior, may_write, saying_why_anew, warn_of_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
@@ -71,7 +71,8 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
             options = replace(options, tile=None, part="all")
         set_up_whole(scene, options)
         if makes_prior(scene, options):
-            check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
+            with saying_why_anew(scene):
+                check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
 
 
 __all__ = ["check_start", "choose_device", "fit"]
