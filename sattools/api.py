@@ -7,14 +7,15 @@
     scene.dsm().plot()
 
 Every function takes a scene (a `Scene`, or the path of a `scene.json`) and the stage's options (its dataclass, or the
-options as a dict, in which a text stands for a list of that one; None = the defaults), does what the command of that
-name does, history and files included, and returns the scene (`change`, which has two, its table). ``progress=True``
+options as a dict, in which a text stands for a list of that one, and a number for a text; None = the defaults), does
+what the command of that name does, history and files included, and returns the scene (`change`, which has two, its
+table). A `Scene` that is given is the one that is changed and returned; of a path a new one is. ``progress=True``
 shows a bar; any function of (share done, message) is told instead.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -43,7 +44,7 @@ Told = Progress | bool | None
 
 
 def prepare(
-    images: Sequence[str | Path],
+    images: str | PathLike[str] | Sequence[str | PathLike[str]],
     options: PrepOptions | Mapping[str, Any] | None = None,
     *,
     overwrite: bool = False,
@@ -52,7 +53,7 @@ def prepare(
     """Images with RPC cameras become a scene with adjusted cameras, as `sattools prep` does.
 
     Args:
-        images: paths or addresses of images of one place.
+        images: paths or addresses of images of one place; one that is a folder stands for the images in it.
         options: see `sattools.prep.options.PrepOptions`.
         overwrite: replace outputs that are there; inputs are never replaced.
         progress: True = a bar, or a function of (share done, message).
@@ -62,10 +63,12 @@ def prepare(
         OutputExistsError: outputs are there and ``overwrite`` is False.
     """
     from sattools.prep.stage import prepare as stage
+    from sattools.scene.location import image_locations
 
     own = _options(PrepOptions, options)
+    paths = image_locations(_paths(images))
     step = Step("prep", own, overwrite, _progress(progress, "prep"))
-    return run_first(step, lambda told: stage([Path(p) for p in images], own, told, overwrite))
+    return run_first(step, lambda told: stage(paths, own, told, overwrite), paths)
 
 
 def simulate(
@@ -263,6 +266,18 @@ def _run(
     return run_on(_scene(scene), step, lambda s, told: stage(s, options, told, overwrite))[0]
 
 
+def _paths(images: Any) -> list[str]:
+    """Names of files, one or several. Raises InputError for anything else, such as pixels."""
+    given = [images] if isinstance(images, str | PathLike) else images
+    if not isinstance(given, Iterable) or isinstance(given, Mapping | bytes):
+        raise InputError(f"prepare: found {type(images).__name__}, expected the paths of images")
+    names = list(given)
+    for name in names:
+        if not isinstance(name, str | PathLike):
+            raise InputError(f"prepare: found {type(name).__name__} in a list, expected the paths of images")
+    return [str(name) for name in names]
+
+
 def _scene(scene: SceneLike) -> Scene:
     return scene if isinstance(scene, Scene) else Scene.from_file(scene)
 
@@ -290,6 +305,9 @@ def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
     texts = {spec.name for spec in known.values() if spec.multiple and spec.kind is str} & values.keys()
     # a text is an option that a command line gives once
     values |= {name: [values[name]] for name in texts if isinstance(values[name], str)}
+    single = {spec.name for spec in known.values() if spec.kind is str and not spec.multiple} & values.keys()
+    # and what is a number in Python is text there, such as a scale
+    values |= {name: str(values[name]) for name in single if type(values[name]) in (int, float)}
     for name, value in values.items():
         if (own := known.get(name)) is not None:
             _kind(own).check(value, f"{cls.__name__}: option {name!r}")

@@ -156,6 +156,41 @@ def test_a_text_is_taken_in_place_of_a_list_as_the_command_takes_it(make_town: A
         sattools.export(scene, {"products": "plx,dtm"})
 
 
+def test_one_image_may_be_given_without_a_list_and_a_folder_stands_for_its_images(
+    make_town: Any, tmp_path: Path
+) -> None:
+    town = make_town()
+    options = {"metadata": str(town.root / "metadata"), "out": tmp_path / "out", "id": "FOLDER"}
+    for folder in (town.root / "images", str(town.root / "images"), [town.root / "images"]):
+        scene = sattools.prepare(folder, options, overwrite=True)
+        assert len(scene.items) == 6
+    with pytest.raises(SattoolsError, match=r"nowhere\.tif: (no such file|cannot be read)"):
+        sattools.prepare("nowhere.tif", options)
+    for images, what in (
+        (None, "NoneType"),
+        (np.zeros((2, 2)), "ndarray in a list"),
+        (5, "int"),
+        (["a.tif", 5], "int"),
+    ):
+        with pytest.raises(InputError, match=rf"prepare: found {what}.*, expected the paths of images"):
+            sattools.prepare(images, options)
+
+
+def test_a_number_is_taken_in_place_of_a_text_as_the_command_takes_it(make_town: Any) -> None:
+    options = {"quantity": "toa_reflectance", "scale": np.float64(1 / 4095)}
+    scene = sattools.normalise(make_town(), options)
+    assert scene.history[-1]["options"]["scale"] == str(1 / 4095)
+    for wrong in ([0.1, 0.2], np.array([0.1, 0.2]), True):
+        with pytest.raises(InputError, match=r"NormaliseOptions: option 'scale': found .*, expected text"):
+            sattools.normalise(scene, {"scale": wrong}, overwrite=True)
+
+
+def test_the_scene_that_is_given_is_the_one_that_is_changed(make_town: Any) -> None:
+    town = make_town()
+    assert sattools.export(sattools.fit(town, QUICK)) is town
+    assert "dsm" in town.products
+
+
 def test_progress_is_a_bar_on_request(make_town: Any, capsys: pytest.CaptureFixture[str]) -> None:
     sattools.fit(make_town(), QUICK, progress=True)
     assert "fit [" in capsys.readouterr().err

@@ -146,3 +146,17 @@ def test_the_sequences_that_were_once_reported_wrongly(tiny: Any, known: Any, tm
          ("compare", ("--views",))],
     ):  # fmt: skip
         check(tiny, tmp_path, sequence, known)
+
+
+@pytest.mark.parametrize("more", [(), ("--dry-run",)])
+def test_a_prior_that_is_in_the_way_is_said_to_be_out_of_date(tiny: Any, tmp_path: Path, more: Any) -> None:
+    """Who has just made it wonders why `fit` does not take it."""
+    shutil.copytree(tiny, tmp_path / "TINY")
+    scene = str(tmp_path / "TINY/scene.json")
+    for command in (("prior", "--resolution", "2"), ("normalise",)):
+        assert invoke(*command, scene).exit_code == 0
+    result = invoke("fit", *FIT, *more, scene)
+    assert result.exit_code == 1
+    assert "prior/dsm.tif: exists already; give --overwrite" in result.stderr
+    assert "this prior is from before `sattools normalise`, which has put it out of date" in result.stderr
+    assert invoke("fit", *FIT, *more, "--overwrite", scene).exit_code == 0

@@ -109,7 +109,8 @@ def fields(name: Any, command: Any) -> Any:
         if kind == "list":
             default = " ".join(str(v) for v in default or ())
         if own == "overwrite":
-            default = True  # in a form, running again means to replace
+            # in a form, running again means to replace; but what makes a scene may meet one of other images
+            default = name not in SOURCES
         found.append(
             {
                 "key": key(option["name"]),

@@ -26,7 +26,7 @@ from sattools.batch.plan import (
     shared_task,
     tile_tasks,
 )
-from sattools.batch.table import Row, failed_row, write_tables
+from sattools.batch.table import Row, earlier_rows, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Scene, check_id
@@ -48,6 +48,7 @@ class Batch:
         shared: key of a task -> it, and the runs that need what it makes.
         tiled: key of a coarse fit, or of the split after it, -> the run that joins its tiles, and its configuration.
         runs: (scene, configuration) -> the task of what is not finished, before its steps are shared or cut into tiles.
+        kept: rows of earlier calls in the same folder, which are not of this one.
         joined: configuration -> what `join` says of its scenes; None where none is done.
         overwrite: what is finished is done again; dry_run: it stays as it is all the same.
     """
@@ -59,6 +60,7 @@ class Batch:
     shared: dict[str, tuple[Task, list[Job]]] = field(default_factory=dict)
     tiled: dict[str, tuple[Job, Configuration]] = field(default_factory=dict)
     runs: dict[tuple[str, str], Task] = field(default_factory=dict)
+    kept: list[Row] = field(default_factory=list)
     joined: dict[str, JsonObject | None] = field(default_factory=dict)
     overwrite: bool = False
     dry_run: bool = False
@@ -108,14 +110,14 @@ class Batch:
         self.jobs = [job for job in self.jobs if job in runs or job in needed]
 
     def table(self) -> list[Row]:
-        """The rows that are known by now."""
+        """The rows that are known by now, those of earlier calls last."""
         rows = []
         for pair in self.rows:
             if pair in self.results:
                 rows.append(self.results[pair]["row"])
             elif pair in self.errors:
                 rows.append(failed_row(*pair, *self.errors[pair]))
-        return rows
+        return rows + self.kept
 
 
 class _Running:
@@ -203,6 +205,9 @@ def batch(
     make_folder(out)
     with locked(out):  # another batch would begin tiles anew that this one is about to join
         plan = make_plan(options, scenes, configurations, overwrite)
+        plan.kept = earlier_rows(out, plan.rows)
+        if plan.kept:
+            log.info("the table keeps %d rows of earlier calls", len(plan.kept))
         for pair, (_, error) in plan.errors.items():
             log.error("%s/%s: %s", *pair, error)
         for result in plan.results.values():
@@ -218,7 +223,9 @@ def batch(
             remove_orphans(out, patience_s=10)
         rows = plan.table()
         write_tables(rows, out)
-        draw(rows, out / FIGURE)
+        # scenes of earlier calls may have no configuration in common with those of this one
+        if not draw(rows, out / FIGURE):
+            draw(rows[: len(rows) - len(plan.kept)], out / FIGURE)
         if options.join:
             plan.joined = {c.name: _join(plan, c.name, out) for c in configurations}
     return plan

@@ -5,14 +5,18 @@ from __future__ import annotations
 import csv
 import importlib.util
 import io
-from collections.abc import Sequence
+import logging
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from sattools.errors import InputError
 from sattools.scene.dependencies import current_entry
 from sattools.scene.document import Scene
 from sattools.scene.files import write_bytes, write_text
+from sattools.scene.jsonio import read_text
 
+log = logging.getLogger(__name__)
 Row = dict[str, Any]
 TABLES = ("table.csv", "table.md", "table.parquet")
 TIMED = ("prep", "normalise", "prior", "fit", "export")
@@ -86,6 +90,39 @@ def failed_row(scene: str, configuration: str, status: str, error: str) -> Row:
     return {"scene": scene, "configuration": configuration, "status": status, "error": error}
 
 
+def earlier_rows(out: Path, pairs: Collection[tuple[str, str]]) -> list[Row]:
+    """What the table of earlier calls in a folder says of runs that are still there, but for those of this call.
+
+    Args:
+        out: folder of the tables.
+        pairs: (scene, configuration) of this call.
+    """
+    path = out / TABLES[0]
+    if not path.exists():
+        return []
+    try:
+        # of another origin, it is replaced as what it is
+        found = [row for row in csv.DictReader(io.StringIO(read_text(path))) if row.keys() >= {*COLUMNS[:3]}]
+        rows = [_parsed(row) for row in found]
+    except (InputError, csv.Error, ValueError) as error:
+        log.warning("%s: cannot be read (%s), the rows of earlier calls are left out", path, error)
+        return []
+    known = [row for row in rows if all(isinstance(row[name], str) for name in COLUMNS[:3])]
+    others = [row for row in known if (row["scene"], row["configuration"]) not in pairs]
+    return [row for row in others if (out / "runs" / row["configuration"] / row["scene"]).is_dir()]
+
+
+def _parsed(row: dict[str, str]) -> Row:
+    """A row of the table with numbers as numbers; ValueError where there is something else in their place."""
+    return {name: _value(name, row[name]) if row.get(name) else None for name in COLUMNS}
+
+
+def _value(name: str, text: str) -> str | float:
+    if name in TEXTS:
+        return text
+    return int(text) if text.isdecimal() else float(text)
+
+
 def write_tables(rows: Sequence[Row], out: Path) -> list[Path]:
     """`table.csv`, `table.md`, and `table.parquet` where pyarrow is installed; the files written."""
     written = [out / name for name in TABLES[:2]]
@@ -131,4 +168,14 @@ def _text(name: str, value: Any) -> str:
     return " ".join(str(value).split()).replace("|", "\\|")
 
 
-__all__ = ["COLUMNS", "SHORT", "TABLES", "failed_row", "make_row", "to_csv", "to_markdown", "write_tables"]
+__all__ = [
+    "COLUMNS",
+    "SHORT",
+    "TABLES",
+    "earlier_rows",
+    "failed_row",
+    "make_row",
+    "to_csv",
+    "to_markdown",
+    "write_tables",
+]

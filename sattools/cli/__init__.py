@@ -18,6 +18,7 @@ from sattools.cli.commands import COMMANDS
 from sattools.cli.logfile import close_log, open_log
 from sattools.cli.options import configure_logging, run_options
 from sattools.cli.safety import LastResort, check_folder, configure_handler
+from sattools.cli.streams import prepare_streams
 from sattools.processors import POOLS, cores
 
 
@@ -179,6 +180,7 @@ GARBAGE = (20_000, 20, 100)
 def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
     gc.set_threshold(*GARBAGE)
+    prepare_streams()
     interrupts.listen()
     try:
         main(prog_name="sattools")

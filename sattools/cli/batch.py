@@ -12,6 +12,7 @@ from sattools.batch.options import BatchOptions
 from sattools.cli.interrupts import checked
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import documents, parse, report_error
+from sattools.cli.streams import portable
 from sattools.errors import SattoolsError
 from sattools.processors import cores
 from sattools.progress import make_progress
@@ -70,7 +71,11 @@ def command(scenes: tuple[str, ...], configs: tuple[Path, ...], overwrite: bool,
             _plan(plan)
             return
         progress = checked(make_progress(root.obj["progress"], "batch"))
-        done = batch(options, scenes_given, configurations, most, progress, overwrite=overwrite, emit=click.echo)
+
+        def emit(line: str) -> None:
+            click.echo(portable(line))
+
+        done = batch(options, scenes_given, configurations, most, progress, overwrite=overwrite, emit=emit)
     except SattoolsError as error:
         report_error("batch", error)
         sys.exit(1)

@@ -22,6 +22,7 @@ from sattools.cli.commands import WORK
 from sattools.cli.interrupts import checked
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
+from sattools.cli.streams import portable
 from sattools.errors import InputError, MissingProductError, SattoolsError, SceneError, StaleError
 from sattools.progress import Progress, make_progress
 from sattools.settings import specs
@@ -371,7 +372,7 @@ def _shown(scene: Scene, entry: dict[str, Any] | None) -> str:
 
 def _print_line(line: str) -> None:
     try:
-        print(line, flush=True)
+        print(portable(line), flush=True)
     except OSError as error:
         quiet_stdout()
         if not isinstance(error, BrokenPipeError):  # nobody reads any more: stop quietly

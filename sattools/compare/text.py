@@ -54,8 +54,17 @@ def table(figures: Mapping[str, Any]) -> str:
         )
         lines.append(f"  {row['name']:9s} " + "   ".join(values))
     if "psnr" in figures:
-        lines.append("  views     " + "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg")))
+        means = "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg"))
+        lines.append(f"  views     {means}   {_whose(figures['views'])}")
     return "\n".join(lines)
+
+
+def _whose(views: Mapping[str, Any]) -> str:
+    """Which views the means are of: a fit shows images that it has seen better than any other."""
+    held_out = sum(view["role"] == "test" for view in views.values())
+    if held_out:
+        return f"({held_out} held out from the fit)"
+    return f"({len(views)} that the fit was trained on, none held out)"
 
 
 def _text(value: float | None) -> str:

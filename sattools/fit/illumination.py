@@ -197,8 +197,14 @@ def check_light(scene: Scene, items: Sequence[Item], kind: Radiance, brdf: str) 
     return notes
 
 
-def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
-    """What was found of the materials' shapes, in the parameters' units, and what the data do not determine."""
+def material_notes(scene: ReflectiveScene, std: dict[str, Tensor], sky: str = "none") -> list[str]:
+    """What was found of the materials' shapes, in the parameters' units, and what the data do not determine.
+
+    Args:
+        scene: the fitted surface.
+        std: standard deviations of the parameters by name.
+        sky: what was asked for.
+    """
     _, shape = scene.values()
     notes = [f"{scene.endmembers.shape[0]} endmembers"]
     for k, (parameter, value) in enumerate(zip(SHAPE[scene.kind], shape, strict=True)):
@@ -217,7 +223,18 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor]) -> list[str]:
             f"from shade, {scene.sky_ratio:.0f} standard deviations from none" if scene.sky_ratio else "as it was set"
         )
         notes.append(f"sky light {share} % of the sun's in the bands ({known})")
-    return ["; ".join(notes)]
+    return ["; ".join(notes), *_without_sky(scene, sky)]
+
+
+def _without_sky(scene: ReflectiveScene, sky: str) -> list[str]:
+    """That a sky was looked for and the surface has none, in which case the light is that of ``--sky none``."""
+    if scene.has_sky or sky == "none":
+        return []
+    if sky == "auto":
+        return ["no light of the sky was kept: shade does not surely show any"]
+    note = "--sky fitted found no light of the sky: too little deep shade, or none that an even sky explains"
+    log.warning(note)
+    return [note]
 
 
 def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:

@@ -26,7 +26,7 @@ from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.tiles.state import COARSE, begun
 from sattools.progress import Progress
 from sattools.scene import Grid, Scene
-from sattools.scene.dependencies import MADE, check_current, drop, latest, stale
+from sattools.scene.dependencies import MADE, check_current, drop, latest, outdated_by, stale
 from sattools.scene.document import FIT_ROLE, PARTS
 from sattools.scene.files import check_outputs, digest, written
 from sattools.scene.jsonio import JsonObject
@@ -165,8 +165,28 @@ def load_prior(
         from sattools.prior import PriorOptions
         from sattools.prior.stage import prior
 
-        new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
+        with saying_why_anew(scene):
+            new = prior(scene, PriorOptions(), progress, overwrite, implicit=True, sources=sources)[MADE]
     return DepthPrior.from_arrays(*read_prior(scene, _part_of_prior(scene))), new
+
+
+@contextmanager
+def saying_why_anew(scene: Scene) -> Iterator[None]:
+    """Where a prior is in the way of the fit's own, say what has put it out of date: the user has just made it.
+
+    Args:
+        scene: of the fit.
+    """
+    by = outdated_by(scene, "prior")
+    try:
+        yield
+    except OutputExistsError as error:
+        if by is None:
+            raise
+        raise OutputExistsError(
+            f"{error} (this prior is from before `sattools {by}`, which has put it out of date: run "
+            f"`sattools prior --overwrite` after it, or let the fit replace it)"
+        ) from error
 
 
 def check_prior(scene: Scene, options: FitOptions) -> None:
@@ -281,5 +301,6 @@ def _hash(array: np.ndarray) -> str:
 
 
 __all__ = [
-    "basis_of", "check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write", "warn_of_prior",
+    "basis_of", "check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write",
+    "saying_why_anew", "warn_of_prior",
 ]  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import check_tiled, with_tile
-from sattools.fit.inputs import holding_out, makes_prior, may_write, warn_of_prior
+from sattools.fit.inputs import holding_out, makes_prior, may_write, saying_why_anew, warn_of_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
@@ -42,8 +42,8 @@ def fit(scene: Scene, options: FitOptions, progress: Progress = silent, overwrit
         return fit_whole(scene, options, progress, overwrite)
     begin(scene, "fit", [MODEL, TRACE], may_write(scene, options, overwrite))
     with holding_out(scene, options.holdout, options.views):
-        setup = set_up(scene, options)
-        return fit_tiled(scene, setup.options, progress)
+        set_up(scene, options)
+        return fit_tiled(scene, options, progress)  # a tile's fit sets the weights that go with the images itself
 
 
 def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> None:
@@ -59,19 +59,20 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
     may_begin(scene, "fit", [MODEL, TRACE], may)
     with holding_out(scene, options.holdout, options.views):
         if options.tile and not scene.is_part and PRODUCT not in scene.products:
-            setup = set_up(scene, options)
-            check_tiled(setup.options)
-            plan = Plan.make(scene, setup.options)
+            set_up(scene, options)
+            check_tiled(options)
+            plan = Plan.make(scene, options)
             if len(plan.tiles) > 1 and options.part != "mosaic":
                 plan.begun()
             if len(plan.tiles) > 1 and options.part in ("all", "coarse"):
                 warn_of_prior(scene, options)
             if len(plan.tiles) > 1 or options.part in ("coarse", "split"):
                 return
-            options = replace(setup.options, tile=None, part="all")
+            options = replace(options, tile=None, part="all")
         set_up_whole(scene, options)
         if makes_prior(scene, options):
-            check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
+            with saying_why_anew(scene):
+                check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
 
 
 __all__ = ["check_start", "choose_device", "fit"]

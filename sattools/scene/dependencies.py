@@ -179,6 +179,17 @@ def latest(scene: Scene, stage: str) -> JsonObject | None:
     return None
 
 
+def outdated_by(scene: Scene, stage: str) -> str | None:
+    """The command that has put what a stage made out of date by the history's order; None where nothing has."""
+    by = None
+    for entry in reversed(scene.history):
+        if stage in (entry.get(MADE) or {}):
+            return by
+        if _is_before(entry.get("command"), stage):
+            by = entry["command"]
+    return None
+
+
 def current_entry(scene: Scene, command: str) -> JsonObject | None:
     """The last history entry of a command, None where a later command has made it out of date."""
     for entry in reversed(scene.history):
@@ -292,5 +303,5 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 __all__ = [
     "MADE", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "may_begin",
-    "names_of", "record", "seen", "stale",
+    "names_of", "outdated_by", "record", "seen", "stale",
 ]  # fmt: skip

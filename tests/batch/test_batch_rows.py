@@ -1,9 +1,16 @@
 """What a row of a batch's table says of a scene."""
 
+import csv
 from pathlib import Path
 from typing import Any
 
-from sattools.batch.table import make_row
+import pytest
+
+from sattools.batch import stage
+from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Configuration
+from sattools.batch.table import earlier_rows, make_row, to_csv, write_tables
+from sattools.errors import SceneError
 from sattools.scene import Scene
 
 
@@ -34,3 +41,49 @@ def test_a_row_adds_up_what_the_steps_of_this_run_took(tmp_path: Path) -> None:
     scene.write()
     again = make_row("A", "fast", tmp_path / "scene.json")
     assert (again["seconds"], again["peak_memory_mb"], again["mae_m"]) == (5.5, 100.0, None)
+
+
+def written(out: Path, *rows: dict[str, Any]) -> None:
+    for row in rows:
+        (out / "runs" / row["configuration"] / row["scene"]).mkdir(parents=True, exist_ok=True)
+    write_tables(rows, out)
+
+
+def test_rows_of_earlier_calls_stay_in_the_table_as_long_as_their_runs_are_there(tmp_path: Path) -> None:
+    one = {"scene": "A", "configuration": "fast", "status": "done", "mae_m": 1.25, "cells": 40, "torch": "2"}
+    two = {"scene": "B", "configuration": "fast", "status": "failed", "error": "no, thanks"}
+    gone = {"scene": "C", "configuration": "fast", "status": "done", "mae_m": 2.0}
+    written(tmp_path, one, two, gone)
+    (tmp_path / "runs/fast/C").rmdir()
+    kept = earlier_rows(tmp_path, [("A", "slow")])
+    assert [{name: value for name, value in row.items() if value is not None} for row in kept] == [one, two]
+    # what this call does itself is not known from before
+    assert [row["scene"] for row in earlier_rows(tmp_path, [("A", "fast")])] == ["B"]
+    assert to_csv(kept) == to_csv([one, two])
+
+
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "", "scene,configuration,status,mae_m\nA,fast,done,much\n", "\0"])
+def test_a_table_of_other_origin_has_no_rows_to_keep(tmp_path: Path, text: str) -> None:
+    (tmp_path / "runs/fast/A").mkdir(parents=True)
+    (tmp_path / "table.csv").write_text(text)
+    assert earlier_rows(tmp_path, []) == []
+
+
+def test_a_second_batch_adds_its_rows_to_those_of_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its scenes fail here, as they have no images; what counts is the table."""
+    for name in ("A", "B"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(stage, "run", lambda jobs, *rest: None)
+
+    def fail(scene: Scene, digests: Any) -> None:
+        raise SceneError(f"{scene.id} fails")
+
+    options = BatchOptions(out=str(tmp_path / "out"))
+    monkeypatch.setattr(stage, "scene_content", fail)
+    written(tmp_path / "out", {"scene": "A", "configuration": "fast", "status": "done", "seconds": 2.5})
+    (tmp_path / "out/digests.json").write_text("{}")
+    for name in ("B", "B"):
+        stage.batch(options, [Scene(name, tmp_path / name)], [Configuration("fast")], 1)
+        with open(tmp_path / "out/table.csv", newline="", encoding="utf-8") as file:
+            rows = [(row["scene"], row["status"], row["seconds"]) for row in csv.DictReader(file)]
+        assert rows == [("B", "failed", ""), ("A", "done", "2.5")]

@@ -101,7 +101,8 @@ def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder: Any) -> No
     running = start(folder, *names, "--config", "quick.toml", "--out", "out", "--workers", "1")
     _, said = running.communicate(timeout=HANGING_S)
     assert running.returncode == 3, said
-    assert [row["status"] for row in table(folder)] == ["failed", "done"]
+    assert [(row["scene"], row["status"]) for row in table(folder)[:2]] == [("C", "failed"), ("A", "done")]
+    assert [row["scene"] for row in table(folder)[2:]] == ["B"]  # of a batch before
     assert "images/nowhere.tif: cannot be read" in table(folder)[0]["error"]
 
 

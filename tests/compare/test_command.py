@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from sattools.cli import main
+from sattools.compare.text import table
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import write_cog
 
@@ -78,3 +79,19 @@ def test_a_folder_for_results_is_wrong_usage_where_the_scene_has_its_own(scene: 
     assert result.exit_code == 2
     assert "found --out with a scene" in result.output
     assert not (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.parametrize(
+    ("roles", "words"),
+    [(["train", "train"], "(2 that the fit was trained on, none held out)"), (["train", "test"], "(1 held out from")],
+)
+def test_the_text_says_whether_a_fit_has_seen_the_views_that_it_is_scored_by(roles: Any, words: str) -> None:
+    views = {f"v{k}": {"role": role} for k, role in enumerate(roles)}
+    figures = dict.fromkeys(("mae", "mae_filled", "rmse", "median", "nmad", "completeness", "within_1m"), 1.0)
+    figures |= {"within_2_5m": 1.0, "psnr": 46.752, "ssim": 0.9, "lpips": None, "avg": None}
+    more = {"reference": "r", "protocol": "p", "cells": 9, "shift_m": (0, 0, 0), "registration": {"method": "none"}}
+    more |= {"measured": {"mae": 1.0}, "mask": "all", "views": views, "mae_centred": 1.0, "mae_capped_5m": 1.0}
+    more |= {"near_steps": {"share": 0}, "away_from_steps": {"share": 0}}
+    line = table({"scene": "A", **figures, **more}).splitlines()[-1]
+    assert line.startswith("  views     psnr 46.752")
+    assert words in line

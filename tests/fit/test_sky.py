@@ -122,6 +122,20 @@ def test_sky_light_is_added_to_lit_and_shaded_ground_alike() -> None:
     assert "ambient" in scene.trainable()
 
 
+def test_a_sky_that_is_asked_for_and_not_found_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    """The light is then that of a fit without a sky, whatever the options in the history are."""
+    scene = small_scene()
+    std = {p.name: scene.height for p in SHAPE["hapke"]}
+    assert len(material_notes(scene, std, "fitted")) == 1
+    scene.sky, scene.sky_share = torch.zeros(0), torch.zeros(0)
+    assert len(material_notes(scene, std, "none")) == 1
+    assert material_notes(scene, std, "auto")[1:] == ["no light of the sky was kept: shade does not surely show any"]
+    assert not caplog.text
+    (told,) = material_notes(scene, std, "fitted")[1:]
+    assert told.startswith("--sky fitted found no light of the sky")
+    assert told in caplog.text
+
+
 def test_the_light_in_shade_begins_as_deep_shade_shows_it() -> None:
     """Three views: one of them shows 40 cells of shade, one too few of them, one none."""
     scene = small_scene()

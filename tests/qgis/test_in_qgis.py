@@ -97,6 +97,27 @@ def test_prepare_fit_export_compare_give_what_the_command_line_gives(
     assert Path(moved["DSM"]).is_file()
 
 
+def test_run_all_replaces_a_scene_of_other_images_only_where_that_is_asked_for(
+    environment: Any, city: Any, tmp_path: Path
+) -> None:
+    """Two deliveries with files of equal names have scenes of equal names."""
+    images = sorted(str(p) for p in (city / "images").glob("*.tif"))
+    given = {"IMAGES": images, "METADATA": str(city / "metadata"), "ID": "TOWN", "OUT": str(tmp_path)}
+    sattools("prep", *images, "--metadata", city / "metadata", "--id", "TOWN", "--out", tmp_path, "--cell-size", "2")
+    document = tmp_path / "TOWN" / "scene.json"
+    before = document.read_bytes()
+    code, _, said = process(environment, "runall", **given)
+    assert code != 0
+    assert "exists already; give --overwrite to replace it" in said
+    assert document.read_bytes() == before
+    code, results, said = process(environment, "runall", **given, CELL_SIZE="1", OVERWRITE="true")
+    assert code == 0, said
+    assert Path(results["SCENE_DOCUMENT"]) == document
+    assert Path(results["DSM"]).is_file()
+    code, _, said = process(environment, "runall", **given, CELL_SIZE="1", OVERWRITE="true")
+    assert code == 0, said
+
+
 def test_two_dates_are_compared_beside_the_earlier_one(environment: Any, city: Any, tmp_path: Path) -> None:
     heights, grid = read_raster(city / "truth" / "TOWN_DSM.tif")
     (tmp_path / "a").mkdir()

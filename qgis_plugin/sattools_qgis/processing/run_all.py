@@ -14,7 +14,7 @@ from .parameters import images_parameter, parameter_of, read
 ENDS = {"prep": 25.0, "fit": 95.0, "export": 98.0, "compare": 100.0}
 # what of each step's form is asked for, and what it is called where the step's own name says too little
 ASKED = {
-    "prep": ("metadata", "aoi", "bounds", "crs", "cell-size", "mask", "id", "out"),
+    "prep": ("metadata", "aoi", "bounds", "crs", "cell-size", "mask", "id", "out", "overwrite"),
     "fit": ("preset", "tile", "budget"),
     "export": ("vertical", "products"),
     "compare": ("dsm", "classes"),
@@ -47,7 +47,8 @@ class RunAllAlgorithm(Base):
     def shortHelpString(self) -> Any:
         return (
             "Adjusts the cameras, matches the images, fits the surface and exports the maps, every step with its "
-            "defaults; with a reference DSM the result is scored. Use the single algorithms to change options."
+            "defaults; with a reference DSM the result is scored. A scene of the same name in the folder is replaced "
+            "with Overwrite only. Use the single algorithms to change options."
         )
 
     def initAlgorithm(self, config: Any = None) -> None:
@@ -65,13 +66,16 @@ class RunAllAlgorithm(Base):
         for step, form in self.forms.items():
             values = {field["key"]: read(self, field, parameters, context, feedback) for field in form}
             given[step] = arguments(form, values)
+        if "--overwrite" in given["prep"]:  # asked for once, for all steps
+            for step in ("fit", "export", "compare"):
+                given[step].append("--overwrite")
         given["prep"][:0] = self.parameterAsFileList(parameters, "IMAGES", context)
         if "--dsm" not in given["compare"]:
             del given["compare"]
         path, start, results = None, 0.0, {}
         for command, options in given.items():
             source = [path] if path else []
-            output = self.call([command, *source, *options, "--overwrite"], feedback, start, ENDS[command])
+            output = self.call([command, *source, *options], feedback, start, ENDS[command])
             start = ENDS[command]
             if command == "compare":
                 results["MAE"] = json.loads(output.splitlines()[-1])["mae"]

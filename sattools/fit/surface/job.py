@@ -253,7 +253,7 @@ class SurfaceJob:
     def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
         """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""
         self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
-        return material_notes(surface, self.parameter_std)
+        return material_notes(surface, self.parameter_std, self.options.sky)
 
     def _after_epoch(
         self,

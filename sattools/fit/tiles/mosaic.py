@@ -15,6 +15,7 @@ from sattools.fit.described import CELL_MAPS, COLOURS
 from sattools.fit.files import MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import CellMaps, StoredModel, StreamedModel
+from sattools.fit.tiles.alike import check_maps_alike, tell_other_options
 from sattools.fit.tiles.clearing import COMMON, remove_parts
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.state import COARSE
@@ -109,7 +110,7 @@ def mosaic_tiles(plan: Plan, notes: list[str], read: Seen, progress: Progress) -
         progress: told the share done and what is being done.
 
     Raises:
-        SceneError: a tile that is not fitted.
+        SceneError: a tile that is not fitted, or has other cells or bands than the others.
     """
     scene, names = plan.scene, plan.names()
     for name in names:
@@ -118,6 +119,8 @@ def mosaic_tiles(plan: Plan, notes: list[str], read: Seen, progress: Progress) -
     progress(1.0, f"joining {len(names)} tiles")
     common = FittedModel.load(scene.root / COMMON)
     models = {name: StoredModel.open(plan.root(name) / MODEL, in_memory=0) for name in names}
+    check_maps_alike(models, lambda name: plan.root(name) / MODEL)
+    notes = [*notes, *tell_other_options(plan.options, {name: plan.part_scene(name) for name in names})]
     # a fit may give its surface on the cells of the prior, finer than its own
     cell = models[names[0]].grid.cell_size if names else plan.finest
     whole = scene.require_grid().resized(cell)
