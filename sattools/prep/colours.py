@@ -15,8 +15,10 @@ import numpy as np
 from sattools.camera.ground import to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, image_id, load_source, write_image
+from sattools.prep.images import SourceImage, write_image
 from sattools.prep.layout import crop_window
+from sattools.prep.loading import load_source
+from sattools.prep.names import image_id
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text

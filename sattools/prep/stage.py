@@ -29,7 +29,7 @@ from sattools.prep.gate import (
     check_places_and_suns,
     check_sources,
 )
-from sattools.prep.images import SourceImage, check_ids, common_name, load_source
+from sattools.prep.images import SourceImage
 from sattools.prep.large import GrayImages, read_grays, tie_points_by_windows
 from sattools.prep.layout import (
     Bounds,
@@ -38,6 +38,8 @@ from sattools.prep.layout import (
     ground_polygon,
     with_rim,
 )
+from sattools.prep.loading import load_source
+from sattools.prep.names import check_ids, common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
 from sattools.prep.pairs import IN_HISTORY, pair_table

@@ -12,7 +12,8 @@ from sattools.camera.tracks import Tracks
 from sattools.errors import InputError, SattoolsError
 from sattools.prep import images as prep_images
 from sattools.prep import large
-from sattools.prep.images import block_factor, load_source, read_gray, value_range, write_image
+from sattools.prep.images import block_factor, read_gray, value_range, write_image
+from sattools.prep.loading import load_source
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
 from sattools.radiometry.options import NormaliseOptions

@@ -12,7 +12,7 @@ from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
 from sattools.camera import RPC
 from sattools.camera.ground import from_geographic
 from sattools.errors import InputError
-from sattools.prep.images import load_source
+from sattools.prep.loading import load_source
 from sattools.prep.options import PrepOptions
 from sattools.prep.places import check_places, ground_heights, search_heights
 from sattools.prep.stage import prepare
