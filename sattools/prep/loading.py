@@ -16,6 +16,7 @@ from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
+from sattools.prep.tiles import camera_of_tile
 from sattools.scene.gdal import rpc_tags
 from sattools.scene.location import RemotePath
 from sattools.scene.opening import opened
@@ -68,7 +69,9 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
             )
         metadata = metadata.filled(part)
     metadata = metadata.filled(from_tags(tags, path.stem))
-    if metadata.rpc is None:
+    if metadata.rpc is not None:
+        metadata.rpc = camera_of_tile(path, metadata.rpc, str(metadata.rpc_source), metadata.tiles)
+    else:
         metadata.rpc = _camera_of_tags(path, found_rpc, beside, misread, folders)
         metadata.rpc_source = str(path)
     source = SourceImage(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), notes)

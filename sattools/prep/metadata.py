@@ -14,6 +14,7 @@ from typing import Any
 from sattools.camera import RPC
 from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
 from sattools.errors import InputError
+from sattools.prep.tiles import Tiles, tiles_of_dimap, tiles_of_isd, tiles_of_til
 from sattools.scene.jsonio import read_json
 from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant, shown
 
@@ -79,6 +80,7 @@ class Metadata:
     sun: tuple[float, float] | None = None  # azimuth from true north, elevation [degrees]
     platform: str | None = None
     bits: int | None = None
+    tiles: Tiles | None = None  # of the product that the image is a part of
 
     def filled(self, other: Metadata) -> Metadata:
         """This, completed by another source where it is silent."""
@@ -180,6 +182,8 @@ def read_sidecar(path: Path) -> Metadata:
         return _from_xml(path)
     if suffix == ".imd":
         return _from_imd(path)
+    if suffix == ".til":
+        return Metadata(tiles=tiles_of_til(read_text(path)))
     return Metadata(rpc=RPC.from_file(path), rpc_source=str(path))
 
 
@@ -258,6 +262,7 @@ def _from_xml(path: Path) -> Metadata:
             platform=find_platform(code),
             bits=int(bits) if bits and bits.isdigit() and 0 < int(bits) <= 32 else None,
             sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION"), str(path)),
+            tiles=tiles_of_dimap(root),
         )
     model = bool(find_all(root, "RPB"))
     return Metadata(
@@ -270,6 +275,7 @@ def _from_xml(path: Path) -> Metadata:
             first("MEANSUNEL", "SUNEL", "illuminationElevationAngle"),
             str(path),
         ),
+        tiles=tiles_of_isd(root),
     )
 
 
