@@ -21,6 +21,7 @@ from sattools.camera.adjust import Adjustment
 from sattools.camera.ground import foreshortening, ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
+from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
 from sattools.scene.grid import Grid
 from sattools.scene.location import RemotePath
@@ -121,6 +122,10 @@ def _check_camera(source: SourceImage) -> None:
     if not away <= _limit_px(source.size) or turned > _VIEW_TOLERANCE_DEG:
         what = f"{away:.0f} px and {turned:.1f} degrees" if math.isfinite(away) else "altogether"
         source.warn(f"its own RPC tags differ from {source.metadata.rpc_source} by {what}: metadata of another image?")
+    elif away > SAME_PX:
+        whose = source.metadata.rpc_source
+        beside = "in a file beside it" if whose == str(source.path) else f"of {whose}"
+        source.warn(f"its own RPC tags differ by {away:.1f} px from the camera {beside}, which is taken")
 
 
 def _limit_px(size: tuple[int, int]) -> float:

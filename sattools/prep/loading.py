@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from rasterio.windows import Window
 
 from sattools.camera import RPC
 from sattools.errors import InputError
+from sattools.prep.cameras import of_another_window, own_camera
 from sattools.prep.images import SourceImage
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.prep.tiles import camera_of_tile
@@ -69,17 +69,40 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
             )
         metadata = metadata.filled(part)
     metadata = metadata.filled(from_tags(tags, path.stem))
-    if metadata.rpc is not None:
-        metadata.rpc = camera_of_tile(path, metadata.rpc, str(metadata.rpc_source), metadata.tiles)
-    else:
+    own_rpc = own_camera(path) if found_rpc else None
+    if metadata.rpc is None:
         metadata.rpc = _camera_of_tags(path, found_rpc, beside, misread, folders)
         metadata.rpc_source = str(path)
+    else:
+        try:
+            metadata.rpc = camera_of_tile(path, metadata.rpc, str(metadata.rpc_source), metadata.tiles)
+        except InputError:
+            if own_rpc is None:
+                raise
+            metadata.rpc, metadata.rpc_source = own_rpc, str(path)
     source = SourceImage(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), notes)
     source.meanings, source.mask_like, source.masked = meanings, mask_like, masked
-    if found_rpc and metadata.rpc_source != str(path):
-        with suppress(InputError):  # it is not used
-            source.tags_rpc = RPC.from_tags(found_rpc, source=str(path))
+    if own_rpc is not None:
+        _compare_with_own(source, own_rpc, metadata_dir)
     return source
+
+
+def _compare_with_own(source: SourceImage, own: RPC, metadata_dir: Path | None) -> None:
+    """Take an image's own camera where that of a file beside it was left behind when the image was cut."""
+    metadata = source.metadata
+    file = None if metadata.rpc_source == str(source.path) else Path(str(metadata.rpc_source))
+    pointed_to = file is not None and metadata_dir is not None and file.parent == metadata_dir != source.path.parent
+    apart = None if pointed_to else of_another_window(source.rpc, own, source.size)
+    if apart is None:
+        source.tags_rpc = own
+        return
+    name = "a file beside it" if file is None else file.name  # GDAL knows more of them
+    source.warn(
+        f"{name} has the camera of another window of the image ({apart[0]:+.0f} columns, {apart[1]:+.0f} rows): its "
+        "own RPC tags are taken"
+    )
+    source.rpc = metadata.rpc = own
+    metadata.rpc_source = str(source.path)
 
 
 def _camera_of_tags(
