@@ -41,6 +41,7 @@ _LEAST_STRETCH = 0.02  # of pixels on the ground beyond what heights in metres e
 _LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
+_LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
 _LARGEST_NUMBER = 1e9
 
 
@@ -317,7 +318,13 @@ def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> l
         )
     if within < 0.5:
         return [f"heights {low:g} to {high:g} m hold {where}: are they metres above the WGS84 ellipsoid?"]
-    return []
+    ends = np.percentile(tie_heights, [1, 99])
+    return [
+        f"heights {low:g} to {high:g} m leave out {100 * share:.0f} % of the tie points, which lie {side} them "
+        f"(all from {ends[0]:.0f} to {ends[1]:.0f} m): the surface there will be wrong"
+        for side, share in (("below", float((tie_heights < low).mean())), ("above", float((tie_heights > high).mean())))
+        if share > _LEFT_OUT
+    ]
 
 
 __all__ = [

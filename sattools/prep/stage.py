@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
@@ -94,7 +93,7 @@ def prepare(
     heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
-    scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked, notes=notes)
+    scene.grid = _grid(options, sources, result, crs, heights, asked, notes=notes)
     scene.height_range_m = heights
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
@@ -310,19 +309,21 @@ def _height_range(
 def _grid(
     options: PrepOptions,
     sources: Sequence[SourceImage],
-    rpcs: Sequence[RPC],
+    result: Adjustment,
     crs: str,
     heights: tuple[float, float],
     asked: Bounds | None,
     *,
     notes: list[str],
 ) -> Grid:
-    middle = 0.5 * (heights[0] + heights[1])
+    rpcs, middle = result.rpcs, 0.5 * (heights[0] + heights[1])
+    if (options.min_height, options.max_height) != (None, None):  # a range by hand may be wide: where the ground is
+        middle = float(np.clip(np.median(result.heights()), *heights))
     windows = [(0, 0, s.window[2], s.window[3]) for s in sources]
     polygons = [ground_polygon(r, w, middle, crs) for r, w in zip(rpcs, windows, strict=True)]
     covered = common_bounds(polygons)
     if covered is None:
-        raise InputError("images: found no ground that half of them show, expected images that overlap")
+        raise InputError(f"images: found no ground at {middle:.0f} m that half of them show, expected some they share")
     middles = [((width - 1) / 2, (height - 1) / 2) for _, _, width, height in windows]
     places = [r.localization(*at, middle) for r, at in zip(rpcs, middles, strict=True)]
     sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
