@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,13 +12,24 @@ from pathlib import Path
 from sattools.errors import InputError
 from sattools.scene.location import RemotePath
 
+_LONGEST = 128  # letters of an id
+
 
 def image_id(path: Path) -> str:
-    """The item's name: the file's stem with everything odd replaced."""
-    name = re.sub(r"[^A-Za-z0-9._-]+", "_", path.stem).lstrip("._-")[:128]
+    """The item's name: the file's stem with everything odd replaced, and letters of other scripts by their numbers."""
+    stem = "".join(f"u{ord(c):04x}" if c.isalnum() and not _latin(c) else c for c in path.stem)
+    name = re.sub(r"[^A-Za-z0-9._-]+", "_", stem).lstrip("._-")
+    if len(name) > _LONGEST and stem != path.stem:  # five letters for one: what tells names apart may come late
+        digest = hashlib.sha256(stem.encode(errors="surrogatepass")).hexdigest()[:8]
+        name = f"{name[: _LONGEST - 9]}-{digest}"
+    name = name[:_LONGEST]
     if not name:
         raise InputError(f"{path}: found a name without letters or digits, expected one that can serve as an id")
     return name
+
+
+def _latin(letter: str) -> bool:
+    return letter.isascii() or unicodedata.name(letter, "").startswith("LATIN ")
 
 
 def common_name(ids: Sequence[str]) -> str:
