@@ -92,6 +92,11 @@ def test_a_tile_of_airbus_without_the_size_of_tiles_is_refused(tmp_path: Path) -
         load_source(tile, "a", None)
 
 
+def test_a_tile_with_tags_of_its_own_needs_no_size_of_tiles(tmp_path: Path) -> None:
+    dimap(tmp_path)
+    assert offsets(image(tmp_path, "IMG_X_R1C2.TIF", WHOLE.cropped(300, 0).to_tags())) == (-300.0, 0.0)
+
+
 def test_metadata_of_the_tile_itself_are_taken_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "town_R1C2_RPC.TXT").write_text(WHOLE.to_rpc_txt())
     assert offsets(image(tmp_path, "town_R1C2.tif")) == (0.0, 0.0)
