@@ -53,8 +53,8 @@ def command(
     """Correct the cameras of images that show one place, find the height range, and print the scene.
 
     Images: GeoTIFF with RPC tags, NITF, or any raster with DIMAP or DigitalGlobe XML, .RPB, _RPC.TXT or Sat-NeRF JSON
-    beside it or in --metadata; a folder stands for the images in it. They and the area of interest may also be
-    addresses (https://, s3://) or lie in archives (/vsizip/FILE.zip/NAME.tif).
+    beside it or in --metadata; a folder stands for the images in it that have one of these. They and the area
+    of interest may also be addresses (https://, s3://) or lie in archives (/vsizip/FILE.zip/NAME.tif).
     """
     if not images and dfc2019 is None and not print_config:
         raise click.UsageError("expected IMAGE... or --dfc2019 ROOT --aoi AREA")
@@ -90,10 +90,10 @@ def command(
         keep_freed()
         return prepare(paths, options, progress, overwrite)
 
-    from sattools.scene.location import image_locations
+    from sattools.prep.folders import images_with_cameras
 
     try:
-        paths = paths or image_locations(images)
+        paths = paths or images_with_cameras(images, options.metadata)
     except InputError as error:
         report_error("prep", error)
         raise SystemExit(1) from None

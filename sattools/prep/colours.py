@@ -15,8 +15,10 @@ import numpy as np
 from sattools.camera.ground import to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
-from sattools.prep.images import SourceImage, image_id, load_source
+from sattools.prep.images import SourceImage
 from sattools.prep.layout import crop_window
+from sattools.prep.loading import load_source
+from sattools.prep.names import image_id
 from sattools.prep.pixels import look_for_frame, write_image
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset

@@ -21,6 +21,7 @@ from sattools.camera.adjust import Adjustment
 from sattools.camera.ground import foreshortening, ground_sample_distance, view_direction
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
+from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
 from sattools.scene.grid import Grid
 from sattools.scene.location import RemotePath
@@ -40,6 +41,7 @@ _LEAST_STRETCH = 0.02  # of pixels on the ground beyond what heights in metres e
 _LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
+_LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
 _LARGEST_NUMBER = 1e9
 
 
@@ -119,6 +121,10 @@ def _check_camera(source: SourceImage) -> None:
     if not away <= _limit_px(source.size) or turned > _VIEW_TOLERANCE_DEG:
         what = f"{away:.0f} px and {turned:.1f} degrees" if math.isfinite(away) else "altogether"
         source.warn(f"its own RPC tags differ from {source.metadata.rpc_source} by {what}: metadata of another image?")
+    elif away > SAME_PX:
+        whose = source.metadata.rpc_source
+        beside = "in a file beside it" if whose == str(source.path) else f"of {whose}"
+        source.warn(f"its own RPC tags differ by {away:.1f} px from the camera {beside}, which is taken")
 
 
 def _limit_px(size: tuple[int, int]) -> float:
@@ -310,7 +316,13 @@ def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> l
         )
     if within < 0.5:
         return [f"heights {low:g} to {high:g} m hold {where}: are they metres above the WGS84 ellipsoid?"]
-    return []
+    ends = np.percentile(tie_heights, [1, 99])
+    return [
+        f"heights {low:g} to {high:g} m leave out {100 * share:.0f} % of the tie points, which lie {side} them "
+        f"(all from {ends[0]:.0f} to {ends[1]:.0f} m): the surface there will be wrong"
+        for side, share in (("below", float((tie_heights < low).mean())), ("above", float((tie_heights > high).mean())))
+        if share > _LEFT_OUT
+    ]
 
 
 __all__ = [

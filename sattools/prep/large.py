@@ -24,6 +24,7 @@ from sattools.errors import InputError
 from sattools.prep.images import SourceImage, at_once, block_factor
 from sattools.prep.layout import Bounds, common_bounds, crop_window, ground_polygon
 from sattools.prep.pixels import read_gray
+from sattools.prep.places import SearchHeights
 from sattools.processors import side_by_side
 from sattools.progress import Progress, subprogress
 
@@ -75,29 +76,31 @@ def read_grays(sources: Sequence[SourceImage], progress: Progress) -> GrayImages
     return GrayImages(grays, factors)
 
 
-def tie_points_by_windows(sources: Sequence[SourceImage], images: GrayImages, crs: str, progress: Progress) -> Tracks:
+def tie_points_by_windows(
+    sources: Sequence[SourceImage], images: GrayImages, crs: str, heights: SearchHeights, progress: Progress
+) -> Tracks:
     """Tie points of reduced images, found sharply in windows; pixels are those of the sources' windows.
 
     Args:
         sources: the images.
         images: the same, reduced.
         crs: projected ground CRS [m].
+        heights: at which the ground is looked for.
         progress: told the share done and what is being done.
 
     Raises:
         InputError: images that have nothing in common.
     """
     cameras = [s.rpc.cropped(s.window[0], s.window[1]) for s in sources]
-    coarse = _coarse(sources, images, cameras, crs, subprogress(progress, 0.0, 0.3))
+    coarse = _coarse(sources, images, cameras, crs, heights, subprogress(progress, 0.0, 0.3))
     shifted = [
         rpc.shifted(factor * view.shift_px[0], factor * view.shift_px[1])
         for rpc, factor, view in zip(cameras, images.factors, coarse.views, strict=True)
     ]
     known = coarse.heights()
-    low, high = np.quantile(known, [0.01, 0.99]) if known.size else (s := sources[0].rpc.alt_offset, s)
+    low, high = np.quantile(known, [0.01, 0.99]) if known.size else (heights.middle, heights.middle)
     margin = max(_HEIGHT_MARGIN_M, 0.25 * float(high - low))
-    heights = (float(low) - margin, float(high) + margin)
-    search = _Search(sources, images.factors, shifted, crs, heights)
+    search = _Search(sources, images.factors, shifted, crs, (float(low) - margin, float(high) + margin))
     squares = ground_squares(sources, shifted, crs, search.middle)
     pieces: list[Tracks] = []
     for k, square in enumerate(squares):
@@ -161,12 +164,18 @@ def joined(pieces: Sequence[Tracks]) -> Tracks:
 
 
 def _coarse(
-    sources: Sequence[SourceImage], images: GrayImages, cameras: Sequence[RPC], crs: str, progress: Progress
+    sources: Sequence[SourceImage],
+    images: GrayImages,
+    cameras: Sequence[RPC],
+    crs: str,
+    heights: SearchHeights,
+    progress: Progress,
 ) -> Adjustment:
     """What the reduced images say of cameras and heights."""
     reduced = images.cameras(cameras)
     views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, images.grays, reduced, strict=True)]
-    tracks = find_tie_points(views, crs, progress=subprogress(progress, 0.0, 0.7))
+    seek = TiePointOptions(max_height_m=heights.half)
+    tracks = find_tie_points(views, crs, seek, subprogress(progress, 0.0, 0.7), z_ref=heights.middle)
     sizes = [(g.shape[0], g.shape[1]) for g in images.grays]
     names = [s.id for s in sources]
     return adjust(reduced, names, sizes, tracks, AdjustOptions(model="shift"), subprogress(progress, 0.7, 1.0))

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from sattools.camera import RPC
 from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
 from sattools.errors import InputError
+from sattools.prep.tiles import Tiles, tiles_of_dimap, tiles_of_isd, tiles_of_til
+from sattools.prep.times import middle_time, parse_time, time_in_file
 from sattools.scene.jsonio import read_json
-from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant, shown
+from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant
 
-log = logging.getLogger(__name__)
 PLATFORMS = {
     "WV01": "WorldView-1",
     "WV02": "WorldView-2",
@@ -56,16 +56,13 @@ _SATNERF_JSON = Table(
         "sun_elevation": Maybe(_NUMBER),
         "sun_azimuth": Maybe(_NUMBER),
         "acquisition_date": Maybe(Text(empty=True)),
+        "acquired": Maybe(Text(empty=True)),
         "rpc": Table(),
     }
 )
 _MAYBE_TEXT = Maybe(Text(empty=True))
-_STAC_JSON = Table({"properties": Maybe(Table({"datetime": _MAYBE_TEXT, "platform": _MAYBE_TEXT}))})
-
-_TIME_TEXT = (
-    re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d+)?)(?:([+-]\d\d):?(\d\d)(?!\d))?"),
-    re.compile(r"(?<!\d)(\d{4})(\d\d)(\d\d)_?(\d\d)(\d\d)(\d\d)(?!\d{2})"),
-)
+_STAC_TEXTS = ("datetime", "start_datetime", "end_datetime", "acquired", "platform")
+_STAC_JSON = Table({"properties": Maybe(Table(dict.fromkeys(_STAC_TEXTS, _MAYBE_TEXT)))})
 
 
 @dataclass
@@ -79,51 +76,12 @@ class Metadata:
     sun: tuple[float, float] | None = None  # azimuth from true north, elevation [degrees]
     platform: str | None = None
     bits: int | None = None
+    tiles: Tiles | None = None  # of the product that the image is a part of
 
     def filled(self, other: Metadata) -> Metadata:
         """This, completed by another source where it is silent."""
         ours = {f.name: getattr(self, f.name) for f in fields(self)}
         return Metadata(**{k: getattr(other, k) if v is None else v for k, v in ours.items()})
-
-
-def parse_time(text: Any) -> datetime | None:
-    """UTC time from ISO text or `YYYYMMDDhhmmss`, wherever it stands in the text; None when there is no valid one.
-
-    ISO text may say how far its clock is from UTC (``+02:00``); without that it is UTC, as vendors' is.
-    """
-    for pattern in _TIME_TEXT:
-        match = pattern.search(str(text))
-        if match:
-            year, month, day, hour, minute = (int(n) for n in match.groups()[:5])
-            second = float(match[6])
-            try:
-                local = datetime(year, month, day, hour, minute, int(second), int(1e6 * (second % 1)), tzinfo=UTC)
-                return local - _ahead(*match.groups()[6:])
-            except (ValueError, OverflowError):
-                return None
-    return None
-
-
-def _ahead(hours: str | None = None, minutes: str | None = None) -> timedelta:
-    """By how much a clock is ahead of UTC; ValueError for more than a day."""
-    if not hours:
-        return timedelta(0)
-    ahead = timedelta(hours=int(hours), minutes=int(f"{hours[0]}{minutes}"))
-    if abs(ahead) >= timedelta(days=1):
-        raise ValueError
-    return ahead
-
-
-def _time_of(text: Any, path: Path) -> datetime | None:
-    """The same of a metadata file, where a text that is no time is told: the image would be one of no date."""
-    found = parse_time(text)
-    if found is None and re.search(r"\d", str(text)):
-        log.warning(
-            "%s: found the time %s, expected YYYY-MM-DDThh:mm:ss or YYYYMMDDhhmmss: taken for unknown",
-            path,
-            shown(text),
-        )
-    return found
 
 
 def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> float | None:
@@ -180,6 +138,8 @@ def read_sidecar(path: Path) -> Metadata:
         return _from_xml(path)
     if suffix == ".imd":
         return _from_imd(path)
+    if suffix == ".til":
+        return Metadata(tiles=tiles_of_til(read_text(path)))
     return Metadata(rpc=RPC.from_file(path), rpc_source=str(path))
 
 
@@ -195,7 +155,7 @@ def from_tags(tags: Mapping[str, str], name: str) -> Metadata:
     if time is None and airbus:
         time = parse_time(airbus[2])
     if time is None:
-        time = parse_time(tags.get("ACQUISITIONDATETIME", "")) or parse_time(name)
+        time = parse_time(tags.get("ACQUISITIONDATETIME", "")) or parse_time(name, of_file=True)
     platform = find_platform(airbus[1] if airbus else f"{title} {name}")
     bits = tags.get("NITF_ABPP", "").strip()
     sun = parse_sun(tags.get("NITF_USE00A_SUN_AZ"), tags.get("NITF_USE00A_SUN_EL"))
@@ -207,10 +167,16 @@ def _from_json(path: Path) -> Metadata:
     if document.get("type") in ("Feature", "FeatureCollection"):
         _STAC_JSON.check(document, str(path))
         properties = document.get("properties") or {}
-        sun = parse_sun(properties.get("view:sun_azimuth"), properties.get("view:sun_elevation"), str(path))
-        return Metadata(
-            time=_time_of(properties.get("datetime"), path), platform=properties.get("platform") or None, sun=sun
+        # Planet's members are named without STAC's prefix
+        azimuth, elevation = (
+            properties.get(f"view:{name}", properties.get(name)) for name in ("sun_azimuth", "sun_elevation")
         )
+        time = time_in_file(properties.get("datetime") or properties.get("acquired"), path)
+        if time is None:
+            ends = [time_in_file(properties.get(f"{end}_datetime"), path) for end in ("start", "end")]
+            time = middle_time(*ends)
+        sun = parse_sun(azimuth, elevation, str(path))
+        return Metadata(time=time, platform=properties.get("platform") or None, sun=sun)
     _SATNERF_JSON.check(document, str(path))
     known = _SATNERF_JSON.members.keys()
     for name in document.keys() - known:
@@ -225,7 +191,9 @@ def _from_json(path: Path) -> Metadata:
         rpc=RPC.from_file(path) if has_rpc else None,
         rpc_source=str(path) if has_rpc else None,
         size=size,
-        time=_time_of(document.get("acquisition_date", document.get("datetime")), path),
+        time=time_in_file(
+            document.get("acquisition_date") or document.get("datetime") or document.get("acquired"), path
+        ),
         sun=parse_sun(document.get("sun_azimuth"), document.get("sun_elevation"), str(path)),
     )
 
@@ -254,22 +222,24 @@ def _from_xml(path: Path) -> Metadata:
         return Metadata(
             rpc=RPC.from_file(path) if model else None,
             rpc_source=str(path) if model else None,
-            time=_time_of(f"{date}T{clock}", path) if date and clock else None,
+            time=time_in_file(f"{date}T{clock}", path) if date and clock else None,
             platform=find_platform(code),
             bits=int(bits) if bits and bits.isdigit() and 0 < int(bits) <= 32 else None,
             sun=parse_sun(angles.get("SUN_AZIMUTH"), angles.get("SUN_ELEVATION"), str(path)),
+            tiles=tiles_of_dimap(root),
         )
     model = bool(find_all(root, "RPB"))
     return Metadata(
         rpc=RPC.from_file(path) if model else None,
         rpc_source=str(path) if model else None,
-        time=_time_of(first("FIRSTLINETIME", "EARLIESTACQTIME", "acquisitionDateTime") or "", path),
+        time=time_in_file(first("FIRSTLINETIME", "EARLIESTACQTIME", "acquisitionDateTime") or "", path),
         platform=find_platform(first("SATID") or ""),
         sun=parse_sun(
             first("MEANSUNAZ", "SUNAZ", "illuminationAzimuthAngle"),
             first("MEANSUNEL", "SUNEL", "illuminationElevationAngle"),
             str(path),
         ),
+        tiles=tiles_of_isd(root),
     )
 
 
@@ -282,10 +252,10 @@ def _from_imd(path: Path) -> Metadata:
         return next((values[n] for n in names if n in values), None)
 
     return Metadata(
-        time=_time_of(first("FIRSTLINETIME", "EARLIESTACQTIME") or "", path),
+        time=time_in_file(first("FIRSTLINETIME", "EARLIESTACQTIME") or "", path),
         platform=find_platform(first("SATID") or ""),
         sun=parse_sun(first("MEANSUNAZ", "SUNAZ"), first("MEANSUNEL", "SUNEL"), str(path)),
     )
 
 
-__all__ = ["Metadata", "find_platform", "from_tags", "parse_angle", "parse_time", "read_sidecar"]
+__all__ = ["Metadata", "find_platform", "from_tags", "parse_angle", "read_sidecar"]

@@ -11,11 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
-from sattools.camera.tiepoints import TiePointImage, find_tie_points
+from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
 from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
@@ -29,21 +28,21 @@ from sattools.prep.gate import (
     check_places_and_suns,
     check_sources,
 )
-from sattools.prep.images import SourceImage, check_ids, common_name, load_source
+from sattools.prep.images import SourceImage
 from sattools.prep.large import GrayImages, read_grays, tie_points_by_windows
 from sattools.prep.layout import (
     Bounds,
     common_bounds,
-    crop_window,
     cut_to_shown,
     ground_polygon,
-    groups,
-    outline,
     with_rim,
 )
+from sattools.prep.loading import load_source
+from sattools.prep.names import check_ids, common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
 from sattools.prep.pairs import IN_HISTORY, pair_table
+from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
@@ -55,8 +54,6 @@ from sattools.scene.schema import meant
 from sattools.scene.sidecars import sidecars
 
 log = logging.getLogger(__name__)
-_BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
-_SEARCH_HEIGHT_M = 600.0
 
 
 def prepare(
@@ -96,7 +93,7 @@ def prepare(
     heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
-    scene.grid = _grid(options, sources, result.rpcs, crs, heights, asked, notes=notes)
+    scene.grid = _grid(options, sources, result, crs, heights, asked, notes=notes)
     scene.height_range_m = heights
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
@@ -135,12 +132,14 @@ def _adjusted(
     model = "shift" if options.correction == "none" else options.correction
     sizes = [(s.window[3], s.window[2]) for s in sources]
     matching = subprogress(progress, 0.0, 0.45 / 0.65)
+    heights = search_heights(sources, (options.min_height, options.max_height))
     try:
         if whole.reduced:
-            tracks = tie_points_by_windows(sources, whole, crs, matching)
+            tracks = tie_points_by_windows(sources, whole, crs, heights, matching)
         else:
             views = [TiePointImage(s.id, g, c) for s, g, c in zip(sources, whole.grays, cameras, strict=True)]
-            tracks = find_tie_points(views, crs, progress=matching)
+            seek = TiePointOptions(max_height_m=heights.half)
+            tracks = find_tie_points(views, crs, seek, matching, z_ref=heights.middle)
         last = subprogress(progress, 0.45 / 0.65, 1.0)
         result = adjust(cameras, [s.id for s in sources], sizes, tracks, AdjustOptions(model=model), last)
     except SattoolsError:
@@ -189,13 +188,14 @@ def survey(
     check_sources(sources)
     _warn([*check_metadata(sources, metadata_dir), *check_places_and_suns(sources)], notes)
     _warn(check_height_unit(sources), notes)
-    lon, lat = _middle(sources)
+    lon, lat = middle_of(sources)
     crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
     check_scale(crs, lon, lat)
-    check_places(sources, crs)
+    given = (options.min_height, options.max_height)
+    check_places(sources, crs, given)
     asked = _asked_bounds(options, crs)
     if asked is not None:
-        sources = _cropped_to_area(sources, crs, asked, notes)
+        sources = cropped_to_area(sources, crs, asked, given, notes)
     return sources, crs, asked
 
 
@@ -251,34 +251,6 @@ def _roles(
     return roles
 
 
-def check_places(sources: Sequence[SourceImage], crs: str) -> None:
-    """Raise InputError when images do not lie together, naming the one whose RPC is of another place."""
-    polygons = []
-    for s in sources:
-        polygon = ground_polygon(s.rpc, s.window, s.rpc.alt_offset, crs)
-        if polygon.is_empty:
-            raise InputError(
-                f"{s.path}: found an RPC that does not reach the image's pixels or the ground around the other images, "
-                f"expected the RPC of this image (from {s.metadata.rpc_source})"
-            )
-        polygons.append(polygon)
-    places = groups(polygons)
-    if len(places) == 1:
-        return
-    if len(places[0]) == 1 or len(places[0]) == len(places[1]):
-        raise InputError(
-            f"{sources[places[1][0]].path}: found no overlap with {sources[places[0][0]].path}, "
-            "expected images of one place"
-        )
-    stray = places[1][0]
-    lon, lat = np.nanmean(outline(sources[stray].rpc, sources[stray].window, sources[stray].rpc.alt_offset), axis=0)
-    distance = polygons[stray].distance(polygons[places[0][0]]) / 1000.0
-    raise InputError(
-        f"{sources[stray].path}: found its RPC at {lat:.4f} N {lon:.4f} E, {distance:.1f} km from the other images, "
-        f"expected images that overlap (RPC from {sources[stray].metadata.rpc_source})"
-    )
-
-
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
     paths = [Path(name) for name in (options.aoi, *options.mask) if name]
@@ -297,15 +269,6 @@ def _outputs(ids: Sequence[str], options: PrepOptions) -> list[str]:
     return [*REPORTS.values(), AREA, "scene.json", *copies, *(f"rpc/{i}_RPC.TXT" for i in ids)]
 
 
-def _middle(sources: Sequence[SourceImage]) -> tuple[float, float]:
-    """Longitude and latitude in the middle of the images."""
-    centres = [s.rpc.localization((s.size[1] - 1) / 2, (s.size[0] - 1) / 2, s.rpc.alt_offset) for s in sources]
-    lon, lat = np.nanmedian(np.array(centres), axis=0)
-    if not (np.isfinite(lon) and np.isfinite(lat)):
-        raise InputError(f"{sources[0].path}: found RPCs that do not reach the images' pixels, expected their own RPCs")
-    return float(lon), float(lat)
-
-
 def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
     if options.aoi and options.bounds:
         raise InputError("area: found both --aoi and --bounds, expected one of them")
@@ -316,28 +279,6 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
 
 def _wanted(options: PrepOptions, crs: str) -> Callable[[Bounds], Any]:
     return wanted_area(location(options.aoi) if options.aoi else None, [Path(name) for name in options.mask], crs)
-
-
-def _cropped_to_area(sources: list[SourceImage], crs: str, asked: Bounds, notes: list[str]) -> list[SourceImage]:
-    """Sources with windows that surely hold the area; those that do not see it are left out."""
-    kept = []
-    for s in sources:
-        low, high = s.rpc.altitude_range
-        middle = 0.5 * (low + high)
-        heights = max(low, middle - _SEARCH_HEIGHT_M), min(high, middle + _SEARCH_HEIGHT_M)
-        window = crop_window(s.rpc, crs, asked, heights, s.size, _BIAS_MARGIN_PX)
-        if window[2] < 64 or window[3] < 64:
-            notes.append(f"{s.id}: does not show the area, left out")
-            continue
-        s.window = window
-        kept.append(s)
-    if len(kept) < 2:
-        w, south, e, n = asked
-        raise InputError(
-            f"area {w:.1f} {south:.1f} {e:.1f} {n:.1f} ({crs}): found {len(kept)} of {len(sources)} images that show "
-            "it, expected an area inside the images"
-        )
-    return kept
 
 
 def _height_range(
@@ -368,19 +309,21 @@ def _height_range(
 def _grid(
     options: PrepOptions,
     sources: Sequence[SourceImage],
-    rpcs: Sequence[RPC],
+    result: Adjustment,
     crs: str,
     heights: tuple[float, float],
     asked: Bounds | None,
     *,
     notes: list[str],
 ) -> Grid:
-    middle = 0.5 * (heights[0] + heights[1])
+    rpcs, middle = result.rpcs, 0.5 * (heights[0] + heights[1])
+    if (options.min_height, options.max_height) != (None, None):  # a range by hand may be wide: where the ground is
+        middle = float(np.clip(np.median(result.heights()), *heights))
     windows = [(0, 0, s.window[2], s.window[3]) for s in sources]
     polygons = [ground_polygon(r, w, middle, crs) for r, w in zip(rpcs, windows, strict=True)]
     covered = common_bounds(polygons)
     if covered is None:
-        raise InputError("images: found no ground that half of them show, expected images that overlap")
+        raise InputError(f"images: found no ground at {middle:.0f} m that half of them show, expected some they share")
     middles = [((width - 1) / 2, (height - 1) / 2) for _, _, width, height in windows]
     places = [r.localization(*at, middle) for r, at in zip(rpcs, middles, strict=True)]
     sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
@@ -396,4 +339,4 @@ def _grid(
     return grid
 
 
-__all__ = ["PrepOptions", "check_inputs", "check_places", "prepare"]
+__all__ = ["PrepOptions", "check_inputs", "prepare"]

@@ -22,6 +22,7 @@ DRIVERS = (
 )
 # a sidecar (.aux.xml) may name overviews anywhere: nothing but what the user named is asked for
 _NO_NETWORK = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-", "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/"}
+_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 _LARGE = 1 << 29  # bytes of pixels
 _MOST_BANDS = 1000  # no imaging spectrometer has more
 _MOST_COMPRESSED = 4000  # times; an empty image in DEFLATE reaches 1000
@@ -30,13 +31,18 @@ _PATIENCE = {"GDAL_HTTP_CONNECTTIMEOUT": "30", "GDAL_HTTP_LOW_SPEED_LIMIT": "1",
 
 
 @contextmanager
-def opened(path: Path | str, what: str = "an image") -> Iterator[DatasetReader]:
+def opened(path: Path | str, what: str = "an image", *, alone: bool = False) -> Iterator[DatasetReader]:
     """A raster in any geometry.
+
+    Args:
+        path: of the file.
+        what: that it should be, for error messages.
+        alone: leave out what GDAL finds in files beside it.
 
     Raises: InputError, one line: missing, not a file, not `what` that one of `DRIVERS` reads, without bands.
     """
     path = location(path)
-    settings = _PATIENCE if needs_network(path) else _NO_NETWORK
+    settings = (_PATIENCE if needs_network(path) else _NO_NETWORK) | (_ALONE if alone else {})
     with not_georeferenced, rasterio.Env(**settings):
         try:
             data = DatasetReader(str(path), driver=list(DRIVERS))  # `rasterio.open` takes one driver only

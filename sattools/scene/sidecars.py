@@ -6,6 +6,18 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+_TILE = re.compile(r"_r(\d+)c(\d+)(?=-|$)", re.IGNORECASE)
+
+
+def tile_of(stem: str) -> tuple[int, int] | None:
+    """Row and column, from 1, of a file that is part of a vendor's product; None of others.
+
+    Args:
+        stem: the file's name without its ending.
+    """
+    match = _TILE.search(stem)
+    return None if match is None else (int(match[1]), int(match[2]))
+
 
 def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
     """Metadata files that belong to an image by their names, in the order of the folders.
@@ -15,11 +27,14 @@ def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
     stem = image.stem.lower()
     core = re.sub(r"^(img|dim|rpc)_", "", stem)
     # Airbus writes IMG_<name>_R1C1.TIF beside DIM_<name>.XML and RPC_<name>.XML
-    core_tile = re.sub(r"_r\d+c\d+$", "", core)
+    core_tile = _TILE.sub("", core)
     names = [f"{stem}.json", f"{stem}_rpc.txt", f"{stem}.rpb", f"{stem}.xml", f"{stem}.imd"]
     names += [f"{stem}_metadata.json", f"{stem}_metadata.xml", f"{stem}_rpc.xml", f"{stem}.rpc"]
     for c in dict.fromkeys((core, core_tile)):
         names += [f"rpc_{c}.xml", f"dim_{c}.xml"]
+    if re.search(_TILE.pattern + "-", stem, re.IGNORECASE):
+        # DigitalGlobe writes <date>-M1BS_R1C1-<order>.TIF beside <date>-M1BS-<order>.RPB, .IMD, .XML and .TIL
+        names += [f"{_TILE.sub('', stem)}.{ending}" for ending in ("rpb", "xml", "imd", "til")]
     beside = []
     for folder in folders:
         files = sorted((p for p in folder.iterdir() if p.is_file()), key=lambda p: (_spelt_as(image, p), p))
@@ -30,8 +45,8 @@ def sidecars(image: Path, folders: Iterable[Path]) -> list[Path]:
 
 def _spelt_as(image: Path, path: Path) -> bool:
     """Whether a file has an image's name in its own upper and lower case."""
-    name = re.sub(r"(?i)^(img|dim|rpc)_|_r\d+c\d+$", "", image.stem)
+    name = _TILE.sub("", re.sub(r"(?i)^(img|dim|rpc)_", "", image.stem))
     return path.name.startswith(name) or path.name.partition("_")[2].startswith(name)
 
 
-__all__ = ["sidecars"]
+__all__ = ["sidecars", "tile_of"]

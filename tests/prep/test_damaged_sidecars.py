@@ -10,7 +10,7 @@ from synthetic_views import cubic_rpc
 
 from sattools.cli import main
 from sattools.errors import InputError
-from sattools.prep.images import load_source
+from sattools.prep.loading import load_source
 from sattools.scene.raster import write_sensor_image
 
 PIXELS = np.zeros((1, 8, 8), np.uint8)

@@ -13,7 +13,8 @@ from sattools.errors import InputError, SattoolsError
 from sattools.prep import images as prep_images
 from sattools.prep import large
 from sattools.prep import pixels as prep_pixels
-from sattools.prep.images import block_factor, load_source
+from sattools.prep.images import block_factor
+from sattools.prep.loading import load_source
 from sattools.prep.options import PrepOptions
 from sattools.prep.pixels import read_gray, value_range, write_image
 from sattools.prep.stage import prepare

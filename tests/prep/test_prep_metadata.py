@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from sattools.errors import InputError
-from sattools.prep.metadata import Metadata, find_platform, from_tags, parse_sun, parse_time, read_sidecar
+from sattools.prep.metadata import Metadata, find_platform, from_tags, parse_sun, read_sidecar
+from sattools.prep.times import parse_time
 from sattools.scene.sidecars import sidecars
 
 
@@ -21,6 +22,15 @@ from sattools.scene.sidecars import sidecars
         ("2020-03-03 18:00:00.5-0530", datetime(2020, 3, 3, 23, 30, 0, 500000, tzinfo=UTC)),
         ("2020-03-03T23:30:00-01_R1C1", datetime(2020, 3, 3, 23, 30, tzinfo=UTC)),
         ("2020-03-03T23:30:00+25:00", None),
+        ("2014-10-17T17:48:58 +02:00", datetime(2014, 10, 17, 15, 48, 58, tzinfo=UTC)),
+        ("2014-10-17T17:48:58+02", datetime(2014, 10, 17, 15, 48, 58, tzinfo=UTC)),
+        ("2014-10-17 17:48:58.25 -0230 ", datetime(2014, 10, 17, 20, 18, 58, 250000, tzinfo=UTC)),
+        ("20141017T154858", datetime(2014, 10, 17, 15, 48, 58, tzinfo=UTC)),
+        ("20141017T154858.5Z", datetime(2014, 10, 17, 15, 48, 58, 500000, tzinfo=UTC)),
+        ("20141017T174858+0200", datetime(2014, 10, 17, 15, 48, 58, tzinfo=UTC)),
+        ("town_20141017-154858_pan", datetime(2014, 10, 17, 15, 48, 58, tzinfo=UTC)),
+        ("order_12345678-123456", None),
+        ("20141017-99999999_20150502161943", datetime(2015, 5, 2, 16, 19, 43, tzinfo=UTC)),
         ("20191015_073816_ssc1d3_0011_basic", datetime(2019, 10, 15, 7, 38, 16, tzinfo=UTC)),
         ("JAX_068_001_RGB", None),
         ("20151399999999", None),

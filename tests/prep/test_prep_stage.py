@@ -17,7 +17,7 @@ from sattools.camera.ground import from_geographic
 from sattools.cli import main
 from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.prep.dfc2019 import find_images
-from sattools.prep.images import common_name
+from sattools.prep.names import common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
 from sattools.radiometry.options import NormaliseOptions

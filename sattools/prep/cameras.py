@@ -1,0 +1,64 @@
+"""Which camera is an image's where its own RPC tags and a file beside it say different things."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from sattools.camera import RPC
+from sattools.errors import InputError
+from sattools.scene.gdal import rpc_tags
+from sattools.scene.location import RemotePath
+from sattools.scene.opening import opened
+
+SAME_PX = 1.0  # as far as two files of one camera may differ by digits and conventions
+_WHOLE_PX = 1e-3  # of a window's corner
+_WHOLE_SHARE = 0.02  # of an image's size: where the camera of a whole image begins, and what size it tells
+
+
+def own_camera(path: Path) -> RPC | None:
+    """The camera in an image itself: GDAL says that of a file beside it where there is one.
+
+    Args:
+        path: of the image.
+    """
+    if isinstance(path, RemotePath):
+        return None
+    with suppress(InputError), opened(path, alone=True) as data:
+        return RPC.from_tags(found, source=str(path)) if (found := rpc_tags(data)) else None
+    return None
+
+
+def of_another_window(beside: RPC, own: RPC, size: tuple[int, int]) -> tuple[float, float] | None:
+    """Columns and rows [px] by which a camera beside an image is that of another window of the same whole; else None.
+
+    Programs that cut images move the tags with them and leave files beside them as they are. Corrections of a camera
+    move it by fractions of a pixel or change its polynomials.
+
+    Args:
+        beside: the camera in the file.
+        own: that of the image's tags.
+        size: (height, width) of the image [px].
+    """
+    names = {f.name for f in fields(RPC)} - {"col_offset", "row_offset"}
+    if not all(np.allclose(getattr(beside, n), getattr(own, n), rtol=1e-9, atol=1e-12) for n in names):
+        return None
+    apart = np.array([beside.col_offset - own.col_offset, beside.row_offset - own.row_offset])
+    if np.abs(apart).max() <= SAME_PX or np.abs(apart - apart.round()).max() > _WHOLE_PX:
+        return None
+    if _of_larger(own, size) and not _of_larger(beside, size):
+        return None  # cut without moving the tags, which somebody has put right in the file
+    return float(apart[0]), float(apart[1])
+
+
+def _of_larger(rpc: RPC, size: tuple[int, int]) -> bool:
+    """The camera looks like that of a whole image, as vendors make them, which is not of this size."""
+    starts = abs(rpc.col_offset - rpc.col_scale) / rpc.col_scale, abs(rpc.row_offset - rpc.row_scale) / rpc.row_scale
+    ratios = 2 * rpc.col_scale / size[1], 2 * rpc.row_scale / size[0]
+    return max(starts) < _WHOLE_SHARE and max(ratios) > 1 + _WHOLE_SHARE
+
+
+__all__ = ["SAME_PX", "of_another_window", "own_camera"]

@@ -1,0 +1,92 @@
+"""Of an image's own RPC tags and a file beside it, the camera of the window that the image holds is taken."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_views import LAT0, parallel_rpc
+
+from sattools.camera import RPC
+from sattools.prep.cameras import of_another_window, own_camera
+from sattools.prep.gate import check_sources
+from sattools.prep.loading import load_source
+from sattools.scene.raster import write_sensor_image
+
+SIZE = (150, 160)
+OWN = parallel_rpc((0.3, 0.1), size=SIZE)
+OTHER = "has the camera of another window of the image"
+
+
+def image(folder: Path, rpc: Any = OWN) -> Path:
+    write_sensor_image(folder / "a.tif", np.ones((1, *SIZE), np.uint8), None if rpc is None else rpc.to_tags())
+    return folder / "a.tif"
+
+
+def aux(folder: Path, rpc: RPC) -> None:
+    members = "".join(f'<MDI key="{key}">{text}</MDI>' for key, text in rpc.to_tags().items())
+    text = f'<PAMDataset><Metadata domain="RPC">{members}</Metadata></PAMDataset>'
+    (folder / "a.tif.aux.xml").write_text(text)
+
+
+def corner(rpc: RPC) -> Any:
+    return pytest.approx((rpc.col_offset - OWN.col_offset, rpc.row_offset - OWN.row_offset), abs=1e-6)
+
+
+def loaded(path: Path, metadata: Any = None) -> Any:
+    source = load_source(path, "a", metadata)
+    check_sources([source])
+    return source
+
+
+def test_a_file_left_beside_an_image_that_was_cut_is_told_and_not_taken(tmp_path: Path) -> None:
+    path = image(tmp_path)
+    OWN.shifted(30, 25).write(tmp_path / "a_RPC.TXT")
+    source = loaded(path)
+    assert corner(source.rpc) == (0.0, 0.0)
+    assert source.metadata.rpc_source == str(path)
+    assert f"a_RPC.TXT {OTHER} (+30 columns, +25 rows): its own RPC tags are taken" in source.notes
+
+
+def test_what_gdal_alone_reads_beside_an_image_is_no_camera_of_its_own(tmp_path: Path) -> None:
+    aux(tmp_path, OWN.shifted(30, 25))
+    assert corner(loaded(image(tmp_path)).rpc) == (0.0, 0.0)
+    path = image(tmp_path, None)
+    aux(tmp_path, OWN.shifted(30, 25))
+    assert own_camera(path) is None
+    assert corner(loaded(path).rpc) == (30.0, 25.0)
+
+
+def test_a_corrected_camera_beside_an_image_is_taken_and_told(tmp_path: Path) -> None:
+    OWN.shifted(2.25, -3.5).write(tmp_path / "a_RPC.TXT")
+    source = loaded(image(tmp_path))
+    assert corner(source.rpc) == (2.25, -3.5)
+    beside = tmp_path / "a_RPC.TXT"
+    assert f"its own RPC tags differ by 4.2 px from the camera of {beside}, which is taken" in source.notes
+
+
+def test_a_camera_beside_an_image_without_tags_or_with_the_same_is_taken_silently(tmp_path: Path) -> None:
+    OWN.shifted(0.5, 0.25).write(tmp_path / "a_RPC.TXT")
+    for path in (image(tmp_path), image(tmp_path, None)):
+        source = loaded(path)
+        assert corner(source.rpc) == (0.5, 0.25)
+        assert source.notes == []
+    assert own_camera(path) is None
+
+
+def test_a_folder_that_the_user_pointed_to_is_believed(tmp_path: Path) -> None:
+    path = image(tmp_path)
+    folder = tmp_path / "cameras"
+    folder.mkdir()
+    OWN.shifted(30, 25).write(folder / "a_RPC.TXT")
+    source = loaded(path, folder)
+    assert corner(source.rpc) == (30.0, 25.0)
+    assert any("its own RPC tags differ" in note for note in source.notes)
+
+
+def test_tags_that_were_not_moved_when_the_image_was_cut_do_not_count() -> None:
+    whole = replace(OWN, col_offset=5000.0, col_scale=5001.0, row_offset=4000.0, row_scale=4001.0)
+    assert of_another_window(whole.cropped(700, 900), whole, SIZE) is None
+    assert of_another_window(whole, whole.cropped(700, 900), SIZE) == (700.0, 900.0)
+    assert of_another_window(replace(OWN.shifted(30, 25), lat_offset=LAT0 + 1e-4), OWN, SIZE) is None

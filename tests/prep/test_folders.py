@@ -1,0 +1,48 @@
+"""A folder given in place of images: a map or quick look in it is left out, and what should be an image is not."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_views import parallel_rpc
+
+from sattools.errors import InputError
+from sattools.prep.folders import images_with_cameras
+from sattools.scene.raster import write_sensor_image
+
+TAGS = parallel_rpc().to_tags()
+
+
+def image(folder: Path, name: str, tags: Any = None) -> Path:
+    write_sensor_image(folder / name, np.ones((1, 8, 8), np.uint8), tags)
+    return folder / name
+
+
+def test_files_without_camera_are_left_out_and_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    images = [image(tmp_path, f"{name}.tif", TAGS) for name in "ab"]
+    maps = [image(tmp_path, f"{name}.tif") for name in ("dem", "x-BROWSE")]
+    with caplog.at_level(logging.WARNING):
+        assert images_with_cameras([str(tmp_path)], None) == images
+    assert caplog.messages == [f"{tmp_path}: left out dem.tif, x-BROWSE.tif, without RPC tags and metadata files"]
+    assert images_with_cameras([str(images[0]), str(maps[0])], None) == [images[0], maps[0]]  # as the user named them
+
+
+def test_what_has_a_metadata_file_or_cannot_be_opened_stays(tmp_path: Path) -> None:
+    images = [image(tmp_path, "a.tif", TAGS), image(tmp_path, "b.tif"), image(tmp_path, "c.tif"), tmp_path / "d.tif"]
+    images[3].write_bytes(b"no image")
+    (tmp_path / "b_RPC.TXT").write_text("damaged")
+    folder = tmp_path / "metadata"
+    folder.mkdir()
+    (folder / "c.json").write_text("{}")
+    assert images_with_cameras([str(tmp_path)], str(folder)) == images
+    assert images_with_cameras([str(tmp_path)], None) == [images[0], images[1], images[3]]
+
+
+def test_a_folder_without_any_camera_is_not_empty(tmp_path: Path) -> None:
+    images = [image(tmp_path, f"{name}.tif") for name in "ab"]
+    assert images_with_cameras([str(tmp_path)], None) == images
+    (tmp_path / "none").mkdir()
+    with pytest.raises(InputError, match="found a folder without images"):
+        images_with_cameras([str(tmp_path / "none")], None)

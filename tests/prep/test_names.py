@@ -1,0 +1,31 @@
+"""Every image gets an id of plain letters, whatever script its name is in, and different ones where names differ."""
+
+from pathlib import Path
+
+import pytest
+
+from sattools.errors import InputError
+from sattools.prep.names import check_ids, image_id
+
+
+def test_letters_of_other_scripts_are_their_numbers() -> None:
+    assert image_id(Path("影像一.tif")) == "u5f71u50cfu4e00"
+    assert image_id(Path("影像三.01.tif")) == "u5f71u50cfu4e09.01"
+    assert image_id(Path("Город 1.tif")) == "u0413u043eu0440u043eu0434_1"
+    assert image_id(Path("Zürich (2).tif")) == "Z_rich_2_"
+
+
+def test_names_that_differ_in_them_are_told_apart(tmp_path: Path) -> None:
+    images = [
+        tmp_path / name for name in ("影像一.01.tif", "影像三.01.tif", "影" * 60 + "一.tif", "影" * 60 + "三.tif")
+    ]
+    for image in images:
+        image.touch()
+    ids = check_ids(images)
+    assert len(set(ids)) == len(images)
+    assert all(name.isascii() and len(name) <= 128 for name in ids)
+
+
+def test_a_name_without_letters_or_digits_is_refused() -> None:
+    with pytest.raises(InputError, match="found a name without letters or digits"):
+        image_id(Path("---.tif"))
