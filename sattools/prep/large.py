@@ -22,7 +22,7 @@ from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_p
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage, at_once, block_factor
-from sattools.prep.layout import Bounds, common_bounds, crop_window, ground_polygon
+from sattools.prep.layout import Bounds, common_bounds, crop_window, data_edge, ground_polygon
 from sattools.prep.pixels import read_gray
 from sattools.prep.places import SearchHeights
 from sattools.processors import side_by_side
@@ -58,6 +58,11 @@ class GrayImages:
     def cameras(self, rpcs: Sequence[RPC]) -> list[RPC]:
         """Cameras of the grey images from those of the images."""
         return [rpc.reduced(factor) for rpc, factor in zip(rpcs, self.factors, strict=True)]
+
+    def edges(self) -> list[NDArray[np.float64] | None]:
+        """Outlines of the data, in pixels of the images' windows (see `data_edge`)."""
+        found = [data_edge(gray) for gray in self.grays]
+        return [None if e is None else (e + 0.5) * f - 0.5 for e, f in zip(found, self.factors, strict=True)]
 
 
 def read_grays(sources: Sequence[SourceImage], progress: Progress) -> GrayImages:

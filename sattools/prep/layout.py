@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely.geometry import Polygon
+from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry.polygon import orient
 
 from sattools.camera import RPC
@@ -15,6 +15,7 @@ from sattools.camera.ground import from_geographic, project
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
+ALL_OF_IT = 0.98  # of an image with data: what is missing moves no area's border
 Window = tuple[int, int, int, int]  # col0, row0, width, height
 
 
@@ -33,6 +34,27 @@ def outline(rpc: RPC, window: Window, height: float, per_side: int = 4) -> Array
     return np.stack(rpc.localization(col - 0.5 + edge[0] * width, row - 0.5 + edge[1] * rows, height), -1)
 
 
+def data_edge(gray: NDArray[np.float32]) -> Array | None:
+    """Corners (column, row) ``[n, 2]`` [px] of the convex outline of pixels with data; None where it is the image's.
+
+    A frame without data makes an image larger than what it shows.
+
+    Args:
+        gray: ``[H, W]``; NaN = no data.
+    """
+    known = np.isfinite(gray)
+    rows = np.flatnonzero(known.any(axis=1))
+    if not rows.size:
+        return None
+    first = known[rows].argmax(axis=1)
+    last = known.shape[1] - 1 - known[rows, ::-1].argmax(axis=1)
+    ends = [(cols + side, rows + end) for cols, side in ((first, -0.5), (last, 0.5)) for end in (-0.5, 0.5)]
+    hull = MultiPoint(np.concatenate([np.stack(end, axis=-1) for end in ends])).convex_hull.simplify(0.5)
+    if hull.area > ALL_OF_IT * gray.size:
+        return None
+    return np.asarray(hull.exterior.coords, np.float64)
+
+
 def footprint(rpc: RPC, window: Window, height: float) -> Polygon:
     """Footprint polygon in longitude and latitude, counter-clockwise as GeoJSON wants it.
 
@@ -44,7 +66,7 @@ def footprint(rpc: RPC, window: Window, height: float) -> Polygon:
     return orient(Polygon(outline(rpc, window, height)))
 
 
-def ground_polygon(rpc: RPC, window: Window, height: float, crs: str) -> Polygon:
+def ground_polygon(rpc: RPC, window: Window, height: float, crs: str, edge: Array | None = None) -> Polygon:
     """Footprint in the ground CRS [m]; empty where the camera does not reach it.
 
     Args:
@@ -52,8 +74,12 @@ def ground_polygon(rpc: RPC, window: Window, height: float, crs: str) -> Polygon
         window: (column, row, width, height) [px].
         height: of the ground [m].
         crs: projected ground CRS [m].
+        edge: corners (column, row) ``[n, 2]`` of what counts of the window, where that is not all (`data_edge`).
     """
-    points = outline(rpc, window, height)
+    if edge is None:
+        points = outline(rpc, window, height)
+    else:
+        points = np.stack(rpc.localization(window[0] + edge[:, 0], window[1] + edge[:, 1], height), -1)
     if not np.isfinite(points).all():
         return Polygon()
     x, y = from_geographic(crs, points[:, 0], points[:, 1])
@@ -171,6 +197,7 @@ __all__ = [
     "common_bounds",
     "crop_window",
     "cut_to_shown",
+    "data_edge",
     "footprint",
     "ground_polygon",
     "groups",

@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
@@ -34,6 +35,7 @@ from sattools.prep.layout import (
     Bounds,
     common_bounds,
     cut_to_shown,
+    data_edge,
     ground_polygon,
     with_rim,
 )
@@ -93,7 +95,7 @@ def prepare(
     heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
-    scene.grid = _grid(options, sources, result, crs, heights, asked, notes=notes)
+    scene.grid = _grid(options, sources, result, crs, heights, asked, edges=whole.edges(), notes=notes)
     scene.height_range_m = heights
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
@@ -295,7 +297,7 @@ def _height_range(
         middle = float(np.median(heights))
         cameras = whole.cameras(result.rpcs)
         polygons = [
-            ground_polygon(r, (0, 0, g.shape[1], g.shape[0]), middle, crs)
+            ground_polygon(r, (0, 0, g.shape[1], g.shape[0]), middle, crs, data_edge(g))
             for r, g in zip(cameras, whole.grays, strict=True)
         ]
         bounds = asked or common_bounds(polygons)
@@ -314,13 +316,15 @@ def _grid(
     heights: tuple[float, float],
     asked: Bounds | None,
     *,
+    edges: Sequence[NDArray[np.float64] | None],
     notes: list[str],
 ) -> Grid:
     rpcs, middle = result.rpcs, 0.5 * (heights[0] + heights[1])
     if (options.min_height, options.max_height) != (None, None):  # a range by hand may be wide: where the ground is
         middle = float(np.clip(np.median(result.heights()), *heights))
     windows = [(0, 0, s.window[2], s.window[3]) for s in sources]
-    polygons = [ground_polygon(r, w, middle, crs) for r, w in zip(rpcs, windows, strict=True)]
+    shown = list(zip(rpcs, windows, edges, strict=True))
+    polygons = [ground_polygon(r, w, middle, crs, edge) for r, w, edge in shown]
     covered = common_bounds(polygons)
     if covered is None:
         raise InputError(f"images: found no ground at {middle:.0f} m that half of them show, expected some they share")
@@ -330,10 +334,10 @@ def _grid(
     pixel = float(np.median(sizes))
     cell = options.cell_size or default_cell_size(pixel)
     if asked is not None:
-        at_ends = [[ground_polygon(r, w, h, crs) for r, w in zip(rpcs, windows, strict=True)] for h in heights]
-        if (shown := cut_to_shown(asked, at_ends)) != asked:
+        at_ends = [[ground_polygon(r, w, h, crs, edge) for r, w, edge in shown] for h in heights]
+        if (rest := cut_to_shown(asked, at_ends)) != asked:
             _warn(["less than half of the area lies where two images show it: cut to that"], notes)
-            asked = shown
+            asked = rest
     grid = Grid.from_bounds(crs, asked or with_rim(covered), cell)
     check_cells(grid, pixel)
     return grid

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from spoilt import Town, made, prep
 
 from sattools.prep.frames import find_frame
+from sattools.prep.large import GrayImages
 from sattools.scene import Scene
 from sattools.views import load_sources
 
@@ -137,3 +138,37 @@ def test_a_frame_of_a_large_image_is_found_by_some_of_its_pixels(
     there = found.within(rasterio.windows.Window(0, 0, 400, 300))
     assert there[frame].all()  # of which the pixels of that number are taken
     assert there[~frame].mean() < 0.3
+
+
+def test_a_wide_frame_does_not_widen_the_area(town: Any) -> None:
+    whole = Scene.from_json(prep(town).stdout).require_grid()
+
+    def framed(values: Any) -> Any:
+        return np.pad(np.clip(values, 1, None), ((0, 0), (90, 60), (70, 110)))
+
+    for number in range(1, 5):
+        town.pixels(number, framed)
+        town.camera(number, lambda rpc: rpc.cropped(-70, -90))
+        town.metadata(number, height=None, width=None)
+    result = prep(town, "--overwrite")
+    assert result.exit_code == 0, result.output
+    again = Scene.from_json(result.stdout).require_grid()
+    assert again.cell_size == whole.cell_size
+    # bounds are found to a 400th of what all images cover together, which has a rim of 2 %
+    np.testing.assert_allclose(again.bounds, whole.bounds, atol=1.5)
+
+
+@pytest.mark.parametrize("factor", [1, 4])
+def test_the_outline_of_data_is_convex_and_in_pixels_of_the_image(factor: int) -> None:
+    gray = np.full((40, 60), np.nan, np.float32)
+    gray[10:30, 5:45] = 1
+    gray[12:20, 10:20] = np.nan  # a hole is no border
+    (edge,) = GrayImages([gray], [factor]).edges()
+    assert edge is not None
+    assert edge.min(axis=0).tolist() == [5 * factor - 0.5, 10 * factor - 0.5]
+    assert edge.max(axis=0).tolist() == [45 * factor - 0.5, 30 * factor - 0.5]
+    assert len(edge) == 5
+    gray[:, :] = 1
+    gray[0, 0] = np.nan
+    assert GrayImages([gray], [factor]).edges() == [None]
+    assert GrayImages([gray * np.nan], [factor]).edges() == [None]
