@@ -1,7 +1,7 @@
 """Where do the constants of `sattools.prior.probability` come from, and do they hold elsewhere?
 
     python benchmarks/probability.py --fit SCENE/scene.json=REFERENCE.tif[@REGION] ... [--test SCENE=REFERENCE ...]
-        [--cache FOLDER] [--out sattools/prior/probability.json]
+        [--times N ...] [--cache FOLDER] [--out sattools/prior/probability.json]
 
 Scenes and references are those of `benchmarks/steps.py`. With --fit the network is trained anew, every scene counting
 the same: log loss of "less than 1 m off", and quantile losses (68.3 and 95.4 %) of the error's logarithm. Without it
@@ -9,8 +9,10 @@ the one in the code is judged. An error is the difference from the reference aft
 its median: the mean that the protocol removes is itself moved by errors at walls. For every scene: share of cells with
 less than 1 m, mean of the predicted probability, expected calibration error (ten classes of equal width), the same
 about the protocol's mean, the largest gap of a class that holds 2 % of the cells, the Brier score beside that of the
-share alone; shares of the errors below the 68 and the 95 % bound; share right and mean probability in trees. --cache
-keeps what matching found. The averages over scenes come last.
+share alone; shares of the errors below the 68 and the 95 % bound; share right and mean probability in trees. --times
+takes every scene on so many times wider cells, too, as `prior` brings a surface onto cells wider (or narrower) than
+those that suit the pixels; 1 alone where it is not given. --cache keeps what matching found. The averages over scenes
+come last.
 """
 
 from __future__ import annotations
@@ -33,12 +35,12 @@ from sattools.prior.confidence import match_confidence
 from sattools.prior.matching.match import Match
 from sattools.prior.probability import LEAST_M, LIMIT_M, NAMES, SHARES, arrays, features, from_features, the_network
 from sattools.scene import Grid, Scene
-from sattools.scene.regrid import reproject_map
+from sattools.scene.regrid import reproject_map, resize_map
 
 CLASSES = 10
 TREES = 5
-HIDDEN = 16
-STEPS, EACH, RATE, DECAY = 4000, 128, 1e-2, 1e-4  # of the training: steps, cells of every scene, learning rate
+HIDDEN = 24
+STEPS, EACH, RATE, DECAY = 8000, 128, 1e-2, 1e-4  # of the training: steps, cells of every scene, learning rate
 QUANTILES = 0.3  # weight of a quantile loss beside the log loss
 DIGITS = 5
 
@@ -75,20 +77,22 @@ def found(scene: Scene, cache: Path | None) -> tuple[Match, Grid]:
     return match, grid
 
 
-def cells(text: str, cache: Path | None) -> Cells:
-    """The scored cells of a scene and its reference."""
+def cells(text: str, cache: Path | None, times: float = 1.0) -> Cells:
+    """The scored cells of a scene and its reference, on so many times wider cells."""
     path, _, against = text.partition("=")
     scene, truth = Scene.from_file(Path(path)), reference(against)
-    match, grid = found(scene, cache)
-    compared = compare_dsm(match.height, truth, grid)
+    match, own = found(scene, cache)
+    grid = own.resized(times * own.cell_size)
+    height, confidence = (resize_map(values, own, grid) for values in (match.height, match_confidence(match)))
+    compared = compare_dsm(height, truth, grid)
     east, north, _ = compared.figures["shift_m"]
     moved = Grid(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
-    every = features(match.height, match_confidence(match), grid.cell_size)
+    every = features(height, confidence, grid.cell_size)
     there = np.stack([reproject_map(np.ascontiguousarray(f), moved, truth.grid) for f in np.moveaxis(every, -1, 0)], -1)
     known = np.isfinite(compared.difference) & np.isfinite(there).all(axis=-1)
     error = compared.difference[known]
     trees = np.zeros(len(error), bool) if truth.classes is None else truth.classes[known] == TREES
-    return Cells(path, there[known], error - np.median(error), error, trees)
+    return Cells(f"{path} x {times:g}", there[known], error - np.median(error), error, trees)
 
 
 def loss(out: torch.Tensor, error: torch.Tensor) -> torch.Tensor:
@@ -155,6 +159,7 @@ def asked(about: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("--fit", nargs="+", default=[], metavar="SCENE=REFERENCE[@REGION]")
     parser.add_argument("--test", nargs="+", default=[], metavar="SCENE=REFERENCE[@REGION]")
+    parser.add_argument("--times", nargs="+", type=float, default=[1.0], help="wider cells, in those of the scene")
     parser.add_argument("--cache", type=Path, help="folder that keeps what matching found")
     parser.add_argument("--out", type=Path, help="file for the network")
     return parser.parse_args()
@@ -163,7 +168,7 @@ def asked(about: str) -> argparse.Namespace:
 def main() -> None:
     options = asked(__doc__)
     network = None if options.fit else the_network()
-    training = [cells(text, options.cache) for text in options.fit]
+    training = [cells(text, options.cache, n) for n in options.times for text in options.fit]
     if training:
         stored = fitted(training)
         network = arrays(stored)
@@ -173,7 +178,7 @@ def main() -> None:
     print(f"{'':40s}" + "".join(f" {name:>6s}" for name in names))
     for title, scenes in (
         ("fitted", training),
-        ("test", [cells(text, options.cache) for text in options.test]),
+        *((f"test x {n:g}", [cells(text, options.cache, n) for text in options.test]) for n in options.times),
     ):
         rows = [figures(scene, network) for scene in scenes]
         for name, row in [*zip((s.name[-39:] for s in scenes), rows, strict=True)]:

@@ -183,17 +183,18 @@ def open_reference(
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
 
 
-def grid_on_ground(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
+def grid_on_ground(dsm: Path, crs: str | None, metres: bool = True) -> tuple[Grid, bool]:
     """The grid of a reference, and whether it is that of the file's own cells.
 
     Args:
         dsm: the file.
         crs: projected CRS [m] onto which one in degrees comes; None = UTM.
+        metres: refuse one in feet; else it comes onto that CRS, too.
 
     Raises:
         InputError: in feet, without a georeference, or unreadable.
     """
-    own = crs_on_ground(dsm)
+    own = crs_on_ground(dsm, metres)
     if own is not None and has_grid(dsm):
         return raster_grid(dsm), True
     try:
@@ -202,8 +203,13 @@ def grid_on_ground(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
         raise InputError(f"{dsm}: {error}") from None
 
 
-def crs_on_ground(path: Path) -> str | None:
-    """The CRS of a raster, None where it is in degrees. Raises InputError for one in feet, or unreadable."""
+def crs_on_ground(path: Path, metres: bool = True) -> str | None:
+    """The CRS of a raster, None where it is in degrees. Raises InputError for one in feet, or unreadable.
+
+    Args:
+        path: the file.
+        metres: refuse one in feet; else it has none, too.
+    """
     with opened(path) as data:
         crs = crs_of(data, path)
         if data.crs.is_geographic:
@@ -211,6 +217,8 @@ def crs_on_ground(path: Path) -> str | None:
     try:
         return check_projected(crs)
     except InputError as error:
+        if not metres:
+            return None
         raise InputError(f"{path}: {error}") from None
 
 

@@ -70,10 +70,14 @@ def levels(kind: Radiance, suns: Sequence[tuple[float, float, float] | None], ba
 
     Args:
         kind: what the images' numbers are.
-        suns: unit vectors to the suns of the images; None = unknown.
+        suns: unit vectors to the suns of the images; None = unknown, and taken for as high as the others usually are.
         bands: number of bands.
     """
-    each = [max(sun[2], LEAST_LEVEL) if sun and kind == "reflectance_factor" else 1.0 for sun in suns]
+    if kind != "reflectance_factor":
+        return np.ones((len(suns), bands), np.float32)
+    known = [max(sun[2], LEAST_LEVEL) for sun in suns if sun]
+    usual = float(np.median(known)) if known else 1.0
+    each = [max(sun[2], LEAST_LEVEL) if sun else usual for sun in suns]
     return np.repeat(np.array(each, np.float32)[:, None], bands, axis=1)
 
 
@@ -87,6 +91,8 @@ def level_towards(model: Description, gain: Tensor, sun: tuple[float, float, flo
     """
     if model.brdf != "lambert" or not model.absolute or bool((gain == 1).all()):
         return 1.0
+    if sun is None:
+        return float(gain.median())
     return float(levels(model.radiance, [sun], 1)[0, 0])
 
 

@@ -19,7 +19,7 @@ from sattools.prep.images import SourceImage
 from sattools.prep.layout import crop_window
 from sattools.prep.loading import load_source
 from sattools.prep.names import image_id
-from sattools.prep.pixels import look_for_frame, write_image
+from sattools.prep.pixels import look_for_frames, write_image
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text
@@ -177,7 +177,8 @@ def add_colours(
             raise InputError(f"{colour.path}: found nothing of the area, expected colours of {item.id}")
         own = rpc.cropped(colour.window[0], colour.window[1])
         with opened(colour.path) as data:
-            look_for_frame(data, colour)
+            look_for_frames(data, colour)
+        notes += [f"{item.id}: its colours: {frame}" for frame in colour.frames]
         write_image(colour, own, scene.output(_image(item.id)))
         write_text(scene.output(_camera(item.id)), own.to_rpc_txt())
         item.assets["colours"] = Asset(_image(item.id), GEOTIFF_TYPE, ["data"])

@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 from scipy.ndimage import binary_dilation, label
+from skimage.morphology import convex_hull_image
 
 from sattools.prep.numbers import read_band
+from sattools.scene.raster import has_mask
 
 CORNER_PX = 4  # edge of what must be of one number in a corner
 LEAST_SHARE = 0.005  # of the pixels: less is no frame, or does no harm
+ELSEWHERE = 5e-4  # of the other pixels that may have the number by chance
+BENT = 0.05  # of a frame that may lie within the outline of the rest: its border is straight but for pixels
 LOOKED_AT = 1_000_000  # pixels by which the shape of a frame is found
 _STRIP_PX = 4_000_000
 
@@ -55,10 +59,12 @@ class Frame:
         )
 
 
-def find_frame(data: DatasetReader, path: Path, window: tuple[int, int, int, int]) -> Frame | None:
-    """The frame of a window of an image, None where it has none.
+def find_frames(data: DatasetReader, path: Path, window: tuple[int, int, int, int]) -> list[Frame]:
+    """The frames of a window of an image, one of every number that has one.
 
-    An image's outline is convex: whatever lies outside of it within a window reaches one of the window's corners.
+    An image's outline is convex: whatever lies outside of it within a window reaches one of the window's corners and
+    one of the file's, and leaves a convex rest. A roof in a corner may do so, too; so the number has to be rare among
+    the other pixels, or to reach two of the window's corners.
 
     Args:
         data: the open image.
@@ -68,35 +74,60 @@ def find_frame(data: DatasetReader, path: Path, window: tuple[int, int, int, int
     Raises:
         InputError: it cannot be read.
     """
+    of_file = {_one_number(data, path, corner) for corner in _corners(0, 0, data.width, data.height)} - {None}
+    if not of_file:
+        return []
     col, row, width, height = window
-    size = min(CORNER_PX, width, height)
-    corners = [(c, r) for r in (row, row + height - size) for c in (col, col + width - size)]
-    values = {corner: _one_number(data, path, Window(*corner, size, size)) for corner in corners}
+    corners = [(_one_number(data, path, corner), corner) for corner in _corners(*window)]
     found = []
-    for value in {v for v in values.values() if v is not None}:
+    for value in {v for v, _ in corners if v in of_file and v is not None}:
         step = max(1, math.ceil(math.sqrt(width * height / LOOKED_AT)))
         same = np.concatenate(list(_sampled(data, path, window, value, step)))
         pieces, _ = label(same)
-        middles = [
-            ((r - row + size // 2) // step, (c - col + size // 2) // step) for (c, r), v in values.items() if v == value
-        ]
         last = np.array(pieces.shape) - 1
-        of_corners = {int(pieces[tuple(np.minimum(middle, last))]) for middle in middles} - {0}
-        places = np.isin(pieces, list(of_corners))
+        middles = [
+            ((at.row_off - row + at.height // 2) // step, (at.col_off - col + at.width // 2) // step)
+            for v, at in corners
+            if v == value
+        ]
+        of_corners = [int(pieces[tuple(np.minimum(middle, last))]) for middle in middles]
+        places = np.isin(pieces, sorted(set(of_corners) - {0}))
         share = float(places.mean())
-        if share >= LEAST_SHARE:
+        if share >= LEAST_SHARE and _is_frame(same, places, sum(k > 0 for k in of_corners)):
             # a block whose sampled pixel is ground may hold some of the frame
             found.append(Frame(value, share, binary_dilation(places, np.ones((3, 3))), step, (col, row)))
-    return max(found, key=lambda frame: frame.share, default=None)
+    return found
+
+
+def _is_frame(same: NDArray[np.bool_], places: NDArray[np.bool_], corners: int) -> bool:
+    """Whether pixels of one number look like what lies outside of an image rather than like something bright or dark.
+
+    Args:
+        same: ``[h, w]`` that have the number.
+        places: which of them hang together with a corner.
+        corners: how many corners have the number.
+    """
+    if corners < 2 and (same & ~places).sum() > ELSEWHERE * (~places).sum():
+        return False
+    rest = ~places
+    if not rest.any():
+        return False
+    within = convex_hull_image(rest) & places
+    return bool(within.sum() <= BENT * places.sum())
+
+
+def _corners(col: int, row: int, width: int, height: int) -> list[Window]:
+    size = min(CORNER_PX, width, height)
+    return [Window(c, r, size, size) for r in (row, row + height - size) for c in (col, col + width - size)]
 
 
 def _one_number(data: DatasetReader, path: Path, window: Window) -> float | None:
-    """The number that all bands have in a window, None where it is not one or declared as no data."""
+    """The number that all bands have in a window, None where it is not one, or no data already."""
     values = np.stack([read_band(data, path, band, window) for band in range(1, data.count + 1)])
     value = float(values.flat[0])
     if not math.isfinite(value) or value == data.nodata or not (values == values.flat[0]).all():
         return None
-    return value
+    return None if has_mask(data) and (data.dataset_mask(window=window) == 0).any() else value
 
 
 def _sampled(
@@ -111,4 +142,4 @@ def _sampled(
         yield np.logical_and.reduce(same)
 
 
-__all__ = ["Frame", "find_frame"]
+__all__ = ["Frame", "find_frames"]

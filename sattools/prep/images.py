@@ -36,7 +36,7 @@ class SourceImage:
     mask_like: bool = False  # the band marked as alpha holds two values at most
     masked: bool = False  # a mask lies beside the bands
     tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used
-    frame: Frame | None = None  # of pixels without data that the file does not call so
+    frames: tuple[Frame, ...] = ()  # of pixels without data that the file does not call so
     read_range: tuple[tuple[int, int, int, int], tuple[float, float]] | None = None  # window, its extreme numbers
 
     def warn(self, text: str) -> None:

@@ -75,9 +75,8 @@ def write_images(
         progress(k / len(sources), f"writing {source.id}")
         item = describe(source, camera, result.views[k], grid, heights)
         if not copied[k]:
-            if source.frame is not None:
-                number = f"{source.frame.value:g}"
-                source.warn(f"is not copied, so its frame of {number} is ground later on: declare it as no data")
+            for frame in source.frames:
+                source.warn(f"is not copied, so its frame of {frame.value:g} is ground later on: declare it as no data")
             item.assets["image"] = Asset(
                 str(source.path.absolute()), GEOTIFF_TYPE, ["data"], {WINDOW: list(source.window)}
             )

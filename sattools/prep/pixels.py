@@ -13,7 +13,7 @@ from rasterio.windows import Window
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
-from sattools.prep.frames import find_frame
+from sattools.prep.frames import find_frames
 from sattools.prep.images import SourceImage
 from sattools.prep.numbers import Numbers, read_band
 from sattools.scene.files import write_with
@@ -24,23 +24,22 @@ from sattools.scene.raster import block_means, sensor_profile
 _STRIP_PX = 4_000_000
 
 
-def look_for_frame(data: DatasetReader, source: SourceImage) -> None:
-    """Find the frame of a source's window, and tell it.
+def look_for_frames(data: DatasetReader, source: SourceImage) -> None:
+    """Find the frames of a source's window, and tell them.
 
     Args:
         data: the open image.
-        source: gets the frame, and a note.
+        source: gets the frames, and notes.
 
     Raises:
         InputError: it cannot be read.
     """
-    source.frame = find_frame(data, source.path, source.window)
-    if source.frame is None:
-        return
-    if source.frame.value == 0:  # what every vendor does
-        source.notes.append(str(source.frame))
-    else:
-        source.warn(str(source.frame))
+    source.frames = tuple(find_frames(data, source.path, source.window))
+    for frame in source.frames:
+        if frame.value == 0:  # what every vendor does
+            source.notes.append(str(frame))
+        else:
+            source.warn(str(frame))
 
 
 def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray[np.bool_]:
@@ -57,11 +56,11 @@ def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray
     found = np.zeros((window.height, window.width), bool)
     if source.masked:
         found |= data.dataset_mask(window=window) == 0
-    if source.frame is not None:
-        frame = source.frame.within(window)
+    for frame in source.frames:
+        there = frame.within(window)
         for band in range(1, data.count + 1):
-            frame &= read_band(data, source.path, band, window) == source.frame.value
-        found |= frame
+            there &= read_band(data, source.path, band, window) == frame.value
+        found |= there
     return found
 
 
@@ -87,7 +86,7 @@ def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> ND
     strip = rows if factor == 1 else max(1, _STRIP_PX // (factor * width))
     with opened(source.path) as data:
         if whole:
-            look_for_frame(data, source)
+            look_for_frames(data, source)
         for first in range(0, rows, strip):
             some = min(strip, rows - first)
             piece = _gray_rows(data, source, first * factor, some * factor, ranges)
@@ -172,7 +171,7 @@ def significant_bits(source: SourceImage, highest: float) -> int | None:
 def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
 
-    A mask within the file says which of them are no data where the source's mask or its frame do.
+    A mask within the file says which of them are no data where the source's mask or its frames do.
 
     Strip by strip, and read back before the file gets its name.
 
@@ -190,7 +189,7 @@ def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
         profile |= {"interleave": "pixel" if data.count > 1 else "band", "bigtiff": "if_safer"}
         strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
 
-        mask = source.masked or source.frame is not None
+        mask = source.masked or bool(source.frames)
 
         def write(path: Path) -> None:
             with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **profile) as out:
@@ -215,4 +214,4 @@ def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
         write_with(target, write, check)
 
 
-__all__ = ["look_for_frame", "read_gray", "significant_bits", "unknown", "value_range", "write_image"]
+__all__ = ["look_for_frames", "read_gray", "significant_bits", "unknown", "value_range", "write_image"]

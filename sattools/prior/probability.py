@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter, uniform_filter
 
 LIMIT_M = 1.0
 USUAL_CELL_M = 0.5
@@ -57,7 +57,10 @@ def features(height: np.ndarray, confidence: np.ndarray, cell: float) -> np.ndar
     sure, far, around, relief, low, spread = (_window(width, cell) for width in WIDTHS_M)
     known = np.isfinite(height)
     level = float(np.median(height[known])) if known.any() else 0.0
-    z = np.where(known, height.astype(np.float64) - level, 0.0)  # float64: squares of heights are taken
+    z = height.astype(np.float64) - level  # float64: squares of heights are taken
+    if not known.all():  # an unknown height is no step
+        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        z = z[tuple(nearest)] if known.any() else np.zeros_like(z)
     root = np.sqrt(np.maximum(np.nan_to_num(confidence), 0)).astype(np.float64)
     lowest = minimum_filter(uniform_filter(z, _window(LOWEST_OF_M, cell), mode="nearest"), low, mode="nearest")
     lengths = (
@@ -68,6 +71,7 @@ def features(height: np.ndarray, confidence: np.ndarray, cell: float) -> np.ndar
     )
     size = np.full_like(z, math.log2(cell / USUAL_CELL_M))
     trust = [root, *(uniform_filter(root, width, mode="nearest") for width in (sure, far))]
+    trust[FAR][maximum_filter(root, far, mode="nearest") == 0] = 0  # running sums leave something behind
     parts = [*trust, *(np.log1p(length) for length in lengths), size]
     return np.stack(parts, axis=-1).astype(np.float32)
 

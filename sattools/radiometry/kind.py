@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
-from sattools.errors import SceneError
+from sattools.errors import InputError, SceneError
 from sattools.radiometry.bands import WORLDVIEW_BANDS, names_of
 from sattools.radiometry.calibration import (
     BandCalibration,
@@ -122,14 +123,16 @@ def contradictions(scene: Scene, items: Sequence[Item], options: NormaliseOption
         options: of the stage.
 
     Raises:
-        SceneError, InputError: as `image_scales`.
+        SceneError: as `image_scales`.
     """
     declared = declared_by_user(options)
     if declared is None:
         return []
     found: dict[str, str] = {}
     for item in items:
-        stated = _stated(*_files(scene, item, options))
+        stated = None
+        with suppress(InputError):  # a broken one may be why the user gives another
+            stated = _stated(*_files(scene, item, options))
         if stated is not None and not _same(stated, declared):
             gain, offset = stated.of_band(1)
             found[item.id] = f"{Path(stated.source).name} states scale {gain:g} and offset {offset:g}"

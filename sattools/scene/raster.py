@@ -152,12 +152,12 @@ def read_some_pixels(path: Path, pixels: int = 4_000_000) -> np.ndarray:
         array = _decimated(data, path, Window(0, 0, data.width, data.height), shape, False).astype(np.float32)
         if data.nodata is not None and np.isfinite(data.nodata):
             array[array == np.float32(data.nodata)] = np.nan
-        if _has_mask(data):
+        if has_mask(data):
             array[:, data.dataset_mask(out_shape=shape) == 0] = np.nan
     return array
 
 
-def _has_mask(data: rasterio.DatasetReader) -> bool:
+def has_mask(data: rasterio.DatasetReader) -> bool:
     """Whether a mask says which pixels are data; transparency is another thing."""
     return bool(data.mask_flag_enums[0] == [MaskFlags.per_dataset])
 
@@ -289,7 +289,7 @@ def _numbers(data: rasterio.DatasetReader, path: Path, rows: slice, cols: slice)
     array = _read(data, path, window).astype(np.float32)
     if data.nodata is not None and np.isfinite(data.nodata):
         array[array == np.float32(data.nodata)] = np.nan
-    if _has_mask(data):
+    if has_mask(data):
         array[:, data.dataset_mask(window=window) == 0] = np.nan
     return array
 
@@ -373,6 +373,7 @@ def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
 
 __all__ = [
     "datum_tag",
+    "has_mask",
     "image_shape",
     "raster_bands",
     "raster_grid",

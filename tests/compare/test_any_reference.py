@@ -106,3 +106,18 @@ def test_a_reference_of_a_map_may_be_in_degrees(tmp_path: Path, moved: float) ->
     )
     assert figures["n"] > 4000 - 60 * moved
     assert figures["rmse"] < 0.05  # a plane is kept by interpolation but at its rim, where the nearest cell counts
+
+
+def test_a_reference_of_a_map_may_be_in_feet_as_it_has_no_unit_of_length(tmp_path: Path) -> None:
+    write_cog(tmp_path / "w.tif", SLOPE, GRID)
+    west, south, east, north = transform_bounds(GRID.crs, "EPSG:2236", *GRID.bounds)
+    there = np.full((round(north - south) // 3, round(east - west) // 3), -9999.0, np.float32)
+    transform = rasterio.Affine(3, 0, west, 0, -3, north)
+    reproject(
+        SLOPE, there, src_transform=GRID.transform, src_crs=GRID.crs, src_nodata=np.nan, dst_transform=transform,
+        dst_crs="EPSG:2236", dst_nodata=-9999.0, resampling=Resampling.bilinear,
+    )  # fmt: skip
+    reference = stored(tmp_path / "reference.tif", there, transform, "EPSG:2236", nodata=-9999.0)
+    figures, _ = compare_map("w", tmp_path / "w.tif", reference, (0.0, 0.0))
+    assert figures["n"] > 4000
+    assert figures["rmse"] < 0.05

@@ -65,7 +65,8 @@ def test_a_picture_under_a_higher_sun_is_as_bright_as_an_image_taken_then(low: S
 
 def test_levels_are_those_of_reflectance_factors_alone() -> None:
     suns = [(0.0, 0.6, 0.8), None, (0.0, 1.0, 0.001)]
-    np.testing.assert_allclose(levels("reflectance_factor", suns, 2), [[0.8, 0.8], [1, 1], [0.05, 0.05]])
+    np.testing.assert_allclose(levels("reflectance_factor", suns, 2), [[0.8, 0.8], [0.425, 0.425], [0.05, 0.05]])
+    assert (levels("reflectance_factor", [None], 1) == 1).all()
     assert (levels("toa_reflectance", suns, 1) == 1).all()
     assert (levels("relative", suns, 1) == 1).all()
 

@@ -9,7 +9,7 @@ import rasterio
 from numpy.typing import NDArray
 from spoilt import Town, made, prep
 
-from sattools.prep.frames import find_frame
+from sattools.prep.frames import find_frames
 from sattools.prep.large import GrayImages
 from sattools.scene import Scene
 from sattools.views import load_sources
@@ -20,14 +20,14 @@ def town(town_source: Any, tmp_path: Path) -> Any:
     return Town(tmp_path, town_source, 4)
 
 
-def cut(value: int, dtype: Any = np.uint16, roof: bool = True) -> Any:
-    """The corner at the left top is one number, and so is a roof somewhere."""
+def cut(value: int, dtype: Any = np.uint16, chimney: bool = True) -> Any:
+    """The corner at the left top is one number, and so is a chimney somewhere."""
 
     def change(values: Any) -> Any:
         values = np.clip(values.astype(np.float64), 1, 60000).astype(dtype)
         values[:, corner_of(values[0])] = value
-        if roof:
-            values[:, 50:60, 50:60] = value
+        if chimney:
+            values[:, 50:53, 50:53] = value
         return values
 
     return change
@@ -46,7 +46,7 @@ def unknown(result: Any, number: int) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("value", [0, 1, 65535])
-def test_a_cut_corner_of_one_number_is_no_data_and_a_roof_of_that_number_is(town: Any, value: int) -> None:
+def test_a_cut_corner_of_one_number_is_no_data_and_a_chimney_of_that_number_is(town: Any, value: int) -> None:
     for number in range(1, 5):
         town.pixels(number, cut(value))
     result = prep(town)
@@ -60,7 +60,7 @@ def test_a_cut_corner_of_one_number_is_no_data_and_a_roof_of_that_number_is(town
         np.testing.assert_array_equal(masked, corner_of(masked))
         assert (values[:, masked] == value).all()  # pixels stay as they were
         assert unknown(result, number).sum() > 0
-        assert not unknown(result, number)[50:60, 50:60].any()
+        assert not unknown(result, number)[50:53, 50:53].any()
 
 
 def test_a_picture_of_eight_bits_with_white_corners(town: Any) -> None:
@@ -69,16 +69,82 @@ def test_a_picture_of_eight_bits_with_white_corners(town: Any) -> None:
     made(town, "are 255 in all bands and taken for no data", "gdal_edit.py -a_nodata 255")
 
 
-def test_a_bright_roof_in_a_corner_is_no_frame(town: Any) -> None:
-    def small(values: Any) -> Any:
-        values = values.copy()
-        values[:, :5, :5] = 2047  # 0.2 % of the pixels
+def white(*roofs: tuple[slice, slice], number: int = 255) -> Any:
+    """A picture of eight bits with roofs that are as bright as it gets."""
+
+    def change(values: Any) -> Any:
+        values = np.clip(values / 8, 1, 254).astype(np.uint8)
+        for roof in roofs:
+            values[:, roof[0], roof[1]] = number
         return values
 
-    town.pixels(2, small)
+    return change
+
+
+CORNER, MIDDLE, FLANK = (slice(0, 30), slice(0, 40)), (slice(80, 95), slice(60, 80)), (slice(0, None), slice(0, 20))
+
+
+@pytest.mark.parametrize(
+    "roofs",
+    [
+        [(slice(0, 5), slice(0, 5))],  # too small
+        [CORNER],  # what is left is no convex image
+        [(slice(0, 24), slice(None, 40)), MIDDLE],
+    ],
+)
+def test_bright_roofs_in_a_corner_are_no_frame(town: Any, roofs: Any) -> None:
+    for number in range(1, 5):
+        town.pixels(number, white(*roofs))
     result = prep(town)
     assert "from a corner on" not in result.stderr
     assert not unknown(result, 2).any()
+
+
+def test_a_roof_with_a_straight_edge_is_no_frame_where_others_are_as_bright(town: Any) -> None:
+    def diagonal(values: Any) -> Any:
+        values = white(MIDDLE)(values)
+        values[:, corner_of(values[0])] = 255
+        return values
+
+    for number in range(1, 5):
+        town.pixels(number, diagonal)
+    assert "from a corner on" not in prep(town).stderr
+
+
+@pytest.mark.parametrize("number", [0, 255])
+def test_the_edge_of_a_strip_is_a_frame_though_shadows_and_roofs_have_its_number(town: Any, number: int) -> None:
+    for k in range(1, 5):
+        town.pixels(k, white(FLANK, MIDDLE, number=number))
+    result = prep(town)
+    for k in range(1, 5):
+        with rasterio.open(town.folder / f"out/Q/images/TOWN_{k:03d}.tif") as data:
+            masked = data.dataset_mask() == 0
+        assert masked[:, :20].all()
+        assert not masked[:, 20:].any()
+    assert result.exit_code == 0
+
+
+def test_two_frames_of_different_numbers_are_both_no_data(town: Any) -> None:
+    def change(values: Any) -> Any:
+        values = cut(1, chimney=False)(values)
+        values[:, corner_of(values[0])[::-1, ::-1]] = 65535
+        return values
+
+    for number in range(1, 5):
+        town.pixels(number, change)
+    prep(town)
+    with rasterio.open(town.folder / "out/Q/images/TOWN_002.tif") as data:
+        masked = data.dataset_mask() == 0
+    np.testing.assert_array_equal(masked, corner_of(masked) | corner_of(masked)[::-1, ::-1])
+
+
+def test_a_frame_that_a_mask_tells_is_nothing_to_tell(town: Any) -> None:
+    for number in range(1, 5):
+        town.pixels(number, cut(255))
+        with rasterio.open(town.image(number), "r+") as data:
+            data.write_mask(~corner_of(data.read(1)))
+    assert prep(town).stderr == ""
+    assert "frame" not in prep(town, "--no-copy", "--overwrite").stderr
 
 
 def test_a_mask_is_honoured(town: Any) -> None:
@@ -109,15 +175,25 @@ def test_a_window_knows_the_frame_that_reaches_its_corners(tmp_path: Path) -> No
     with rasterio.open(path, "w", driver="GTiff", count=2, height=300, width=400, dtype="uint16") as data:
         data.write(values)
     with rasterio.open(path) as data:
-        assert find_frame(data, path, (0, 0, 240, 300)) is None
-        frame = find_frame(data, path, (200, 100, 150, 150))
-        assert frame is not None
+        assert find_frames(data, path, (0, 0, 240, 300)) == []
+        (frame,) = find_frames(data, path, (200, 100, 150, 150))
         assert frame.value == 7
         assert frame.share == pytest.approx(100 / 150, abs=0.01)
         there = frame.within(rasterio.windows.Window(240, 120, 40, 20))
     assert there.shape == (20, 40)
     assert there[:, 10:].all()
     assert not there[:, :8].any()
+
+
+def test_a_dark_corner_of_a_window_is_no_frame_where_the_image_goes_on(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).integers(1, 1000, (1, 300, 400)).astype(np.uint16)
+    rows, cols = np.indices((300, 400))
+    values[0, (rows < 200) & (cols < 200) & (rows + cols > 240)] = 0  # a lake within the image
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", count=1, height=300, width=400, dtype="uint16") as data:
+        data.write(values)
+    with rasterio.open(path) as data:
+        assert find_frames(data, path, (20, 20, 180, 180)) == []
 
 
 def test_a_frame_of_a_large_image_is_found_by_some_of_its_pixels(
@@ -132,8 +208,7 @@ def test_a_frame_of_a_large_image_is_found_by_some_of_its_pixels(
     with rasterio.open(path, "w", driver="GTiff", count=1, height=300, width=400, dtype="uint16") as data:
         data.write(values)
     with rasterio.open(path) as data:
-        found = find_frame(data, path, (0, 0, 400, 300))
-    assert found is not None
+        (found,) = find_frames(data, path, (0, 0, 400, 300))
     assert found.step > 1
     there = found.within(rasterio.windows.Window(0, 0, 400, 300))
     assert there[frame].all()  # of which the pixels of that number are taken

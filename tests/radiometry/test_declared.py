@@ -227,6 +227,12 @@ def test_the_files_own_scale_given_once_more_is_nothing_to_tell(tmp_path: Path) 
     assert not any("replace" in note for note in entry["notes"])
 
 
+def test_a_broken_scale_of_the_file_may_be_replaced(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands(), scales=[0.0, 0.0], platform=None)
+    normalise(scene, NormaliseOptions(quantity="toa_reflectance", scale="1/10000"))
+    assert values(scene)[1].flat[0] == pytest.approx(0.2)
+
+
 def test_a_scale_for_fewer_bands_than_are_asked_for_is_an_error() -> None:
     declared = Declared("toa_reflectance", (1e-4, 1e-4), (0.0, 0.0), "x.xml")
     with pytest.raises(SceneError, match=r"x\.xml: found scales of 2 bands, expected one of band 3"):
