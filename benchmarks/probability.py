@@ -27,6 +27,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from rasterio.enums import Resampling
+from rasterio.warp import reproject
 from steps import matched, reference
 
 from sattools.compare import compare_dsm
@@ -43,6 +45,7 @@ HIDDEN = 24
 STEPS, EACH, RATE, DECAY = 8000, 128, 1e-2, 1e-4  # of the training: steps, cells of every scene, learning rate
 QUANTILES = 0.3  # weight of a quantile loss beside the log loss
 DIGITS = 5
+WIDER = 1.5  # times as wide as the reference's cells, from which a cell is compared with their mean
 
 
 @dataclass(frozen=True)
@@ -87,12 +90,27 @@ def cells(text: str, cache: Path | None, times: float = 1.0) -> Cells:
     compared = compare_dsm(height, truth, grid)
     east, north, _ = compared.figures["shift_m"]
     moved = Grid(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
-    every = features(height, confidence, grid.cell_size)
-    there = np.stack([reproject_map(np.ascontiguousarray(f), moved, truth.grid) for f in np.moveaxis(every, -1, 0)], -1)
-    known = np.isfinite(compared.difference) & np.isfinite(there).all(axis=-1)
-    error = compared.difference[known]
-    trees = np.zeros(len(error), bool) if truth.classes is None else truth.classes[known] == TREES
+    every = np.moveaxis(features(height, confidence, grid.cell_size), -1, 0)
+    if grid.cell_size > WIDER * truth.grid.cell_size:  # the height of a wide cell is that of its mean
+        there, difference = np.moveaxis(every, 0, -1), height - means(truth.heights, truth.grid, moved)
+        classes = None
+    else:
+        there = np.stack([reproject_map(np.ascontiguousarray(f), moved, truth.grid) for f in every], axis=-1)
+        difference, classes = compared.difference, truth.classes
+    known = np.isfinite(difference) & np.isfinite(there).all(axis=-1)
+    error = difference[known] - np.mean(difference[known])
+    trees = np.zeros(len(error), bool) if classes is None else classes[known] == TREES
     return Cells(f"{path} x {times:g}", there[known], error - np.median(error), error, trees)
+
+
+def means(heights: np.ndarray, own: Grid, target: Grid) -> np.ndarray:
+    """Mean heights ``[H, W]`` of cells that are wider than those of a map; NaN where the map is not."""
+    found = np.full(target.shape, np.nan, np.float32)
+    reproject(
+        np.asarray(heights, np.float32), found, src_transform=own.transform, src_crs=own.crs, src_nodata=np.nan,
+        dst_transform=target.transform, dst_crs=target.crs, dst_nodata=np.nan, resampling=Resampling.average,
+    )  # fmt: skip
+    return found
 
 
 def loss(out: torch.Tensor, error: torch.Tensor) -> torch.Tensor:
