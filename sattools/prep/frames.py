@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from affine import Affine
 from numpy.typing import NDArray
+from rasterio.features import geometry_mask
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 from scipy.ndimage import binary_dilation, label
-from skimage.morphology import convex_hull_image
 
+from sattools.prep.layout import convex_outline
 from sattools.prep.numbers import read_band
 from sattools.scene.raster import has_mask
 
@@ -109,10 +111,11 @@ def _is_frame(same: NDArray[np.bool_], places: NDArray[np.bool_], corners: int) 
     """
     if corners < 2 and (same & ~places).sum() > ELSEWHERE * (~places).sum():
         return False
-    rest = ~places
-    if not rest.any():
+    image = convex_outline(~places)
+    if image.is_empty:
         return False
-    within = convex_hull_image(rest) & places
+    to_middles = Affine(1, 0, -0.5, 0, 1, -0.5)
+    within = geometry_mask([image], places.shape, to_middles, invert=True) & places
     return bool(within.sum() <= BENT * places.sum())
 
 

@@ -42,17 +42,25 @@ def data_edge(gray: NDArray[np.float32]) -> Array | None:
     Args:
         gray: ``[H, W]``; NaN = no data.
     """
-    known = np.isfinite(gray)
+    hull = convex_outline(np.isfinite(gray))
+    if hull.is_empty or hull.area > ALL_OF_IT * gray.size:
+        return None
+    return np.asarray(hull.exterior.coords, np.float64)
+
+
+def convex_outline(known: NDArray[np.bool_]) -> Polygon:
+    """Convex outline of the marked pixels in (column, row), a pixel's middle at whole numbers; empty where none is.
+
+    Args:
+        known: ``[H, W]``.
+    """
     rows = np.flatnonzero(known.any(axis=1))
     if not rows.size:
-        return None
+        return Polygon()
     first = known[rows].argmax(axis=1)
     last = known.shape[1] - 1 - known[rows, ::-1].argmax(axis=1)
     ends = [(cols + side, rows + end) for cols, side in ((first, -0.5), (last, 0.5)) for end in (-0.5, 0.5)]
-    hull = MultiPoint(np.concatenate([np.stack(end, axis=-1) for end in ends])).convex_hull.simplify(0.5)
-    if hull.area > ALL_OF_IT * gray.size:
-        return None
-    return np.asarray(hull.exterior.coords, np.float64)
+    return MultiPoint(np.concatenate([np.stack(end, axis=-1) for end in ends])).convex_hull.simplify(0.5)
 
 
 def footprint(rpc: RPC, window: Window, height: float) -> Polygon:
@@ -195,6 +203,7 @@ def crop_window(
 
 __all__ = [
     "common_bounds",
+    "convex_outline",
     "crop_window",
     "cut_to_shown",
     "data_edge",
