@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
@@ -20,6 +19,7 @@ from sattools.prep.tiles import camera_of_tile
 from sattools.scene.gdal import rpc_tags
 from sattools.scene.location import RemotePath
 from sattools.scene.opening import opened
+from sattools.scene.raster import has_mask
 from sattools.scene.sidecars import sidecars
 
 
@@ -40,7 +40,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         tags, found_rpc = data.tags(), rpc_tags(data)
         meanings = tuple(interpretation.name for interpretation in data.colorinterp)
         mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
-        masked = any(flags == [MaskFlags.per_dataset] for flags in data.mask_flag_enums)
+        masked = has_mask(data)
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
     metadata = Metadata()

@@ -144,10 +144,11 @@ def contradictions(scene: Scene, items: Sequence[Item], options: NormaliseOption
     return [f"{name}{more}: {text}, which --scale {scale:g} and --offset {offset:g} replace"]
 
 
-def _same(a: Declared, b: Declared) -> bool:
-    count = max(len(a.gain), len(b.gain))
-    both = [(a.of_band(k), b.of_band(k)) for k in range(1, count + 1) if len(a.gain) in (1, count)]
-    return all(math.isclose(x, y, rel_tol=1e-6, abs_tol=1e-12) for one in both for x, y in zip(*one, strict=True))
+def _same(stated: Declared, by_user: Declared) -> bool:
+    """Whether all bands have the user's scale and offset, of which there is one."""
+    (scale,), (offset,) = by_user.gain, by_user.offset
+    pairs = [(gain, scale) for gain in stated.gain] + [(own, offset) for own in stated.offset]
+    return all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-12) for a, b in pairs)
 
 
 def _stated(copy: Path, original: Path, files: Sequence[Path]) -> Declared | None:
