@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _LOSS_PX = 0.7  # width of the Cauchy loss once it is tight
 _LINEAR_PRIOR_PX = 2.0  # expected size of affine terms at the image's edge; fixes what tie points cannot see
-_SHIFT_PRIOR_PX = 1e4  # only to keep the normal equations solvable
+_SHIFT_PRIOR_PX = 10.0  # expected size of shifts: decides where tie points hardly see, as across a rim
 _GAUGE_HEIGHT_M = 300.0  # movement in height worth half a pixel of one view's shift
 _HEIGHT_PRIOR_M = 1e3  # likewise, for points on nearly parallel rays
 _LEAST_PIVOT = 1e-14  # of a point's matrix: less than the priors leave, more than rounding does
@@ -285,8 +285,9 @@ def _step(block: Block, points: Array, parameters: Array, width: float, affine: 
         blocks[each, :, axis, each, :, axis] = np.moveaxis(own, -1, 0)
     normal = blocks.reshape(total, total)
     vector = np.moveaxis(block.summed_by_view(weighted[:, None] * residual), -1, 0).reshape(total)
-    prior = np.full((n_views, size), _SHIFT_PRIOR_PX**-2.0)
-    prior[:, 2:] = _LINEAR_PRIOR_PX**-2.0
+    prior = np.full((n_views, size), _LINEAR_PRIOR_PX**-2.0)
+    # Cauchy's, too: a camera that is far off is none the less free.
+    prior[:, :2] = 1.0 / (_SHIFT_PRIOR_PX**2 + (parameters[:, :2] ** 2).sum(axis=1, keepdims=True))
     normal[np.arange(total), np.arange(total)] += prior.ravel()
     vector -= (prior * parameters[:, :size]).ravel()
 

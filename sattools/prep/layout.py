@@ -11,7 +11,7 @@ from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry.polygon import orient
 
 from sattools.camera import RPC
-from sattools.camera.ground import from_geographic, project
+from sattools.camera.ground import from_geographic, project, to_geographic
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
@@ -146,6 +146,28 @@ def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 
     )
 
 
+def left_out(covered: Bounds, polygons: Sequence[Polygon], crs: str) -> list[str]:
+    """A line where the area that half of the images show is less than half of what two of them show, as in mosaics.
+
+    Args:
+        covered: the former (west, south, east, north) [m].
+        polygons: footprints [m].
+        crs: projected ground CRS [m].
+    """
+    shown = common_bounds(polygons, share=0.0)
+    if shown is None:
+        return []
+    share = _size(covered) / _size(shown)
+    if share >= 0.5:
+        return []
+    lon, lat = to_geographic(crs, np.array(shown)[[0, 0, 2, 2]], np.array(shown)[[1, 3, 1, 3]])
+    degrees = f"{lon.min():.5f} {lat.min():.5f} {lon.max():.5f} {lat.max():.5f}"
+    return [
+        f"the area is where half of the images have data, {100 * share:.0f} % of where two of them do: for all of that "
+        f"--bounds {degrees} (degrees; with --crs its metres)"
+    ]
+
+
 def with_rim(bounds: Bounds) -> Bounds:
     """Bounds with a rim, so that the surface still covers the area when it is moved by some metres onto a reference."""
     west, south, east, north = bounds
@@ -171,8 +193,12 @@ def cut_to_shown(asked: Bounds, outlines: Sequence[Sequence[Polygon]]) -> Bounds
     )
     if not (west < east and south < north):
         return asked
-    share = (east - west) * (north - south) / ((asked[2] - asked[0]) * (asked[3] - asked[1]))
-    return (west, south, east, north) if share < 0.5 else asked
+    left = (west, south, east, north)
+    return left if _size(left) < 0.5 * _size(asked) else asked
+
+
+def _size(bounds: Bounds) -> float:
+    return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
 
 
 def crop_window(
@@ -210,6 +236,7 @@ __all__ = [
     "footprint",
     "ground_polygon",
     "groups",
+    "left_out",
     "outline",
     "with_rim",
 ]

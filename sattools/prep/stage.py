@@ -37,6 +37,7 @@ from sattools.prep.layout import (
     cut_to_shown,
     data_edge,
     ground_polygon,
+    left_out,
     with_rim,
 )
 from sattools.prep.loading import load_source
@@ -338,6 +339,8 @@ def _grid(
         if (rest := cut_to_shown(asked, at_ends)) != asked:
             _warn(["less than half of the area lies where two images show it: cut to that"], notes)
             asked = rest
+    else:
+        _warn(left_out(covered, polygons, crs), notes)
     grid = Grid.from_bounds(crs, asked or with_rim(covered), cell)
     check_cells(grid, pixel)
     return grid

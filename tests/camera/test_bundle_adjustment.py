@@ -1,5 +1,6 @@
 """Bundle adjustment finds each view's error, holds the block still against outliers, and says what it did."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,18 @@ RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.15, 0.3), (-0.3, -0.1), (0.05,
 SIZE = (800, 820)
 
 
+def converging(camera: RPC, distance_m: float) -> RPC:
+    """The camera with lines of sight that meet so far above the ground."""
+    col, row = camera.col_num.copy(), camera.row_num.copy()
+    height = camera.alt_scale / 0.5 / camera.col_scale
+    col[5], row[6] = 0.01 * EAST_M / distance_m * height, -0.01 * NORTH_M / distance_m * height
+    return replace(camera, col_num=col, row_num=row)
+
+
 def block(biases: Any, n: Any = 400, noise: Any = 0.2, false: Any = 0.1, matrix: Any = None, seed: Any = 0) -> Any:
     """Cameras with errors, and tracks of true pixels with noise and false matches."""
     rng = np.random.default_rng(seed)
-    true = [parallel_rpc(r, size=SIZE) for r in RUNS]
+    true = [converging(parallel_rpc(r, size=SIZE), 5e5 + 1e5 * k) for k, r in enumerate(RUNS)]
     raw = [c.shifted(-b[0], -b[1]) for c, b in zip(true, biases, strict=True)]
     east, north, height = rng.uniform(-180, 180, n), rng.uniform(-180, 180, n), rng.uniform(-20, 30, n)
     point, view, pixel = [], [], []
@@ -95,7 +104,7 @@ def test_a_step_is_that_of_least_squares_with_all_unknowns_at_once(affine: bool)
         for k in range(size // 2):
             design[axis, rows, 3 * tracks.n_points + size * tracks.view + 2 * k + axis] = basis[k]
     dense = (np.sqrt(weight)[:, None] * design).reshape(2 * count, -1)
-    held = np.diag(np.r_[np.tile([1e-6, 1e-6, 1e-3], tracks.n_points), np.tile([1e-4, 1e-4, *[0.5] * 4][:size], views)])
+    held = np.diag(np.r_[np.tile([1e-6, 1e-6, 1e-3], tracks.n_points), np.tile([0.1, 0.1, *[0.5] * 4][:size], views)])
     both = np.vstack([dense, held]), np.r_[(np.sqrt(weight) * residual).ravel(), np.zeros(len(held))]
     expected = np.linalg.lstsq(*both, rcond=None)[0]
     moved, corrected, _ = _step(adjusted, points, parameters, 0.7, affine)
@@ -163,6 +172,16 @@ def test_a_view_without_enough_tie_points_keeps_its_camera_and_is_reported() -> 
     assert result.views[5].shift_px == (0.0, 0.0)
     assert "too few tie points" in result.views[5].note
     assert result.rpcs[5].to_tags() == raw[5].to_tags()
+
+
+def test_pairs_that_share_one_view_only_keep_the_heights_that_their_cameras_say() -> None:
+    raw, tracks, ground = block(np.random.default_rng(1).normal(0, 1, (6, 2)), n=1000, false=0.0)
+    # view 0 shows everything, each other one a strip of its own: tie points are blind along the pair's lines of sight
+    strip = 1 + np.clip((ground[tracks.point, 0] + 180) // 72, 0, 4)
+    kept = tracks.kept((tracks.view == 0) | (tracks.view == strip))[0]
+    result = run(raw, kept.kept(kept.sizes()[kept.point] == 2)[0])
+    assert max(np.hypot(*v.shift_px) for v in result.views) < 4.0
+    assert result.points[:, 2] == pytest.approx(np.full(len(result.points), ALT0 + 5.0), abs=35.0)  # true: -20 to 30 m
 
 
 def test_two_groups_of_views_without_common_points_are_reported() -> None:

@@ -14,7 +14,7 @@ from sattools.camera.ground import from_geographic
 from sattools.errors import InputError
 from sattools.prep.area import bounds_from_file, bounds_from_geojson, bounds_from_numbers
 from sattools.prep.items import off_nadir_deg
-from sattools.prep.layout import common_bounds, crop_window, footprint, groups
+from sattools.prep.layout import common_bounds, crop_window, footprint, groups, left_out
 from sattools.scene.grid import default_cell_size
 
 UTM33 = "EPSG:32633"
@@ -40,6 +40,19 @@ def test_default_area_is_what_half_of_the_images_show() -> None:
     assert common_bounds(boxes) == pytest.approx((10, 0, 120, 100), abs=1.0)
     assert common_bounds([box(0, 0, 1, 1), box(5, 5, 6, 6)]) is None
     assert common_bounds([Polygon()]) is None
+
+
+def test_a_mosaic_of_which_the_default_area_is_a_small_part_is_told_with_the_bounds_of_the_rest() -> None:
+    def at(west: float, south: float, size: float) -> Polygon:
+        return box(X + west, Y + south, X + west + size, Y + south + size)
+
+    mosaic = [at(0, 0, 800), at(0, 0, 410), at(390, 0, 410), at(0, 420, 380), at(420, 420, 380)]
+    assert left_out(common_bounds(mosaic), mosaic, UTM33) == [
+        "the area is where half of the images have data, 1 % of where two of them do: for all of that "
+        "--bounds 15.00000 46.00000 15.01033 46.00720 (degrees; with --crs its metres)"
+    ]
+    alike = [at(0, 0, 800), at(100, 0, 800), at(-100, 50, 800)]
+    assert left_out(common_bounds(alike), alike, UTM33) == []
 
 
 @pytest.mark.parametrize(
