@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from sattools.camera.cells import project_cells
 from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.export.blocks import Block, Surroundings
+from sattools.prior.matching.pairs import SMALLEST_ANGLE, angle_deg
 from sattools.processors import side_by_side
 from sattools.radiometry.saturated import conversion_of, showing_asset
 from sattools.scene import Grid, Scene
@@ -107,6 +110,10 @@ class Witnesses:
         self.known = len(used) == len(ids) and named
         items = used if self.known else []
         cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
+        sides = _sides(scene, cameras)
+        order = sorted(range(len(items)), key=lambda k: sides[k])
+        items, cameras = [items[k] for k in order], [cameras[k] for k in order]
+        self._sides = sorted(sides)
         parts = [image_part(scene, item, showing_asset(item)) for item in items]
         largest = max((rows * cols for rows, cols in (part.shape for part in parts)), default=1)
         frames = side_by_side(_frame, parts, max(1, _WHOLE_PIXELS // max(largest, 1)))
@@ -127,11 +134,14 @@ class Witnesses:
 
         Returns:
             ``[h, w]``: 0 unseen = fewer than two images reach the cell; 2 filled = two reach it, but it is hidden
-            from all of them but one by what stands around it; 1 measured = two see it.
+            from all of them but one by what stands around it; 1 measured = two see it. Images from one direction count
+            as one.
         """
         reached, seen = (np.zeros(block.grid.shape, np.uint16) for _ in range(2))
         known = np.isfinite(surface.read(block.rows, block.cols))
-        for shown, visible in _looks(self._witnesses, block, surface):
+        looks = zip(self._sides, _looks(self._witnesses, block, surface), strict=False)  # no looks without heights
+        for _, alike in groupby(looks, key=itemgetter(0)):
+            shown, visible = np.any([look for _, look in alike], axis=0)
             reached += shown
             seen += visible
         of_reached = np.where(seen >= NEEDED, MEASURED, FILLED)
@@ -149,6 +159,24 @@ class Witnesses:
             for _, visible in _looks(witnesses, block, surface):
                 found |= visible
         return np.asarray(seen & ~radiant)
+
+
+def _sides(scene: Scene, cameras: Sequence[RPC]) -> list[int]:
+    """From which direction each camera looks, numbered; two of one direction are too near to be matched.
+
+    Tiles of one acquisition, or a picture and a copy of it, tell no heights where they overlap.
+    """
+    heights = scene.require_height_range() if cameras else (0.0, 0.0)
+    firsts: list[tuple[float, float, float]] = []
+    sides = []
+    for camera in cameras:
+        towards = line_of_sight(camera, scene.require_grid(), heights[0], heights)[0].unit()
+        # half of the angle, as then no two of a side are further from each other than that
+        near = (k for k, first in enumerate(firsts) if angle_deg(first, towards) < SMALLEST_ANGLE / 2)
+        side = next(near, len(firsts))
+        firsts += [towards] if side == len(firsts) else []
+        sides.append(side)
+    return sides
 
 
 def _looks(

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,15 @@ def test_two_images_make_a_measurement_and_one_does_not(fitted: Any, count: Any,
     assert found is not None
     assert np.median(found[:, -8:]) == kind
     assert (found[:, :8] == MEASURED).all()
+
+
+def test_two_images_from_one_direction_count_as_one(fitted: Any) -> None:
+    tensors, meta = load(fitted.root / "fit/model.safetensors")
+    grid, first = Grid.from_dict(meta["grid"]), fitted.items[0]
+    flat = np.full(grid.shape, float(np.median(tensors["height"])), np.float32)
+    fitted.items.append(replace(first, id="COPY"))
+    assert (validity_of(fitted, [first.id, "COPY"], grid, flat) == UNSEEN).all()
+    assert (validity_of(fitted, [first.id, fitted.items[1].id, "COPY"], grid, flat) == MEASURED).any()
 
 
 def test_unseen_ground_is_no_data_in_the_surface_and_all_its_sisters(fitted: Any) -> None:
