@@ -15,6 +15,7 @@ import numpy as np
 from sattools.camera.ground import to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
+from sattools.prep.beside import beside
 from sattools.prep.images import SourceImage
 from sattools.prep.layout import crop_window
 from sattools.prep.loading import load_source
@@ -23,7 +24,7 @@ from sattools.prep.pixels import look_for_frames, write_image
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text
-from sattools.scene.location import images_in
+from sattools.scene.location import RemotePath, images_in
 from sattools.scene.opening import opened
 
 # words of a name that say which sensor took an image, not which acquisition it is
@@ -179,12 +180,14 @@ def add_colours(
         with opened(colour.path) as data:
             look_for_frames(data, colour)
         notes += [f"{item.id}: its colours: {frame}" for frame in colour.frames]
+        notes += beside(colour, rpc, pan, camera, float(np.mean(heights)))
         write_image(colour, own, scene.output(_image(item.id)))
         write_text(scene.output(_camera(item.id)), own.to_rpc_txt())
         item.assets["colours"] = Asset(_image(item.id), GEOTIFF_TYPE, ["data"])
         item.assets["colours_rpc"] = Asset(_camera(item.id), "text/plain", ["metadata"])
         item.properties["sattools:colour_bands"] = colour.bands
-        item.properties["sattools:colours_source"] = str(colour.path)
+        where = colour.path if isinstance(colour.path, RemotePath) else colour.path.absolute()
+        item.properties["sattools:colours_source"] = str(where)
     return notes
 
 

@@ -1,5 +1,6 @@
 """Panchromatic and multispectral images of one acquisition as one item, each with its own pixels and camera."""
 
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -160,6 +161,24 @@ def test_a_folder_without_images_is_refused_before_work(tmp_path: Path, prepared
     assert done.exit_code == 1
     assert "--colours: found no images" in done.stderr
     assert not (tmp_path / "o").exists()
+
+
+def test_colours_that_lie_beside_their_image_are_told(tmp_path: Path, prepared: Any) -> None:
+    root, scene = prepared
+    assert not any("beside" in note for note in scene.history[0]["notes"])
+    folder = shutil.copytree(root / "colours", tmp_path / "colours")
+    with rasterio.open(folder / "TOWN_002_MS.tif", "r+") as data:
+        rpc = RPC.from_tags(data.tags(ns="RPC")).shifted(4.0, -3.0)
+        data.update_tags(ns="RPC", **rpc.to_tags())
+    images = sorted((root / "images").glob("*.tif"))
+    run("prep", *images, "--colours", folder, "--metadata", root / "metadata", "--id", "PS", "--out", tmp_path)
+    moved = Scene.from_file(tmp_path / "PS/scene.json")
+    told = [note for note in moved.history[0]["notes"] if "beside" in note]
+    assert told == [
+        f"TOWN_002: its colours lie 5 of their pixels beside it: is the RPC of {folder}/TOWN_002_MS.tif that of this "
+        "part of the image?"
+    ]
+    assert moved.items[1].properties["sattools:colours_source"] == f"{folder}/TOWN_002_MS.tif"
 
 
 def test_images_of_one_band_are_no_colours(tmp_path: Path, prepared: Any) -> None:
