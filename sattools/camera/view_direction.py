@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
+
+SMALLEST_ANGLE = 1.0  # degrees between lines of sight; below it a height error of many cells moves nothing
 
 
 class ViewDirection(NamedTuple):
@@ -38,4 +43,10 @@ class ViewDirection(NamedTuple):
         return self.north / cell_size, -self.east / cell_size
 
 
-__all__ = ["ViewDirection"]
+def angle_deg(a: Sequence[float], b: Sequence[float]) -> float:
+    """Angle between two vectors [degrees]."""
+    cosine = np.dot(a, b) / (np.linalg.norm(a) * np.linalg.norm(b))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+__all__ = ["SMALLEST_ANGLE", "ViewDirection", "angle_deg"]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sattools.camera.cells import project_cells
 from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
+from sattools.camera.view_direction import SMALLEST_ANGLE, angle_deg
 from sattools.export.blocks import Block, Surroundings
-from sattools.prior.matching.pairs import SMALLEST_ANGLE, angle_deg
 from sattools.processors import side_by_side
 from sattools.radiometry.saturated import conversion_of, showing_asset
 from sattools.scene import Grid, Scene

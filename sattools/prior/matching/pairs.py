@@ -8,20 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sattools.camera.view_direction import SMALLEST_ANGLE, angle_deg
+
 log = logging.getLogger(__name__)
 
 ANGLE_WEIGHT = 0.5  # degrees of sun direction that one degree off the ideal intersection angle is worth
 FEWEST_PAIRS = 3  # below this, pairs outside the wanted angles are better than none
-SMALLEST_ANGLE = 1.0  # degrees; below it a height error of many cells moves nothing
 NARROWEST = 4.0  # degrees between near-vertical views that look into courtyards, where wider pairs cannot
 NARROW_SHARE = 6  # so many pairs for each of those
 UNKNOWN_SUN = 30.0  # degrees assumed between two suns if one is unknown: about that of images of different seasons
-
-
-def angle_deg(a: Sequence[float], b: Sequence[float]) -> float:
-    """Angle between two vectors [degrees]."""
-    cosine = np.dot(a, b) / (np.linalg.norm(a) * np.linalg.norm(b))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def choose_pairs(
