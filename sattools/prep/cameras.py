@@ -7,12 +7,18 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from rasterio import warp
+from rasterio.errors import RasterioError
+from rasterio.io import DatasetReader
 
 from sattools.camera import RPC
 from sattools.errors import InputError
 from sattools.scene.gdal import rpc_tags
 from sattools.scene.location import RemotePath
 from sattools.scene.opening import opened
+
+Array = NDArray[np.float64]
 
 SAME_PX = 1.0  # as far as two files of one camera may differ by digits and conventions
 _WHOLE_PX = 1e-3  # of a window's corner
@@ -54,6 +60,47 @@ def of_another_window(beside: RPC, own: RPC, size: tuple[int, int]) -> tuple[flo
     return float(apart[0]), float(apart[1])
 
 
+def georeference_of(data: DatasetReader) -> Array | None:
+    """Longitude and latitude ``[9, 2]`` [degrees] that a file states for a 3 x 3 grid of its pixels; None = nothing."""
+    if data.crs is None or data.transform.is_identity:
+        return None
+    col, row = _grid((data.height, data.width))
+    a, b, c, d, e, f = data.transform[:6]
+    x, y = a * (col + 0.5) + b * (row + 0.5) + c, d * (col + 0.5) + e * (row + 0.5) + f
+    try:
+        found = np.array(warp.transform(data.crs, "EPSG:4326", x, y)).T
+    except RasterioError:
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def beside_georeference(rpc: RPC, size: tuple[int, int], stated: Array) -> float:
+    """By how many pixels a camera and a georeference of the same place are apart across an image, but for a shift.
+
+    Map projected images for which the vendor has made the camera agree but for that: the height on which they lie is
+    not known. A raw image's camera beside an orthophoto does not. 0 where they are of different places, too, as then
+    the georeference means nothing.
+
+    Args:
+        rpc: the camera.
+        size: (height, width) of the image [px].
+        stated: see `georeference_of`.
+    """
+    pixel = np.stack(_grid(size), axis=1)
+    seen = np.stack(rpc.projection(stated[:, 0], stated[:, 1], rpc.alt_offset), axis=1)
+    height, width = size
+    if not (np.isfinite(seen).all() and (np.abs(seen[4] - pixel[4]) < (width / 2, height / 2)).all()):
+        return 0.0
+    apart = (seen - seen.mean(axis=0)) - (pixel - pixel.mean(axis=0))
+    return float(np.hypot(*apart.T).max())
+
+
+def _grid(size: tuple[int, int]) -> tuple[Array, Array]:
+    """Columns and rows ``[9]`` of the corners, the edges' middles and the middle (number 4) of an image."""
+    row, col = np.meshgrid(*(np.linspace(0, n - 1, 3) for n in size), indexing="ij")
+    return col.ravel(), row.ravel()
+
+
 def _of_larger(rpc: RPC, size: tuple[int, int]) -> bool:
     """The camera looks like that of a whole image, as vendors make them, which is not of this size."""
     starts = abs(rpc.col_offset - rpc.col_scale) / rpc.col_scale, abs(rpc.row_offset - rpc.row_scale) / rpc.row_scale
@@ -61,4 +108,4 @@ def _of_larger(rpc: RPC, size: tuple[int, int]) -> bool:
     return max(starts) < _WHOLE_SHARE and max(ratios) > 1 + _WHOLE_SHARE
 
 
-__all__ = ["SAME_PX", "of_another_window", "own_camera"]
+__all__ = ["SAME_PX", "beside_georeference", "georeference_of", "of_another_window", "own_camera"]

@@ -12,7 +12,7 @@ from rasterio.windows import Window
 
 from sattools.camera import RPC
 from sattools.errors import InputError
-from sattools.prep.cameras import of_another_window, own_camera
+from sattools.prep.cameras import beside_georeference, georeference_of, of_another_window, own_camera
 from sattools.prep.images import SourceImage
 from sattools.prep.metadata import Metadata, from_tags, read_sidecar
 from sattools.prep.tiles import camera_of_tile
@@ -21,6 +21,8 @@ from sattools.scene.location import RemotePath
 from sattools.scene.opening import opened
 from sattools.scene.raster import has_mask
 from sattools.scene.sidecars import sidecars
+
+_OFF_PX, _OFF_SHARE = 10.0, 0.02  # of an image's side, that a georeference by its corners may be off
 
 
 def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage:
@@ -40,7 +42,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         tags, found_rpc = data.tags(), rpc_tags(data)
         meanings = tuple(interpretation.name for interpretation in data.colorinterp)
         mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
-        masked = has_mask(data)
+        masked, stated = has_mask(data), georeference_of(data)
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
     metadata = Metadata()
@@ -84,6 +86,12 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
     source.meanings, source.mask_like, source.masked = meanings, mask_like, masked
     if own_rpc is not None:
         _compare_with_own(source, own_rpc, metadata_dir)
+    off = beside_georeference(source.rpc, size, stated) if stated is not None else 0.0
+    if off > max(_OFF_PX, _OFF_SHARE * min(size)):
+        source.warn(
+            f"its georeference and its RPC ({metadata.rpc_source}) are {off:.0f} px apart across it: an orthophoto "
+            "with the RPC of the raw image? That image is needed"
+        )
     return source
 
 

@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic_views import LAT0, parallel_rpc
+import rasterio
+from affine import Affine
+from synthetic_views import LAT0, LON0, parallel_rpc
 
 from sattools.camera import RPC
+from sattools.camera.ground import from_geographic
 from sattools.prep.cameras import of_another_window, own_camera
 from sattools.prep.gate import check_sources
 from sattools.prep.loading import load_source
@@ -83,6 +86,28 @@ def test_a_folder_that_the_user_pointed_to_is_believed(tmp_path: Path) -> None:
     source = loaded(path, folder)
     assert corner(source.rpc) == (30.0, 25.0)
     assert any("its own RPC tags differ" in note for note in source.notes)
+
+
+@pytest.mark.parametrize(
+    ("pixel", "east", "told"),
+    [
+        (0.5, 0.0, False),
+        (0.5, 20.0, False),  # map projected onto another height
+        (0.75, 0.0, True),  # an orthophoto: of 150 x 160 pixels, half of the diagonal lies 55 off
+        (0.75, 900.0, False),  # a georeference that means nothing
+    ],
+)
+def test_an_orthophoto_with_the_camera_of_the_raw_image_is_told(
+    tmp_path: Path, pixel: float, east: float, told: bool
+) -> None:
+    x, y = from_geographic("EPSG:32633", LON0, LAT0)
+    place = Affine(pixel, 0, x + east - 80 * pixel, 0, -pixel, y + 75 * pixel)
+    profile = {"width": 160, "height": 150, "count": 1, "dtype": "uint8", "crs": "EPSG:32633", "transform": place}
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", **profile) as data:
+        data.write(np.ones((1, *SIZE), np.uint8))
+        data.update_tags(ns="RPC", **OWN.to_tags())
+    message = f"its georeference and its RPC ({tmp_path}/a.tif) are 55 px apart across it: an orthophoto "
+    assert any(note.startswith(message) for note in loaded(tmp_path / "a.tif").notes) == told
 
 
 def test_tags_that_were_not_moved_when_the_image_was_cut_do_not_count() -> None:
