@@ -22,7 +22,7 @@ from sattools.radiometry.calibration import (
     with_irradiance,
 )
 from sattools.radiometry.declared import Declared, parse_scale, read_declared, scale_of_image
-from sattools.radiometry.linear import item_bits
+from sattools.radiometry.linear import eight_bits
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
 from sattools.scene.sidecars import sidecars
@@ -90,7 +90,7 @@ class ImageScale:
         count = properties.get("sattools:bands")
         if self.declared is not None and self.declared.quantity is None:
             return f"{self.declared.source} states a scale but not of what (expected --quantity)"
-        if item_bits(properties) <= 8 and self.declared is None:
+        if eight_bits(properties) and self.declared is None:
             return "it has 8-bit, tone-mapped numbers"
         if not bands or any(b.irradiance is None for b in bands):
             return "no metadata with a calibration and a solar irradiance were found"
