@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.ground import check_projected, check_scale, to_geographic
+from sattools.camera.ground import check_metres
 from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
 from sattools.change.options import ChangeOptions
 from sattools.change.surfaces import Surface, read_surface
 from sattools.compare.picture import difference_picture
-from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.cog import CogWriter
@@ -102,7 +101,7 @@ def check_start(before: str, after: str, options: ChangeOptions, overwrite: bool
 def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> tuple[Surface, Surface, list[str]]:
     """Both dates and the names of what will be written, once all is checked that needs no work."""
     old, new = read_surface(before), read_surface(after)
-    _check_metres(old)
+    check_metres(str(old.layers["height"]), old.grid.crs, old.grid.bounds)
     names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
     polygons = [Path(options.polygons)] if options.polygons else []
     for path in polygons:
@@ -118,17 +117,6 @@ def _noise_alone(surface: Surface) -> str:
         f"{surface.layers['height']}: found heights without the confidence of their matching, so where matching failed "
         "looks like a change, and p-values are about noise alone (the document of a scene with a prior brings it along)"
     )
-
-
-def _check_metres(earlier: Surface) -> None:
-    """Raise InputError where the map that all is measured on has no metres: areas and volumes would be none."""
-    grid = earlier.grid
-    west, south, east, north = grid.bounds
-    try:
-        check_projected(grid.crs)
-        check_scale(grid.crs, *(float(v) for v in to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)))
-    except InputError as error:
-        raise InputError(f"{earlier.layers['height']}: {error}") from None
 
 
 def _write_map(
