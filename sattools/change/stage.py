@@ -67,11 +67,13 @@ def change(
     )  # fmt: skip
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
-    notes = [_noise_alone(surface) for surface in (old, new) if regions and "confidence" not in surface.layers]
+    unsure = [surface for surface in (old, new) if regions and "confidence" not in surface.layers]
+    notes = [*found.notes, *map(_noise_alone, unsure)]
     for text in notes:
         log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
     table["notes"] = notes
+    table["registration"] = found.found.method
     table |= _table(heights, regions, options)
     if options.polygons:
         table["polygons"] = _per_polygon(Path(options.polygons), old.grid, heights)
@@ -143,7 +145,6 @@ def _same_bands(old: Surface, new: Surface) -> bool:
 def _table(heights: HeightChange, regions: list[Region], options: ChangeOptions) -> JsonObject:
     height, width = heights.shape
     return {
-        "registration": options.register,
         "common_share": round(heights.area_m2 / heights.cell_size**2 / (height * width), 4),
         "nmad_m": round(scatter_of(heights.difference), 4),
         "confidence": options.confidence,
