@@ -53,9 +53,9 @@ class Exported:
 
 
 def _bands_of(scene: Scene, model: Description) -> list[JsonObject]:
-    """STAC `eo:bands` of a model's bands, where `normalise` knew those of the images."""
+    """STAC `eo:bands` of a model's bands, where those of the images are known."""
     for item in scene.items:
-        asset = item.assets.get("radiance") if item.id in model.items else None
+        asset = (item.assets.get("radiance") or item.assets.get("image")) if item.id in model.items else None
         if asset is not None and (bands := asset.extra.get("eo:bands")):
             return [bands[number - 1] for number in chosen_bands(item, model.bands, len(bands))]
     return []

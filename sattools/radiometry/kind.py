@@ -46,12 +46,12 @@ class ImageScale:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The vendor's names of all bands of the image; empty if unknown."""
+        """The vendor's names of all bands of the image, else its file's own; empty if unknown."""
         stated = self.declared.names if self.declared else ()
         count = int(self.item.properties.get("sattools:bands") or 0)
-        return (
-            stated or tuple(b.name for b in self.calibration) or names_of(self.item.properties.get("platform"), count)
-        )
+        written = tuple(str(band["name"]) for band in self.item.assets["image"].extra.get("eo:bands") or [])
+        ordered = names_of(self.item.properties.get("platform"), count)
+        return stated or tuple(b.name for b in self.calibration) or written or ordered
 
     @property
     def reflectance(self) -> str | None:

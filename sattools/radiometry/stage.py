@@ -12,7 +12,7 @@ import numpy as np
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
-from sattools.radiometry.bands import eo_bands
+from sattools.radiometry.bands import eo_bands, red_green_blue
 from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
 from sattools.radiometry.linear import (
@@ -293,7 +293,8 @@ def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> l
     chosen = options.bands
     if not chosen:
         eight = count == 8 and item.properties.get("platform") in EIGHT_BAND_PLATFORMS
-        return RGB_OF_EIGHT if eight else list(range(1, count + 1))
+        named = red_green_blue(item.assets["image"].extra.get("eo:bands") or [])
+        return (named or RGB_OF_EIGHT) if eight else list(range(1, count + 1))
     wrong = [b for b in chosen if not 1 <= b <= count]
     if wrong:
         raise SceneError(f"scene {scene.id}: item {item.id} has {count} bands, expected --bands within them: {wrong}")
