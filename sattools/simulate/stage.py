@@ -211,7 +211,7 @@ def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[G
 def _on_the_day(options: SimulateOptions, world: World, number: int, view: SimulatedView) -> World:
     """The world with the cars and the season of one image."""
     if isinstance(world, DetailedWorld):
-        world = world.on_day(leaves_on(view.time, options.lat))
+        world = world.on_day(leaves_on(view.time, view.rpc.lat_offset))
     if not options.cars:
         return world
     # a seed of their own: neither cameras nor noise change when cars do

@@ -9,7 +9,7 @@ import pytest
 from sattools.errors import InputError
 from sattools.scene import Grid
 from sattools.scene.raster import read_image, read_raster, write_cog
-from sattools.simulate import SimulateOptions, simulate
+from sattools.simulate import SimulateOptions, simulate, stage
 from sattools.simulate.terrain import build_terrain, window
 
 GRID = Grid("EPSG:32633", 400_000.0, 5_200_000.0, 1.0, 60, 50)
@@ -149,3 +149,15 @@ def test_a_town_whose_sun_is_down_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"dsm\.tif: found a sun -?\d+\.\d degrees high at 78\.0 N on 201"):
         simulate(options, tmp_path / "out")
     assert not list((tmp_path / "out").rglob("*.tif"))
+
+
+def test_the_season_of_trees_is_that_of_the_given_surfaces_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    monkeypatch.setattr(stage, "leaves_on", lambda day, lat: asked.append(lat) or 1.0)
+    grid = Grid("EPSG:32756", 334_000.0, 6_250_000.0, 1.0, 60, 50)  # Sydney
+    write_cog(tmp_path / "dsm.tif", hill().astype(np.float32), grid)
+    options = SimulateOptions(terrain="downtown", dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2, bias_px=0.0)
+    simulate(options, tmp_path / "out")
+    assert asked == pytest.approx([-33.9, -33.9], abs=0.1)
