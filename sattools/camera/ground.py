@@ -151,6 +151,22 @@ def check_scale(crs: str, lon: float, lat: float) -> None:
         )
 
 
+def check_metres(name: str, crs: str, bounds: tuple[float, float, float, float]) -> None:
+    """Raise InputError, naming a file, where its CRS does not count metres on the ground.
+
+    Args:
+        name: of the file.
+        crs: of it.
+        bounds: west, south, east, north in that CRS.
+    """
+    west, south, east, north = bounds
+    try:
+        check_projected(crs)
+        check_scale(crs, *(float(v) for v in to_geographic(crs, (west + east) / 2, (south + north) / 2)))
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
 def view_direction(rpc: RPC, lon: float, lat: float, h: float) -> Array:
     """Unit vector (east, north, up), true north, from a ground point to the sensor.
 

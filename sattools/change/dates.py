@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from sattools.change.surfaces import Surface
+from sattools.compare.doubts import FAR_M, check_metres, in_feet, of_registration, worse_than_none
 from sattools.compare.registration import Method, Registration, register, search_margin, shifted
 from sattools.compare.tally import Median
 from sattools.errors import InputError
+from sattools.scene.grid import Grid
 from sattools.scene.stored import cut, new_map, pieces
 
 SAMPLED = 1_000_000  # cells of which brightness and contrast are told
@@ -30,6 +32,7 @@ class Dates:
         shift_m: the same as (east, north, up) [m].
         margin: cells by which the later one's maps reach beyond the grid.
         folder: for temporary files.
+        notes: what speaks against the shift.
     """
 
     old: Surface
@@ -39,6 +42,7 @@ class Dates:
     shift_m: tuple[float, float, float]
     margin: int
     folder: Path
+    notes: tuple[str, ...] = ()
 
     def moved(self, layer: str) -> list[np.ndarray]:
         """Bands ``[H, W]`` of a layer of the later date, in its unit, on the earlier one's grid.
@@ -112,6 +116,9 @@ class Dates:
 def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> Dates:
     """Bring a later date onto an earlier one's grid.
 
+    A horizontal shift with which most of the area agrees less than without is none of the surfaces: large
+    changes, which have nothing to correlate with, have drawn it. It is left out, and a note says so.
+
     Args:
         old: earlier one.
         new: later one.
@@ -119,7 +126,7 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
         folder: for temporary files.
 
     Raises:
-        InputError: nothing in common.
+        InputError: nothing in common, or heights of one date that are in feet without saying so.
     """
     grid = old.grid
     margin = search_margin(grid.shape) if method in ("ncc", "nuth-kaab") else 0
@@ -129,7 +136,9 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
     before = new_map(grid.shape, np.float32, folder)
     for rows, cols in cut(grid.shape):
         before[rows, cols] = old.on("height", grid.part(rows, cols))[0]
-    found = register(wide, before, method, margin)
+    found, notes = _registered(wide, before, method, margin, new, grid)
+    feet = in_feet(wide, before, found, margin)
+    check_metres(feet, str(new.layers["height"]), str(old.layers["height"]))
     difference = new_map(grid.shape, np.float32, folder)
     common = 0
     for rows in pieces(grid.shape):
@@ -140,10 +149,27 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
         raise InputError(f"{new.name}: found no measured height in common with {old.name}, expected overlap")
     # the mean height difference, which registration takes out, contains the changes; the median does not
     offset = _median(difference) if method != "none" else 0.0
+    if abs(offset) > FAR_M:
+        what = f"found heights {offset:+.1f} m from those of {old.layers['height']}, which is taken out"
+        notes += (f"{new.layers['height']}: {what}: are both in metres above the same datum?",)
     for rows in pieces(grid.shape):
         difference[rows] = shifted(wide, found.columns, found.rows, margin, rows) - offset - before[rows]
     east, north, _ = found.metres(grid.cell_size)
-    return Dates(old, new, difference, found, (east, north, -offset), margin, folder)
+    return Dates(old, new, difference, found, (east, north, -offset), margin, folder, notes)
+
+
+def _registered(
+    wide: np.ndarray, before: np.ndarray, method: Method, margin: int, new: Surface, grid: Grid
+) -> tuple[Registration, tuple[str, ...]]:
+    """The shift of the later date, and notes on it."""
+    found = register(wide, before, method, margin)
+    worse = worse_than_none(wide, before, found, margin) if found.columns or found.rows else {}
+    if "median" not in worse:
+        return found, tuple(of_registration(wide, before, found, margin, grid))
+    east, north, _ = found.metres(grid.cell_size)
+    where = f"registration by {method} moves it {east:+.1f} m east and {north:+.1f} m north"
+    note = f"{new.layers['height']}: {where}, where {worse['median']}: left where it is, but for its height"
+    return register(wide, before, "z", margin), (note,)
 
 
 def _median(values: np.ndarray) -> float:

@@ -145,13 +145,14 @@ def _label(heights: HeightChange, options: ChangeOptions, sign: int, labels: np.
     from scipy.ndimage import find_objects, label
 
     radius = options.rim / heights.cell_size
-    halo = 2 * math.floor(radius) + 1  # what an opening looks at is no wider
+    halo = 3 * math.floor(radius) + 2  # what an opening looks at is no wider
     above = np.zeros(heights.shape[1], np.int32)
     for rows in pieces(heights.shape):
         first, last = max(0, rows.start - halo), min(heights.shape[0], rows.stop + halo)
         own = slice(rows.start - first, rows.stop - first)
         change = sign * np.nan_to_num(heights.difference[first:last])
-        opened = opening((change > options.min_height) & (change > 2 * heights.sigma[first:last]), radius)[own]
+        cells = (change > options.min_height) & (change > 2 * heights.sigma[first:last])
+        opened = with_corners(opening(cells, radius), cells, radius)[own]
         numbered, count = label(opened, np.ones((3, 3), bool))
         numbered = np.where(opened, numbered + found.count, 0).astype(np.int32)
         difference, sigma = heights.difference[rows], heights.sigma[rows]
@@ -238,4 +239,30 @@ def opening(cells: np.ndarray, radius: float) -> np.ndarray:
     return np.asarray(distance_transform_edt(~kept) <= radius)
 
 
-__all__ = ["HeightChange", "Region", "Sums", "cell_sigma", "find_regions", "opening", "scatter_of", "sums"]
+def with_corners(opened: np.ndarray, cells: np.ndarray, radius: float) -> np.ndarray:
+    """What an opening has left, and the right angles into which its disk does not reach.
+
+    Args:
+        opened: ``[H, W]`` bool, see `opening`.
+        cells: ``[H, W]`` bool of which it is.
+        radius: of the disk [cells].
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    if not opened.any():
+        return opened
+    # from a right angle to its disk, and half a diagonal of a cell
+    return np.asarray(cells & (distance_transform_edt(~opened) <= (math.sqrt(2) - 1) * radius + math.sqrt(0.5)))
+
+
+__all__ = [
+    "HeightChange",
+    "Region",
+    "Sums",
+    "cell_sigma",
+    "find_regions",
+    "opening",
+    "scatter_of",
+    "sums",
+    "with_corners",
+]

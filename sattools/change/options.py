@@ -18,7 +18,12 @@ class ChangeOptions:
         "How the later surface is brought onto the earlier one: whole cells by correlation, below a cell by slopes, in "
         "height only, or not.",
     )
-    min_height: float = option(2.0, "Smallest mean change of height of a region [m].", minimum=0.0)
+    min_height: float = option(
+        2.0,
+        "Smallest change of height of a region, in the mean and in each of its cells [m]: its volume is without the "
+        "foot of a heap that is lower than that (--polygons counts all of it).",
+        minimum=0.0,
+    )
     min_area: float = option(25.0, "Smallest area of a region [m2].", minimum=0.0)
     rim: float = option(
         1.5,

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.ground import check_projected, check_scale, to_geographic
+from sattools.camera.ground import check_metres
 from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
 from sattools.change.options import ChangeOptions
 from sattools.change.surfaces import Surface, read_surface
 from sattools.compare.picture import difference_picture
-from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.cog import CogWriter
@@ -68,11 +67,13 @@ def change(
     )  # fmt: skip
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
-    notes = [_noise_alone(surface) for surface in (old, new) if regions and "confidence" not in surface.layers]
+    unsure = [surface for surface in (old, new) if regions and "confidence" not in surface.layers]
+    notes = [*found.notes, *map(_noise_alone, unsure)]
     for text in notes:
         log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
     table["notes"] = notes
+    table["registration"] = found.found.method
     table |= _table(heights, regions, options)
     if options.polygons:
         table["polygons"] = _per_polygon(Path(options.polygons), old.grid, heights)
@@ -102,7 +103,7 @@ def check_start(before: str, after: str, options: ChangeOptions, overwrite: bool
 def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> tuple[Surface, Surface, list[str]]:
     """Both dates and the names of what will be written, once all is checked that needs no work."""
     old, new = read_surface(before), read_surface(after)
-    _check_metres(old)
+    check_metres(str(old.layers["height"]), old.grid.crs, old.grid.bounds)
     names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
     polygons = [Path(options.polygons)] if options.polygons else []
     for path in polygons:
@@ -118,17 +119,6 @@ def _noise_alone(surface: Surface) -> str:
         f"{surface.layers['height']}: found heights without the confidence of their matching, so where matching failed "
         "looks like a change, and p-values are about noise alone (the document of a scene with a prior brings it along)"
     )
-
-
-def _check_metres(earlier: Surface) -> None:
-    """Raise InputError where the map that all is measured on has no metres: areas and volumes would be none."""
-    grid = earlier.grid
-    west, south, east, north = grid.bounds
-    try:
-        check_projected(grid.crs)
-        check_scale(grid.crs, *(float(v) for v in to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)))
-    except InputError as error:
-        raise InputError(f"{earlier.layers['height']}: {error}") from None
 
 
 def _write_map(
@@ -155,7 +145,6 @@ def _same_bands(old: Surface, new: Surface) -> bool:
 def _table(heights: HeightChange, regions: list[Region], options: ChangeOptions) -> JsonObject:
     height, width = heights.shape
     return {
-        "registration": options.register,
         "common_share": round(heights.area_m2 / heights.cell_size**2 / (height * width), 4),
         "nmad_m": round(scatter_of(heights.difference), 4),
         "confidence": options.confidence,

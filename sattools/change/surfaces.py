@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sattools.compare.doubts import check_heights
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
 from sattools.scene import Grid, Scene
@@ -72,11 +73,12 @@ def read_surface(source: str) -> Surface:
     """The exported surface of a scene document, or a raster of heights [m].
 
     Raises:
-        InputError: neither can be read, or maps are on different grids.
+        InputError: neither can be read, a raster has other numbers than heights, or maps are on different grids.
         SceneError: a scene without an exported DSM, or whose DSM is older than its fit.
     """
     path = location(source)
     if path.suffix.lower() != ".json" and not path.is_dir():
+        check_heights(path, one_band=True)
         return Surface(path.stem, {"height": path}, None, raster_grid(path), (path,))
     scene = Scene.from_file(path)
     if "dsm" not in scene.products:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +12,14 @@ from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, run_source
 from sattools.cli.plans import of_simulate
 from sattools.progress import Progress
-from sattools.simulate.options import SimulateOptions
+from sattools.simulate.options import SimulateOptions, without_effect
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
     from sattools.scene.jsonio import JsonObject
+
+
+log = logging.getLogger(__name__)
 
 
 @click.command("simulate")
@@ -28,6 +32,10 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
     (its RPC tags carry --bias-px) and `--metadata` the folder `metadata`.
     """
     options = build(SimulateOptions, values)
+    context = click.get_current_context()
+    given = [name for name in values if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
+    for name, why in without_effect(options, given).items():
+        log.warning("--%s does nothing here: %s", name.replace("_", "-"), why)
 
     root = Path(options.out) / options.id
     inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)

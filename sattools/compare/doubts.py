@@ -95,20 +95,27 @@ def of_registration(wide: np.ndarray, reference: np.ndarray, shift: Registration
     limit = min(FAR_M, FAR_SHARE * min(grid.shape) * grid.cell_size)
     if math.hypot(east, north) > limit:
         reasons.append(f"more than {limit:.1f} m")
-    here = _left(wide, reference, Registration(0.0, 0.0, 0.0, "none"), margin)
-    there = _left(wide, reference, shift, margin)
-    names = ("median", "mean")
-    worse = [k for k in range(2) if there[k] > WORSE * here[k] + LEAST_WORSE_M]
-    reasons += [
-        f"the {names[k]} absolute deviation from the median error is {there[k]:.2f} m, {here[k]:.2f} m without it"
-        for k in worse
-    ]
+    reasons += worse_than_none(wide, reference, shift, margin).values()
     if not reasons:
         return []
     return [
         f"registration by {shift.method} moves the surface {east:+.1f} m east and {north:+.1f} m north, which is "
         f"doubtful: {'; '.join(reasons)}; --register z or none scores it where it is"
     ]
+
+
+def worse_than_none(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int) -> dict[str, str]:
+    """By "median" and "mean" how a horizontal shift makes the absolute deviation from the median error larger.
+
+    Only those that are worse by more than chance; arguments as of `of_registration`.
+    """
+    here = _left(wide, reference, Registration(0.0, 0.0, 0.0, "none"), margin)
+    there = _left(wide, reference, shift, margin)
+    return {
+        name: f"the {name} absolute deviation from the median error is {moved:.2f} m, {still:.2f} m without it"
+        for name, moved, still in zip(("median", "mean"), there, here, strict=True)
+        if moved > WORSE * still + LEAST_WORSE_M
+    }
 
 
 def _left(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int) -> tuple[float, float]:
@@ -131,4 +138,4 @@ def _some(shape: tuple[int, ...]) -> Iterator[tuple[slice, int]]:
         yield rows, step
 
 
-__all__ = ["check_heights", "check_metres", "in_feet", "of_registration"]
+__all__ = ["FAR_M", "check_heights", "check_metres", "in_feet", "of_registration", "worse_than_none"]

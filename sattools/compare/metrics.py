@@ -86,10 +86,10 @@ class MapErrors:
         varied = std_p > 1e-9 * self._largest[0] and std_r > 1e-9 * self._largest[1]  # rounding makes no correlation
         return {
             "rmse": rmse,
-            "nrmse": rmse / mean if mean else None,
+            "nrmse": rmse / mean if mean > 0 else None,
             "correlation": float(self._squares[4]) / self.count / (std_p * std_r) if varied else None,
-            "nrmse_constant": std_r / mean if mean else None,
-            "nrmse_scaled": scaled / mean if mean else None,
+            "nrmse_constant": std_r / mean if mean > 0 else None,
+            "nrmse_scaled": scaled / mean if mean > 0 else None,
             "scale": self._scale,
             "n": self.count,
         }

@@ -176,10 +176,13 @@ def open_reference(
     for rows, cols in cut(grid.shape):
         heights[rows, cols] = _heights_on(dsm, grid.part(rows, cols), own)
     if classes is not None:
-        codes = new_map(grid.shape, np.uint8, folder)
+        codes, common = new_map(grid.shape, np.uint8, folder), False
         for rows, cols in cut(grid.shape):
             there = read_warped(Path(classes), grid.part(rows, cols), nearest=True)[0]
+            common = common or bool(np.isfinite(there).any())
             codes[rows, cols] = _class_codes(there, Path(classes))
+        if not common:
+            raise InputError(f"{classes}: found no class where {dsm} lies, expected a class map of the same ground")
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
 
 

@@ -42,20 +42,41 @@ class Exported:
         Returns:
             ``["albedo red", ...]``, or numbers from 1; ``{"WAVELENGTHS_UM": "0.66 ..."}`` or nothing.
         """
-        bands = _bands_of(self.scene, self.about)
-        if len(bands) != count:
-            return [f"{name} {b + 1}" for b in range(count)], {}
-        words = [str(band.get("common_name", band.get("name"))) for band in bands]
-        lengths = [band.get("center_wavelength") for band in bands]
-        known = all(isinstance(length, int | float) for length in lengths)
-        tags = {"WAVELENGTHS_UM": " ".join(f"{length:g}" for length in lengths)} if known else {}
-        return [f"{name} {word}" for word in words], tags
+        return band_names(self.scene, self.about, name, count)
+
+
+def band_names(scene: Scene, model: Description, name: str, count: int) -> tuple[list[str], dict[str, str]]:
+    """See `Exported.band_names`.
+
+    Args:
+        scene: with the images.
+        model: of the fit.
+        name: of the map.
+        count: its bands.
+    """
+    bands = _bands_of(scene, model)
+    if len(bands) != count:
+        return [f"{name} {b + 1}" for b in range(count)], {}
+    words = [str(band.get("common_name", band.get("name"))) for band in bands]
+    lengths = [band.get("center_wavelength") for band in bands]
+    known = all(isinstance(length, int | float) for length in lengths)
+    tags = {"WAVELENGTHS_UM": " ".join(f"{length:g}" for length in lengths)} if known else {}
+    return [f"{name} {word}" for word in words], tags
+
+
+def radiance_scale(model: Description) -> str:
+    """What the numbers of a fit's albedo and of the scene under another sun are."""
+    return (
+        f"absolute: {model.radiance}"
+        if model.absolute
+        else "relative: radiance of the first training image in full sun"
+    )
 
 
 def _bands_of(scene: Scene, model: Description) -> list[JsonObject]:
-    """STAC `eo:bands` of a model's bands, where `normalise` knew those of the images."""
+    """STAC `eo:bands` of a model's bands, where those of the images are known."""
     for item in scene.items:
-        asset = item.assets.get("radiance") if item.id in model.items else None
+        asset = (item.assets.get("radiance") or item.assets.get("image")) if item.id in model.items else None
         if asset is not None and (bands := asset.extra.get("eo:bands")):
             return [bands[number - 1] for number in chosen_bands(item, model.bands, len(bands))]
     return []
@@ -73,4 +94,4 @@ def shadow_suns(model: Description) -> list[tuple[str, Sun]]:
     return [(name, sun) for name, sun in zip(model.items, model.suns, strict=True) if sun is not None]
 
 
-__all__ = ["RELIT", "Exported", "shadow_suns", "view_href"]
+__all__ = ["RELIT", "Exported", "band_names", "radiance_scale", "shadow_suns", "view_href"]

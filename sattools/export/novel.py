@@ -15,7 +15,7 @@ from sattools.camera.ground import grid_direction, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
-from sattools.export.context import RELIT, view_href
+from sattools.export.context import RELIT, band_names, radiance_scale, view_href
 from sattools.export.field_views import field_picture, surface_picture
 from sattools.export.parts import Part, Parts, WholeModel
 from sattools.export.pictures import ColourScale, Picture
@@ -229,11 +229,13 @@ def write_view(exported: Shown, item_id: str, sun_angles: tuple[float, float] | 
             files["rendered_scored"] = [picture.scored]
     for name, maps in files.items():
         href = view_href(name, item_id)
-        write_sensor_maps(
-            scene.output(href), maps, picture.rpc.to_tags(), tags if name in ("rendered", "relit") else {}
-        )
-        spectral = name in ("rendered", "relit") and bands
-        item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: bands} if spectral else {})
+        shown = name in ("rendered", "relit")
+        words = ["height"]
+        if name != "rendered_height":
+            words, lengths = band_names(scene, exported.parts.head, "radiance", len(maps))
+            tags = tags | lengths if shown else tags
+        write_sensor_maps(scene.output(href), maps, picture.rpc.to_tags(), tags if shown else {}, words)
+        item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: bands} if shown and bands else {})
 
 
 def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
@@ -249,8 +251,10 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
     parts, more = casting_under(exported.parts, sun)
     if more:
         log.warning("--sun: shadows %s", more["SHADOWS"])
-    tags |= more
-    with CogWriter(scene.output(RELIT), grid, bands=head.albedo.shape[-1], units="1", tags=tags) as out:
+    count = head.albedo.shape[-1]
+    names, lengths = band_names(scene, head, "radiance", count)
+    tags |= more | lengths | {"SCALE": radiance_scale(head)}
+    with CogWriter(scene.output(RELIT), grid, bands=count, units="1", tags=tags, descriptions=names) as out:
         for part in parts.parts():
             if head.field == "surface":
                 light = light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.export.blocks import Block, Surroundings
-from sattools.export.context import Exported, shadow_suns, view_href
+from sattools.export.context import Exported, band_names, radiance_scale, shadow_suns, view_href
 from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.fit.described import Description
@@ -69,10 +69,7 @@ class SurfaceFiles:
         if model.field != "surface":
             method = "spread of the height at which vertical rays lose their light; gross errors are not in it"
         kept = {"HEIGHTS": words} if (words := heights_of_start(model)) else {}
-        scale = "relative: radiance of the first training image in full sun"
-        if model.absolute:
-            scale = f"absolute: {model.radiance}"
-        names, wavelengths = Exported(scene, model, np.ones((1, 1), bool)).band_names("albedo", stored.bands)
+        names, wavelengths = band_names(scene, model, "albedo", stored.bands)
         about: dict[str, dict[str, Any]] = {
             DSM: {
                 "units": "m",
@@ -88,7 +85,7 @@ class SurfaceFiles:
             ALBEDO: {
                 "bands": len(names),
                 "units": "1",
-                "tags": {"SCALE": scale, **_SOFTWARE, **wavelengths},
+                "tags": {"SCALE": radiance_scale(model), **_SOFTWARE, **wavelengths},
                 "descriptions": names,
             },
         }

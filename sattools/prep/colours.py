@@ -21,6 +21,7 @@ from sattools.prep.layout import crop_window
 from sattools.prep.loading import load_source
 from sattools.prep.names import image_id
 from sattools.prep.pixels import look_for_frames, write_image
+from sattools.radiometry.bands import named_bands
 from sattools.scene import Scene
 from sattools.scene.document import GEOTIFF_TYPE, Asset
 from sattools.scene.files import write_text
@@ -183,7 +184,9 @@ def add_colours(
         notes += beside(colour, rpc, pan, camera, float(np.mean(heights)))
         write_image(colour, own, scene.output(_image(item.id)))
         write_text(scene.output(_camera(item.id)), own.to_rpc_txt())
-        item.assets["colours"] = Asset(_image(item.id), GEOTIFF_TYPE, ["data"])
+        item.assets["colours"] = Asset(
+            _image(item.id), GEOTIFF_TYPE, ["data"], named_bands(colour.metadata.platform, colour.descriptions)
+        )
         item.assets["colours_rpc"] = Asset(_camera(item.id), "text/plain", ["metadata"])
         item.properties["sattools:colour_bands"] = colour.bands
         where = colour.path if isinstance(colour.path, RemotePath) else colour.path.absolute()

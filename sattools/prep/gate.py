@@ -23,6 +23,7 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
+from sattools.radiometry.bands import named_bands
 from sattools.scene.grid import Grid
 from sattools.scene.location import RemotePath
 from sattools.scene.members import FINEST, HEIGHT_LIMITS_M, LEAST_CELLS, MAX_CELLS
@@ -60,12 +61,27 @@ def check_sources(sources: Sequence[SourceImage]) -> None:
             f"{odd.path}: found {odd.bands} bands, expected {usual} as most of the other images have"
             f"{hint if 1 in counts else ''}"
         )
+    _check_names(sources)
     types = Counter(s.dtype for s in sources)
     if len(types) > 1:
         usual_type = types.most_common(1)[0][0]
         for source in sources:
             if source.dtype != usual_type:
                 source.warn(f"its pixels are {source.dtype}, those of most others {usual_type}: one quantity in all?")
+
+
+def _check_names(sources: Sequence[SourceImage]) -> None:
+    """Bands of one order, where files name them: red of one image is not fitted to blue of another."""
+    orders: dict[tuple[str, ...], SourceImage] = {}
+    for source in sources:
+        if named := named_bands(source.metadata.platform, source.descriptions):
+            orders.setdefault(tuple(str(band["common_name"]) for band in named["eo:bands"]), source)
+    if len(orders) > 1:
+        (usual, first), (order, odd) = list(orders.items())[:2]
+        raise InputError(
+            f"{odd.path}: found the bands {', '.join(order)}, expected {', '.join(usual)} as {first.path} has "
+            "(gdal_translate -b writes them in another order)"
+        )
 
 
 def _check_bands(source: SourceImage) -> None:

@@ -33,6 +33,7 @@ class SourceImage:
     window: tuple[int, int, int, int] = (0, 0, 0, 0)  # col0, row0, width, height
     notes: list[str] = field(default_factory=list)
     meanings: tuple[str, ...] = ()  # of the bands: gray, red, alpha, palette, ...
+    descriptions: tuple[str | None, ...] = ()  # of the bands
     mask_like: bool = False  # the band marked as alpha holds two values at most
     masked: bool = False  # a mask lies beside the bands
     tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used

@@ -23,6 +23,7 @@ from sattools.prep.images import SourceImage
 from sattools.prep.layout import footprint
 from sattools.prep.metadata import DEFAULT_ORBIT_KM, EARTH_KM, ORBIT_KM
 from sattools.prep.pixels import significant_bits, value_range
+from sattools.radiometry.bands import named_bands
 from sattools.scene import GEOTIFF_TYPE, Asset, Grid, Item
 from sattools.scene.globe import outline_on_globe
 from sattools.scene.location import RemotePath
@@ -115,7 +116,9 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
         properties["sattools:sun"] = sun[2]
         properties["sattools:sun_direction"] = _rounded(grid_direction(sun[0], sun[1], grid.crs, lon, lat))
     assets = {
-        "image": Asset(f"images/{source.id}.tif", GEOTIFF_TYPE, ["data"]),
+        "image": Asset(
+            f"images/{source.id}.tif", GEOTIFF_TYPE, ["data"], named_bands(meta.platform, source.descriptions)
+        ),
         "rpc": Asset(f"rpc/{source.id}_RPC.TXT", "text/plain", ["metadata"]),
     }
     return Item(source.id, *outline_on_globe(list(polygon.exterior.coords)), properties, assets)

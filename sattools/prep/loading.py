@@ -41,6 +41,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         bands, dtype = data.count, str(data.dtypes[0])
         tags, found_rpc = data.tags(), rpc_tags(data)
         meanings = tuple(interpretation.name for interpretation in data.colorinterp)
+        descriptions = tuple(data.descriptions)
         mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
         masked, stated = has_mask(data), georeference_of(data)
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
@@ -84,6 +85,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
             metadata.rpc, metadata.rpc_source = own_rpc, str(path)
     source = SourceImage(name, path, size, bands, dtype, metadata.rpc, metadata, (0, 0, size[1], size[0]), notes)
     source.meanings, source.mask_like, source.masked = meanings, mask_like, masked
+    source.descriptions = descriptions
     if own_rpc is not None:
         _compare_with_own(source, own_rpc, metadata_dir)
     off = beside_georeference(source.rpc, size, stated) if stated is not None else 0.0

@@ -17,7 +17,7 @@ from sattools.prep.pairs import residual_vectors
 from sattools.prep.pixels import write_image
 from sattools.processors import side_by_side
 from sattools.progress import Progress
-from sattools.scene import GEOTIFF_TYPE, Asset, Scene
+from sattools.scene import Scene
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath
@@ -77,9 +77,8 @@ def write_images(
         if not copied[k]:
             for frame in source.frames:
                 source.warn(f"is not copied, so its frame of {frame.value:g} is ground later on: declare it as no data")
-            item.assets["image"] = Asset(
-                str(source.path.absolute()), GEOTIFF_TYPE, ["data"], {WINDOW: list(source.window)}
-            )
+            item.assets["image"].href = str(source.path.absolute())
+            item.assets["image"].extra[WINDOW] = list(source.window)
         write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
         scene.items.append(item)
 

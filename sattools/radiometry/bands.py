@@ -71,6 +71,8 @@ PLATFORM_BANDS: Mapping[str, Sequence[Band]] = {
     "SPOT-6": _SPOT,
     "SPOT-7": _SPOT,
 }
+# of STAC, as far as sensors of optical satellites have them
+COMMON_NAMES = ("pan", "coastal", "blue", "green", "yellow", "red", "rededge", "nir", "nir08", "nir09", "cirrus")
 WORLDVIEW_BANDS = ("C", "B", "G", "Y", "R", "RE", "N", "N2")  # order of an eight-band product
 WORLDVIEW_FOUR = ("B", "G", "R", "N")  # order of a four-band product
 
@@ -101,12 +103,38 @@ def eo_bands(platform: str | None, names: Sequence[str], chosen: Sequence[int]) 
     Returns:
         One entry a band, with wavelengths where the platform's are known.
     """
-    known = {band.name: band for band in PLATFORM_BANDS.get(platform or "", ())}
+    own = PLATFORM_BANDS.get(platform or "", ())
+    known = {band.common_name: band for band in own} | {band.name: band for band in own}
     entries: list[JsonObject] = []
     for number in chosen:
         name = names[number - 1] if number <= len(names) else f"band {number}"
-        entries.append(known[name].to_dict() if name in known else {"name": name})
+        if (band := known.get(name) or known.get(name.casefold())) is not None:
+            entries.append(band.to_dict())
+        else:
+            common = {"common_name": name.casefold()} if name.casefold() in COMMON_NAMES else {}
+            entries.append({"name": name, **common})
     return entries
+
+
+def named_bands(platform: str | None, descriptions: Sequence[str | None]) -> JsonObject:
+    """``{"eo:bands": [...]}`` for the asset of an image whose file names its bands; ``{}`` where it does not.
+
+    Names are STAC's common ones or the vendor's; others (``Band 1``) tell nothing.
+
+    Args:
+        platform: as in STAC, or None.
+        descriptions: of all bands of the file.
+    """
+    entries = eo_bands(platform, [str(text or "").strip() for text in descriptions], range(1, len(descriptions) + 1))
+    said = {entry.get("common_name") for entry in entries} - {None}
+    return {"eo:bands": entries} if entries and len(said) == len(entries) else {}
+
+
+def red_green_blue(bands: Sequence[JsonObject]) -> list[int] | None:
+    """Numbers from 1 of the bands with these common names among `eo:bands`; None where one is missing."""
+    words = [band.get("common_name") for band in bands]
+    wanted = ("red", "green", "blue")
+    return [words.index(word) + 1 for word in wanted] if set(wanted) <= set(words) else None
 
 
 def chosen_bands(item: Item, wanted: Sequence[str], count: int) -> list[int]:
@@ -146,6 +174,7 @@ def chosen_bands(item: Item, wanted: Sequence[str], count: int) -> list[int]:
 
 __all__ = [
     "BANDS_MEMBER",
+    "COMMON_NAMES",
     "PLATFORM_BANDS",
     "WORLDVIEW_BANDS",
     "WORLDVIEW_FOUR",

@@ -22,7 +22,7 @@ from sattools.radiometry.calibration import (
     with_irradiance,
 )
 from sattools.radiometry.declared import Declared, parse_scale, read_declared, scale_of_image
-from sattools.radiometry.linear import item_bits
+from sattools.radiometry.linear import eight_bits
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
 from sattools.scene.sidecars import sidecars
@@ -46,12 +46,12 @@ class ImageScale:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The vendor's names of all bands of the image; empty if unknown."""
+        """The vendor's names of all bands of the image, else its file's own; empty if unknown."""
         stated = self.declared.names if self.declared else ()
         count = int(self.item.properties.get("sattools:bands") or 0)
-        return (
-            stated or tuple(b.name for b in self.calibration) or names_of(self.item.properties.get("platform"), count)
-        )
+        written = tuple(str(band["name"]) for band in self.item.assets["image"].extra.get("eo:bands") or [])
+        ordered = names_of(self.item.properties.get("platform"), count)
+        return stated or tuple(b.name for b in self.calibration) or written or ordered
 
     @property
     def reflectance(self) -> str | None:
@@ -90,7 +90,7 @@ class ImageScale:
         count = properties.get("sattools:bands")
         if self.declared is not None and self.declared.quantity is None:
             return f"{self.declared.source} states a scale but not of what (expected --quantity)"
-        if item_bits(properties) <= 8 and self.declared is None:
+        if eight_bits(properties) and self.declared is None:
             return "it has 8-bit, tone-mapped numbers"
         if not bands or any(b.irradiance is None for b in bands):
             return "no metadata with a calibration and a solar irradiance were found"

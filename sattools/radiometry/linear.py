@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sattools.scene.jsonio import JsonObject
@@ -9,12 +11,29 @@ from sattools.scene.jsonio import JsonObject
 DEFAULT_BITS = 11  # WorldView, GeoEye, QuickBird products in 16-bit files
 
 
+def without_bits(properties: JsonObject) -> bool:
+    """Whether an item has floating point numbers and nothing says how many bits they had: none is known for white."""
+    floating = np.dtype(properties.get("sattools:dtype") or "uint16").kind == "f"
+    return floating and not properties.get("sattools:bits")
+
+
 def item_bits(properties: JsonObject) -> int:
-    """Significant bits of an item's digital numbers: its own statement, else 8 or 11 by file type."""
+    """Significant bits of an item's digital numbers: its own statement, else 8 or 11 by file type.
+
+    Floating point numbers may be counts or shares of 1: theirs are the fewest that hold the largest, 1 up to 1.0.
+    """
     bits = properties.get("sattools:bits")
     if bits:
         return int(bits)
+    highest = (properties.get("sattools:value_range") or [None, None])[1]
+    if without_bits(properties) and highest is not None:
+        return max(1, math.ceil(math.log2(max(highest, 0.0) + 1)))
     return 8 if properties.get("sattools:dtype") == "uint8" else DEFAULT_BITS
+
+
+def eight_bits(properties: JsonObject) -> bool:
+    """Whether an item has the numbers of a picture of 8 bits, which are tone-mapped."""
+    return item_bits(properties) <= 8 and not without_bits(properties)
 
 
 def linear_radiance(numbers: np.ndarray, bits: int, black: float = 0.0) -> np.ndarray:
@@ -53,4 +72,13 @@ def gain_and_offset(found: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, 
     return gain, wanted[0] - gain * found[0]
 
 
-__all__ = ["DEFAULT_BITS", "gain_and_offset", "invalid_numbers", "item_bits", "linear_radiance", "undo_gamma"]
+__all__ = [
+    "DEFAULT_BITS",
+    "eight_bits",
+    "gain_and_offset",
+    "invalid_numbers",
+    "item_bits",
+    "linear_radiance",
+    "undo_gamma",
+    "without_bits",
+]

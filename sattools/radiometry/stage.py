@@ -12,10 +12,17 @@ import numpy as np
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
-from sattools.radiometry.bands import eo_bands
+from sattools.radiometry.bands import eo_bands, red_green_blue
 from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
-from sattools.radiometry.linear import gain_and_offset, invalid_numbers, item_bits, linear_radiance, undo_gamma
+from sattools.radiometry.linear import (
+    gain_and_offset,
+    invalid_numbers,
+    item_bits,
+    linear_radiance,
+    undo_gamma,
+    without_bits,
+)
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.saturated import NOTED, Conversion
 from sattools.scene import GEOTIFF_TYPE, Asset, Item, Scene
@@ -128,7 +135,8 @@ class _Blocks:
         self.job, self.item, self.part = job, item, part
         self.chosen = _bands(job.scene, item, part.bands, job.options)
         self.saturation = _saturation(job, item)
-        self.tone_mapped = job.bits[item.id] <= 8 and job.scales[item.id].reflectance is None
+        picture = bool(job.options.bits) or not without_bits(item.properties)
+        self.tone_mapped = picture and job.bits[item.id] <= 8 and job.scales[item.id].reflectance is None
         wanted = job.options.saturated
         self.masks = wanted == "mask" or (wanted == "auto" and not self.tone_mapped)
         self._matched: tuple[np.ndarray, np.ndarray] | None = None
@@ -252,8 +260,7 @@ def _saturation(job: _Job, item: Item) -> float:
     """Digital number from which a pixel is saturated; infinity where floating point numbers have no known largest."""
     if job.options.saturation is not None:
         return job.options.saturation
-    floating = np.dtype(item.properties.get("sattools:dtype") or "uint16").kind == "f"
-    if floating and not (job.options.bits or item.properties.get("sattools:bits")):
+    if without_bits(item.properties) and not job.options.bits:
         return np.inf
     return job.scales[item.id].saturation(job.bits[item.id])
 
@@ -286,7 +293,8 @@ def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> l
     chosen = options.bands
     if not chosen:
         eight = count == 8 and item.properties.get("platform") in EIGHT_BAND_PLATFORMS
-        return RGB_OF_EIGHT if eight else list(range(1, count + 1))
+        named = red_green_blue(item.assets["image"].extra.get("eo:bands") or [])
+        return (named or RGB_OF_EIGHT) if eight else list(range(1, count + 1))
     wrong = [b for b in chosen if not 1 <= b <= count]
     if wrong:
         raise SceneError(f"scene {scene.id}: item {item.id} has {count} bands, expected --bands within them: {wrong}")

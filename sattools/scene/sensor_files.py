@@ -21,7 +21,11 @@ _LEAST_ROWS, _MOST_ROWS = 16, 2048  # of a block: tiles of a TIFF have multiples
 
 
 def write_sensor_maps(
-    path: Path, maps: Sequence[np.ndarray], rpc: Mapping[str, str], tags: Mapping[str, str] | None = None
+    path: Path,
+    maps: Sequence[np.ndarray],
+    rpc: Mapping[str, str],
+    tags: Mapping[str, str] | None = None,
+    descriptions: Sequence[str] = (),
 ) -> None:
     """Write bands in the geometry of an image; see `write_sensor_blocks`.
 
@@ -31,12 +35,16 @@ def write_sensor_maps(
             data.
         rpc: the image's camera as RPC tags.
         tags: of the file, beside them.
+        descriptions: of the bands; none = without.
 
     Raises:
         SattoolsError: the file cannot be written.
     """
     shape = (maps[0].shape[0], maps[0].shape[1])
-    write_sensor_blocks(path, shape, len(maps), lambda *place: np.stack([map_[place] for map_ in maps]), rpc, tags=tags)
+    write_sensor_blocks(
+        path, shape, len(maps), lambda *place: np.stack([map_[place] for map_ in maps]), rpc, tags=tags,
+        descriptions=descriptions,
+    )  # fmt: skip
 
 
 def write_sensor_blocks(

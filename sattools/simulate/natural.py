@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from sattools.camera.ground import check_projected, from_geographic, utm_crs
+from sattools.camera.ground import check_metres, from_geographic, utm_crs
 from sattools.scene.grid import Grid
 from sattools.scene.raster import read_raster
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV
 from sattools.simulate.materials import grain
-from sattools.simulate.terrain import check_heights, check_relief, window
+from sattools.simulate.terrain import check_heights, check_relief, tell_unknown, window
 from sattools.simulate.world import GROUND, World
 
 MARGIN_M = 60.0  # surroundings that cast shadows into the scene
@@ -123,9 +123,10 @@ def _relief_of(dsm: str, size_m: float, gsd: float, cell: float) -> tuple[Grid, 
     from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
     heights, whole = read_raster(Path(dsm))
-    check_projected(whole.crs)
+    check_metres(str(dsm), whole.crs, whole.bounds)
     check_heights(str(dsm), heights)
     own, wide, (rows, columns) = window(whole, size_m, MARGIN_M)
+    tell_unknown(str(dsm), heights[0], whole, own)
     part = heights[0][np.ix_(rows, columns)].astype(np.float64)
     check_relief(str(dsm), part, wide.width * wide.cell_size)
     if not np.isfinite(part).all():

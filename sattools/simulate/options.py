@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -107,8 +108,30 @@ class SimulateOptions:
             raise InputError(f"--passes: found --terrain {self.terrain}, expected natural (a city has --dates)")
         if self.terrain == "natural":
             self.bits = 12
-        elif self.bits == 12:
-            raise InputError("--bits: found 12, expected 8 or 11 for a city")
+        elif self.bits not in (8, 11):
+            raise InputError(f"--bits: found {self.bits}, expected 8 or 11 for a city")
 
 
-__all__ = ["SimulateOptions"]
+NATURAL_ONLY = ("reflectance", "units", "slope", "sun_azimuth", "sun_elevation", "sky", "train")
+TOWN_ONLY = ("dates", "test_views", "bits", "trees", "cars", "hdr", "classes")
+WITHOUT_DSM_ONLY = ("lon", "lat", "slope", "trees")
+
+
+def without_effect(options: SimulateOptions, given: Iterable[str]) -> dict[str, str]:
+    """Those of some options that do nothing beside the others, each with what was found and expected.
+
+    Args:
+        options: of the simulation.
+        given: names of options that the user gave.
+    """
+    natural, found = options.terrain == "natural", f"found --terrain {options.terrain}, expected"
+    idle = dict.fromkeys(TOWN_ONLY, f"{found} city or downtown") if natural else {}
+    idle |= {} if natural else dict.fromkeys(NATURAL_ONLY, f"{found} natural")
+    if options.dsm is not None:
+        idle = dict.fromkeys(WITHOUT_DSM_ONLY, "found --dsm, expected none") | idle
+    elif not natural:
+        idle["classes"] = "found no --dsm, expected one with it"
+    return {name: idle[name] for name in given if name in idle}
+
+
+__all__ = ["SimulateOptions", "without_effect"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.camera.ground import check_projected, from_geographic, grid_direction, to_geographic, utm_crs
+from sattools.camera.ground import check_metres, from_geographic, grid_direction, to_geographic, utm_crs
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
@@ -29,6 +29,7 @@ from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, w
 from sattools.simulate.world import World
 
 SKY_STRIDE = 8
+LOWEST_SUN_DEG = 2.0  # a lower one, or none, leaves towns in shade
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
 CAR_KEY, OUTLIER_KEY = 1000, 1001
@@ -42,7 +43,8 @@ def simulate(options: SimulateOptions, root: Path, progress: Progress = silent, 
     Writes `images/` (digital numbers, RPC tags with the bias asked for), `metadata/` (Sat-NeRF JSON with the same
     RPCs), `rpc/` (the true RPCs, which the scene's items use), `truth/` (DSM, classes, albedo on the scene's grid;
     per view the share of sunlit ground and the height seen). What an earlier simulation in that folder has written and
-    this one does not goes. Raises OutputExistsError where a scene is there already.
+    this one does not goes. Raises OutputExistsError where a scene is there already, InputError
+    for a DSM that is none or a town without sun.
 
     Args:
         options: of the simulation.
@@ -66,6 +68,7 @@ def _simulate_town(scene: Scene, options: SimulateOptions, progress: Progress) -
     bright = (world.classes == 6)[..., None] & (world.albedo > BRIGHT_ROOF).any(-1, keepdims=True)
     world.albedo = np.where(bright, np.minimum(world.albedo * _light(options).roofs, 0.95), world.albedo)
     low, high = float(world.height.min()), float(world.top.max())
+    views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
     write_truth(scene, world, grid)
@@ -73,7 +76,6 @@ def _simulate_town(scene: Scene, options: SimulateOptions, progress: Progress) -
     from sattools.simulate.trace import sky_share
 
     sky = sky_share(world, SKY_STRIDE)
-    views = plan_views(options, grid, (low, high), np.random.default_rng(seeds[1]))
 
     def take(number: int, view: SimulatedView, seed: np.random.SeedSequence) -> Item:
         return _take(scene, options, _on_the_day(options, world, number, view), sky, view, seed)
@@ -121,6 +123,12 @@ def plan_views(
         # half past ten in the morning by the sun, give or take
         minutes = 60 * (10.5 - lon / 15) + rng.uniform(-25, 25)
         time = (days[date] + timedelta(minutes=minutes)).replace(microsecond=0)
+        sun = sun_position(time, lon, lat)
+        if sun[1] < LOWEST_SUN_DEG:
+            raise InputError(
+                f"{options.dsm or '--lat'}: found a sun {sun[1]:.1f} degrees high at {lat:.1f} N on {time:%Y-%m-%d}, "
+                f"expected at least {LOWEST_SUN_DEG:g}: a place nearer to the equator"
+            )
         azimuth = float((turn + 137.508 * k) % 360)
         sensor = (azimuth, 90.0 - float(tilts[k]))
         view = grid_direction(*sensor, grid.crs, lon, lat)
@@ -131,7 +139,7 @@ def plan_views(
         bias = options.bias_px * np.sqrt(rng.uniform()) * np.array([np.cos(angle), np.sin(angle)])
         views.append(
             SimulatedView(
-                f"{options.id}_{k + 1:03d}", time, sun_position(time, lon, lat), sensor, camera, rpc,
+                f"{options.id}_{k + 1:03d}", time, sun, sensor, camera, rpc,
                 error, shape, dates[date], (float(bias[0]), float(bias[1])),
                 "test" if k in test and len(test) < options.views else "train",
             )
@@ -181,11 +189,11 @@ def world_of(options: SimulateOptions) -> tuple[Grid, World]:
 
 def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
     from sattools.simulate.detailed import over_surface_model
-    from sattools.simulate.terrain import build_terrain, check_heights, check_relief, window
+    from sattools.simulate.terrain import build_terrain, check_heights, check_relief, tell_unknown, window
 
     assert options.dsm is not None  # the caller has looked
     heights, whole = read_raster(Path(options.dsm))
-    check_projected(whole.crs)
+    check_metres(options.dsm, whole.crs, whole.bounds)
     check_heights(options.dsm, heights)
     grid, wide, (rows, columns) = window(whole, options.size, DSM_MARGIN_M)
     check_relief(options.dsm, heights[0][np.ix_(rows, columns)], wide.width * wide.cell_size)
@@ -195,6 +203,7 @@ def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[G
         if code_grid != whole:
             raise InputError(f"{options.classes}: found {code_grid}, expected the grid of {options.dsm}: {whole}")
         classes = codes[0][np.ix_(rows, columns)]
+    tell_unknown(options.dsm, heights[0], whole, grid)
     world = build_terrain(heights[0][np.ix_(rows, columns)], wide, classes, options.gsd / 2, rng)
     return grid, over_surface_model(world, rng) if options.terrain == "downtown" else world
 
@@ -202,7 +211,7 @@ def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[G
 def _on_the_day(options: SimulateOptions, world: World, number: int, view: SimulatedView) -> World:
     """The world with the cars and the season of one image."""
     if isinstance(world, DetailedWorld):
-        world = world.on_day(leaves_on(view.time, options.lat))
+        world = world.on_day(leaves_on(view.time, view.rpc.lat_offset))
     if not options.cars:
         return world
     # a seed of their own: neither cameras nor noise change when cars do

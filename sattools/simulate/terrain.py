@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from sattools.scene.members import HEIGHT_LIMITS_M
 from sattools.simulate.materials import albedo_map, code, grain
 from sattools.simulate.world import BUILDING, GROUND, TREES, WATER, World
 
+log = logging.getLogger(__name__)
 STEP_M = 1.5  # neighbours that differ by more are parted by a wall, others joined by a slope
 ROOFS = ("gravel", "membrane", "tar", "tiles", "slate", "metal")
 OPEN_GROUND = ("grass", "soil", "pavement")
@@ -162,6 +164,24 @@ def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tupl
     wide = cells + 2 * margin
     index = _mirrored(top - margin, wide, grid.height), _mirrored(left - margin, wide, grid.width)
     return part(top, left, cells), part(top - margin, left - margin, wide), index
+
+
+def tell_unknown(path: str, heights: np.ndarray, grid: Grid, scene: Grid) -> None:
+    """Say how much of a scene a DSM leaves open: images and truth have the nearest heights there.
+
+    Args:
+        path: of the DSM.
+        heights: ``[H, W]`` [m]; NaN = unknown.
+        grid: of the heights.
+        scene: the part of it that is the scene.
+    """
+    top, left = round((grid.top - scene.top) / grid.cell_size), round((scene.left - grid.left) / grid.cell_size)
+    known = np.isfinite(heights[top : top + scene.height, left : left + scene.width])
+    if not known.all():
+        share = 100 * (1 - known.mean())
+        log.warning(
+            "%s: no height in %.2g %% of the scene, which has the nearest one there, and the truth too", path, share
+        )
 
 
 def _mirrored(start: int, count: int, size: int) -> np.ndarray:

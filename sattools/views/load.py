@@ -15,7 +15,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
 from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
-from sattools.radiometry.linear import item_bits, linear_radiance
+from sattools.radiometry.linear import eight_bits, item_bits, linear_radiance
 from sattools.radiometry.saturated import Saturated, conversion_of
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.pixels import ImagePart, image_part
@@ -157,7 +157,7 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
             log.warning("%s: sun unknown: no cast shadows for this image", item.id)
         # `normalise` says so where it left a tone-mapped image as it was
         toned = item.properties.get("sattools:tone") == "tone-mapped"
-        linear = not toned and ("radiance" in item.assets or item_bits(item.properties) > 8)
+        linear = not toned and ("radiance" in item.assets or not eight_bits(item.properties))
         given = item.properties.get(BALANCE_PROPERTY)
         balance = RadiometricBalance(**given) if given else None
         sources.append(Source(item.id, radiance, rpc, item.sun, linear, balance, saturated))

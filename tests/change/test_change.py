@@ -23,6 +23,7 @@ from sattools.scene.raster import read_raster, write_cog
 CRS = "EPSG:32617"
 SIZE = 80  # cells of 1 m
 GRID = Grid(crs=CRS, left=436000.0, top=3355080.0, cell_size=1.0, width=SIZE, height=SIZE)
+WIDE = Grid(crs=CRS, left=436000.0, top=3355080.0, cell_size=0.5, width=2 * SIZE, height=2 * SIZE)
 
 
 def run(*arguments: Any) -> Result:
@@ -59,13 +60,23 @@ def test_a_house_that_went_and_one_that_came_are_found_with_their_volumes() -> N
     assert len(regions) == 2
     sunk = min(regions, key=lambda r: r.mean_m)
     risen = max(regions, key=lambda r: r.mean_m)
-    # opening rounds the corners of the square off; the noise of both dates is 0.4 m, of a mean over 144 m2 0.2 m
+    # the noise of both dates is 0.4 m, of a mean over 144 m2 0.2 m
     assert sunk.mean_m == pytest.approx(-8.0, abs=0.6)
     assert risen.volume_m3 == pytest.approx(8.0 * 144, rel=0.1)
     assert abs(risen.volume_m3 - 8.0 * risen.area_m2) < 3 * risen.volume_std_m3
     assert max(r.p_value for r in regions) < 1e-6
     assert (labels[52:60, 52:60] == risen.label).all()
     assert (labels[52:60, 12:20] == sunk.label).all()
+
+
+@pytest.mark.parametrize(("size", "rim"), [(4, 1.5), (7, 1.5), (7, 3.0), (12, 3.0), (30, 10.0)])
+def test_a_square_that_has_risen_has_its_whole_area_and_volume(size: int, rim: float) -> None:
+    difference = np.zeros((SIZE, SIZE), np.float32)
+    difference[20 : 20 + size, 20 : 20 + size] = 4.0
+    difference[70, :] = 4.0  # a wall one cell apart
+    heights = HeightChange(difference, cell_sigma(difference, None), 1.0, 5.0)
+    (region,) = find_regions(heights, ChangeOptions(rim=rim, min_area=1.0))[1]
+    assert (region.area_m2, region.volume_m3) == (size**2, 4.0 * size**2)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -221,3 +232,47 @@ def test_bad_input_is_told_in_one_line(arguments: Any, message: str, tmp_path: P
     assert message in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def hills(seed: int, rise: float = 0.0) -> Any:
+    """Rolling ground of 4 m, and a heap with steep sides on it."""
+    x, y = np.meshgrid(np.arange(SIZE * 2.0), np.arange(SIZE * 2.0))
+    heights = 50 + 3 * np.sin(x / 30) * np.cos(y / 22) + np.random.default_rng(seed).normal(0, 0.1, x.shape)
+    heights[50:80, 50:70] += rise
+    return heights.astype(np.float32)
+
+
+def test_a_large_change_does_not_move_ground_that_has_not(tmp_path: Path) -> None:
+    files = [saved(tmp_path / f"{k}.tif", hills(k, rise), WIDE) for k, rise in ((1, 0.0), (2, 10.0))]
+    done = run(*files, "--out", tmp_path / "out")
+    assert done.exit_code == 0
+    table = json.loads((tmp_path / "out" / "change.json").read_text())
+    assert (table["registration"], table["shift_m"][:2]) == ("z", [0.0, 0.0])
+    assert "left where it is, but for its height" in table["notes"][0]
+    (region,) = table["regions"]
+    assert region["volume_m3"] == pytest.approx(10 * 15 * 10, rel=0.01)
+
+
+def test_heights_in_feet_that_do_not_say_so_are_told(tmp_path: Path) -> None:
+    """Where the shapes are alike it is an error, else a note about their level."""
+    old, new = hills(1), hills(2, 10.0) / np.float32(0.3048)
+    done = run(
+        saved(tmp_path / "old.tif", old, WIDE),
+        saved(tmp_path / "feet.tif", hills(2) / np.float32(0.3048), WIDE),
+        "--out",
+        tmp_path / "none",
+    )
+    assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
+    assert "feet.tif: found heights that are 3.28 times the other surface's, as feet are" in done.stderr
+    done = run(
+        saved(tmp_path / "old2.tif", old, WIDE), saved(tmp_path / "new.tif", new, WIDE), "--out", tmp_path / "out"
+    )
+    assert done.exit_code == 0
+    assert "which is taken out: are both in metres above the same datum?" in done.stderr
+
+
+def test_rasters_of_other_numbers_than_heights_are_refused(tmp_path: Path) -> None:
+    write_cog(tmp_path / "albedo.tif", np.ones((3, SIZE, SIZE), np.float32), GRID)
+    done = run(tmp_path / "albedo.tif", saved(tmp_path / "new.tif", city(1)), "--out", tmp_path / "out")
+    assert (done.exit_code, (tmp_path / "out").exists()) == (1, False)
+    assert "albedo.tif: found 3 bands, expected one of heights [m]" in done.stderr

@@ -15,6 +15,7 @@ from sattools.change.surfaces import read_surface
 from sattools.cli import main
 from sattools.compare.maps import compare_map
 from sattools.compare.truth import open_reference, read_reference
+from sattools.errors import InputError
 from sattools.scene import Grid
 from sattools.scene.raster import read_on, read_overview, read_raster, write_cog
 
@@ -121,3 +122,11 @@ def test_a_reference_of_a_map_may_be_in_feet_as_it_has_no_unit_of_length(tmp_pat
     figures, _ = compare_map("w", tmp_path / "w.tif", reference, (0.0, 0.0))
     assert figures["n"] > 4000
     assert figures["rmse"] < 0.05
+
+
+def test_a_class_map_of_another_place_is_refused(tmp_path: Path) -> None:
+    elsewhere = Grid(GRID.crs, GRID.left + 500, GRID.top, 1.0, 80, 60)
+    write_cog(tmp_path / "classes.tif", CLASSES, elsewhere)
+    write_cog(tmp_path / "dsm.tif", SLOPE, GRID)
+    with pytest.raises(InputError, match=r"classes\.tif: found no class where .*dsm\.tif lies"):
+        read_reference(tmp_path / "dsm.tif", tmp_path / "classes.tif")

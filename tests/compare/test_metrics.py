@@ -211,3 +211,8 @@ def test_pixels_without_a_value_are_not_scored() -> None:
     assert figures["psnr"] == math.inf
     assert figures["ssim"] == pytest.approx(1.0)
     assert figures["lpips"] is None
+
+
+def test_errors_are_not_told_as_shares_of_a_mean_below_zero() -> None:
+    figures = map_errors(np.array([0.2, 0.4, 0.6]), np.array([0.2, 0.4, -9999.0]))
+    assert (figures["nrmse"], figures["nrmse_constant"], figures["nrmse_scaled"]) == (None, None, None)

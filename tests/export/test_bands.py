@@ -1,6 +1,7 @@
 """All eight bands of a multispectral image, from the digital numbers to maps with the bands' names."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import rasterio
@@ -9,6 +10,7 @@ from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.radiometry.bands import named_bands
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
 from sattools.scene import Scene
@@ -50,3 +52,40 @@ def test_three_bands_of_eight_are_red_green_and_blue(make_town: Callable[[], Sce
     normalise(scene, NormaliseOptions())
     bands = scene.items[0].assets["radiance"].extra["eo:bands"]
     assert [band["common_name"] for band in bands] == ["red", "green", "blue"]
+
+
+def test_bands_that_files_name_are_named_in_maps_without_normalise(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    for item in scene.items:
+        item.assets["image"].extra.update(named_bands(None, ["blue", "green", "red"]))
+    fit(scene, replace(QUICK, bands=["red", "blue"]))
+    export(scene, ExportOptions())
+    with rasterio.open(scene.path(scene.products["albedo"])) as data:
+        assert data.descriptions == ("albedo red", "albedo blue")
+
+
+def test_red_green_and_blue_of_eight_are_those_that_the_files_name(make_town: Callable[[], Scene]) -> None:
+    scene = eight_bands(make_town())
+    names = ["coastal", "blue", "nir", "green", "yellow", "red", "rededge", "nir08"]  # another sensor's
+    for item in scene.items:
+        item.properties["platform"] = None
+        item.assets["image"].extra.update(named_bands(None, names))
+    normalise(scene, NormaliseOptions())
+    assert [b["name"] for b in scene.items[0].assets["radiance"].extra["eo:bands"]] == ["red", "green", "blue"]
+    with rasterio.open(scene.path(scene.items[0].assets["image"].href)) as numbers:
+        wanted = numbers.read([6, 4, 2]) / 2047
+    np.testing.assert_allclose(read_image(scene.path("radiance/TOWN_001.tif")), wanted, rtol=1e-5)
+
+
+def test_pictures_under_another_sun_name_their_bands_and_their_scale(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    for item in scene.items:
+        item.assets["image"].extra.update(named_bands(None, ["blue", "green", "red"]))
+    fit(scene, QUICK)
+    export(scene, ExportOptions(view=["TOWN_002"], sun=(200.0, 40.0)))
+    words = ("radiance blue", "radiance green", "radiance red")
+    with rasterio.open(scene.path(scene.products["relit"])) as relit:
+        assert (relit.descriptions, relit.tags()["SCALE"][:9]) == (words, "relative:")
+    for name in ("relit", "rendered"):
+        with rasterio.open(scene.path(scene.items[1].assets[name].href)) as data:
+            assert data.descriptions == words

@@ -321,3 +321,12 @@ def test_the_histograms_labels_stay_within_the_picture(
     drawn = figures[0].axes[1].xaxis.label.get_window_extent()
     assert figures[0].bbox.x0 <= drawn.x0 < drawn.x1 <= figures[0].bbox.x1
     assert drawn.y0 >= figures[0].bbox.y0
+
+
+@pytest.mark.parametrize(("most", "full"), [(0.9, 1.0), (1.0, 1.0), (1.3, 3.0), (1500.0, 2047.0), (9000.0, 16383.0)])
+def test_floating_point_numbers_are_shares_of_what_holds_the_largest(make_scene: Any, most: Any, full: Any) -> None:
+    image = np.array([[[0.25 * most, most]]], np.float32)
+    scene = make_scene(image, **{"sattools:bits": None, "sattools:value_range": [0.25 * most, most]})
+    normalise(scene, NormaliseOptions())
+    np.testing.assert_allclose(result(scene)[0], [0.25 * most / full, most / full], rtol=1e-6)
+    assert scene.items[0].properties["sattools:tone"] == "linear"

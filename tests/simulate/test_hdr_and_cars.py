@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from sattools.cli import main
 from sattools.errors import InputError
 from sattools.scene.raster import read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
@@ -93,3 +95,29 @@ def test_cars_smaller_than_a_cell_take_one() -> None:
     world = build_city((0.0, 0.0), 60.0, 4.0, 0.0, np.random.default_rng(0))
     same = with_cars(world, 3, 30.0, np.random.default_rng(0))
     assert 1 <= (same.height != world.height).sum() <= 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--sun-elevation", "20", "--slope", "5"], ["--sun-elevation does", "--slope does", "expected natural"]),
+        (
+            ["--terrain", "natural", "--hdr", "--bits", "8"],
+            ["--hdr does nothing here", "--bits does", "city or downtown"],
+        ),
+        (["--classes", "c.tif"], ["--classes does nothing here: found no --dsm, expected one with it"]),
+        (["--terrain", "natural", "--slope", "5"], []),
+        (["--hdr", "--bits", "8", "--cars", "3"], []),
+    ],
+)
+def test_options_that_do_nothing_beside_the_others_are_told(arguments: list[str], words: list[str]) -> None:
+    done = CliRunner().invoke(main, ["simulate", "--dry-run", *arguments])
+    assert all(word in done.stderr for word in words)
+    assert bool(words) == ("does nothing here" in done.stderr)
+
+
+@pytest.mark.parametrize("bits", [9, 10, 12])
+def test_towns_of_other_bits_than_8_and_11_are_wrong_usage(bits: int) -> None:
+    done = CliRunner().invoke(main, ["simulate", "--dry-run", "--bits", str(bits)])
+    assert done.exit_code == 2
+    assert f"--bits: found {bits}, expected 8 or 11 for a city" in done.stderr

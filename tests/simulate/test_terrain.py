@@ -9,7 +9,7 @@ import pytest
 from sattools.errors import InputError
 from sattools.scene import Grid
 from sattools.scene.raster import read_image, read_raster, write_cog
-from sattools.simulate import SimulateOptions, simulate
+from sattools.simulate import SimulateOptions, simulate, stage
 from sattools.simulate.terrain import build_terrain, window
 
 GRID = Grid("EPSG:32633", 400_000.0, 5_200_000.0, 1.0, 60, 50)
@@ -116,3 +116,48 @@ def test_relief_that_no_place_has_is_refused(tmp_path: Path, terrain: Any) -> No
     options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2)
     with pytest.raises(InputError, match=r"dsm\.tif: found 7500 m between the lowest and the highest place"):
         simulate(options, tmp_path / "out")
+
+
+@pytest.mark.parametrize("terrain", ["city", "natural"])
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
+def test_a_surface_whose_map_does_not_count_metres_is_refused_by_its_name(
+    tmp_path: Path, terrain: Any, crs: str
+) -> None:
+    cell = {"EPSG:4326": 1e-5, "EPSG:3857": 1.0}[crs]
+    left, top = {"EPSG:4326": (12.0, 60.0), "EPSG:3857": (1_335_000.0, 8_400_000.0)}[crs]
+    write_cog(tmp_path / "dsm.tif", hill().astype(np.float32), Grid(crs, left, top, cell, 60, 50))
+    options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2)
+    with pytest.raises(InputError, match=r"dsm\.tif: CRS .*expected"):
+        simulate(options, tmp_path / "out")
+
+
+@pytest.mark.parametrize("terrain", ["city", "natural"])
+def test_ground_without_heights_in_the_given_surface_is_told(
+    tmp_path: Path, terrain: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    heights = hill().astype(np.float32)
+    heights[20:30, 20:36] = np.nan
+    write_cog(tmp_path / "dsm.tif", heights, GRID)
+    options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=40.0, views=2)
+    simulate(options, tmp_path / "out")
+    assert "dsm.tif: no height in 10 % of the scene, which has the nearest one there, and the truth too" in caplog.text
+
+
+def test_a_town_whose_sun_is_down_is_refused(tmp_path: Path) -> None:
+    write_cog(tmp_path / "dsm.tif", hill().astype(np.float32), Grid("EPSG:32633", 5e5, 8.66e6, 1.0, 60, 50))
+    options = SimulateOptions(dsm=str(tmp_path / "dsm.tif"), size=32.0, views=6)
+    with pytest.raises(InputError, match=r"dsm\.tif: found a sun -?\d+\.\d degrees high at 78\.0 N on 201"):
+        simulate(options, tmp_path / "out")
+    assert not list((tmp_path / "out").rglob("*.tif"))
+
+
+def test_the_season_of_trees_is_that_of_the_given_surfaces_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    monkeypatch.setattr(stage, "leaves_on", lambda day, lat: asked.append(lat) or 1.0)
+    grid = Grid("EPSG:32756", 334_000.0, 6_250_000.0, 1.0, 60, 50)  # Sydney
+    write_cog(tmp_path / "dsm.tif", hill().astype(np.float32), grid)
+    options = SimulateOptions(terrain="downtown", dsm=str(tmp_path / "dsm.tif"), size=32.0, views=2, bias_px=0.0)
+    simulate(options, tmp_path / "out")
+    assert asked == pytest.approx([-33.9, -33.9], abs=0.1)

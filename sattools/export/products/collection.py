@@ -11,6 +11,7 @@ import numpy as np
 from pyproj import CRS
 
 from sattools.camera.ground import to_geographic
+from sattools.radiometry.bands import COMMON_NAMES
 from sattools.scene import Scene
 from sattools.scene.datums import horizontal, vertical_of
 from sattools.scene.dependencies import STAGES, names_of
@@ -26,7 +27,6 @@ PRODUCTS = {"collection": COLLECTION, "collection_item": ITEM}
 _PROJECTION = "https://stac-extensions.github.io/projection/v2.0.0/schema.json"
 _RASTER = "https://stac-extensions.github.io/raster/v2.0.0/schema.json"
 _EO = "https://stac-extensions.github.io/eo/v2.0.0/schema.json"
-_COLOURS = ("pan", "coastal", "blue", "green", "yellow", "red", "rededge", "nir", "nir08", "nir09", "cirrus")
 _TYPES = {
     ".tif": COG_TYPE,
     ".png": "image/png",
@@ -172,7 +172,7 @@ def _raster(path: Path) -> JsonObject:
 def _band(text: str, length: str | None) -> JsonObject:
     band: JsonObject = {"name": text}
     colour: Any = text.rpartition(" ")[2].lower()
-    if colour in _COLOURS:
+    if colour in COMMON_NAMES:
         band["eo:common_name"] = colour
     if length is not None:
         band["eo:center_wavelength"] = float(length)

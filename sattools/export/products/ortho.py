@@ -78,6 +78,14 @@ class Balance:
         return np.maximum(np.where((lifted <= self.brightest[at]).all(axis=0), lifted, bright), 0.0)
 
 
+def _colour_names(job: _Job) -> list[str]:
+    """Of the multispectral images' bands, as their files say; three that say nothing are taken for a picture's."""
+    said = job.cameras[0].item.assets["colours"].extra.get("eo:bands") or []
+    if len(said) == job.colours:
+        return [str(band.get("common_name", band["name"])) for band in said]
+    return ["red", "green", "blue"] if job.colours == 3 else [str(k + 1) for k in range(job.colours)]
+
+
 def write_ortho(
     scene: Scene, model: FittedModel, maps: Maps, files: tuple[Path, Path], vertical: str, progress: Progress
 ) -> dict[str, float]:
@@ -97,11 +105,8 @@ def write_ortho(
         bands = [str(text or "").replace("albedo", "colour") for text in data.descriptions]
         kept = {k: v for k, v in data.tags().items() if k in ("SCALE", "WAVELENGTHS_UM")}
     if job.colours:
-        bands = (
-            [f"colour {name}" for name in ("red", "green", "blue")[: job.colours]]
-            if job.colours == 3
-            else [f"colour {k + 1}" for k in range(job.colours)]
-        )
+        bands = [f"colour {name}" for name in _colour_names(job)]
+        kept.pop("WAVELENGTHS_UM", None)  # of the panchromatic albedo
     names = {f"IMAGE_{k + 1}": camera.item.id for k, camera in enumerate(job.cameras)}
     grid = maps.grid
     grid = Grid(grid.crs, grid.left, grid.top, job.size, grid.width * job.fine, grid.height * job.fine)
