@@ -20,6 +20,7 @@ from sattools.fit.materials.inversion import (
     solve_amplitudes,
 )
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse, radiance_factor
+from sattools.fit.materials.shading import told_apart
 from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
 from sattools.fit.materials.steps import NORMAL_CELLS, smooth_heights, smooth_normals
 from sattools.fit.materials.uncertainty import known_share, parameter_std, shape_correlation
@@ -54,7 +55,7 @@ class ReflectiveScene(SurfaceScene):
         abundances: ``[H, W, K]`` of the endmembers in each cell; fixed.
         suns, view_vectors: ``[V, 3]`` unit vectors to sun and sensor; scale: ``[V]``.
         cell_size: [m].
-        frozen: ``[H, W, 3]`` normals that do not follow the height, or None.
+        frozen: ``[H, W, 3]`` normals that do not follow the height, as given or as `finish` leaves them, or None.
         smooth: weight of the amplitudes' smoothness.
         identifiable: ``[H, W, 3]`` share of the shapes' prior variance that the images took away; or empty.
         sky: ``[H, W, C]`` gain of the sky's light, see `sattools.fit.materials.sky`; empty = no sky.
@@ -283,7 +284,7 @@ class ReflectiveScene(SurfaceScene):
         """Members for the final heights; the albedo becomes the reflectance at standard geometry.
 
         The amplitudes stay those of gradient descent, which undoes the blur of the images, but for what they must move
-        along with the endmembers.
+        along with the endmembers, and for what an error of the slope explains better.
 
         Args:
             views: the views.
@@ -301,10 +302,13 @@ class ReflectiveScene(SurfaceScene):
             solve_amplitudes(self.kind, s, endmembers, flat, 1)[0]
             for s, endmembers in ((earlier, before), (whole, self.endmembers))
         )
-        self.amplitude.copy_((flat + new - old).reshape(self.amplitude.shape))
+        amplitude, normal = told_apart(self.kind, whole, flat + new - old, self.endmembers, self.frozen is None)
+        self.amplitude.copy_(amplitude.reshape(self.amplitude.shape))
+        self.frozen = normal.reshape(*self.height.shape, 3)
+        whole = replace(whole, normal=normal)
         self.identifiable = self.abundances @ known_share(self.kind, solution).to(self.abundances)
         self.correlation = shape_correlation(solution)
-        std = parameter_std(self.kind, whole, self.amplitude.reshape(whole.normal.shape[0], -1), solution)
+        std = parameter_std(self.kind, whole, amplitude, solution)
         self.albedo = standard_reflectance(self)
         rows, cols = self.height.shape
         return {name: t.reshape(rows, cols, *t.shape[1:]) for name, t in std.items()}
