@@ -123,7 +123,9 @@ def _target(s: Samples, here: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     count = weight.sum(0).clamp_min(1e-3)
     residual = (s.seen - here) / sigma
     common = (weight * residual).sum(0) / count
-    believed = common.square().mean(-1) / (common.square().mean(-1) + MISFIT**2)
+    alike = common.square().mean(-1)
+    unlike = ((weight * (residual - common).square()).sum(0) / count).mean(-1)
+    believed = alike / (alike + unlike + MISFIT**2)
     misfit = ((weight * residual**2).sum(0) / count).mean(-1, keepdim=True).clamp(0.25, 25)
     counts = weight / (sigma**2 * misfit * (1 + ((residual - common) / ROBUST) ** 2))
     return here + believed[:, None] * (s.seen - here), counts, believed > 0.5
