@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from shapely.geometry import box
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
@@ -98,6 +99,7 @@ def prepare(
     _warn(check_heights(*heights, result.heights(), given), notes)
     scene.grid = _grid(options, sources, result, crs, heights, asked, edges=whole.edges(), notes=notes)
     scene.height_range_m = heights
+    roles |= _outside(scene, sources, result, whole.edges(), notes)
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
     write_images(scene, sources, result, last, crop=asked is not None, copy=options.copy)
@@ -252,6 +254,24 @@ def _roles(
             "(do they show the same place, with their own RPCs?)"
         )
     return roles
+
+
+def _outside(
+    scene: Scene,
+    sources: Sequence[SourceImage],
+    result: Adjustment,
+    edges: Sequence[NDArray[np.float64] | None],
+    notes: list[str],
+) -> dict[str, str]:
+    """Roles of images that show nothing of the area, as tiles of a mosaic beside it: every fit would refuse them."""
+    found, grid = {}, scene.require_grid()
+    for source, rpc, edge in zip(sources, result.rpcs, edges, strict=True):
+        window = (0, 0, source.window[2], source.window[3])
+        shown = (ground_polygon(rpc, window, h, grid.crs, edge) for h in scene.require_height_range())
+        if not all(polygon.intersects(box(*grid.bounds)) for polygon in shown):
+            found[source.id] = "unused"
+            _warn([f"{source.id}: shows nothing of the area, set aside (role unused)"], notes)
+    return found
 
 
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
