@@ -79,6 +79,14 @@ def test_a_square_that_has_risen_has_its_whole_area_and_volume(size: int, rim: f
     assert (region.area_m2, region.volume_m3) == (size**2, 4.0 * size**2)
 
 
+def test_a_wall_beside_a_change_is_none() -> None:
+    difference = np.zeros((2 * SIZE, 2 * SIZE), np.float32)
+    difference[10:150, 40:80] = difference[10:150, 81] = 4.0
+    heights = HeightChange(difference, cell_sigma(difference, None), 1.0, 5.0)
+    (region,) = find_regions(heights, ChangeOptions(rim=5.0))[1]
+    assert region.area_m2 == 140 * 40
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_nothing_is_found_where_nothing_has_changed(seed: int) -> None:
     # walls one cell apart, as surfaces of two dates have them
