@@ -98,8 +98,18 @@ def test_cells_that_the_descent_has_given_up_are_taken_from_the_views() -> None:
 def test_a_scene_all_in_shade_has_the_mean_of_what_it_had() -> None:
     s, truth, endmembers, _ = hills("hapke", texture=0.0, lit=False)
     amplitude, normal = told_apart("hapke", s, truth, endmembers)
-    assert bool(torch.isfinite(amplitude).all())
+    assert torch.allclose(amplitude, truth, rtol=0.01)
     assert torch.equal(normal, s.normal)
+
+
+def test_a_material_of_which_nothing_is_in_the_sun_is_none_of_the_others() -> None:
+    s, truth, endmembers, _ = hills("hapke", texture=0.0)
+    dark = torch.arange(CELLS) < 100
+    s.weight[:, dark] = 0
+    s.abundances = torch.stack([~dark, dark], -1).float()
+    wanted = torch.where(dark[:, None], -3.0, truth)
+    amplitude, _ = told_apart("hapke", s, wanted, endmembers.repeat(2, 1), slopes=False)
+    assert torch.allclose(amplitude, wanted, rtol=0.01)
 
 
 def test_a_normal_leans_by_the_slope_it_is_given() -> None:
