@@ -92,7 +92,8 @@ def _solve(kind: Kind, s: Samples, amplitude: Tensor, mean: Tensor, endmembers: 
     bands = amplitude.shape[1]
     one = torch.eye(bands).to(amplitude)
     precision = torch.linalg.inv((ALIKE + (1 - ALIKE) * one) * TEXTURE**2)
-    relative = 1 - torch.sigmoid(mean)  # of a logarithm of the amplitude per unit of the unbounded form
+    # of a logarithm of the amplitude per unit of the unbounded form; rounding makes it 0 where a material is all white
+    relative = 1 - torch.sigmoid(mean.clamp_max(9))
     precision = relative[:, :, None] * precision * relative[:, None, :]
     seen, counts, astray = _target(s, predict(kind, s, amplitude, endmembers))
     amplitude = torch.where(astray[:, None], mean, amplitude)
@@ -125,7 +126,8 @@ def _target(s: Samples, here: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     count = weight.sum(0).clamp_min(1e-3)
     residual = (s.seen - here) / sigma
     common = (weight * residual).sum(0) / count
-    believed = common.square().mean(-1) / (common.square().mean(-1) + MISFIT**2)
+    # steeply: a common residual within the noise is the images' blur, which the descent has undone
+    believed = 1 / (1 + (MISFIT**2 / common.square().mean(-1).clamp_min(1e-6)) ** 2)
     misfit = ((weight * residual**2).sum(0) / count).mean(-1, keepdim=True).clamp(0.25, 25)
     counts = weight / (sigma**2 * misfit * (1 + ((residual - common) / ROBUST) ** 2))
     return here + believed[:, None] * (s.seen - here), counts, believed > 0.5
