@@ -264,12 +264,8 @@ def test_a_large_change_does_not_move_ground_that_has_not(tmp_path: Path) -> Non
 def test_heights_in_feet_that_do_not_say_so_are_told(tmp_path: Path) -> None:
     """Where the shapes are alike it is an error, else a note about their level."""
     old, new = hills(1), hills(2, 10.0) / np.float32(0.3048)
-    done = run(
-        saved(tmp_path / "old.tif", old, WIDE),
-        saved(tmp_path / "feet.tif", hills(2) / np.float32(0.3048), WIDE),
-        "--out",
-        tmp_path / "none",
-    )
+    write_cog(tmp_path / "feet.tif", hills(2) / np.float32(0.3048), WIDE)
+    done = run(saved(tmp_path / "old.tif", old, WIDE), tmp_path / "feet.tif", "--out", tmp_path / "none")
     assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
     assert "feet.tif: found heights that are 3.28 times the other surface's, as feet are" in done.stderr
     done = run(
@@ -277,6 +273,22 @@ def test_heights_in_feet_that_do_not_say_so_are_told(tmp_path: Path) -> None:
     )
     assert done.exit_code == 0
     assert "which is taken out: are both in metres above the same datum?" in done.stderr
+
+
+@pytest.mark.parametrize("units", ["m", None])
+@pytest.mark.parametrize("radius", [25.0, 80.0])
+def test_a_heap_that_has_grown_to_three_times_its_height_is_not_in_feet(
+    tmp_path: Path, units: str | None, radius: float
+) -> None:
+    x, y = np.meshgrid(np.arange(SIZE) - 40.0, np.arange(SIZE) - 40.0)
+    heap = np.maximum(0.0, 1 - np.hypot(x, y) / radius)
+    for name, top in (("old", 6.0), ("new", 6.0 / 0.3048)):
+        noise = np.random.default_rng(int(top)).normal(0, 0.1, heap.shape)
+        write_cog(tmp_path / f"{name}.tif", (30 + top * heap + noise).astype(np.float32), GRID, units=units)
+    done = run(tmp_path / "old.tif", tmp_path / "new.tif", "--out", tmp_path / "out")
+    # where all of it has grown, only the file can say so
+    assert done.exit_code == (1 if units is None and radius > 40 else 0)
+    assert ("-units ft, or m if they are)" in done.stderr) == bool(done.exit_code)
 
 
 def test_rasters_of_other_numbers_than_heights_are_refused(tmp_path: Path) -> None:
