@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from statistics import median_high
 
 import numpy as np
 
@@ -35,9 +36,10 @@ def item_bits(properties: JsonObject) -> int:
 
 
 def shared_bits(item: Item, items: Iterable[Item]) -> int:
-    """Bits of an item's full scale, see `item_bits`, for floating point numbers the most that any of its sensor needs.
+    """Bits of an item's full scale, see `item_bits`, for floating point numbers what most images of its sensor need.
 
-    One bright roof in one image would else make all of that image darker than the others.
+    One bright roof or bad pixel in one image would else make all of that image darker than the others. It may be
+    brighter than the full scale then; nothing is clipped.
 
     Args:
         item: the image.
@@ -48,8 +50,9 @@ def shared_bits(item: Item, items: Iterable[Item]) -> int:
         for other in items
         if without_bits(other.properties) and other.properties.get("platform") == item.properties.get("platform")
     ]
-    own = item_bits(item.properties)
-    return max([own, *alike]) if without_bits(item.properties) else own
+    if not without_bits(item.properties):
+        return item_bits(item.properties)
+    return median_high(alike or [item_bits(item.properties)])
 
 
 def eight_bits(properties: JsonObject) -> bool:
