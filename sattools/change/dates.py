@@ -15,7 +15,9 @@ from sattools.compare.registration import Method, Registration, register, search
 from sattools.compare.tally import Median
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
+from sattools.scene.opening import opened
 from sattools.scene.stored import cut, new_map, pieces
+from sattools.scene.values import says_metres
 
 SAMPLED = 1_000_000  # cells of which brightness and contrast are told
 
@@ -137,8 +139,11 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
     for rows, cols in cut(grid.shape):
         before[rows, cols] = old.on("height", grid.part(rows, cols))[0]
     found, notes = _registered(wide, before, method, margin, new, grid)
-    feet = in_feet(wide, before, found, margin)
-    check_metres(feet, str(new.layers["height"]), str(old.layers["height"]))
+    feet = in_feet(wide, before, found, margin, throughout=True)
+    names = {"surface": new.layers["height"], "reference": old.layers["height"]}
+    # ground may have grown to three times its height, and then its file can say so
+    if feet is not None and not _says_metres(names[feet]):
+        check_metres(feet, str(names["surface"]), str(names["reference"]), "ft, or m if they are")
     difference = new_map(grid.shape, np.float32, folder)
     common = 0
     for rows in pieces(grid.shape):
@@ -156,6 +161,11 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
         difference[rows] = shifted(wide, found.columns, found.rows, margin, rows) - offset - before[rows]
     east, north, _ = found.metres(grid.cell_size)
     return Dates(old, new, difference, found, (east, north, -offset), margin, folder, notes)
+
+
+def _says_metres(path: Path) -> bool:
+    with opened(path) as data:
+        return says_metres(data.units[0])
 
 
 def _registered(

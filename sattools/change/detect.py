@@ -247,12 +247,15 @@ def with_corners(opened: np.ndarray, cells: np.ndarray, radius: float) -> np.nda
         cells: ``[H, W]`` bool of which it is.
         radius: of the disk [cells].
     """
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import binary_dilation, distance_transform_edt
 
     if not opened.any():
         return opened
     # from a right angle to its disk, and half a diagonal of a cell
-    return np.asarray(cells & (distance_transform_edt(~opened) <= (math.sqrt(2) - 1) * radius + math.sqrt(0.5)))
+    reach = (math.sqrt(2) - 1) * radius + math.sqrt(0.5)
+    near = cells & (distance_transform_edt(~opened) <= reach)
+    # not across what has not changed, to a wall beside it
+    return np.asarray(opened | binary_dilation(opened, np.ones((3, 3)), iterations=math.ceil(reach), mask=near))
 
 
 __all__ = [

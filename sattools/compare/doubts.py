@@ -40,11 +40,19 @@ def check_heights(path: Path, one_band: bool) -> None:
         raise InputError(f"{path}: found numbers in the unit {unit[:40]!r}, expected heights in metres or feet")
 
 
-def in_feet(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int) -> str | None:
+def in_feet(
+    wide: np.ndarray, reference: np.ndarray, shift: Registration, margin: int, throughout: bool = False
+) -> str | None:
     """Which of "surface" and "reference" is in feet without saying so; None where neither is.
 
-    One varies as much more than the other as feet do, and alike: bad heights do the first at most. Arguments as of
-    `of_registration`.
+    One varies as much more than the other as feet do, and alike: bad heights do the first at most.
+
+    Args:
+        wide: see `of_registration`.
+        reference: likewise.
+        shift: likewise.
+        margin: likewise.
+        throughout: so does the half of the ground that varies least, as it does not where a heap has grown.
     """
     found = []
     for rows, step in _some(reference.shape):
@@ -57,24 +65,29 @@ def in_feet(wide: np.ndarray, reference: np.ndarray, shift: Registration, margin
     spread, own_spread = float(surface.std()), float(own.std())
     if min(spread, own_spread) < RELIEF_M or np.corrcoef(surface, own)[0, 1] < ALIKE:
         return None
-    ratio = max(own_spread, spread) / min(own_spread, spread) / FEET
-    if not 1 / AS_LARGE < ratio < AS_LARGE:
+    ratios = [own_spread / spread]
+    if throughout:
+        middle, own_middle = (float(np.median(np.abs(heights - np.median(heights)))) for heights in (surface, own))
+        ratios.append(own_middle / max(middle, 1e-9))
+    feet = FEET if own_spread > spread else 1 / FEET
+    if not all(1 / AS_LARGE < ratio / feet < AS_LARGE for ratio in ratios):
         return None
     return "reference" if own_spread > spread else "surface"
 
 
-def check_metres(feet: str | None, name: str, reference: str) -> None:
+def check_metres(feet: str | None, name: str, reference: str, hint: str = "ft") -> None:
     """Raise InputError, naming the file, for what `in_feet` finds.
 
     Args:
         feet: see there.
         name: of the surface.
         reference: its name.
+        hint: units that the file may say.
     """
     if feet is not None:
         raise InputError(
             f"{reference if feet == 'reference' else name}: found heights that are {FEET:.2f} times the other "
-            "surface's, as feet are, expected metres (or a file that says its unit: gdal_edit.py -units ft)"
+            f"surface's, as feet are, expected metres (or a file that says its unit: gdal_edit.py -units {hint})"
         )
 
 

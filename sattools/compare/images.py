@@ -10,7 +10,7 @@ import numpy as np
 from sattools.compare.metrics import WINDOW_PX, ImageErrors, image_errors
 from sattools.errors import InputError, MissingProductError
 from sattools.radiometry.bands import BANDS_MEMBER, chosen_bands
-from sattools.radiometry.linear import item_bits, linear_radiance
+from sattools.radiometry.linear import linear_radiance, shared_bits
 from sattools.scene.document import Item, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.pixels import image_part
@@ -75,7 +75,7 @@ def _figures(scene: Scene, item: Item, weights: Sequence[str]) -> dict[str, floa
         window = rows, slice(0, width)
         radiance = own.read(window)
         if "radiance" not in item.assets:
-            radiance = linear_radiance(radiance, item_bits(item.properties))
+            radiance = linear_radiance(radiance, shared_bits(item, scene.items))
         picture = read_image(path, window)
         if scored is not None:
             picture = np.where(np.isfinite(read_image(scored, window)), picture, np.float32(np.nan))

@@ -230,11 +230,11 @@ def write_view(exported: Shown, item_id: str, sun_angles: tuple[float, float] | 
     for name, maps in files.items():
         href = view_href(name, item_id)
         shown = name in ("rendered", "relit")
-        words = ["height"]
-        if name != "rendered_height":
-            words, lengths = band_names(scene, exported.parts.head, "radiance", len(maps))
-            tags = tags | lengths if shown else tags
-        write_sensor_maps(scene.output(href), maps, picture.rpc.to_tags(), tags if shown else {}, words)
+        words, own = [name.removeprefix("rendered_")], dict[str, str]()
+        if shown:
+            words, own = band_names(scene, exported.parts.head, "radiance", len(maps))
+            own |= tags
+        write_sensor_maps(scene.output(href), maps, picture.rpc.to_tags(), own, words)
         item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: bands} if shown and bands else {})
 
 

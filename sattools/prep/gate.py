@@ -71,11 +71,15 @@ def check_sources(sources: Sequence[SourceImage]) -> None:
 
 
 def _check_names(sources: Sequence[SourceImage]) -> None:
-    """Bands of one order, where files name them: red of one image is not fitted to blue of another."""
+    """Bands of one order, where files name them: red of one image is not fitted to blue of another.
+
+    Sensors whose infrared differs by a few tens of nanometres may be mixed, as those without names are.
+    """
     orders: dict[tuple[str, ...], SourceImage] = {}
     for source in sources:
         if named := named_bands(source.metadata.platform, source.descriptions):
-            orders.setdefault(tuple(str(band["common_name"]) for band in named["eo:bands"]), source)
+            names = (str(band["common_name"]) for band in named["eo:bands"])
+            orders.setdefault(tuple("nir" if name == "nir08" else name for name in names), source)
     if len(orders) > 1:
         (usual, first), (order, odd) = list(orders.items())[:2]
         raise InputError(

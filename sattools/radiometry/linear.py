@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from statistics import median_high
 
 import numpy as np
 
+from sattools.scene.document import Item
 from sattools.scene.jsonio import JsonObject
 
 DEFAULT_BITS = 11  # WorldView, GeoEye, QuickBird products in 16-bit files
@@ -20,7 +23,8 @@ def without_bits(properties: JsonObject) -> bool:
 def item_bits(properties: JsonObject) -> int:
     """Significant bits of an item's digital numbers: its own statement, else 8 or 11 by file type.
 
-    Floating point numbers may be counts or shares of 1: theirs are the fewest that hold the largest, 1 up to 1.0.
+    Floating point numbers may be counts or shares of 1: theirs are the fewest that hold the largest, 1 up to 1.0; see
+    `shared_bits`.
     """
     bits = properties.get("sattools:bits")
     if bits:
@@ -29,6 +33,26 @@ def item_bits(properties: JsonObject) -> int:
     if without_bits(properties) and highest is not None:
         return max(1, math.ceil(math.log2(max(highest, 0.0) + 1)))
     return 8 if properties.get("sattools:dtype") == "uint8" else DEFAULT_BITS
+
+
+def shared_bits(item: Item, items: Iterable[Item]) -> int:
+    """Bits of an item's full scale, see `item_bits`, for floating point numbers what most images of its sensor need.
+
+    One bright roof or bad pixel in one image would else make all of that image darker than the others. It may be
+    brighter than the full scale then; nothing is clipped.
+
+    Args:
+        item: the image.
+        items: all of the scene.
+    """
+    alike = [
+        item_bits(other.properties)
+        for other in items
+        if without_bits(other.properties) and other.properties.get("platform") == item.properties.get("platform")
+    ]
+    if not without_bits(item.properties):
+        return item_bits(item.properties)
+    return median_high(alike or [item_bits(item.properties)])
 
 
 def eight_bits(properties: JsonObject) -> bool:
@@ -79,6 +103,7 @@ __all__ = [
     "invalid_numbers",
     "item_bits",
     "linear_radiance",
+    "shared_bits",
     "undo_gamma",
     "without_bits",
 ]

@@ -18,8 +18,8 @@ from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions
 from sattools.radiometry.linear import (
     gain_and_offset,
     invalid_numbers,
-    item_bits,
     linear_radiance,
+    shared_bits,
     undo_gamma,
     without_bits,
 )
@@ -277,7 +277,7 @@ def _check_black(job: _Job, item: Item) -> None:
 
 def _bits(items: list[Item], options: NormaliseOptions, notes: list[str]) -> dict[str, int]:
     """Significant bits per image; images of one sensor share the largest, as a dark scene's values prove nothing."""
-    bits_of = {item.id: options.bits or item_bits(item.properties) for item in items}
+    bits_of = {item.id: options.bits or shared_bits(item, items) for item in items}
     groups = {item.id: (item.properties.get("platform"), item.properties.get("sattools:dtype")) for item in items}
     for group in set(groups.values()):
         members = [i for i in bits_of if groups[i] == group]

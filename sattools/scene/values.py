@@ -20,8 +20,12 @@ _METRES = re.compile(r"m|met(er|re)s?\b.*|m[èe]tres?", re.IGNORECASE)
 
 def is_length(unit: str | None) -> bool:
     """Whether a band's unit is one of heights, or says nothing."""
-    text = (unit or "").strip()
-    return text.lower() in ("", "unknown", *_FEET) or _METRES.fullmatch(text) is not None
+    return (unit or "").strip().lower() in ("", "unknown", *_FEET) or says_metres(unit)
+
+
+def says_metres(unit: str | None) -> bool:
+    """Whether a band's unit is metres, and not left open."""
+    return _METRES.fullmatch((unit or "").strip()) is not None
 
 
 def scale_of(data: DatasetReader, band: int = 0) -> tuple[float, float]:
@@ -71,4 +75,4 @@ def _known(array: np.ndarray, data: DatasetReader, window: Window | None) -> np.
     return None if known is None or known.all() else known
 
 
-__all__ = ["is_length", "meant", "scale_of"]
+__all__ = ["is_length", "meant", "says_metres", "scale_of"]

@@ -15,7 +15,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
 from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
-from sattools.radiometry.linear import eight_bits, item_bits, linear_radiance
+from sattools.radiometry.linear import eight_bits, linear_radiance, shared_bits
 from sattools.radiometry.saturated import Saturated, conversion_of
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.pixels import ImagePart, image_part
@@ -151,7 +151,7 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
         items, cameras, names, read, needed, strict=True
     ):
         if name == "image":
-            radiance = linear_radiance(radiance, item_bits(item.properties))
+            radiance = linear_radiance(radiance, shared_bits(item, scene.items))
         rpc = camera.cropped(cols.start, rows.start).reduced(reduce)
         if item.sun is None:
             log.warning("%s: sun unknown: no cast shadows for this image", item.id)

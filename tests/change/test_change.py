@@ -79,6 +79,14 @@ def test_a_square_that_has_risen_has_its_whole_area_and_volume(size: int, rim: f
     assert (region.area_m2, region.volume_m3) == (size**2, 4.0 * size**2)
 
 
+def test_a_wall_beside_a_change_is_none() -> None:
+    difference = np.zeros((2 * SIZE, 2 * SIZE), np.float32)
+    difference[10:150, 40:80] = difference[10:150, 81] = 4.0
+    heights = HeightChange(difference, cell_sigma(difference, None), 1.0, 5.0)
+    (region,) = find_regions(heights, ChangeOptions(rim=5.0))[1]
+    assert region.area_m2 == 140 * 40
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_nothing_is_found_where_nothing_has_changed(seed: int) -> None:
     # walls one cell apart, as surfaces of two dates have them
@@ -256,12 +264,8 @@ def test_a_large_change_does_not_move_ground_that_has_not(tmp_path: Path) -> Non
 def test_heights_in_feet_that_do_not_say_so_are_told(tmp_path: Path) -> None:
     """Where the shapes are alike it is an error, else a note about their level."""
     old, new = hills(1), hills(2, 10.0) / np.float32(0.3048)
-    done = run(
-        saved(tmp_path / "old.tif", old, WIDE),
-        saved(tmp_path / "feet.tif", hills(2) / np.float32(0.3048), WIDE),
-        "--out",
-        tmp_path / "none",
-    )
+    write_cog(tmp_path / "feet.tif", hills(2) / np.float32(0.3048), WIDE)
+    done = run(saved(tmp_path / "old.tif", old, WIDE), tmp_path / "feet.tif", "--out", tmp_path / "none")
     assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
     assert "feet.tif: found heights that are 3.28 times the other surface's, as feet are" in done.stderr
     done = run(
@@ -269,6 +273,22 @@ def test_heights_in_feet_that_do_not_say_so_are_told(tmp_path: Path) -> None:
     )
     assert done.exit_code == 0
     assert "which is taken out: are both in metres above the same datum?" in done.stderr
+
+
+@pytest.mark.parametrize("units", ["m", None])
+@pytest.mark.parametrize("radius", [25.0, 80.0])
+def test_a_heap_that_has_grown_to_three_times_its_height_is_not_in_feet(
+    tmp_path: Path, units: str | None, radius: float
+) -> None:
+    x, y = np.meshgrid(np.arange(SIZE) - 40.0, np.arange(SIZE) - 40.0)
+    heap = np.maximum(0.0, 1 - np.hypot(x, y) / radius)
+    for name, top in (("old", 6.0), ("new", 6.0 / 0.3048)):
+        noise = np.random.default_rng(int(top)).normal(0, 0.1, heap.shape)
+        write_cog(tmp_path / f"{name}.tif", (30 + top * heap + noise).astype(np.float32), GRID, units=units)
+    done = run(tmp_path / "old.tif", tmp_path / "new.tif", "--out", tmp_path / "out")
+    # where all of it has grown, only the file can say so
+    assert done.exit_code == (1 if units is None and radius > 40 else 0)
+    assert ("-units ft, or m if they are)" in done.stderr) == bool(done.exit_code)
 
 
 def test_rasters_of_other_numbers_than_heights_are_refused(tmp_path: Path) -> None:

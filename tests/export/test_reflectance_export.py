@@ -149,6 +149,8 @@ def test_a_scene_of_unknown_scale_gets_its_held_out_views_scored_on_the_other_ha
     assert 0.4 < scored.sum() / known.sum() < 0.6
     import rasterio
 
+    with rasterio.open(scene.path(assets["rendered_scored"].href)) as data:
+        assert data.descriptions == ("scored",)
     with rasterio.open(scene.path(assets["rendered"].href)) as data:
         assert data.tags()["GAIN"].startswith("from the western half of the image, of unknown scale")
     # gain and offset are those of the image's own light: pixels that both suns reach entirely, a tenth of them, are

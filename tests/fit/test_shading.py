@@ -95,11 +95,41 @@ def test_cells_that_the_descent_has_given_up_are_taken_from_the_views() -> None:
     assert float((value(amplitude) - value(truth))[patch].abs().median()) < 0.03
 
 
+def test_views_blurred_within_their_noise_do_not_blur_what_the_descent_has_found() -> None:
+    s, truth, endmembers, true_normal = hills("hapke", texture=0.05)
+    s.normal = true_normal
+    lit = s.normal @ s.suns[0] > 0.5
+    kept = told_apart("hapke", s, truth, endmembers)[0]
+    s.seen = 0.93 * s.seen  # as ground that is brighter than what is around it
+    amplitude, _ = told_apart("hapke", s, truth, endmembers)
+    assert float((amplitude - kept)[lit].abs().median()) < 0.002
+
+
 def test_a_scene_all_in_shade_has_the_mean_of_what_it_had() -> None:
     s, truth, endmembers, _ = hills("hapke", texture=0.0, lit=False)
     amplitude, normal = told_apart("hapke", s, truth, endmembers)
-    assert bool(torch.isfinite(amplitude).all())
+    assert torch.allclose(amplitude, truth, rtol=0.01)
     assert torch.equal(normal, s.normal)
+
+
+def test_a_material_of_which_nothing_is_in_the_sun_is_none_of_the_others() -> None:
+    s, truth, endmembers, _ = hills("hapke", texture=0.0)
+    dark = torch.arange(CELLS) < 100
+    s.weight[:, dark] = 0
+    s.abundances = torch.stack([~dark, dark], -1).float()
+    wanted = torch.where(dark[:, None], -3.0, truth)
+    amplitude, _ = told_apart("hapke", s, wanted, endmembers.repeat(2, 1), slopes=False)
+    assert torch.allclose(amplitude, wanted, rtol=0.01)
+
+
+@pytest.mark.parametrize("value", [-40.0, 40.0])
+def test_a_material_all_black_or_white_is_no_error(value: float) -> None:
+    s, truth, endmembers, _ = hills("hapke", texture=0.0)
+    extreme = torch.full_like(truth, value)
+    s.seen = predict("hapke", s, extreme, endmembers)
+    amplitude, normal = told_apart("hapke", s, extreme, endmembers)
+    assert bool(amplitude.isfinite().all())
+    assert torch.allclose(normal, s.normal, atol=1e-2)
 
 
 def test_a_normal_leans_by_the_slope_it_is_given() -> None:

@@ -7,8 +7,12 @@ from typing import Any
 import pytest
 import rasterio
 from spoilt import Town, prep, refused
+from synthetic_views import parallel_rpc
 
 from sattools.export.products.ortho import _colour_names
+from sattools.prep.gate import check_sources
+from sattools.prep.images import SourceImage
+from sattools.prep.metadata import Metadata
 from sattools.radiometry.bands import named_bands, red_green_blue
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
@@ -54,6 +58,16 @@ def test_images_whose_bands_have_different_orders_are_refused(town: Any) -> None
         describe(path, "red", "green", "blue")
     describe(town.images()[2], "blue", "green", "red")
     refused(town, "TOWN_003.tif: found the bands blue, green, red", "expected red, green, blue as ")
+
+
+def test_sensors_whose_infrared_has_another_name_may_be_mixed() -> None:
+    def image(platform: str) -> Any:
+        names = ("blue", "green", "red", "nir" if platform == "Pleiades-1A" else "N")
+        source = SourceImage(platform, Path(f"{platform}.tif"), (9, 9), 4, "uint16", parallel_rpc(), Metadata())
+        source.descriptions, source.metadata.platform = names, platform
+        return source
+
+    check_sources([image("Pleiades-1A"), image("WorldView-3")])
 
 
 def test_an_orthophoto_has_the_names_of_the_multispectral_bands() -> None:

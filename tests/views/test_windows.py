@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 from sattools.camera.rpc import RPC
 from sattools.scene import Grid
@@ -84,3 +85,21 @@ def test_coarse_cells_are_read_as_means_and_look_the_same(town_source: Any) -> N
     assert inside.mean() > 0.9
     # one is a Gaussian's view of the cell, the other that of boxes
     assert np.abs(one.target - other.target)[inside].mean() < 0.02 * one.target[inside].std() + 0.005
+
+
+def test_floating_point_images_of_a_sensor_have_one_full_scale(make_town: Any) -> None:
+    scene = make_town()
+    before = load_sources(scene, scene.items[:2])
+    for number, item in enumerate(scene.items):
+        with rasterio.open(scene.path(item.assets["image"].href)) as data:
+            shares, profile, tags = data.read() / 2047, data.profile, data.tags(ns="RPC")
+        path = scene.root / "images" / f"{item.id}_shares.tif"
+        with rasterio.open(path, "w", **profile | {"dtype": "float32", "nodata": None}) as data:
+            data.write(shares.astype(np.float32))
+            data.update_tags(ns="RPC", **tags)
+        item.assets["image"].href = f"images/{path.name}"
+        # something in one of them is brighter than a white in full sun
+        most = 60.0 if number == 1 else 0.9
+        item.properties |= {"sattools:bits": None, "sattools:dtype": "float32", "sattools:value_range": [0.0, most]}
+    for one, other in zip(load_sources(scene, scene.items[:2]), before, strict=True):
+        np.testing.assert_allclose(one.radiance, other.radiance, atol=1e-5)

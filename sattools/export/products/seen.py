@@ -19,7 +19,7 @@ from sattools.export.validity import valid_pixels
 from sattools.fit.described import Sun
 from sattools.fit.model import FittedModel
 from sattools.radiometry.bands import chosen_bands
-from sattools.radiometry.linear import item_bits, linear_radiance
+from sattools.radiometry.linear import linear_radiance, shared_bits
 from sattools.render import sun_visibility
 from sattools.render.visibility import plate_slopes
 from sattools.scene import Grid, Item, Scene
@@ -128,7 +128,7 @@ def cameras_of(scene: Scene, model: FittedModel, heights: tuple[float, float]) -
         rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
         low, high = heights
         slope, _ = line_of_sight(rpc, model.grid, low, (low, max(high, low + 1.0)))
-        bits = item_bits(item.properties) if asset == "image" else None
+        bits = shared_bits(item, scene.items) if asset == "image" else None
         colours = None
         if {"colours", "colours_rpc"} <= item.assets.keys():
             own = RPC.from_file(scene.path(item.assets["colours_rpc"].href))

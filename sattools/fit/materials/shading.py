@@ -21,6 +21,7 @@ ALIKE = 0.9  # correlation of that between bands; 0.91 to 0.98 on scenes of seve
 # mean residual of a cell, in standard deviations, from which the views are believed and not the descent, which undoes
 # the blur of the images but never looks again at what its loss has taken for an outlier
 MISFIT = 5.0
+LEAST_COUNT = 1e-4  # of a cell in shade in its material's mean: that of one all in shade is its own
 ROUNDS = 2
 STEP = 0.01  # of the finite differences [m per m]
 STEEPEST = 1.0  # change of a slope [m per m]
@@ -65,7 +66,8 @@ def told_apart(
     """Unbounded amplitudes ``[N, C]`` and normals ``[N, 3]`` for what the views show, the likeliest together.
 
     Log amplitudes spread by `TEXTURE` about their material's mean, alike in all bands by `ALIKE`; slopes err by
-    `SLOPE_STD`. A cell that no view shows in the sun has its material's mean, and its normal.
+    `SLOPE_STD`. A cell that no view shows in the sun has its material's mean, and its normal; where nothing of that
+    material is in the sun, the mean of what the descent has left there.
 
     Args:
         kind: reflectance model.
@@ -75,7 +77,7 @@ def told_apart(
         slopes: let the normals move; else only the cells change that no view shows in the sun.
     """
     told = (s.weight > 0).any(0)[:, None]
-    mean = material_mean(s.abundances, amplitude, told.to(amplitude))
+    mean = material_mean(s.abundances, amplitude, told.to(amplitude).clamp_min(LEAST_COUNT))
     found, normal = torch.where(told, amplitude, mean), s.normal.clone()
     if not slopes or not told.any():
         return found, normal
@@ -90,7 +92,8 @@ def _solve(kind: Kind, s: Samples, amplitude: Tensor, mean: Tensor, endmembers: 
     bands = amplitude.shape[1]
     one = torch.eye(bands).to(amplitude)
     precision = torch.linalg.inv((ALIKE + (1 - ALIKE) * one) * TEXTURE**2)
-    relative = 1 - torch.sigmoid(mean)  # of a logarithm of the amplitude per unit of the unbounded form
+    # of a logarithm of the amplitude per unit of the unbounded form; rounding makes it 0 where a material is all white
+    relative = 1 - torch.sigmoid(mean.clamp_max(9))
     precision = relative[:, :, None] * precision * relative[:, None, :]
     seen, counts, astray = _target(s, predict(kind, s, amplitude, endmembers))
     amplitude = torch.where(astray[:, None], mean, amplitude)
@@ -123,9 +126,10 @@ def _target(s: Samples, here: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     count = weight.sum(0).clamp_min(1e-3)
     residual = (s.seen - here) / sigma
     common = (weight * residual).sum(0) / count
-    alike = common.square().mean(-1)
+    alike = common.square().mean(-1).clamp_min(1e-6)
     unlike = ((weight * (residual - common).square()).sum(0) / count).mean(-1)
-    believed = alike / (alike + unlike + MISFIT**2)
+    # steeply: a common residual within the noise is the images' blur, which the descent has undone
+    believed = 1 / (1 + ((MISFIT**2 + unlike) / alike) ** 2)
     misfit = ((weight * residual**2).sum(0) / count).mean(-1, keepdim=True).clamp(0.25, 25)
     counts = weight / (sigma**2 * misfit * (1 + ((residual - common) / ROBUST) ** 2))
     return here + believed[:, None] * (s.seen - here), counts, believed > 0.5
