@@ -22,13 +22,13 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import datum_tag, raster_grid, raster_vertical, read_on, read_overview, read_raster
 from sattools.scene.regrid import sample_map
-from sattools.scene.validity import MEASURED, UNSEEN
+from sattools.scene.validity import FILLED, MEANING, MEASURED, UNSEEN
 
 log = logging.getLogger(__name__)
 HEIGHTS, VALIDITY = "dsm", "validity"
 MAPS = (HEIGHTS, "dsm_std", "dsm_error95")  # where all scenes have them
 SEAMS = "seams.json"
-FILES = (*(f"{name}.tif" for name in MAPS), SEAMS)  # at most
+FILES = (*(f"{name}.tif" for name in (*MAPS, VALIDITY)), SEAMS)  # at most
 ROWS = 256  # of the whole that are put together at a time
 LARGE_STEP_M = 0.5  # between two scenes that should know the same ground
 FAINT = 1e-6  # weight of what a scene has not measured: it counts where no other has measured either
@@ -71,8 +71,11 @@ class Part:
         """``[h, w]``, bool: which cells of a grid are measured; all, if the scene does not say."""
         if VALIDITY not in self.scene.products:
             return np.ones(where.shape, bool)
-        measured: np.ndarray = read_on(self.file(VALIDITY), where, nearest=True)[0] == MEASURED
-        return measured
+        return self.codes(where) == MEASURED
+
+    def codes(self, where: Grid) -> np.ndarray:
+        """Map ``validity`` ``[h, w]`` on another grid in the same CRS; NaN outside."""
+        return read_on(self.file(VALIDITY), where, nearest=True)[0]
 
     def file(self, name: str) -> Path:
         """Where a map lies."""
@@ -108,7 +111,7 @@ def join(scenes: Sequence[Scene], out: Path, progress: Progress = silent) -> Jso
 
     Args:
         scenes: exported ones in the same CRS, on cells of any lattice.
-        out: folder for ``dsm.tif``, the other maps that all of them have, and ``seams.json``.
+        out: folder for ``dsm.tif``, the other maps and the ``validity.tif`` that all of them have, and ``seams.json``.
         progress: told the share done and what is being done.
 
     Returns:
@@ -136,13 +139,20 @@ def join(scenes: Sequence[Scene], out: Path, progress: Progress = silent) -> Jso
             )
             for name in names
         }  # fmt: skip
+        validity = None
+        if all(VALIDITY in part.scene.products for part in parts):
+            tags, path = {"MEANING": MEANING}, out / f"{VALIDITY}.tif"
+            validity = stack.enter_context(CogWriter(path, whole, dtype=np.uint8, nodata=None, tags=tags))
         for first in range(0, whole.height, ROWS):
             progress(first / whole.height, "joining")
             rows = slice(first, min(first + ROWS, whole.height))
             strip = whole.part(rows, slice(0, whole.width))
             for name, writer in writers.items():
                 writer.write(_strip(parts, name, strip), rows)
-    result = {"scenes": [part.scene.id for part in parts], "maps": names, "seams": seams}
+            if validity is not None:
+                validity.write(_codes(parts, strip), rows)
+    maps = names if validity is None else [*names, VALIDITY]
+    result = {"scenes": [part.scene.id for part in parts], "maps": maps, "seams": seams}
     write_text(out / SEAMS, json.dumps(result, indent=1) + "\n")
     return result
 
@@ -212,6 +222,16 @@ def _strip(parts: Sequence[Part], name: str, strip: Grid) -> np.ndarray:
         weight += share
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(weight > 0, total / weight, np.nan).astype(np.float32)
+
+
+def _codes(parts: Sequence[Part], strip: Grid) -> np.ndarray:
+    """Validity of the whole on some of its rows ``[h, w]``: measured where any scene has measured, else filled, ..."""
+    best = np.full(strip.shape, UNSEEN, np.uint8)
+    for part in parts:
+        own = part.codes(strip)
+        best[(own == FILLED) & (best != MEASURED)] = FILLED
+        best[own == MEASURED] = MEASURED
+    return best
 
 
 __all__ = ["MAPS", "SEAMS", "Part", "check_crs", "inner_distance", "join", "seam"]

@@ -148,13 +148,18 @@ def test_measured_heights_come_before_filled_ones(tiles: list[Scene], tmp_path: 
     unseen[:, 250:], street[100:110, :] = 0, 2
     rewrite(tiles[0], np.where(unseen == 0, 90.0, 10.0), unseen)
     rewrite(tiles[1], np.where(street == 2, 50.0, 10.0), street)
-    (seam,) = join(tiles, tmp_path / "out")["seams"]
+    made = join(tiles, tmp_path / "out")
+    (seam,) = made["seams"]
     assert (seam["cells"], seam["median_m"], seam["nmad_m"]) == (390 * 10, 0.0, 0.0)  # columns 240 to 249
     joined = read_raster(tmp_path / "out/dsm.tif")[0][0]
     np.testing.assert_allclose(joined[:, :250], 10.0, atol=1e-3)
     np.testing.assert_allclose(np.delete(joined, np.s_[100:110], axis=0), 10.0, atol=1e-3)
     # nobody has measured it: what is filled from beside comes before what two images do not reach
     np.testing.assert_allclose(joined[100:110, 260:], 50.0, atol=1e-3)
+    assert made["maps"] == ["dsm", "dsm_std", "validity"]
+    codes = read_raster(tmp_path / "out/validity.tif")[0][0]
+    assert (codes == 2).sum() == 10 * (640 - 250)
+    assert (codes == 1).sum() == codes.size - 10 * (640 - 250)
 
 
 def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> None:
