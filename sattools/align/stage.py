@@ -38,7 +38,8 @@ HEIGHTS = ("dsm", "dtm", "prior_dsm")
 CAMERAS = {"rpc": "_RPC.TXT", "colours_rpc": "_COLOURS_RPC.TXT"}  # of an item: asset -> end of its file's name
 ON_THE_GROUND = ("shadow", "s_net", "tau", "beta")  # assets of images that are maps of the ground
 MADE_OF_MAPS = sorted(
-    {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")} | CATALOGUE.keys()
+    {name for files in FILES.values() for name, href in files.items() if not href.endswith(".tif")}
+    | {"dsm_picture", *CATALOGUE}
 )
 TRANSFORM = "transform.json"
 MAX_TILT = 0.02  # beyond, normals would have to turn, and no satellite's camera is off like that [m/m]

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sattools.batch.join import FILES
+from sattools.batch.join import FILES, SEAMS, check_crs
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration, Task, reference_files
 from sattools.batch.table import TABLES
-from sattools.errors import OutputIsInputError
+from sattools.errors import OutputExistsError, OutputIsInputError, SattoolsError
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import check_outputs
+from sattools.scene.jsonio import read_json
 
 FIGURE, DIGESTS, JOINED = "speed_error.png", "digests.json", "joined"
 
@@ -24,6 +25,8 @@ def check_folder(
 
     Raises:
         SattoolsError: see `check_outputs`.
+        InputError: scenes that are to be joined and cannot be.
+        OutputExistsError: a joined surface of other scenes than these.
     """
     out = Path(options.out).absolute()
     ids = [*(scene.id for scene in scenes), *options.aoi]
@@ -35,9 +38,27 @@ def check_folder(
     # the commands of a run replace whatever there is
     outputs += [out / "runs" / c.name / name / file for name, c in pairs for file in ("task.json", "scene.json")]
     if options.join:
-        outputs += [joined_folder(out, c.name) / name for c in configurations for name in FILES]
+        check_crs({scene.id: scene.grid.crs for scene in scenes if scene.grid is not None})
+        folders = [joined_folder(out, c.name) for c in configurations]
+        outputs += [folder / name for folder in folders for name in FILES]
+        for folder in () if overwrite else folders:
+            _check_joined(folder, ids)
     ours = overwrite or (out / DIGESTS).exists()  # a batch is begun again in its own folder
     check_outputs(dict.fromkeys(outputs), inputs, ours)
+
+
+def _check_joined(folder: Path, ids: Sequence[str]) -> None:
+    """Raise OutputExistsError where the surface of scenes that are not at hand would give way to one without them."""
+    path = folder / SEAMS
+    try:
+        missing = sorted(set(read_json(path)["scenes"]) - set(ids)) if path.exists() else []
+    except (SattoolsError, KeyError, TypeError):
+        missing = []  # not ours
+    if missing:
+        raise OutputExistsError(
+            f"{folder / FILES[0]}: found a surface with {', '.join(missing)}, expected none but those given; "
+            "give them, too, or another --out (--overwrite replaces it, and does all tasks again)"
+        )
 
 
 def check_references(runs: Sequence[tuple[Task, Configuration]]) -> None:

@@ -235,6 +235,9 @@ def _join(plan: Batch, configuration: str, out: Path) -> JsonObject | None:
     """Join what a configuration has made of all scenes; see `join`. None where it has made nothing."""
     done = [plan.results[pair] for pair in plan.rows if pair[1] == configuration and pair in plan.results]
     scenes = [Scene.from_file(result["scene_json"]) for result in done]
+    failed = [name for name, of in plan.rows if of == configuration and (name, of) not in plan.results]
+    if scenes and failed:
+        log.warning("%s: the joined surface is without %s, which failed", configuration, ", ".join(failed))
     return join(scenes, joined_folder(out, configuration)) if scenes else None
 
 

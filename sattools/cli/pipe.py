@@ -79,7 +79,7 @@ def run_scenes(
         check_inputs(run.options)
         if not scene.root.is_dir():
             raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
-        _check_place(scene)
+        check_place(scene)
         if run.dry_run:
             takes = f": {foreseen(scene)}" if foreseen else ""
             if check:
@@ -146,7 +146,7 @@ def is_watched() -> bool:
     return mode == "bar" or (mode == "auto" and sys.stderr.isatty())
 
 
-def _check_place(scene: Scene) -> None:
+def check_place(scene: Scene) -> None:
     """Raise SceneError where a `scene.json` came by a pipe from elsewhere: its root is "." and means this folder."""
     from sattools.scene.location import is_remote
 
@@ -384,6 +384,7 @@ __all__ = [
     "NOTHING",
     "Run",
     "apply",
+    "check_place",
     "documents",
     "each_scene",
     "parse",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from sattools.cli.pipe import NOTHING, documents, parse, report_error
+from sattools.cli.pipe import NOTHING, check_place, documents, parse, report_error
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
 
 
@@ -45,6 +45,8 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
         done = False
         for origin, text in documents((name,)):
             scene = parse(origin, text)
+            if scene.origin is None:  # of one on disk a page says what is left of it
+                check_place(scene)
             if done and out is not None:
                 raise SceneError(
                     f"{out}: the page of scene {scene.id} would replace that of the one before, expected one scene "

@@ -43,7 +43,7 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         meanings = tuple(interpretation.name for interpretation in data.colorinterp)
         descriptions = tuple(data.descriptions)
         mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
-        masked, stated = has_mask(data), georeference_of(data)
+        masked, stated, within = has_mask(data), georeference_of(data), data.subdatasets
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")
     metadata = Metadata()
@@ -88,13 +88,27 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
     source.descriptions = descriptions
     if own_rpc is not None:
         _compare_with_own(source, own_rpc, metadata_dir)
-    off = beside_georeference(source.rpc, size, stated) if stated is not None else 0.0
-    if off > max(_OFF_PX, _OFF_SHARE * min(size)):
-        source.warn(
-            f"its georeference and its RPC ({metadata.rpc_source}) are {off:.0f} px apart across it: an orthophoto "
-            "with the RPC of the raw image? That image is needed"
-        )
+    _doubt(source, within, beside_georeference(source.rpc, size, stated) if stated is not None else 0.0)
     return source
+
+
+def _doubt(source: SourceImage, within: Sequence[str], off: float) -> None:
+    """Say what an image may be beside what it is taken for.
+
+    Args:
+        source: the image.
+        within: names of all images in its file, if there are several.
+        off: how far its georeference is from its camera [px].
+    """
+    if len(within) > 1:
+        source.warn(
+            f"holds {len(within)} images, of which the first is taken (gdal_translate {within[1]} takes another)"
+        )
+    if off > max(_OFF_PX, _OFF_SHARE * min(source.size)):
+        source.warn(
+            f"its georeference and its RPC ({source.metadata.rpc_source}) are {off:.0f} px apart across it: an "
+            "orthophoto with the RPC of the raw image? That image is needed"
+        )
 
 
 def _compare_with_own(source: SourceImage, own: RPC, metadata_dir: Path | None) -> None:

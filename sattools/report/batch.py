@@ -12,7 +12,8 @@ from sattools.batch.figure import means, speed_error_figure
 from sattools.batch.table import SHORT
 from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render
-from sattools.scene.document import check_id
+from sattools.report.parts import product
+from sattools.scene.document import Scene, check_id
 from sattools.scene.jsonio import JsonObject, read_text
 from sattools.scene.raster import read_overview
 
@@ -81,9 +82,10 @@ def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     done = [row for row in rows if row["status"] == "done"]
     for row in done[:SHOWN]:
         root, name = folder / "runs" / row["configuration"] / row["scene"], f"{row['scene']}, {row['configuration']}"
-        if (root / "export/dsm.tif").is_file():
-            heights, grid = read_overview(root / "export/dsm.tif")
-            figure = picture(heights[0], grid, name, vertical_datum(root / "export/dsm.tif"))
+        dsm = _dsm(root)
+        if dsm is not None:
+            heights, grid = read_overview(dsm)
+            figure = picture(heights[0], grid, name, vertical_datum(dsm))
             section.parts.append(Picture(figure, f"Heights of {name}", f"{name}: surface model, heights in metres."))
         if (root / "compare/difference.tif").is_file():
             difference, grid = read_overview(root / "compare/difference.tif")
@@ -92,6 +94,12 @@ def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     if len(done) > SHOWN:
         section.parts.append(f"The first {SHOWN} of {len(done)} runs are shown.")
     return section
+
+
+def _dsm(root: Path) -> Path | None:
+    """The surface of a run, which `align` may have moved; None without one."""
+    document = root / "scene.json"
+    return product(Scene.from_file(document), "dsm") if document.is_file() else None
 
 
 def _commands(folder: Path, rows: list[JsonObject]) -> Section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.validity import CLASSES as VALIDITY
 
 Outline = Sequence[Sequence[float]]
+NAME_LETTERS = 32  # as wide as one image's panel
 
 
 def new_figure(width: float = 6.4, height: float = 4.4) -> Any:
@@ -24,12 +26,17 @@ def new_figure(width: float = 6.4, height: float = 4.4) -> Any:
     return figure
 
 
+def in_lines(name: str) -> str:
+    """The name of an image in lines of `NAME_LETTERS` at most: those of vendors are longer than pictures are wide."""
+    return textwrap.fill(name, NAME_LETTERS)
+
+
 def footprints(outlines: Mapping[str, Outline], area: Outline | None) -> Any:
     """Outlines [(lon, lat), ...] in degrees of images, and of the scene's grid."""
     figure = new_figure()
     axes = figure.subplots()
     for style, (name, outline) in zip(line_styles(len(outlines)), outlines.items(), strict=True):
-        axes.plot(*np.asarray(outline, float)[:, :2].T, linewidth=1.2, label=name, **style)
+        axes.plot(*np.asarray(outline, float)[:, :2].T, linewidth=1.2, label=in_lines(name), **style)
     if area is not None:
         axes.fill(*np.asarray(area, float).T, color="0.5", alpha=0.3, label="ground grid")
     middle = np.mean([lat for outline in outlines.values() for _, lat in outline])
@@ -67,14 +74,16 @@ def residuals(names: Sequence[str], before: Sequence[float], after: Sequence[flo
         before: of each image [px].
         after: of each image [px].
     """
-    figure = new_figure(6.4, 1.4 + 0.22 * len(names))
+    labels = [in_lines(name) for name in names]
+    figure = new_figure(6.4, 1.4 + 0.22 * sum(1 + label.count("\n") for label in labels))
     axes = figure.subplots()
     rows = np.arange(len(names))
     axes.plot(before, rows, "o", color="0.6", label="before")
     axes.plot(after, rows, "o", color="tab:blue", label="after")
-    axes.set_yticks(rows, names, fontsize=7)
+    axes.set_yticks(rows, labels, fontsize=7)
     axes.invert_yaxis()
     axes.set_xscale("log")
+    axes.tick_params("x", which="both", labelsize=7, rotation=30)
     axes.set(xlabel="median residual of the tie points [pixels]")
     axes.grid(alpha=0.3)
     axes.legend()
@@ -97,7 +106,7 @@ def residual_vectors(views: Mapping[str, np.ndarray]) -> Any:
         width, height = np.ptp(own[:, 0]) or 1.0, np.ptp(own[:, 1]) or 1.0
         scale = 0.12 * max(width, height) / unit  # pixels of the image by which a residual of one pixel is drawn
         axes.quiver(*own.T, angles="xy", scale_units="xy", scale=1 / scale, width=0.006, color="tab:red")
-        axes.set_title(name, fontsize=7)
+        axes.set_title(in_lines(name), fontsize=7)
         axes.set_aspect("equal")
         axes.invert_yaxis()
         axes.tick_params(labelsize=6)
@@ -189,7 +198,7 @@ def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
     edges = np.linspace(low, max(high, low + 1e-6), 100)
     for style, (name, own) in zip(line_styles(len(values)), values.items(), strict=True):
         share = np.histogram(own, edges)[0] / max(1, own.size)
-        axes.stairs(100 * share, edges, label=name, **style)
+        axes.stairs(100 * share, edges, label=in_lines(name), **style)
     axes.set(xlabel=label, ylabel="share of the pixels [%]", ylim=(0, None))
     if len(values) <= 20:
         axes.legend(fontsize=7)

@@ -159,6 +159,15 @@ def test_surface_maps_model_and_cameras_move_together(exported: Scene, tmp_path:
     assert exported.path(exported.items[0].assets["rpc"].href).exists()
 
 
+def test_the_picture_of_the_surface_before_it_moved_is_no_product_any_more(exported: Scene, tmp_path: Path) -> None:
+    assert exported.products["dsm_picture"] == "export/dsm.png"
+    document = exported.output("scene.json")
+    assert run("align", "--to", reference_of(exported, tmp_path / "dem.tif"), document).exit_code == 0
+    scene = Scene.from_file(document)
+    assert "dsm_picture" not in scene.products
+    assert "dsm_picture" in scene.history[-1]["dropped"]
+
+
 def test_heights_above_a_geoid_stay_so_when_they_are_moved(tmp_path: Path) -> None:
     grid = Grid("EPSG:32617", 436000.0, 3355000.0, 1.0, 20, 20)
     write_cog(tmp_path / "dsm.tif", np.zeros(grid.shape, np.float32), grid, units="m", vertical="EPSG:5773")

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
 
-from sattools.batch.join import Part, join, seam
+from sattools.batch.join import Part, inner_distance, join, seam
+from sattools.batch.stage import Batch, _join
 from sattools.cli import main
 from sattools.errors import InputError, SceneError
 from sattools.scene import Scene
@@ -49,18 +51,22 @@ def errors(folder: Path) -> Any:
     return heights[0] - relief(grid)
 
 
+def part_of(grid: Grid) -> Part:
+    return Part(Scene("A", Path("a")), grid, inner_distance(np.ones(grid.shape, bool), grid.cell_size), grid)
+
+
 def test_a_scene_counts_by_the_distance_to_its_border_and_not_beyond() -> None:
-    part = Part(Scene("A", Path("a")), Grid(CRS, 436000.0, 3355200.0, 2.0, 4, 3))
+    part = part_of(Grid(CRS, 436000.0, 3355200.0, 2.0, 4, 3))
     # centres of cells lie 1 and 3 m from the border
     want = np.pad([[1, 1, 1, 1], [1, 3, 3, 1], [1, 1, 1, 1]], 1)
-    np.testing.assert_array_equal(part.weights(part.grid.widened(1)), want)
+    np.testing.assert_allclose(part.weights(part.grid.widened(1)), want, atol=1e-6)
 
 
 def test_scenes_that_only_touch_have_no_seam() -> None:
     """Their files are not even looked at."""
-    part = Part(Scene("A", Path("a")), Grid(CRS, 436000.0, 3355200.0, 2.0, 4, 3))
+    part = part_of(Grid(CRS, 436000.0, 3355200.0, 2.0, 4, 3))
     for east, north in ((8.0, 0.0), (-8.0, 0.0), (0.0, 6.0), (0.0, -6.0), (500.0, 2.0)):
-        assert seam(part, Part(Scene("B", Path("b")), part.grid.moved(east, north))) is None
+        assert seam(part, part_of(part.grid.moved(east, north))) is None
 
 
 def test_tiles_aligned_one_by_one_join_without_a_seam(tiles: list[Scene], tmp_path: Path, caplog: Any) -> None:
@@ -116,6 +122,46 @@ def test_cells_that_one_does_not_know_come_from_the_other(tiles: list[Scene], tm
     assert np.isnan(joined[0, 50:90, 100:140]).all()
 
 
+def rewrite(scene: Scene, heights: Any, validity: Any = None) -> None:
+    """Give a scene these heights ``[h, w]``, and what its validity says of them."""
+    write_cog(scene.path("export/dsm.tif"), np.asarray(heights, np.float32), scene.grid, units="m")
+    if validity is not None:
+        write_cog(scene.path("export/validity.tif"), np.asarray(validity, np.uint8), scene.grid, nodata=None)
+        scene.products["validity"] = "export/validity.tif"
+
+
+def test_there_is_no_step_where_the_data_of_a_scene_end_within_its_grid(tiles: list[Scene], tmp_path: Path) -> None:
+    """The edge of a strip runs across the west scene; the east one lies 1 m higher."""
+    rows, cols = np.mgrid[:400, :400]
+    rewrite(tiles[0], np.where(cols + rows / 4 < 350, 10.0, np.nan))
+    rewrite(tiles[1], np.full((400, 400), 11.0))
+    join(tiles, tmp_path / "out")
+    joined = read_raster(tmp_path / "out/dsm.tif")[0][0]
+    # at the outer border of both, the ramps of both end
+    assert np.nanmax(np.abs(np.diff(joined[50:350], axis=1))) < 0.1
+    assert (joined[200, 239], joined[200, 300]) == (10.0, 11.0)
+
+
+def test_measured_heights_come_before_filled_ones(tiles: list[Scene], tmp_path: Path) -> None:
+    """Of `export --fill`: the eastern half of the west scene is unseen, and a street of the east one filled."""
+    unseen, street = np.ones((400, 400)), np.ones((400, 400))
+    unseen[:, 250:], street[100:110, :] = 0, 2
+    rewrite(tiles[0], np.where(unseen == 0, 90.0, 10.0), unseen)
+    rewrite(tiles[1], np.where(street == 2, 50.0, 10.0), street)
+    made = join(tiles, tmp_path / "out")
+    (seam,) = made["seams"]
+    assert (seam["cells"], seam["median_m"], seam["nmad_m"]) == (390 * 10, 0.0, 0.0)  # columns 240 to 249
+    joined = read_raster(tmp_path / "out/dsm.tif")[0][0]
+    np.testing.assert_allclose(joined[:, :250], 10.0, atol=1e-3)
+    np.testing.assert_allclose(np.delete(joined, np.s_[100:110], axis=0), 10.0, atol=1e-3)
+    # nobody has measured it: what is filled from beside comes before what two images do not reach
+    np.testing.assert_allclose(joined[100:110, 260:], 50.0, atol=1e-3)
+    assert made["maps"] == ["dsm", "dsm_std", "validity"]
+    codes = read_raster(tmp_path / "out/validity.tif")[0][0]
+    assert (codes == 2).sum() == 10 * (640 - 250)
+    assert (codes == 1).sum() == codes.size - 10 * (640 - 250)
+
+
 def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> None:
     for scene in tiles:
         heights, grid = read_raster(scene.path("export/dsm.tif"))
@@ -134,6 +180,45 @@ def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> 
     assert heights_above(tmp_path / "one/dsm.tif") == "ellipsoid"
     with rasterio.open(tmp_path / "one/dsm.tif") as data:
         assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
+
+
+@pytest.mark.parametrize("flags", [(), ("--dry-run",)])
+def test_a_batch_refuses_to_join_scenes_of_two_crs_before_its_work(
+    make_town: Any, tmp_path: Path, flags: tuple[str, ...]
+) -> None:
+    a, b = make_town("A"), make_town("B")
+    text = (b.root / "scene.json").read_text()
+    (b.root / "scene.json").write_text(text.replace("EPSG:32617", "EPSG:26917"))
+    documents = (str(a.root / "scene.json"), str(b.root / "scene.json"))
+    result = CliRunner().invoke(main, ["batch", *documents, "--join", "--out", str(tmp_path / "out"), *flags])
+    assert result.exit_code == 1
+    assert "scene B: found EPSG:26917, expected EPSG:32617 as of A" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_joined_surface_does_not_give_way_to_one_of_fewer_scenes(make_town: Any, tmp_path: Path) -> None:
+    """Its folder is that of a batch, which takes it up again without being asked."""
+    out = tmp_path / "out"
+    folder = out / "joined/default"
+    folder.mkdir(parents=True)
+    (out / "digests.json").write_text("{}")
+    (folder / "dsm.tif").write_text("of both")
+    (folder / "seams.json").write_text('{"scenes": ["A", "B"]}')
+    call = ["batch", str(make_town("A").root / "scene.json"), "--join", "--out", str(out), "--dry-run"]
+    result = CliRunner().invoke(main, call)
+    assert result.exit_code == 1
+    assert f"{folder / 'dsm.tif'}: found a surface with B, expected none but those given" in result.stderr
+    for others in ([str(make_town("B").root / "scene.json")], ["--overwrite"]):
+        assert CliRunner().invoke(main, [*call, *others]).exit_code == 0
+
+
+def test_scenes_that_a_joined_surface_lacks_are_named(tiles: list[Scene], tmp_path: Path, caplog: Any) -> None:
+    done = {("WEST", "usual"): {"scene_json": str(tiles[0].output("scene.json"))}}
+    rows = [("WEST", "usual"), ("EAST", "usual"), ("EAST", "other")]
+    joined = _join(cast(Batch, SimpleNamespace(rows=rows, results=done)), "usual", tmp_path)
+    assert joined is not None
+    assert joined["scenes"] == ["WEST"]
+    assert "usual: the joined surface is without EAST, which failed" in caplog.text
 
 
 def test_what_cannot_be_joined_is_named(tiles: list[Scene], tmp_path: Path) -> None:

@@ -48,6 +48,21 @@ def test_a_page_does_not_replace_the_document_that_it_shows(make_town: Any, tmp_
     assert document.read_text() == before
 
 
+def test_a_scene_json_on_a_pipe_leaves_no_empty_page_in_another_folder(
+    make_town: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = make_town().to_json(root=".")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    result = run("report", text=text)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert f"found none of its files in {elsewhere}, the current folder" in result.stderr
+    assert not list(elsewhere.iterdir())
+    monkeypatch.chdir(tmp_path / "TOWN")
+    assert run("report", text=text).exit_code == 0
+
+
 @pytest.mark.parametrize("flags", [[], ["--overwrite"]])
 def test_a_page_replaces_no_file_that_is_none(make_town: Any, tmp_path: Path, flags: list[str]) -> None:
     notes = tmp_path / "notes.txt"

@@ -23,6 +23,7 @@ from sattools.errors import InputError
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
 from sattools.report.page import Picture, Section, render
+from sattools.scene import Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
 
@@ -313,23 +314,30 @@ def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finish
     assert "cells of 0.5 m, drawn as means over 1 m." in Page((finished.root / "report.html").read_text()).text
 
 
-def test_a_batchs_heights_are_above_what_their_files_say(batch: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batchs_heights_are_those_after_align_and_above_what_their_files_say(
+    batch: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from sattools.export import hillshade
 
-    (batch / "runs/fast/A/export").mkdir()
-    grid = Grid("EPSG:32617", 436500.0, 3357800.0, 1.0, 30, 20)
-    heights = np.zeros(grid.shape, np.float32)
-    write_cog(batch / "runs/fast/A/export/dsm.tif", heights, grid, tags={"VERTICAL_DATUM": "EGM96 geoid"})
-    said, picture = [], hillshade.picture
+    scene = Scene("A", batch / "runs/fast/A")
+    scene.grid = Grid("EPSG:32617", 436500.0, 3357800.0, 1.0, 30, 20)
+    for place, height in (("export/dsm.tif", 0.0), ("align/1/dsm.tif", 31.0)):
+        heights = np.full(scene.grid.shape, height, np.float32)
+        write_cog(scene.output(place), heights, scene.grid, tags={"VERTICAL_DATUM": "EGM96 geoid"})
+    scene.products["dsm"] = "align/1/dsm.tif"
+    scene.write()
+    said, shown, picture = [], [], hillshade.picture
 
     def noted(*arguments: Any) -> Any:
         figure = picture(*arguments)
         said.extend(axes.get_ylabel() for axes in figure.axes)
+        shown.append(float(arguments[0].mean()))
         return figure
 
     monkeypatch.setattr(hillshade, "picture", noted)
     assert run(batch).exit_code == 0
     assert "height above the EGM96 geoid [m]" in said
+    assert shown == [31.0]
 
 
 def test_a_page_of_many_maps_is_small(finished: Any) -> None:
