@@ -232,11 +232,13 @@ def _strip(parts: Sequence[Part], name: str, strip: Grid) -> np.ndarray:
 
 def _codes(parts: Sequence[Part], strip: Grid) -> np.ndarray:
     """Validity of the whole on some of its rows ``[h, w]``: the best that any scene says, nobody's cells unseen."""
-    found = [part.codes(strip) for part in parts]
-    best = np.full(strip.shape, UNSEEN, np.uint8)
-    for code in (UNWANTED, UNSEEN, FILLED, MEASURED):
-        best[np.any([own == code for own in found], axis=0)] = code
-    return best
+    ranks = (UNWANTED, UNSEEN, FILLED, MEASURED)
+    best = np.full(strip.shape, -1, np.int8)
+    for part in parts:
+        own = part.codes(strip)
+        for rank, code in enumerate(ranks):
+            best[(own == code) & (best < rank)] = rank
+    return np.array([*ranks, UNSEEN], np.uint8)[best]
 
 
 __all__ = ["MAPS", "SEAMS", "Part", "check_crs", "inner_distance", "join", "seam"]
