@@ -56,6 +56,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
 from sattools.scene.sidecars import sidecars
+from sattools.views import GROUND_SHARE
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +101,8 @@ def prepare(
     ground = _ground_height(options, result, heights)
     scene.grid = _grid(options, sources, result, crs, (heights, ground), asked, edges=whole.edges(), notes=notes)
     scene.height_range_m = heights
-    roles |= _outside(scene.grid, ground, sources, result, whole.edges(), notes)
+    seen_at = ground, heights[0] + GROUND_SHARE * (heights[1] - heights[0])
+    roles |= _outside(scene.grid, seen_at, sources, result, whole.edges(), notes)
     _check_left(roles, "show the area")
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
@@ -273,7 +275,7 @@ def _ground_height(options: PrepOptions, result: Adjustment, heights: tuple[floa
 
 def _outside(
     grid: Grid,
-    ground: float,
+    heights: Sequence[float],
     sources: Sequence[SourceImage],
     result: Adjustment,
     edges: Sequence[NDArray[np.float64] | None],
@@ -281,12 +283,13 @@ def _outside(
 ) -> dict[str, str]:
     """Roles of images that show nothing of the area, as tiles of a mosaic beside it: every fit would refuse them.
 
-    At the height of the ground, as fits look at them: at the ends of a wide range slanting views are far from it.
+    At the heights of the ground at which fits look at them: at the ends of a wide range slanting views are far from it.
     """
     found = {}
     for source, rpc, edge in zip(sources, result.rpcs, edges, strict=True):
         window = (0, 0, source.window[2], source.window[3])
-        if not ground_polygon(rpc, window, ground, grid.crs, edge).intersects(box(*grid.bounds)):
+        shown = (ground_polygon(rpc, window, height, grid.crs, edge) for height in heights)
+        if not all(polygon.intersects(box(*grid.bounds)) for polygon in shown):
             found[source.id] = "unused"
             _warn([f"{source.id}: shows nothing of the area, set aside (role unused)"], notes)
     return found

@@ -42,14 +42,17 @@ def test_slanting_views_of_the_area_stay_whatever_the_range_of_heights(tmp_path:
     assert [item.role for item in scene.items] == ["train"] * 3
 
 
-def test_an_image_beside_the_bounds_is_set_aside_unless_too_few_are_left(tmp_path: Path) -> None:
+@pytest.mark.parametrize("column", [108, 130])
+def test_an_image_beside_the_bounds_is_set_aside_unless_too_few_are_left(tmp_path: Path, column: int) -> None:
+    """One from column 108 on reaches them halfway up the range of heights, but not where the ground usually lies."""
     ground = texture()
     images = []
-    for k, run in enumerate(RUNS):
-        first = 130 if k == 4 else 0
+    for k, run in enumerate([*RUNS[:4], (-0.3, 0.1)]):
+        first = column if k == 4 else 0
         pixels = render(ground, run).clip(1, 2047).astype(np.uint16)[:, first:]
         images.append(write(tmp_path / f"city_{k}.tif", pixels, parallel_rpc(run).cropped(first, 0)))
-    bounds = [LON0 - 55 / EAST_M, LAT0 - 30 / NORTH_M, LON0 - 20 / EAST_M, LAT0 + 30 / NORTH_M]
+    west, east = -54.75 / EAST_M, -9.75 / EAST_M
+    bounds = [LON0 + west, LAT0 - 30 / NORTH_M, LON0 + east, LAT0 + 30 / NORTH_M]
     options = PrepOptions(out=str(tmp_path / "out"), bounds=bounds)
     scene, _ = prepare(images, options)
     assert [item.role for item in scene.items] == ["train", "train", "train", "train", "unused"]
