@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from sattools.compare.metrics import nmad
 from sattools.errors import InputError, SceneError
@@ -188,11 +189,18 @@ def check_crs(found: Mapping[str, str]) -> None:
     """Raise InputError where the CRS of scenes, by their ids, differ; documents may spell one in several ways."""
     first = next(iter(found), "")
     for name, crs in found.items():
-        if crs != found[first] and CRS.from_user_input(crs) != CRS.from_user_input(found[first]):
+        if crs != found[first] and not _alike(crs, found[first]):
             raise InputError(
                 f"scene {name}: found {crs}, expected {found[first]} as of {first}: only scenes in one CRS are joined "
                 "(`prep --crs`)"
             )
+
+
+def _alike(a: str, b: str) -> bool:
+    try:
+        return bool(CRS.from_user_input(a) == CRS.from_user_input(b))
+    except CRSError:
+        return False
 
 
 def _whole(parts: Sequence[Part]) -> Grid:

@@ -220,17 +220,17 @@ def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> 
         assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
 
 
-@pytest.mark.parametrize("flags", [(), ("--dry-run",)])
+@pytest.mark.parametrize(("crs", "flags"), [("EPSG:26917", ()), ("EPSG:26917", ("--dry-run",)), ("UTM 17", ())])
 def test_a_batch_refuses_to_join_scenes_of_two_crs_before_its_work(
-    make_town: Any, tmp_path: Path, flags: tuple[str, ...]
+    make_town: Any, tmp_path: Path, crs: str, flags: tuple[str, ...]
 ) -> None:
     a, b = make_town("A"), make_town("B")
     text = (b.root / "scene.json").read_text()
-    (b.root / "scene.json").write_text(text.replace("EPSG:32617", "EPSG:26917"))
+    (b.root / "scene.json").write_text(text.replace("EPSG:32617", crs))
     documents = (str(a.root / "scene.json"), str(b.root / "scene.json"))
     result = CliRunner().invoke(main, ["batch", *documents, "--join", "--out", str(tmp_path / "out"), *flags])
     assert result.exit_code == 1
-    assert "scene B: found EPSG:26917, expected EPSG:32617 as of A" in result.stderr
+    assert f"scene B: found {crs}, expected EPSG:32617 as of A" in result.stderr
     assert not (tmp_path / "out").exists()
 
 
