@@ -11,6 +11,8 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from sattools.compare.metrics import nmad
 from sattools.errors import InputError, SceneError
@@ -22,7 +24,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import datum_tag, raster_grid, raster_vertical, read_on, read_overview, read_raster
 from sattools.scene.regrid import sample_map
-from sattools.scene.validity import FILLED, MEANING, MEASURED, UNSEEN
+from sattools.scene.validity import FILLED, MEANING, MEASURED, UNSEEN, UNWANTED
 
 log = logging.getLogger(__name__)
 HEIGHTS, VALIDITY = "dsm", "validity"
@@ -31,7 +33,9 @@ SEAMS = "seams.json"
 FILES = (*(f"{name}.tif" for name in (*MAPS, VALIDITY)), SEAMS)  # at most
 ROWS = 256  # of the whole that are put together at a time
 LARGE_STEP_M = 0.5  # between two scenes that should know the same ground
-FAINT = 1e-6  # weight of what a scene has not measured: it counts where no other has measured either
+# of weights, which are distances to the border [m]: the least, and the share that what is filled has of its own; over
+# 10 km that is still nothing beside the former
+FAINT, FILLED_SHARE = 1e-6, 1e-15
 
 
 @dataclass(frozen=True)
@@ -85,10 +89,11 @@ class Part:
         """``[h, w]`` of cells of a grid in the same CRS, above 0; they are for where the scene knows a height.
 
         The distance to the border of what two images reach [m], so that they pass from one scene to the next over the
-        whole of what the two share; of cells that are filled so little that measured ones of another scene win.
+        whole of what the two share; of cells that are filled so little that measured ones of another scene win, even
+        those at its border.
         """
         inside = np.maximum(sample_map(self.inside, self.looked_at, where, outside=0.0), FAINT)
-        return inside * np.where(self.measured(where), 1.0, FAINT)
+        return inside * np.where(self.measured(where), 1.0, FILLED_SHARE)
 
 
 def inner_distance(known: np.ndarray, cell_size: float) -> np.ndarray:
@@ -152,6 +157,8 @@ def join(scenes: Sequence[Scene], out: Path, progress: Progress = silent) -> Jso
             if validity is not None:
                 validity.write(_codes(parts, strip), rows)
     maps = names if validity is None else [*names, VALIDITY]
+    for name in {*MAPS, VALIDITY} - {*maps}:  # of an earlier surface
+        (out / f"{name}.tif").unlink(missing_ok=True)
     result = {"scenes": [part.scene.id for part in parts], "maps": maps, "seams": seams}
     write_text(out / SEAMS, json.dumps(result, indent=1) + "\n")
     return result
@@ -179,14 +186,21 @@ def seam(a: Part, b: Part) -> JsonObject | None:
 
 
 def check_crs(found: Mapping[str, str]) -> None:
-    """Raise InputError where the CRS of scenes, by their ids, differ."""
+    """Raise InputError where the CRS of scenes, by their ids, differ; documents may spell one in several ways."""
     first = next(iter(found), "")
     for name, crs in found.items():
-        if crs != found[first]:
+        if crs != found[first] and not _alike(crs, found[first]):
             raise InputError(
                 f"scene {name}: found {crs}, expected {found[first]} as of {first}: only scenes in one CRS are joined "
                 "(`prep --crs`)"
             )
+
+
+def _alike(a: str, b: str) -> bool:
+    try:
+        return bool(CRS.from_user_input(a) == CRS.from_user_input(b))
+    except CRSError:
+        return False
 
 
 def _whole(parts: Sequence[Part]) -> Grid:
@@ -225,13 +239,14 @@ def _strip(parts: Sequence[Part], name: str, strip: Grid) -> np.ndarray:
 
 
 def _codes(parts: Sequence[Part], strip: Grid) -> np.ndarray:
-    """Validity of the whole on some of its rows ``[h, w]``: measured where any scene has measured, else filled, ..."""
-    best = np.full(strip.shape, UNSEEN, np.uint8)
+    """Validity of the whole on some of its rows ``[h, w]``: the best that any scene says, nobody's cells unseen."""
+    ranks = (UNWANTED, UNSEEN, FILLED, MEASURED)
+    best = np.full(strip.shape, -1, np.int8)
     for part in parts:
         own = part.codes(strip)
-        best[(own == FILLED) & (best != MEASURED)] = FILLED
-        best[own == MEASURED] = MEASURED
-    return best
+        for rank, code in enumerate(ranks):
+            best[(own == code) & (best < rank)] = rank
+    return np.array([*ranks, UNSEEN], np.uint8)[best]
 
 
 __all__ = ["MAPS", "SEAMS", "Part", "check_crs", "inner_distance", "join", "seam"]

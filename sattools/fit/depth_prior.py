@@ -13,8 +13,8 @@ from torch import Tensor
 from sattools.compare.metrics import nmad
 from sattools.scene import Grid
 from sattools.scene.regrid import resize_map, sample_map
+from sattools.views import GROUND_SHARE
 
-GROUND_SHARE = 0.3  # of the height range: where the ground usually lies
 # how far off a prior's height may be, from the surest to the least sure [m]
 BEST_STD_M, WORST_STD_M = 0.5, 4.0
 LEVEL_M = 1.0  # relief within 5 x 5 cells up to which ground or a roof is level

@@ -176,6 +176,8 @@ def add_colours(
             notes.append(f"{item.id}: the camera of its colours follows the correction to {misfit:.2f} px only")
         colour.window = crop_window(rpc, grid.crs, grid.bounds, heights, colour.size, MARGIN_PX)
         if min(colour.window[2:]) < 1:
+            if item.role == "unused":  # beside the area
+                continue
             raise InputError(f"{colour.path}: found nothing of the area, expected colours of {item.id}")
         own = rpc.cropped(colour.window[0], colour.window[1])
         with opened(colour.path) as data:

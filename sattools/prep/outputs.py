@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from sattools.camera.adjust import Adjustment
-from sattools.errors import InputError
 from sattools.prep.images import SourceImage, at_once
 from sattools.prep.items import describe, tie_point_features
 from sattools.prep.layout import crop_window
@@ -50,17 +49,14 @@ def write_images(
         crop: to the scene's area.
         copy: the pixels, or refer to them; None = as many as `COPY_LIMIT`.
         progress: told the share done.
-
-    Raises:
-        InputError: an image that shows nothing of the area.
     """
     grid, heights = scene.require_grid(), scene.require_height_range()
     full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
     if crop:
         for source, rpc in zip(sources, full, strict=True):
-            source.window = crop_window(rpc, grid.crs, grid.bounds, heights, source.size, MARGIN_PX)
-            if min(source.window[2:]) < 1:
-                raise InputError(f"{source.path}: found nothing of the area once its camera was corrected")
+            window = crop_window(rpc, grid.crs, grid.bounds, heights, source.size, MARGIN_PX)
+            if min(window[2:]) > 0:  # else it lies beside the area and is set aside as it is
+                source.window = window
     if copy is None:
         copy = sum(_bytes(source) for source in sources) <= COPY_LIMIT
     cameras = [rpc.cropped(source.window[0], source.window[1]) for source, rpc in zip(sources, full, strict=True)]

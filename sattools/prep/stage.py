@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,7 @@ from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
 from sattools.scene.sidecars import sidecars
+from sattools.views import GROUND_SHARE
 
 log = logging.getLogger(__name__)
 
@@ -97,16 +98,20 @@ def prepare(
     heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
     given = options.min_height is not None or options.max_height is not None
     _warn(check_heights(*heights, result.heights(), given), notes)
-    scene.grid = _grid(options, sources, result, crs, heights, asked, edges=whole.edges(), notes=notes)
+    ground = _ground_height(options, result, heights)
+    scene.grid = _grid(options, sources, result, crs, (heights, ground), asked, edges=whole.edges(), notes=notes)
     scene.height_range_m = heights
-    roles |= _outside(scene, sources, result, whole.edges(), notes)
+    seen_at = ground, heights[0] + GROUND_SHARE * (heights[1] - heights[0])
+    roles |= _outside(scene.grid, seen_at, sources, result, whole.edges(), notes)
+    _check_left(roles, "show the area")
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
     write_images(scene, sources, result, last, crop=asked is not None, copy=options.copy)
+    for item in scene.items:
+        item.properties["sattools:role"] = roles[item.id]
     if colours:
         _warn(add_colours(scene, sources, colours, cameras), notes)
-    for item, source in zip(scene.items, sources, strict=True):
-        item.properties["sattools:role"] = roles[source.id]
+    for source in sources:
         notes += [f"{source.id}: {r}" for r in source.notes]
     pairs = pair_table(result, scene.grid, heights)
     write_reports(scene, result, pairs)
@@ -247,27 +252,43 @@ def _roles(
             continue
         roles[view.name] = "unused"
         _warn([f"{view.name}: too few tie points with the other images, set aside (role unused)"], notes)
-    left = [name for name, role in roles.items() if role == "train"]
-    if len(left) < 2:
-        raise InputError(
-            f"images: found {len(left)} for training that have enough tie points with others, expected at least 2 "
-            "(do they show the same place, with their own RPCs?)"
-        )
+    _check_left(roles, "have enough tie points with others")
     return roles
 
 
+def _check_left(roles: Mapping[str, str], what: str) -> None:
+    """Raise InputError where fewer than two images are left to train on."""
+    left = [name for name, role in roles.items() if role == "train"]
+    if len(left) < 2:
+        raise InputError(
+            f"images: found {len(left)} for training that {what}, expected at least 2 "
+            "(do they show the same place, with their own RPCs?)"
+        )
+
+
+def _ground_height(options: PrepOptions, result: Adjustment, heights: tuple[float, float]) -> float:
+    """Height [m] at which images are laid over the ground."""
+    if (options.min_height, options.max_height) != (None, None):  # a range by hand may be wide: where the ground is
+        return float(np.clip(np.median(result.heights()), *heights))
+    return 0.5 * (heights[0] + heights[1])
+
+
 def _outside(
-    scene: Scene,
+    grid: Grid,
+    heights: Sequence[float],
     sources: Sequence[SourceImage],
     result: Adjustment,
     edges: Sequence[NDArray[np.float64] | None],
     notes: list[str],
 ) -> dict[str, str]:
-    """Roles of images that show nothing of the area, as tiles of a mosaic beside it: every fit would refuse them."""
-    found, grid = {}, scene.require_grid()
+    """Roles of images that show nothing of the area, as tiles of a mosaic beside it: every fit would refuse them.
+
+    At the heights of the ground at which fits look at them: at the ends of a wide range slanting views are far from it.
+    """
+    found = {}
     for source, rpc, edge in zip(sources, result.rpcs, edges, strict=True):
         window = (0, 0, source.window[2], source.window[3])
-        shown = (ground_polygon(rpc, window, h, grid.crs, edge) for h in scene.require_height_range())
+        shown = (ground_polygon(rpc, window, height, grid.crs, edge) for height in heights)
         if not all(polygon.intersects(box(*grid.bounds)) for polygon in shown):
             found[source.id] = "unused"
             _warn([f"{source.id}: shows nothing of the area, set aside (role unused)"], notes)
@@ -334,15 +355,13 @@ def _grid(
     sources: Sequence[SourceImage],
     result: Adjustment,
     crs: str,
-    heights: tuple[float, float],
+    levels: tuple[tuple[float, float], float],
     asked: Bounds | None,
     *,
     edges: Sequence[NDArray[np.float64] | None],
     notes: list[str],
 ) -> Grid:
-    rpcs, middle = result.rpcs, 0.5 * (heights[0] + heights[1])
-    if (options.min_height, options.max_height) != (None, None):  # a range by hand may be wide: where the ground is
-        middle = float(np.clip(np.median(result.heights()), *heights))
+    rpcs, (heights, middle) = result.rpcs, levels  # the range of heights, and the ground's
     windows = [(0, 0, s.window[2], s.window[3]) for s in sources]
     shown = list(zip(rpcs, windows, edges, strict=True))
     polygons = [ground_polygon(r, w, middle, crs, edge) for r, w, edge in shown]

@@ -18,6 +18,7 @@ from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.regrid import nearest_cells, resize_map
 from sattools.views import (
+    GROUND_SHARE,
     RadiometricBalance,
     Source,
     View,
@@ -26,8 +27,6 @@ from sattools.views import (
     match_colours,
     views_on,
 )
-
-Z_REF_SHARE = 0.3  # share of the height range below the reference height: most of a scene is near the ground
 
 REFERENCE_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
 
@@ -178,7 +177,7 @@ def matching_height(z_range: tuple[float, float]) -> float:
     Args:
         z_range: lowest and highest height [m].
     """
-    return z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0])
+    return z_range[0] + GROUND_SHARE * (z_range[1] - z_range[0])
 
 
 def make_frame(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sattools.prior.matched import Z_REF_SHARE, Matched, common_balance, make_frame, match_area
+from sattools.prior.matched import Matched, common_balance, make_frame, match_area, matching_height
 from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Item, Scene
@@ -133,7 +133,7 @@ def _unseen(
     sources: list[Source], coarse: Grid, tiles: Sequence[Tile], z_range: tuple[float, float]
 ) -> dict[str, set[str]]:
     """Images that show less than `LEAST_SHOWN` of a tile, by its name."""
-    views = views_on(sources, coarse, z_range[0] + Z_REF_SHARE * (z_range[1] - z_range[0]), z_range)
+    views = views_on(sources, coarse, matching_height(z_range), z_range)
     return {tile.name: {v.id for v in views if v.mask[coarse.window(tile.grid)].mean() < LEAST_SHOWN} for tile in tiles}
 
 

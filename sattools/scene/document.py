@@ -76,7 +76,7 @@ class Item:
 
     @property
     def role(self) -> str:
-        """``train``, ``test`` (held out) or ``unused`` (set aside, as its camera could not be corrected).
+        """``train``, ``test`` (held out) or ``unused`` (set aside, see `sattools prep`).
 
         That is the scene's word; a fit may hold out more, see `held_out`.
         """

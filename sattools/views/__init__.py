@@ -2,6 +2,7 @@
 
 from sattools.views.load import (
     BALANCE_PROPERTY,
+    GROUND_SHARE,
     Opened,
     RadiometricBalance,
     Source,
@@ -15,6 +16,7 @@ from sattools.views.resample import View, line_of_sight, make_view, match_colour
 
 __all__ = [
     "BALANCE_PROPERTY",
+    "GROUND_SHARE",
     "Opened",
     "RadiometricBalance",
     "Source",

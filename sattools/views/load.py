@@ -24,6 +24,7 @@ from sattools.views.resample import View, line_of_sight, make_view
 
 log = logging.getLogger(__name__)
 BALANCE_PROPERTY = "sattools:radiometric_balance"
+GROUND_SHARE = 0.3  # of the height range, below where images are laid over the grid: most of a scene is near the ground
 AT_ONCE = 4  # images that are read or resampled at a time: each needs its memory
 _SPARE_CELLS = 40  # around what is looked at: windows of the matching reach over the border
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about what `prep` chooses a cell by
@@ -242,6 +243,7 @@ def check_seen(item_id: str, mask: np.ndarray, remedy: str | None = None) -> Non
 
 __all__ = [
     "BALANCE_PROPERTY",
+    "GROUND_SHARE",
     "Opened",
     "RadiometricBalance",
     "Source",

@@ -162,6 +162,44 @@ def test_measured_heights_come_before_filled_ones(tiles: list[Scene], tmp_path: 
     assert (codes == 1).sum() == codes.size - 10 * (640 - 250)
 
 
+def test_the_least_that_is_measured_comes_before_all_that_is_filled(tmp_path: Path) -> None:
+    """The overview that weights are read from lacks the last column, which only one scene has measured."""
+    scenes = []
+    for name, width, height, code in (("SMALL", 1001, 10.0, 1), ("LARGE", 1401, 90.0, 2)):
+        grid = Grid(CRS, 436000.0, 3355200.0, 0.5, width, 1001)
+        scene = Scene(name, tmp_path / name, [], grid, products={"dsm": "export/dsm.tif"})
+        rewrite(scene, np.full(grid.shape, height), np.full(grid.shape, code))
+        scenes.append(scene)
+    join(scenes, tmp_path / "out")
+    joined = read_raster(tmp_path / "out/dsm.tif")[0][0]
+    np.testing.assert_allclose(joined[:, :1001], 10.0, atol=1e-3)
+    np.testing.assert_allclose(joined[:, 1001:], 90.0, atol=1e-3)
+
+
+def test_cells_outside_the_areas_of_all_are_no_unseen_ones(tiles: list[Scene], tmp_path: Path) -> None:
+    for scene in tiles:
+        codes = np.ones((400, 400))
+        codes[:50], codes[50:60] = 3, 0
+        rewrite(scene, np.where(codes == 1, 10.0, np.nan), codes)
+    codes[:20] = 0  # asked for by the east scene alone
+    rewrite(tiles[1], np.where(codes == 1, 10.0, np.nan), codes)
+    join(tiles, tmp_path / "out")
+    found = read_raster(tmp_path / "out/validity.tif")[0][0]
+    assert (found[20:50] == 3).all()
+    assert (found[50:60] == 0).all()
+    assert (found[:20, :240] == 3).all()
+    assert (found[:20, 240:] == 0).all()
+
+
+def test_maps_of_an_earlier_surface_do_not_stay_beside_another(tiles: list[Scene], tmp_path: Path) -> None:
+    for scene in tiles:
+        rewrite(scene, np.full((400, 400), 10.0), np.ones((400, 400)))
+    assert join(tiles, tmp_path / "out")["maps"] == ["dsm", "dsm_std", "validity"]
+    del tiles[0].products["validity"], tiles[1].products["dsm_std"]
+    assert join(tiles, tmp_path / "out")["maps"] == ["dsm"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["dsm.tif", "seams.json"]
+
+
 def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> None:
     for scene in tiles:
         heights, grid = read_raster(scene.path("export/dsm.tif"))
@@ -182,18 +220,27 @@ def test_datums_are_kept_and_must_be_one(tiles: list[Scene], tmp_path: Path) -> 
         assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
 
 
-@pytest.mark.parametrize("flags", [(), ("--dry-run",)])
+@pytest.mark.parametrize(("crs", "flags"), [("EPSG:26917", ()), ("EPSG:26917", ("--dry-run",)), ("UTM 17", ())])
 def test_a_batch_refuses_to_join_scenes_of_two_crs_before_its_work(
-    make_town: Any, tmp_path: Path, flags: tuple[str, ...]
+    make_town: Any, tmp_path: Path, crs: str, flags: tuple[str, ...]
 ) -> None:
     a, b = make_town("A"), make_town("B")
     text = (b.root / "scene.json").read_text()
-    (b.root / "scene.json").write_text(text.replace("EPSG:32617", "EPSG:26917"))
+    (b.root / "scene.json").write_text(text.replace("EPSG:32617", crs))
     documents = (str(a.root / "scene.json"), str(b.root / "scene.json"))
     result = CliRunner().invoke(main, ["batch", *documents, "--join", "--out", str(tmp_path / "out"), *flags])
     assert result.exit_code == 1
-    assert "scene B: found EPSG:26917, expected EPSG:32617 as of A" in result.stderr
+    assert f"scene B: found {crs}, expected EPSG:32617 as of A" in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_one_crs_may_be_spelled_in_several_ways(make_town: Any, tmp_path: Path) -> None:
+    a, b = make_town("A"), make_town("B")
+    text = (b.root / "scene.json").read_text()
+    (b.root / "scene.json").write_text(text.replace("EPSG:32617", "epsg:32617"))
+    documents = (str(a.root / "scene.json"), str(b.root / "scene.json"))
+    result = CliRunner().invoke(main, ["batch", *documents, "--join", "--out", str(tmp_path / "out"), "--dry-run"])
+    assert result.exit_code == 0, result.stderr
 
 
 def test_a_joined_surface_does_not_give_way_to_one_of_fewer_scenes(make_town: Any, tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
 """Images of which some lie beside the others, as the tiles of a mosaic do."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from synthetic_views import parallel_rpc, render, texture
+import pytest
+from synthetic_views import EAST_M, LAT0, LON0, NORTH_M, parallel_rpc, render, texture
 from test_prep_stage import write
 
+from sattools.errors import InputError
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.prep.options import PrepOptions
@@ -26,3 +29,34 @@ def test_an_image_beside_the_area_is_set_aside_and_the_fit_goes_on(tmp_path: Pat
     assert "city_4: shows nothing of the area, set aside (role unused)" in extra["notes"]
     fit(scene, FitOptions(epochs=[1], resolution=2.0))
     assert scene.path("fit/model.safetensors").is_file()
+
+
+def test_slanting_views_of_the_area_stay_whatever_the_range_of_heights(tmp_path: Path) -> None:
+    """At 800 m every image looks 200 m beside its own ground, which is less wide."""
+    ground = texture()
+    images = [
+        write(tmp_path / f"city_{k}.tif", render(ground, run).clip(1, 2047).astype(np.uint16), parallel_rpc(run))
+        for k, run in enumerate(RUNS[:3])
+    ]
+    scene, _ = prepare(images, PrepOptions(out=str(tmp_path / "out"), min_height=-300.0, max_height=800.0))
+    assert [item.role for item in scene.items] == ["train"] * 3
+
+
+@pytest.mark.parametrize("column", [108, 130])
+def test_an_image_beside_the_bounds_is_set_aside_unless_too_few_are_left(tmp_path: Path, column: int) -> None:
+    """One from column 108 on reaches them halfway up the range of heights, but not where the ground usually lies."""
+    ground = texture()
+    images = []
+    for k, run in enumerate([*RUNS[:4], (-0.3, 0.1)]):
+        first = column if k == 4 else 0
+        pixels = render(ground, run).clip(1, 2047).astype(np.uint16)[:, first:]
+        images.append(write(tmp_path / f"city_{k}.tif", pixels, parallel_rpc(run).cropped(first, 0)))
+    west, east = -54.75 / EAST_M, -9.75 / EAST_M
+    bounds = [LON0 + west, LAT0 - 30 / NORTH_M, LON0 + east, LAT0 + 30 / NORTH_M]
+    options = PrepOptions(out=str(tmp_path / "out"), bounds=bounds)
+    scene, _ = prepare(images, options)
+    assert [item.role for item in scene.items] == ["train", "train", "train", "train", "unused"]
+    few = replace(options, holdout=["city_0", "city_1", "city_2"], out=str(tmp_path / "few"))
+    with pytest.raises(InputError, match="found 1 for training that show the area, expected at least 2"):
+        prepare(images, few)
+    assert not list(Path(few.out).rglob("*.tif"))
