@@ -11,7 +11,7 @@ from typing import Any
 from sattools.batch.cluster import Job, run, shares
 from sattools.batch.figure import draw
 from sattools.batch.gate import DIGESTS, FIGURE, check_folder, check_references, document_of, is_own, joined_folder
-from sattools.batch.join import join
+from sattools.batch.join import FILES, join
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import (
     Configuration,
@@ -238,7 +238,12 @@ def _join(plan: Batch, configuration: str, out: Path) -> JsonObject | None:
     failed = [name for name, of in plan.rows if of == configuration and (name, of) not in plan.results]
     if scenes and failed:
         log.warning("%s: the joined surface is without %s, which failed", configuration, ", ".join(failed))
-    return join(scenes, joined_folder(out, configuration)) if scenes else None
+    folder = joined_folder(out, configuration)
+    if scenes:
+        return join(scenes, folder)
+    if (folder / FILES[0]).exists():
+        log.warning("%s: nothing to join; %s is still that of an earlier call", configuration, folder / FILES[0])
+    return None
 
 
 def make_plan(

@@ -12,6 +12,7 @@ from shapely.geometry.polygon import orient
 
 from sattools.camera import RPC
 from sattools.camera.ground import from_geographic, project, to_geographic
+from sattools.scene.grid import SURROUNDINGS_M
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
@@ -175,6 +176,12 @@ def with_rim(bounds: Bounds) -> Bounds:
     return west - rim, south - rim, east + rim, north + rim
 
 
+def with_surroundings(bounds: Bounds) -> Bounds:
+    """Bounds of an area with what stands beside it."""
+    west, south, east, north = bounds
+    return west - SURROUNDINGS_M, south - SURROUNDINGS_M, east + SURROUNDINGS_M, north + SURROUNDINGS_M
+
+
 def cut_to_shown(asked: Bounds, outlines: Sequence[Sequence[Polygon]]) -> Bounds:
     """The area asked for, or its part that two images show where that is less than half of it.
 
@@ -239,4 +246,5 @@ __all__ = [
     "left_out",
     "outline",
     "with_rim",
+    "with_surroundings",
 ]

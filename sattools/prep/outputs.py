@@ -11,7 +11,7 @@ import numpy as np
 from sattools.camera.adjust import Adjustment
 from sattools.prep.images import SourceImage, at_once
 from sattools.prep.items import describe, tie_point_features
-from sattools.prep.layout import crop_window
+from sattools.prep.layout import crop_window, with_surroundings
 from sattools.prep.pairs import residual_vectors
 from sattools.prep.pixels import write_image
 from sattools.processors import side_by_side
@@ -46,15 +46,16 @@ def write_images(
         scene: with its grid and height range; gets the items.
         sources: the images.
         result: their corrected cameras.
-        crop: to the scene's area.
+        crop: to the scene's area and what stands around it.
         copy: the pixels, or refer to them; None = as many as `COPY_LIMIT`.
         progress: told the share done.
     """
     grid, heights = scene.require_grid(), scene.require_height_range()
     full = [r.cropped(-s.window[0], -s.window[1]) for r, s in zip(result.rpcs, sources, strict=True)]
     if crop:
+        around = with_surroundings(grid.bounds)
         for source, rpc in zip(sources, full, strict=True):
-            window = crop_window(rpc, grid.crs, grid.bounds, heights, source.size, MARGIN_PX)
+            window = crop_window(rpc, grid.crs, around, heights, source.size, MARGIN_PX)
             if min(window[2:]) > 0:  # else it lies beside the area and is set aside as it is
                 source.window = window
     if copy is None:

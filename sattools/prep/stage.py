@@ -40,6 +40,7 @@ from sattools.prep.layout import (
     ground_polygon,
     left_out,
     with_rim,
+    with_surroundings,
 )
 from sattools.prep.loading import load_source
 from sattools.prep.names import check_ids, common_name
@@ -342,7 +343,7 @@ def _height_range(
             ground_polygon(r, (0, 0, g.shape[1], g.shape[0]), middle, crs, data_edge(g))
             for r, g in zip(cameras, whole.grays, strict=True)
         ]
-        bounds = asked or common_bounds(polygons)
+        bounds = with_surroundings(asked) if asked else common_bounds(polygons)
         if bounds is None:
             raise InputError("images: found no ground that two of them show, expected images that overlap")
         estimate = estimate_height_range(heights, whole.grays, cameras, crs, bounds, progress=progress)

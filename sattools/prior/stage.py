@@ -10,9 +10,10 @@ import numpy as np
 from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
 from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_base, warn_of_window
-from sattools.prior.matched import Matched, match_area
+from sattools.prior.matched import Matched, match_area, matching_height
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
+from sattools.prior.surroundings import with_surroundings
 from sattools.prior.tiled import AT_ONCE, match_tiles
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
@@ -61,15 +62,17 @@ def prior(
     notes = warn_of_window(scene, fine, options) + warn_of_base(scene, items)
     progress(0.0, "reading images")
     part = subprogress(progress, 0.2, 0.9)
-    if fine != grid:
-        sources = None  # the ones given may have been read for the wider cells
+    images = open_images(scene, items)  # which looks at the scene's own grid
+    shapes = [image.shape for image in images.parts]
+    wide = with_surroundings(fine, images.cameras, shapes, matching_height(z_range))
+    if wide != grid:
+        sources = None  # the ones given were read for other cells
     if sources is None and fine.width * fine.height > AT_ONCE:
-        found = match_tiles(scene, items, fine, options, part)
+        found = match_tiles(scene, items, fine, wide, options, part)
     else:
-        images = open_images(scene, items)  # which looks at the scene's own grid
         check_extent(grid)
-        sources = load_sources(replace(scene, grid=fine), items, images) if sources is None else sources
-        found = match_area(sources, fine, z_range, options, part)
+        sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
+        found = _within(fine, wide, match_area(sources, wide, z_range, options, part))
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
     if fine != grid:
@@ -79,7 +82,7 @@ def prior(
     write_maps(scene, found.height, found.confidence, grid)
     if options.per_image:
         maps = np.asarray(found.height), np.asarray(found.confidence)
-        sources = load_sources(scene, items) if sources is None else sources
+        sources = load_sources(scene, items) if sources is None or wide != grid else sources
         _per_image(scene, sources, grid, *maps, z_range, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
     return {
@@ -95,6 +98,14 @@ def prior(
         },
         MADE: record(scene, "prior", items, read, implicit=implicit),
     }
+
+
+def _within(grid: Grid, around: Grid, found: Matched | None) -> Matched | None:
+    """What was found of an area, of that and its surroundings."""
+    if found is None:
+        return None
+    inside = around.window(grid)
+    return replace(found, height=found.height[inside], confidence=found.confidence[inside])
 
 
 def _on(grid: Grid, values: np.ndarray, matched: Grid) -> np.ndarray:

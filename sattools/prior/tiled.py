@@ -56,7 +56,7 @@ class _Means:
 
 
 def match_tiles(
-    scene: Scene, items: Sequence[Item], grid: Grid, options: PriorOptions, progress: Progress
+    scene: Scene, items: Sequence[Item], grid: Grid, around: Grid, options: PriorOptions, progress: Progress
 ) -> Matched | None:
     """Match an area tile by tile.
 
@@ -67,6 +67,7 @@ def match_tiles(
         scene: of the images.
         items: the images.
         grid: of the result.
+        around: the same with what stands around it, which is matched.
         options: of the matching.
         progress: share done.
 
@@ -76,11 +77,11 @@ def match_tiles(
     Raises:
         SceneError: an image that shows nothing of the area.
     """
-    edges = _edge(grid.height) * grid.cell_size, _edge(grid.width) * grid.cell_size
-    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * grid.cell_size), MOST_OVERLAP * min(edges))
-    tiles = make_tiles(grid, edges, overlap, grid.cell_size)
+    edges = _edge(around.height) * around.cell_size, _edge(around.width) * around.cell_size
+    overlap = min(max(OVERLAP_M, OVERLAP_CELLS * around.cell_size), MOST_OVERLAP * min(edges))
+    tiles = make_tiles(around, edges, overlap, around.cell_size)
     z_range = scene.require_height_range()
-    coarse = grid.resized(grid.cell_size * math.ceil(math.sqrt(len(tiles))))
+    coarse = around.resized(around.cell_size * math.ceil(math.sqrt(len(tiles))))
     sources = _sources(scene, items, coarse)
     unseen = _unseen(sources, coarse, tiles, z_range)
     balances = _balances(scene, sources, coarse, tiles, unseen, options)
@@ -119,9 +120,9 @@ def _edge(cells: int) -> int:
 def _add(tile: Tile, grid: Grid, maps: tuple[np.ndarray, ...], height: np.ndarray, confidence: np.ndarray) -> None:
     """Add a tile's heights and confidence with its weights to the sums of the whole, and these to the last of them."""
     share = tile.weights(height.shape, grid.cell_size)
-    where = tile.place(grid, height.shape)
+    where, inside = grid.window(tile.grid), tile.grid.window(grid)
     for total, values in zip(maps, (share * height, share * confidence, share), strict=True):
-        total[where] = total[where] + values
+        total[where] = total[where] + values[inside]
 
 
 def _sources(scene: Scene, items: Sequence[Item], grid: Grid) -> list[Source]:

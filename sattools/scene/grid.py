@@ -13,6 +13,8 @@ from affine import Affine
 from sattools.errors import SceneError
 from sattools.scene.jsonio import JsonObject
 
+SURROUNDINGS_M = 16.0  # around an area, in which things hide and shade parts of it
+
 
 @dataclass(frozen=True)
 class Grid:

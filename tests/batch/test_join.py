@@ -268,6 +268,17 @@ def test_scenes_that_a_joined_surface_lacks_are_named(tiles: list[Scene], tmp_pa
     assert "usual: the joined surface is without EAST, which failed" in caplog.text
 
 
+def test_a_joined_surface_of_before_is_told_where_all_scenes_have_failed(tmp_path: Path, caplog: Any) -> None:
+    batch = cast(Batch, SimpleNamespace(rows=[("WEST", "usual")], results={}))
+    assert _join(batch, "usual", tmp_path) is None
+    assert not caplog.text
+    before = tmp_path / "joined/usual/dsm.tif"
+    before.parent.mkdir(parents=True)
+    before.touch()
+    assert _join(batch, "usual", tmp_path) is None
+    assert f"usual: nothing to join; {before} is still that of an earlier call" in caplog.text
+
+
 def test_what_cannot_be_joined_is_named(tiles: list[Scene], tmp_path: Path) -> None:
     heights, grid = read_raster(tiles[1].path("export/dsm.tif"))
     write_cog(tiles[1].path("export/dsm.tif"), heights, Grid("EPSG:32618", *list(vars(grid).values())[1:]))

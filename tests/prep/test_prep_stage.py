@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
 
 from sattools.camera import RPC
-from sattools.camera.ground import from_geographic
+from sattools.camera.ground import from_geographic, to_geographic
 from sattools.cli import main
 from sattools.errors import InputError, OutputExistsError, SattoolsError
 from sattools.prep.dfc2019 import find_images
@@ -154,9 +154,15 @@ def test_an_area_crops_images_and_their_cameras(images: Any, options: Any) -> No
         with rasterio.open(path) as whole, rasterio.open(scene.path(item.assets["image"].href)) as crop:
             assert np.array_equal(whole.read(1)[row : row + height, col : col + width], crop.read(1))
         middle = 0.5 * sum(scene.height_range_m)
-        inside = RPC.from_file(scene.path(item.assets["rpc"].href)).projection(LON0, LAT0, middle)
+        camera = RPC.from_file(scene.path(item.assets["rpc"].href))
+        inside = camera.projection(LON0, LAT0, middle)
         assert 0 < inside[0] < width
         assert 0 < inside[1] < height
+        # what stands within 16 m of the area may hide and shade parts of it
+        for east, north in ((-36, -31), (-36, 31), (36, -31), (36, 31)):
+            col, row = camera.projection(*to_geographic("EPSG:32633", x + east, y + north), middle)
+            assert 0 <= col <= width - 1
+            assert 0 <= row <= height - 1
 
 
 def test_an_area_far_larger_than_the_images_is_cut_to_what_two_of_them_show(images: Any, options: Any) -> None:

@@ -1,0 +1,84 @@
+"""An area is matched with what stands beside it, as far as the images show that."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_views import ALT0, LAT0, LON0, parallel_rpc
+
+from sattools.camera.ground import from_geographic
+from sattools.prior import PriorOptions, tiled
+from sattools.prior import stage as priors
+from sattools.prior.stage import prior
+from sattools.prior.surroundings import with_surroundings
+from sattools.scene import Grid
+from sattools.scene.raster import read_raster
+
+UTM33 = "EPSG:32633"
+X, Y = (float(v) for v in from_geographic(UTM33, LON0, LAT0))
+AREA = Grid(UTM33, X - 20, Y + 20, 0.5, 80, 80)  # 40 m
+WIDE, NARROW = (240, 260), (240, 90)  # 120 m x 130 m, and 45 m from west to east
+
+
+def around(sizes: list[tuple[int, int]], grid: Grid = AREA) -> list[float]:
+    """By how much an area is wider to the west, south, east and north [m], with images of these sizes about it."""
+    wide = with_surroundings(grid, [parallel_rpc(size=size) for size in sizes], sizes, ALT0)
+    return [abs(a - b) for a, b in zip(wide.bounds, grid.bounds, strict=True)]
+
+
+def test_sixteen_metres_beyond_the_border_are_matched_where_the_images_go_on() -> None:
+    assert around([WIDE, WIDE, WIDE]) == [16.0, 16.0, 16.0, 16.0]
+
+
+def test_nothing_is_matched_on_sides_on_which_images_end() -> None:
+    assert around([NARROW, NARROW, NARROW]) == [0.0, 16.0, 0.0, 16.0]
+    assert around([WIDE, WIDE, NARROW]) == [0.0, 16.0, 0.0, 16.0]  # two of three
+    assert around([WIDE] * 19 + [NARROW]) == [16.0, 16.0, 16.0, 16.0]  # 19 of 20
+
+
+def test_an_image_that_shows_nothing_of_the_area_does_not_matter() -> None:
+    elsewhere = parallel_rpc().cropped(5000, 0)
+    wide = with_surroundings(AREA, [parallel_rpc(), parallel_rpc(), elsewhere], [WIDE] * 3, ALT0)
+    assert wide == AREA.widened(32)
+
+
+def test_cells_wider_than_that_have_no_surroundings() -> None:
+    assert around([(2400, 2600)] * 2, Grid(UTM33, X - 200, Y + 200, 40.0, 10, 10)) == [0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.fixture
+def middle(make_town: Any) -> Any:
+    """The middle of a town, whose images show all of it, and the prior of the whole there."""
+    whole = make_town()
+    prior(whole, PriorOptions())
+    grid = whole.require_grid()
+    quarter = grid.width // 4
+    rows, cols = slice(quarter, grid.height - quarter), slice(quarter, grid.width - quarter)
+    expected, _ = read_raster(whole.path(whole.products["prior_dsm"]))
+    return replace(make_town("MIDDLE"), grid=grid.part(rows, cols)), expected[0][rows, cols]
+
+
+def differing(scene: Any, expected: np.ndarray) -> float:
+    """Share of the cells whose heights are half a metre from those expected."""
+    prior(scene, PriorOptions())
+    height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
+    assert grid == scene.grid
+    return float((np.abs(height[0] - expected) > 0.5).mean())
+
+
+def test_a_small_area_has_the_heights_that_it_has_in_a_larger_one(middle: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, expected = middle
+    with_them = differing(scene, expected)
+    monkeypatch.setattr(priors, "with_surroundings", lambda grid, *_: grid)
+    assert with_them < 0.5 * differing(scene, expected)
+
+
+def test_tiles_reach_into_the_surroundings_and_their_maps_do_not(middle: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, expected = middle
+    at_once = differing(scene, expected)
+    monkeypatch.setattr(priors, "AT_ONCE", 1000)
+    for name, value in {"TILE_CELLS": 64, "OVERLAP_M": 16.0}.items():
+        monkeypatch.setattr(tiled, name, value)
+    assert differing(scene, expected) < at_once + 0.05  # tiles see less around them
+    assert scene.path(scene.products["prior_normals"]).exists()
