@@ -104,6 +104,8 @@ class SimulateOptions:
                 setattr(self, name, value)
         if self.pan and self.terrain == "natural":
             raise InputError("--pan: found natural ground, expected a city")
+        if self.cars and self.dsm is not None and self.terrain != "natural":
+            raise InputError("--cars: found --dsm, expected none: a given surface has no streets")
         if self.passes > 1 and self.terrain != "natural":
             raise InputError(f"--passes: found --terrain {self.terrain}, expected natural (a city has --dates)")
         if self.terrain == "natural":
