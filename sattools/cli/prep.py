@@ -104,7 +104,7 @@ def command(
 def _check_crs(crs: str | None) -> None:
     """A CRS that is none, or not in metres, is wrong usage whatever the images are."""
     if crs is not None:
-        from sattools.camera.ground import check_projected
+        from sattools.camera.ground import check_ground_crs
 
         with as_usage():
-            check_projected(crs)
+            check_ground_crs(crs)

@@ -83,10 +83,10 @@ def wanted_area(aoi: Path | None, masks: Sequence[Path], crs: str) -> Callable[[
     """
     import shapely
 
-    inside = None if aoi is None else shapely.union_all([shape.buffer(0) for shape in _polygons_of(aoi, crs)])
+    inside = None if aoi is None else shapely.union_all(_polygons_of(aoi, crs))
     if aoi is not None and inside and not np.allclose(inside.bounds, bounds_from_file(aoi, crs), rtol=0, atol=_SAME_M):
         inside = None  # points and lines beside the polygons, or a CRS that only one of two readers knows
-    outside = [shape.buffer(0) for path in masks for shape in read_polygons(path, crs)]
+    outside = [shape for path in masks for shape in read_polygons(path, crs)]
 
     def within(bounds: Bounds) -> Any:
         box = shapely.box(*bounds)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from shapely.geometry import box
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
+from sattools.camera.ground import check_ground_crs, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
@@ -199,7 +199,7 @@ def survey(
     _warn([*check_metadata(sources, metadata_dir), *check_places_and_suns(sources)], notes)
     _warn(check_height_unit(sources), notes)
     lon, lat = middle_of(sources)
-    crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
+    crs = check_ground_crs(options.crs) if options.crs else utm_crs(lon, lat)
     check_scale(crs, lon, lat)
     given = (options.min_height, options.max_height)
     check_places(sources, crs, given)

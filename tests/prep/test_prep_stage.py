@@ -278,6 +278,7 @@ def test_an_area_outside_is_refused(images: Any, options: Any) -> None:
     [
         ({"metadata": "/nowhere"}, "found no such folder"),
         ({"crs": "EPSG:4326"}, "not projected in metres"),
+        ({"crs": "EPSG:32633+5773"}, "found one with heights of its own, expected that of a map such as EPSG:32633"),
         ({"holdout": ["city_9"]}, "holdout: found 'city_9'"),
         ({"bounds": [1.0, 2.0, 3.0, 4.0], "aoi": "a.geojson"}, "found both --aoi and --bounds"),
     ],
