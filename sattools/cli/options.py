@@ -117,7 +117,9 @@ def print_config(command: str, options: Any) -> None:
     """Write the resolved options as a TOML table; unset options are left out, as TOML has no null."""
     import tomli_w
 
-    table = {k.replace("_", "-"): v for k, v in as_dict(options).items() if v is not None}
+    defaults = {spec.name: spec.default for spec in specs(type(options))}
+    unset = [k for k, v in as_dict(options).items() if v is None or (v == [] and not defaults.get(k))]
+    table = {k.replace("_", "-"): v for k, v in as_dict(options).items() if k not in unset}
     click.echo(tomli_w.dumps({command: table}), nl=False)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +156,7 @@ def _adjusted(
     except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
         text = " ".join(str(error).split())[:200]
         raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
-    return replace(result, rpcs=cameras) if options.correction == "none" else result
+    return result.left_alone(cameras) if options.correction == "none" else result
 
 
 def check_inputs(images: Sequence[Path], options: PrepOptions, overwrite: bool = False) -> list[tuple[int, int]]:

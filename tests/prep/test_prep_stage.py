@@ -173,6 +173,11 @@ def test_correction_none_keeps_the_cameras(images: Any, options: Any) -> None:
     scene, extra = prepare(images, replace(options, correction="none"))
     assert RPC.from_file(scene.path("rpc/city_2_RPC.TXT")).to_tags() == RPC.from_file(images[2]).to_tags()
     assert "cameras were left as they are (correction none)" in extra["notes"]
+    assert not any(note.endswith("; corrected") for note in extra["notes"])
+    found = extra["adjustment"]
+    assert (found["model"], found["median_after_px"]) == ("none", found["median_before_px"])
+    assert [item.properties["sattools:rpc_shift_px"] for item in scene.items] == [[0, 0]] * len(scene.items)
+    assert "tie points ask for" in scene.path("adjustment.txt").read_text()
 
 
 def test_an_existing_scene_is_kept_unless_told_otherwise(images: Any, options: Any, tmp_path: Path) -> None:
