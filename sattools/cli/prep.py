@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     nargs=4,
     type=Finite(),
     metavar="W S E N",
-    help="Area of interest, in --crs if that is given, else in degrees.",
+    help="Area of interest, in --crs if that is given, else in degrees; across 180 degrees W is larger than E.",
 )
 @click.option("--dfc2019", type=click.Path(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
 @common_options

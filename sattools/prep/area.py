@@ -120,8 +120,12 @@ def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | Non
         given_crs: in which they are given; None = degrees.
     """
     west, south, east, north = (float(v) for v in numbers)
+    if given_crs is None and 180 < west - east <= 360:  # across 180 degrees, as in the bbox of GeoJSON and STAC
+        east += 360
     if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
-        raise InputError(f"bounds: found {west:g} {south:g} {east:g} {north:g}, expected west < east and south < north")
+        raise InputError(
+            f"bounds: found {west:.9g} {south:.9g} {east:.9g} {north:.9g}, expected west < east and south < north"
+        )
     if given_crs is not None:
         check_projected(given_crs)
         return west, south, east, north

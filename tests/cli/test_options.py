@@ -123,6 +123,13 @@ def test_numbers_that_belong_together_stand_apart(call: Any, count: int) -> None
     assert f"found '{call[-1]}', expected {count} numbers with blanks between them" in result.stderr
 
 
+@pytest.mark.parametrize("number", ["nan", "inf", "99"])
+def test_memory_is_a_number(number: str) -> None:
+    result = run("info", "--max-memory", number)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1].startswith("Error: Invalid value for '--max-memory'")
+
+
 @pytest.mark.parametrize(
     ("arguments", "limit_gib"),
     [
