@@ -19,7 +19,7 @@ from sattools.compare.metrics import nmad
 from sattools.compare.registration import register, search_margin
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
-from sattools.scene.regrid import reproject_map
+from sattools.scene.regrid import reproject_map, resize_map
 
 STEPS = 20
 WORSE = 1.1  # times what whole cells leave: steps that end there have led away
@@ -121,6 +121,8 @@ def shift_to_dem(
             shift = shift_by_means(height, grid, onto, target, shift, error=error, tilt=tilt)
         elif method == "icp":
             shift = _by_planes(height, grid, onto, target, shift, tilt)
+            if reference_grid.cell_size < LARGE * grid.cell_size:
+                shift = _between_cells(height, grid, (reference, reference_grid), shift, error, tilt)
         else:
             shift = _by_slopes(height, grid, onto, target, shift)
     moved = (height + (shift.rise(grid) - shift.up)).astype(np.float32)
@@ -250,6 +252,33 @@ def _by_planes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, s
         if max(np.hypot(east, north), np.hypot(along_x, along_y) * reach) < CONVERGED_CELLS * target.cell_size:
             break
     return shift
+
+
+def _between_cells(
+    height: np.ndarray,
+    grid: Grid,
+    reference: tuple[np.ndarray, Grid],
+    start: Shift,
+    error: np.ndarray | None,
+    tilt: bool,
+) -> Shift:
+    """The last part of a cell: closest points stay where whole cells lie on whole cells, as walls are steps there.
+
+    Means over cells twice as large are exact wherever these lie. A start that they lead away from stays.
+    """
+    heights, own = reference
+    if own.crs != grid.crs:
+        return start
+    rows, columns = own.window(grid.moved(start.east, start.north))
+    own = own.part(rows, columns)
+    large = own.resized(LARGE * grid.cell_size)
+    try:
+        onto = resize_map(heights[rows, columns], own, large)
+        found = shift_by_means(height, grid, onto, large, start, error=error, tilt=tilt)
+    except InputError:
+        return start
+    far = np.hypot(found.east - start.east, found.north - start.north) > large.cell_size
+    return start if far else found
 
 
 def point_residuals(

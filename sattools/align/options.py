@@ -22,8 +22,8 @@ class AlignOptions:
     method: Literal["auto", "means", "icp", "nuth-kaab", "z"] = option(
         "auto",
         "For rasters: in all three directions by means over the reference's cells, where these are at least twice as "
-        "large as the DSM's, by iterated closest points and planes, or by slopes (Nuth and Kaab), which is for open "
-        "ground; or in height only. auto: means where it can be, else icp.",
+        "large as the DSM's, by iterated closest points and planes (the last part of a cell by means), or by slopes "
+        "(Nuth and Kaab), which is for open ground; or in height only. auto: means where it can be, else icp.",
     )
     tilt: bool = option(False, "With means and icp: the plane that heights are off by, too.")
     max_shift: float = option(100.0, "A shift larger than that is refused [m].", minimum=0.0, maximum=1e4)

@@ -30,6 +30,7 @@ from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
 
 COLUMNS = ("z", "item", "column", "row")
+DELIMITERS = (",", ";", "\t")  # of tables; the first where a heading has none
 SPARE_CELLS = 4  # of the reference around what is asked for
 
 
@@ -140,11 +141,17 @@ def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, boo
 
 
 def _csv_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
+    text = read_text(path)
+    head = text.lstrip().split("\n", 1)[0]
     try:
-        rows = list(csv.DictReader(io.StringIO(read_text(path))))
+        rows = list(csv.DictReader(io.StringIO(text), delimiter=max(DELIMITERS, key=head.count)))
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read ({error}), expected a CSV of control points") from None
-    return [_on_ground(row, crs) for row in rows]
+    return [_on_ground({str(k).strip().lower(): _bare(v) for k, v in row.items()}, crs) for row in rows]
+
+
+def _bare(value: Any) -> Any:
+    return value.strip() if isinstance(value, str) else value
 
 
 def _on_ground(row: Mapping[str, Any], crs: str) -> Mapping[str, Any]:

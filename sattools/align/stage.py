@@ -138,6 +138,12 @@ def _begun(scene: Scene, options: AlignOptions, overwrite: bool) -> tuple[dict[t
         raise InputError(f"align: found --tilt with --method {options.method}, expected --method means or icp")
     reference = location(options.to)
     check_reference(reference, scene.require_grid().crs)
+    if holds_points(reference):
+        if options.tilt or options.method == "z":
+            what = "--tilt" if options.tilt else "--method z"
+            raise InputError(f"{reference}: found control points, expected a raster of heights for {what}")
+        if options.method != "auto":
+            log.warning("%s: control points, for which --method %s does nothing", reference, options.method)
     if "dsm" not in scene.products:
         raise MissingProductError(f"scene {scene.id}: found no DSM, expected one made by `sattools export`")
     check_current(scene, "export")
@@ -157,10 +163,12 @@ def _check(shift: Shift, reference: Path, options: AlignOptions) -> None:
             f"{reference}: found a tilt of {np.ceil(1e4 * tilt) / 1e4:g} m/m ({shift.tilt_east:.4f} eastwards, "
             f"{shift.tilt_north:.4f} northwards), expected at most {MAX_TILT:g}: are both of the same ground?"
         )
-    if not np.hypot(np.hypot(shift.east, shift.north), shift.up) <= options.max_shift:
+    flat = np.hypot(shift.east, shift.north)
+    if not np.hypot(flat, shift.up) <= options.max_shift:
+        same = "vertical datums the same" if flat <= abs(shift.up) else "places in the CRS that they are said to be in"
         raise InputError(
             f"{reference}: found a shift of {shift.east:.1f}, {shift.north:.1f}, {shift.up:.1f} m, expected at most "
-            f"{options.max_shift:g} m (--max-shift); are the vertical datums the same?"
+            f"{options.max_shift:g} m (--max-shift); are the {same}?"
         )
 
 
@@ -184,7 +192,7 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
         ]
         for message in wrong:
             log.warning("%s: %s", scene.id, message)
-        return shift, {"residuals": residuals, "notes": wrong}
+        return shift, {"method": "points", "residuals": residuals, "notes": wrong}
     dsm = scene.path(scene.products["dsm"])
     text = datums_differ({"the DSM": heights_above(dsm), "the reference": heights_above(reference)})
     if text is not None:

@@ -10,7 +10,7 @@ the block.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from sattools.scene.jsonio import JsonObject
 
 Array = NDArray[np.float64]
 
+UNCHANGED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))  # matrix of a view that is not corrected
+CORRECTED = "; corrected"  # end of the note of a camera that was far off
 _ROUGHLY = 1e-3  # gain of a step at which cameras are good enough to tell false matches and to compare models
 
 
@@ -53,6 +55,7 @@ class ViewAdjustment:
     outlier: bool
     note: str = ""
     weak: bool = False  # too few tie points: the camera is what the vendor says, right or wrong
+    asked_px: tuple[float, float] = (0.0, 0.0)  # the shift that tie points ask for, which may not have been made
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ class Adjustment:
     """Result of `adjust`.
 
     `points` are (lon, lat, h) `[n, 3]` of the accepted ground points, `tracks` their observations, `residuals` `[m, 2]`
-    observed minus projected pixel of each observation with the corrected cameras, `before_px` `[m]` their lengths with
-    the cameras as they were.
+    observed minus projected pixel of each observation with the corrected cameras, `residuals_before` `[m, 2]` the same
+    with the cameras as they were.
     """
 
     rpcs: list[RPC]
@@ -70,12 +73,37 @@ class Adjustment:
     tracks: Tracks
     points: Array
     residuals: Array
-    before_px: Array
+    residuals_before: Array
     median_before_px: float
     median_after_px: float
     rms_after_px: float
     rejected: int  # observations dropped as false matches
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def before_px(self) -> Array:
+        """Lengths ``[m]`` of the residuals with the cameras as they were."""
+        return np.hypot(*self.residuals_before.T)
+
+    def left_alone(self, cameras: Sequence[RPC]) -> Adjustment:
+        """What was found, where nothing of it is done: no camera is shifted, and residuals stay what they were.
+
+        Args:
+            cameras: as they were.
+        """
+        views = [
+            replace(
+                view, shift_px=(0.0, 0.0), matrix=UNCHANGED, median_after_px=view.median_before_px,
+                rms_after_px=view.rms_before_px,
+                note=view.note or "tie points ask for {:+.2f} {:+.2f} px".format(*view.asked_px),
+            )
+            for view in self.views
+        ]  # fmt: skip
+        return replace(
+            self, rpcs=list(cameras), views=views, model="none", residuals=self.residuals_before,
+            median_after_px=self.median_before_px, rms_after_px=_rms(self.before_px),
+            notes=[note.replace(CORRECTED, "; left as it is") for note in self.notes],
+        )  # fmt: skip
 
     def heights(self) -> Array:
         """Heights of the ground points seen by three views or more (of all, where there are too few of these), [m]."""
@@ -167,7 +195,8 @@ def adjust(
     solved = _solve(Block(list(rpcs), list(sizes), tracks), options, notes, progress)
     block, solution, weak = solved.block, solved.solution, solved.weak
     raw = np.zeros_like(solution.parameters)
-    before = residual_norm(block, triangulate(block, raw, solution.points), raw)
+    residuals_before = block.residuals(triangulate(block, raw, solution.points), raw)
+    before = np.hypot(*residuals_before.T)
     final_points = triangulate(block, solution.parameters, solution.points)
     final = block.residuals(final_points, solution.parameters)
     after = np.hypot(final[:, 0], final[:, 1])
@@ -189,7 +218,7 @@ def adjust(
         block.tracks,
         block.geographic(final_points),
         final,
-        before,
+        residuals_before,
         _median(before),
         _median(after),
         _rms(after),
@@ -264,7 +293,7 @@ def _describe(
     outlier = bool(length[v] > limit)
     if outlier:
         median = float(np.median(length))
-        notes.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {median:.1f} px); corrected")
+        notes.append(f"{name}: camera was off by {length[v]:.1f} px (median view: {median:.1f} px){CORRECTED}")
     first, second = ((float(a), float(b), float(c)) for a, b, c in solved.block.matrix(v, parameters))
     return ViewAdjustment(
         name,
@@ -278,6 +307,7 @@ def _describe(
         outlier,
         note,
         bool(weak[v]),
+        (float(shifts[v, 0]), float(shifts[v, 1])),
     )
 
 

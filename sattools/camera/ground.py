@@ -51,6 +51,24 @@ def check_projected(crs: str) -> str:
     return crs
 
 
+def check_ground_crs(crs: str) -> str:
+    """The CRS as given, or InputError if it is not projected in metres or says what heights are above.
+
+    A scene's heights are above the ellipsoid; a map of them in a CRS of other heights would say that they are those.
+
+    Args:
+        crs: of a scene that is being made.
+    """
+    parsed = CRS.from_user_input(check_projected(crs))
+    if parsed.is_compound or len(parsed.axis_info) > 2:
+        level = parsed.to_2d().to_authority() or ("EPSG", "32617")
+        raise InputError(
+            f"CRS {crs[:200]!r}: found one with heights of its own, expected that of a map such as {':'.join(level)}: "
+            "heights are above the ellipsoid, `export --vertical` writes others"
+        )
+    return crs
+
+
 def to_geographic(crs: str, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
     """(lon, lat) in degrees of grid coordinates in metres.
 
@@ -271,6 +289,7 @@ def foreshortening(rpc: RPC, lon: float, lat: float, h: float) -> tuple[float, f
 
 __all__ = [
     "azimuth_elevation",
+    "check_ground_crs",
     "check_projected",
     "check_scale",
     "convergence_deg",

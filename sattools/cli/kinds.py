@@ -122,7 +122,8 @@ def check_value(option: click.Option, value: Any) -> None:
         return
     several = option.multiple or option.nargs != 1
     try:
-        Maybe(Items(kind, option.nargs if option.nargs > 1 else 0) if several else kind).check(value, "value")
+        many = Items(kind, option.nargs, option.nargs) if option.nargs > 1 else Items(kind)
+        Maybe(many if several else kind).check(value, "value")
     except InputError as error:
         raise InputError(str(error).removeprefix("value: ")) from None
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from sattools.cli.commands import COMMANDS
-from sattools.cli.kinds import check_value, kind_of
+from sattools.cli.kinds import Finite, check_value, kind_of
 from sattools.errors import InputError, SattoolsError
 from sattools.settings import OptionSpec, as_dict, specs
 
@@ -68,7 +68,7 @@ def run_options() -> list[click.Option]:
         ),
         click.Option(
             ["--max-memory", "--memory"],
-            type=click.FloatRange(min=100),
+            type=Finite(min=100),
             help="Memory to get by with, that of processes which fit tiles included [MB; default: half of what is "
             "free]: sizes of tiles and how many are fitted at a time go by it, what surely needs more is refused.",
         ),
@@ -117,7 +117,9 @@ def print_config(command: str, options: Any) -> None:
     """Write the resolved options as a TOML table; unset options are left out, as TOML has no null."""
     import tomli_w
 
-    table = {k.replace("_", "-"): v for k, v in as_dict(options).items() if v is not None}
+    defaults = {spec.name: spec.default for spec in specs(type(options))}
+    unset = [k for k, v in as_dict(options).items() if v is None or (v == [] and not defaults.get(k))]
+    table = {k.replace("_", "-"): v for k, v in as_dict(options).items() if k not in unset}
     click.echo(tomli_w.dumps({command: table}), nl=False)
 
 

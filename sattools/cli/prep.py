@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     nargs=4,
     type=Finite(),
     metavar="W S E N",
-    help="Area of interest, in --crs if that is given, else in degrees.",
+    help="Area of interest, in --crs if that is given, else in degrees; across 180 degrees W is larger than E.",
 )
 @click.option("--dfc2019", type=click.Path(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
 @common_options
@@ -104,7 +104,7 @@ def command(
 def _check_crs(crs: str | None) -> None:
     """A CRS that is none, or not in metres, is wrong usage whatever the images are."""
     if crs is not None:
-        from sattools.camera.ground import check_projected
+        from sattools.camera.ground import check_ground_crs
 
         with as_usage():
-            check_projected(crs)
+            check_ground_crs(crs)

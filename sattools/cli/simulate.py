@@ -50,8 +50,9 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
     def check() -> str:
         from sattools.simulate.stage import check_start
 
-        check_start(options, root, overwrite)
-        whole = of_simulate(options.size, options.gsd, options.views + options.test_views)
+        grid = check_start(options, root, overwrite).grid
+        size = grid.width * grid.cell_size if grid else options.size
+        whole = of_simulate(size, options.gsd, options.views)
         return f"{whole}; writes {root}/"
 
     run_source(Run("simulate", options, dry_run, print_config, overwrite, inputs), make, f"scene {options.id}", check)

@@ -83,10 +83,10 @@ def wanted_area(aoi: Path | None, masks: Sequence[Path], crs: str) -> Callable[[
     """
     import shapely
 
-    inside = None if aoi is None else shapely.union_all([shape.buffer(0) for shape in _polygons_of(aoi, crs)])
+    inside = None if aoi is None else shapely.union_all(_polygons_of(aoi, crs))
     if aoi is not None and inside and not np.allclose(inside.bounds, bounds_from_file(aoi, crs), rtol=0, atol=_SAME_M):
         inside = None  # points and lines beside the polygons, or a CRS that only one of two readers knows
-    outside = [shape.buffer(0) for path in masks for shape in read_polygons(path, crs)]
+    outside = [shape for path in masks for shape in read_polygons(path, crs)]
 
     def within(bounds: Bounds) -> Any:
         box = shapely.box(*bounds)
@@ -120,8 +120,12 @@ def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | Non
         given_crs: in which they are given; None = degrees.
     """
     west, south, east, north = (float(v) for v in numbers)
+    if given_crs is None and 180 < west - east <= 360:  # across 180 degrees, as in the bbox of GeoJSON and STAC
+        east += 360
     if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
-        raise InputError(f"bounds: found {west:g} {south:g} {east:g} {north:g}, expected west < east and south < north")
+        raise InputError(
+            f"bounds: found {west:.9g} {south:.9g} {east:.9g} {north:.9g}, expected west < east and south < north"
+        )
     if given_crs is not None:
         check_projected(given_crs)
         return west, south, east, north

@@ -278,7 +278,7 @@ def check_pixels(sources: Sequence[SourceImage], grays: Sequence[NDArray[np.floa
 def check_corrections(result: Adjustment, sources: Sequence[SourceImage]) -> list[str]:
     """Warn of cameras that were off by more than vendors' are; notes on all of them."""
     notes = []
-    lengths = [math.hypot(*view.shift_px) for view in result.views]
+    lengths = [math.hypot(*view.asked_px) for view in result.views]
     if len(lengths) == 2:  # each of them has got half of what they are apart
         lengths = [sum(lengths), 0.0]
     for view, source, length in zip(result.views, sources, lengths, strict=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from shapely.geometry import box
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, utm_crs
+from sattools.camera.ground import check_ground_crs, check_scale, ground_sample_distance, utm_crs
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
@@ -158,7 +157,7 @@ def _adjusted(
     except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras
         text = " ".join(str(error).split())[:200]
         raise InputError(f"cameras: found no solution ({text}), expected the RPCs of these images") from error
-    return replace(result, rpcs=cameras) if options.correction == "none" else result
+    return result.left_alone(cameras) if options.correction == "none" else result
 
 
 def check_inputs(images: Sequence[Path], options: PrepOptions, overwrite: bool = False) -> list[tuple[int, int]]:
@@ -200,7 +199,7 @@ def survey(
     _warn([*check_metadata(sources, metadata_dir), *check_places_and_suns(sources)], notes)
     _warn(check_height_unit(sources), notes)
     lon, lat = middle_of(sources)
-    crs = check_projected(options.crs) if options.crs else utm_crs(lon, lat)
+    crs = check_ground_crs(options.crs) if options.crs else utm_crs(lon, lat)
     check_scale(crs, lon, lat)
     given = (options.min_height, options.max_height)
     check_places(sources, crs, given)

@@ -40,6 +40,7 @@ def check_start(scene: Scene, options: PriorOptions, overwrite: bool = True) -> 
     items = scene.train_items()
     may_begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
+    check_step(scene, options)
     grid, fine = grids(scene, items, options)
     warn_of_window(scene, fine, options)
     warn_of_base(scene, items)
@@ -81,6 +82,15 @@ def check_count(scene: Scene, items: list[Item]) -> None:
     """Raise SceneError where fewer than two images are left to match."""
     if len(items) < 2:
         raise SceneError(f"scene {scene.id}: found {len(items)} training image, expected at least 2")
+
+
+def check_step(scene: Scene, options: PriorOptions) -> None:
+    """Raise SceneError for height planes further apart than the heights: planes beyond them would be all there is."""
+    low, high = scene.require_height_range()
+    if options.step and options.step > high - low:
+        raise SceneError(
+            f"scene {scene.id}: found --step {options.step:g} m, expected at most the height range, {high - low:g} m"
+        )
 
 
 def warn_of_window(scene: Scene, grid: Grid, options: PriorOptions) -> list[str]:
@@ -142,5 +152,6 @@ def per_image_href(name: str, item_id: str) -> str:
 
 
 __all__ = [
-    "NO_STEREO", "check_count", "check_start", "grids", "outputs", "per_image_href", "warn_of_base", "warn_of_window",
+    "NO_STEREO", "check_count", "check_start", "check_step", "grids", "outputs", "per_image_href", "warn_of_base",
+    "warn_of_window",
 ]  # fmt: skip

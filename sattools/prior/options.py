@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sattools.errors import InputError
 from sattools.settings import option
 
 
@@ -95,6 +96,12 @@ class PriorOptions:
     )
     memory: float = option(1500.0, "Cost volume above which the area is matched in blocks [MB].", minimum=10)
     per_image: bool = option(False, "Also write the depth and confidence that every image sees, on its own pixels.")
+
+    def __post_init__(self) -> None:
+        if self.min_angle > self.max_angle:
+            raise InputError(
+                f"--min-angle: found {self.min_angle:g}, expected at most {self.max_angle:g} (--max-angle)"
+            )
 
 
 __all__ = ["PriorOptions"]

@@ -9,7 +9,16 @@ import numpy as np
 
 from sattools.errors import SceneError
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
-from sattools.prior.gate import NO_STEREO, check_count, grids, outputs, per_image_href, warn_of_base, warn_of_window
+from sattools.prior.gate import (
+    NO_STEREO,
+    check_count,
+    check_step,
+    grids,
+    outputs,
+    per_image_href,
+    warn_of_base,
+    warn_of_window,
+)
 from sattools.prior.matched import Matched, match_area, matching_height
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
@@ -56,6 +65,7 @@ def prior(
     items = scene.train_items()
     begin(scene, "prior", outputs(items, options), overwrite)
     check_count(scene, items)
+    check_step(scene, options)
     read = seen(scene, "prior", items)
     grid, fine = grids(scene, items, options)
     z_range = scene.require_height_range()

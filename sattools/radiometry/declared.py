@@ -43,6 +43,7 @@ class Declared:
         offset: per band, or one for all [quantity].
         source: what says so.
         names: the vendor's names of the bands, or empty.
+        full: number from which a pixel is saturated; None = the largest that the file can hold.
     """
 
     quantity: str | None
@@ -50,6 +51,7 @@ class Declared:
     offset: tuple[float, ...]
     source: str
     names: tuple[str, ...] = ()
+    full: float | None = None
 
     def of_band(self, number: int) -> tuple[float, float]:
         """Gain and offset of a band, counted from 1.

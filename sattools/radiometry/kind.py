@@ -22,7 +22,7 @@ from sattools.radiometry.calibration import (
     with_irradiance,
 )
 from sattools.radiometry.declared import Declared, parse_scale, read_declared, scale_of_image
-from sattools.radiometry.linear import eight_bits
+from sattools.radiometry.linear import eight_bits, item_bits
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
 from sattools.scene.sidecars import sidecars
@@ -63,6 +63,8 @@ class ImageScale:
         """Digital number from which a pixel is saturated: full scale, or the largest of the file for reflectance."""
         if self.reflectance is None:
             return 2.0**bits - 1
+        if self.declared is not None and self.declared.full is not None:
+            return self.declared.full
         kind = str(self.item.properties.get("sattools:dtype") or "uint16")
         return float(np.iinfo(kind).max) if np.dtype(kind).kind in "iu" else np.inf
 
@@ -228,13 +230,23 @@ def _of_image(scene: Scene, item: Item, options: NormaliseOptions, declared: Dec
     copy, original, files = _files(scene, item, options)
     bands = _calibration(files, item)
     if declared is None:
-        declared = _stated(copy, original, files)
+        declared = _stated(copy, original, files) or _simulated(item)
         if declared is not None and declared.quantity is None:
             asked = options.quantity if options.quantity in (*REFLECTANCES, "radiance") else None
             declared = None if bands else replace(declared, quantity=asked)
     if declared is not None and declared.quantity == "radiance":
         bands = _radiance_bands(declared, item, bands)
     return ImageScale(item, declared, tuple(bands))
+
+
+def _simulated(item: Item) -> Declared | None:
+    """A simulated image of natural ground: its numbers are a reflectance, which is 1 at their full scale."""
+    about = item.properties.get("sattools:simulated")
+    quantity = about.get("quantity") if isinstance(about, dict) else None
+    if quantity not in REFLECTANCES:
+        return None
+    full = 2.0 ** item_bits(item.properties) - 1
+    return Declared(quantity, (1 / full,), (0.0,), "simulate", full=full)
 
 
 def _radiance_bands(declared: Declared, item: Item, bands: list[BandCalibration]) -> list[BandCalibration]:

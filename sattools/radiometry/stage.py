@@ -92,14 +92,15 @@ def normalise(
         progress(k / len(items), item.id)
         shares[item.id] = _one(job, item, paths[f"radiance/{item.id}.tif"], notes)
     pooled = [[np.concatenate(band) for band in zip(*part, strict=True)] for part in (job.numbers, job.radiance)]
-    label = LABELS[job.quantity]
+    label = LABELS[job.quantity] + (", brought to the first image" if options.match else "")
     histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", paths[FIGURE])
     scene.products["radiance_histogram"] = FIGURE
     for text in notes:
         log.warning("%s", text)
     progress(1.0, "normalised")
     made = record(scene, "normalise", items, read)
-    return {"notes": notes, "quantity": job.quantity, "images": shares, MADE: made}
+    quantity = "relative" if options.match else job.quantity
+    return {"notes": notes, "quantity": quantity, "images": shares, MADE: made}
 
 
 def check_start(scene: Scene, options: NormaliseOptions, overwrite: bool = True) -> None:
@@ -119,6 +120,8 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     items = _images(scene)
     if not items:
         raise SceneError(f"scene {scene.id}: found no item with an asset 'image', expected images to normalise")
+    if len(set(options.bands)) < len(options.bands):
+        raise SceneError(f"--bands: found {options.bands}, expected each of them once")
     notes = contradictions(scene, items, options)
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
@@ -273,6 +276,9 @@ def _check_black(job: _Job, item: Item) -> None:
         raise SceneError(
             f"--black: found {black:g}, expected less than {full:g}, white in the {bits} bits of {item.id}"
         )
+    saturation = job.options.saturation
+    if saturation is not None and saturation <= black:
+        raise SceneError(f"--saturation: found {saturation:g}, expected more than {black:g}, the number of no light")
 
 
 def _bits(items: list[Item], options: NormaliseOptions, notes: list[str]) -> dict[str, int]:

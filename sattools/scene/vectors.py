@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from sattools.errors import InputError
 from sattools.scene.jsonio import read_json, reason
 
+log = logging.getLogger(__name__)
 FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
 _MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
 _LONGEST = 200  # characters of what GDAL says, which repeats coordinates by the page
@@ -90,14 +93,25 @@ def read_layer(name: str, path: str, expected: str) -> Features:
     from pyogrio.raw import read
 
     try:
-        with warnings.catch_warnings():  # what GDAL repairs is missing afterwards, and that is told
-            warnings.simplefilter("ignore", RuntimeWarning)
+        with warnings.catch_warnings(record=True) as said:  # what GDAL repairs is missing afterwards, and that is told
+            warnings.simplefilter("always")
             about, _, encoded, values = read(name)
             shapes = [None] * len(values[0] if values else ()) if encoded is None else shapely.from_wkb(encoded)
     except Exception as error:  # GDAL's drivers raise a dozen kinds
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be read ({text}), expected {expected}") from None
+    if any("More than one layer" in str(one.message) for one in said):
+        from pyogrio import list_layers
+
+        first, *others = (str(layer) for layer, _ in list_layers(name))
+        _tell(f"{path}: found {1 + len(others)} layers, of which the first is read, {first!r}")
     return Features(list(shapes), dict(zip((str(field) for field in about["fields"]), values)), about["crs"])
+
+
+@functools.lru_cache(maxsize=64)
+def _tell(text: str) -> None:
+    """Say something of a file once, however often it is read."""
+    log.warning("%s", text)
 
 
 def read_polygons(path: Path, crs: str) -> list[Any]:
@@ -121,11 +135,23 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
     except Exception as error:  # of pyproj, shapely and numpy
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
-    kinds = ("Polygon", "MultiPolygon")
-    shapes = [shape for shape in places if shape is not None and shape.geom_type in kinds and not shape.is_empty]
+    shapes = [shape for shape in map(_polygons, places) if shape is not None and not shape.is_empty]
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
     return shapes
+
+
+def _polygons(shape: Any) -> Any:
+    """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others."""
+    import shapely
+
+    kinds = ("Polygon", "MultiPolygon")
+    if shape is None or shape.geom_type not in kinds:
+        return None
+    if shape.is_valid:
+        return shape
+    parts = shapely.get_parts(shapely.make_valid(shape))
+    return shapely.union_all([part for part in parts if part.geom_type in kinds])
 
 
 def in_crs(geometries: Sequence[Any], source: str, crs: str) -> list[Any]:

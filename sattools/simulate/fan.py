@@ -222,6 +222,7 @@ def _take(
     image = np.clip(np.rint(noisy), 0, full).astype(np.uint16)
     item = write_view(scene, view, Rendered(image, lit, height), sun, options.gsd)
     item.properties["sattools:radiance"] = "reflectance_factor"
+    item.properties["sattools:simulated"]["quantity"] = "reflectance_factor"  # of the numbers, for `normalise`
     return item
 
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from sattools.camera.ground import check_metres, from_geographic, utm_crs
+from sattools.camera.ground import from_geographic, utm_crs
 from sattools.scene.grid import Grid
-from sattools.scene.raster import read_raster
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV
 from sattools.simulate.materials import grain
-from sattools.simulate.terrain import check_heights, check_relief, tell_unknown, window
+from sattools.simulate.terrain import read_surface, tell_unknown
 from sattools.simulate.world import GROUND, World
 
 MARGIN_M = 60.0  # surroundings that cast shadows into the scene
@@ -122,13 +120,10 @@ def _relief_of(dsm: str, size_m: float, gsd: float, cell: float) -> tuple[Grid, 
     """The middle of a DSM on cells of `cell` metres, cubic between its own."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
-    heights, whole = read_raster(Path(dsm))
-    check_metres(str(dsm), whole.crs, whole.bounds)
-    check_heights(str(dsm), heights)
-    own, wide, (rows, columns) = window(whole, size_m, MARGIN_M)
-    tell_unknown(str(dsm), heights[0], whole, own)
-    part = heights[0][np.ix_(rows, columns)].astype(np.float64)
-    check_relief(str(dsm), part, wide.width * wide.cell_size)
+    surface = read_surface(dsm, size_m, MARGIN_M)
+    tell_unknown(dsm, surface)
+    own, wide, whole = surface.grid, surface.wide, surface.whole
+    part = surface.heights.astype(np.float64)
     if not np.isfinite(part).all():
         nearest = distance_transform_edt(~np.isfinite(part), return_distances=False, return_indices=True)
         part = part[tuple(nearest)]

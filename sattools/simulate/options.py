@@ -68,7 +68,7 @@ class SimulateOptions:
         minimum=2,
         maximum=8,
     )
-    hdr: bool = option(False, "Deep shadows, white roofs, and dates that differ by more than a factor of two.")
+    hdr: bool = option(False, "Deep shadows, white roofs, and dates whose light differs by a factor of up to 2.3.")
     lon: float = option(-81.66, "Longitude of the city [degrees].", minimum=-180, maximum=180)
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
     reflectance: Literal["lambert", "rpv", "hapke"] = option("hapke", "Reflectance model of natural ground.")
@@ -104,6 +104,8 @@ class SimulateOptions:
                 setattr(self, name, value)
         if self.pan and self.terrain == "natural":
             raise InputError("--pan: found natural ground, expected a city")
+        if self.cars and self.dsm is not None and self.terrain != "natural":
+            raise InputError("--cars: found --dsm, expected none: a given surface has no streets")
         if self.passes > 1 and self.terrain != "natural":
             raise InputError(f"--passes: found --terrain {self.terrain}, expected natural (a city has --dates)")
         if self.terrain == "natural":

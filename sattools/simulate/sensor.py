@@ -31,7 +31,7 @@ class Light:
 
 
 USUAL = Light()
-# shadows of a twentieth of the sunlit radiance, white roofs, dates that differ by more than a factor of two
+# shadows of a twentieth of the sunlit radiance, white roofs, dates that differ by a factor of up to 2.3
 HDR = Light(sky=0.35, gain=(0.6, 1.4), haze=(0.005, 0.06), exposure=0.75, roofs=1.6)
 # dates from clear to hazy, white roofs beyond full scale
 HARD = Light(gain=(0.75, 1.3), haze=(0.01, 0.1), exposure=1.5)

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sattools.camera.ground import check_metres, from_geographic, grid_direction, to_geographic, utm_crs
+from sattools.camera.ground import from_geographic, grid_direction, to_geographic, utm_crs
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Item, Scene
 from sattools.scene.files import check_outputs
 from sattools.scene.grid import Grid
-from sattools.scene.raster import read_raster
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
 from sattools.simulate.detailed import DetailedWorld, leaves_on
 from sattools.simulate.earlier import remove_earlier
-from sattools.simulate.fan import simulate_natural
+from sattools.simulate.fan import pass_suns, simulate_natural
 from sattools.simulate.files import write_truth
 from sattools.simulate.multispectral import write_colours
 from sattools.simulate.options import SimulateOptions
@@ -28,6 +29,10 @@ from sattools.simulate.sensor import HARD, HDR, SKY_COLOUR, USUAL, Light, Radiom
 from sattools.simulate.views import Rendered, SimulatedView, framed, take_all, write_view
 from sattools.simulate.world import World
 
+if TYPE_CHECKING:
+    from sattools.simulate.terrain import GivenSurface
+
+log = logging.getLogger(__name__)
 SKY_STRIDE = 8
 LOWEST_SUN_DEG = 2.0  # a lower one, or none, leaves towns in shade
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
@@ -85,9 +90,21 @@ def _simulate_town(scene: Scene, options: SimulateOptions, progress: Progress) -
 
 
 def check_start(options: SimulateOptions, root: Path, overwrite: bool = False) -> Scene:
-    """The scene that `simulate` will fill, without anything yet; arguments and errors as of it."""
+    """The scene that `simulate` will fill, without anything yet but a given surface's grid; see `simulate`."""
     scene = Scene(options.id, Path(root))
     check_outputs([scene.path("scene.json")], [Path(p) for p in (options.dsm, options.classes) if p], overwrite)
+    place = options.lon, options.lat
+    if options.dsm is not None:
+        scene.grid = _given(options)[0].grid
+        west, south, east, north = scene.grid.bounds
+        lon, lat = to_geographic(scene.grid.crs, (west + east) / 2, (south + north) / 2)
+        place = float(lon), float(lat)
+    if options.terrain == "natural":
+        pass_suns(options, *place)
+    elif options.test_views >= options.views:
+        log.warning(
+            "--test-views: found %d of %d views, one of which is for training", options.test_views, options.views
+        )
     return scene
 
 
@@ -112,11 +129,8 @@ def plan_views(
     days = [
         datetime(2014, 10, 5, tzinfo=UTC) + timedelta(days=62 * k + int(rng.integers(20))) for k in range(options.dates)
     ]
-    test = (
-        set(range(1, options.views, max(1, options.views // max(options.test_views, 1))))
-        if options.test_views
-        else set()
-    )
+    held = min(options.test_views, options.views - 1)  # one is for training
+    test = {1 + k * options.views // held for k in range(held)}
     views = []
     for k in range(options.views):
         date = k % options.dates
@@ -141,7 +155,7 @@ def plan_views(
             SimulatedView(
                 f"{options.id}_{k + 1:03d}", time, sun, sensor, camera, rpc,
                 error, shape, dates[date], (float(bias[0]), float(bias[1])),
-                "test" if k in test and len(test) < options.views else "train",
+                "test" if k in test else "train",
             )
         )  # fmt: skip
     return _with_outlier(options, views)
@@ -189,23 +203,26 @@ def world_of(options: SimulateOptions) -> tuple[Grid, World]:
 
 def _world_of_dsm(options: SimulateOptions, rng: np.random.Generator) -> tuple[Grid, World]:
     from sattools.simulate.detailed import over_surface_model
-    from sattools.simulate.terrain import build_terrain, check_heights, check_relief, tell_unknown, window
+    from sattools.simulate.terrain import build_terrain, tell_unknown
 
     assert options.dsm is not None  # the caller has looked
-    heights, whole = read_raster(Path(options.dsm))
-    check_metres(options.dsm, whole.crs, whole.bounds)
-    check_heights(options.dsm, heights)
-    grid, wide, (rows, columns) = window(whole, options.size, DSM_MARGIN_M)
-    check_relief(options.dsm, heights[0][np.ix_(rows, columns)], wide.width * wide.cell_size)
-    classes = None
-    if options.classes is not None:
-        codes, code_grid = read_raster(Path(options.classes))
-        if code_grid != whole:
-            raise InputError(f"{options.classes}: found {code_grid}, expected the grid of {options.dsm}: {whole}")
-        classes = codes[0][np.ix_(rows, columns)]
-    tell_unknown(options.dsm, heights[0], whole, grid)
-    world = build_terrain(heights[0][np.ix_(rows, columns)], wide, classes, options.gsd / 2, rng)
-    return grid, over_surface_model(world, rng) if options.terrain == "downtown" else world
+    surface, classes = _given(options)
+    tell_unknown(options.dsm, surface)
+    world = build_terrain(surface.heights, surface.wide, classes, options.gsd / 2, rng)
+    return surface.grid, over_surface_model(world, rng) if options.terrain == "downtown" else world
+
+
+def _given(options: SimulateOptions) -> tuple[GivenSurface, np.ndarray | None]:
+    """The surface of `options.dsm`, and its classes ``[H, W]`` or None."""
+    from sattools.simulate.natural import MARGIN_M
+    from sattools.simulate.terrain import read_classes, read_surface
+
+    assert options.dsm is not None  # the caller has looked
+    natural = options.terrain == "natural"
+    surface = read_surface(options.dsm, options.size, MARGIN_M if natural else DSM_MARGIN_M)
+    if natural or options.classes is None:
+        return surface, None
+    return surface, read_classes(options.classes, options.dsm, surface)
 
 
 def _on_the_day(options: SimulateOptions, world: World, number: int, view: SimulatedView) -> World:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from sattools.camera.ground import check_metres
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.members import HEIGHT_LIMITS_M
+from sattools.scene.raster import read_raster
 from sattools.simulate.materials import albedo_map, code, grain
 from sattools.simulate.world import BUILDING, GROUND, TREES, WATER, World
 
@@ -17,7 +21,7 @@ log = logging.getLogger(__name__)
 STEP_M = 1.5  # neighbours that differ by more are parted by a wall, others joined by a slope
 ROOFS = ("gravel", "membrane", "tar", "tiles", "slate", "metal")
 OPEN_GROUND = ("grass", "soil", "pavement")
-
+CODES = (GROUND, TREES, BUILDING, WATER)  # of class maps
 
 CLIFF_M, STEEPEST = 1000.0, 4.0  # no cliff is higher, no longer slope steeper than that many metres per metre
 
@@ -140,6 +144,61 @@ def check_relief(path: str, heights: np.ndarray, width_m: float) -> None:
         )
 
 
+@dataclass(frozen=True)
+class GivenSurface:
+    """The part of a DSM that a scene is made of, with its surroundings.
+
+    Attributes:
+        grid: of the scene.
+        wide: of the scene and what lies around it.
+        whole: of the file.
+        index: rows and columns of the file that fill ``wide``.
+        heights: ``[H, W]`` on ``wide`` [m]; NaN = unknown.
+    """
+
+    grid: Grid
+    wide: Grid
+    whole: Grid
+    index: tuple[np.ndarray, np.ndarray]
+    heights: np.ndarray
+
+
+def read_surface(path: str, size_m: float, margin_m: float) -> GivenSurface:
+    """The middle of a DSM. Raises InputError where a scene cannot be made of it.
+
+    Args:
+        path: of the DSM.
+        size_m: edge of the scene, where the DSM is large enough [m].
+        margin_m: what is around it [m].
+    """
+    heights, whole = read_raster(Path(path))
+    check_metres(path, whole.crs, whole.bounds)
+    check_heights(path, heights)
+    grid, wide, (rows, columns) = window(whole, size_m, margin_m)
+    part = heights[0][np.ix_(rows, columns)]
+    check_relief(path, part, wide.width * wide.cell_size)
+    if not np.isfinite(part).any():
+        raise InputError(f"{path}: found no height within the scene, expected some")
+    return GivenSurface(grid, wide, whole, (rows, columns), part)
+
+
+def read_classes(path: str, dsm: str, surface: GivenSurface) -> np.ndarray:
+    """Class codes ``[H, W]`` of a given surface. Raises InputError for a file that is no class map of it.
+
+    Args:
+        path: of the class map.
+        dsm: of the surface.
+        surface: read from there.
+    """
+    codes, grid = read_raster(Path(path))
+    if grid != surface.whole:
+        raise InputError(f"{path}: found {grid}, expected the grid of {dsm}: {surface.whole}")
+    found = codes[0][np.ix_(*surface.index)]
+    if not np.isin(found, CODES).any():
+        raise InputError(f"{path}: found none of the classes {', '.join(map(str, CODES))}, expected a class map")
+    return np.asarray(found)
+
+
 def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tuple[np.ndarray, np.ndarray]]:
     """The square of at most `size_m` in the middle of `grid`, and the grid that has `margin_m` more on every side.
 
@@ -166,17 +225,15 @@ def window(grid: Grid, size_m: float, margin_m: float) -> tuple[Grid, Grid, tupl
     return part(top, left, cells), part(top - margin, left - margin, wide), index
 
 
-def tell_unknown(path: str, heights: np.ndarray, grid: Grid, scene: Grid) -> None:
+def tell_unknown(path: str, surface: GivenSurface) -> None:
     """Say how much of a scene a DSM leaves open: images and truth have the nearest heights there.
 
     Args:
         path: of the DSM.
-        heights: ``[H, W]`` [m]; NaN = unknown.
-        grid: of the heights.
-        scene: the part of it that is the scene.
+        surface: read from there.
     """
-    top, left = round((grid.top - scene.top) / grid.cell_size), round((scene.left - grid.left) / grid.cell_size)
-    known = np.isfinite(heights[top : top + scene.height, left : left + scene.width])
+    scene, around = surface.grid, (surface.wide.height - surface.grid.height) // 2
+    known = np.isfinite(surface.heights[around : around + scene.height, around : around + scene.width])
     if not known.all():
         share = 100 * (1 - known.mean())
         log.warning(

@@ -104,6 +104,23 @@ def test_walls_alone_say_how_far_a_town_is_off() -> None:
     assert not found.tilted
 
 
+@pytest.mark.parametrize("cell", [0.25, 0.5])
+@pytest.mark.parametrize("off", [(1, 0), (2, -1), (3, 2), (0, 3)])
+def test_a_town_is_brought_to_its_place_between_cells(off: tuple[int, int], cell: float) -> None:
+    """Its walls are steps wherever cells lie, and plates lie best on plates: at whole cells."""
+    fine = np.zeros((480, 480), np.float32)
+    rng = np.random.default_rng(5)
+    for row, col, roof in zip(rng.integers(20, 380, 9), rng.integers(20, 380, 9), rng.uniform(4, 15, 9), strict=True):
+        fine[row : row + 72, col : col + 56] = roof
+    times = round(cell / 0.125)
+    height = fine.reshape(120, 4, 120, 4).mean(axis=(1, 3)) + rng.normal(0, 0.1, (120, 120)).astype(np.float32)
+    reference = fine.reshape(480 // times, times, 480 // times, times).mean(axis=(1, 3))
+    grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
+    moved = Grid(CRS, 436000.0 + off[0] / 8, 3355400.0 + off[1] / 8, cell, 480 // times, 480 // times)
+    found = shift_to_dem(height, grid, reference + np.float32(2), moved)
+    assert (found.east, found.north, found.up) == pytest.approx((off[0] / 8, off[1] / 8, 2.0), abs=0.02)
+
+
 def test_a_towns_walls_count_where_large_cells_have_made_slopes_of_them() -> None:
     grid = Grid(CRS, 436000.0, 3355400.0, 0.5, 120, 120)
     large = Grid(CRS, 436000.0, 3355400.0, 3.0, 20, 20)

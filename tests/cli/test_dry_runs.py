@@ -190,6 +190,24 @@ def test_a_simulation(make_town: Callable[[], Scene], tmp_path: Path) -> None:
     assert "exists already; give --overwrite" in refused("simulate", "--out", folder, "--id", "TOWN")
     (tmp_path / "file").touch()
     assert "file: cannot be written to" in refused("simulate", "--out", tmp_path / "file", "--id", "X")
+    truth = folder / "TOWN/truth"
+    made = ["simulate", "--out", tmp_path, "--id", "X", "--dsm"]
+    assert "TOWN_001.tif: found no coordinate" in refused(*made, folder / "TOWN/images/TOWN_001.tif")
+    assert "TOWN_001.tif: found no coordinate" in refused(
+        *made, folder / "TOWN/images/TOWN_001.tif", "--terrain", "natural"
+    )
+    heights = truth / "TOWN_DSM.tif"
+    assert "TOWN_DSM.tif: found none of the classes 2, 5, 6, 9" in refused(*made, heights, "--classes", heights)
+    passes = ["--terrain", "natural", "--passes", "12", "--lat", "60"]
+    assert "--passes: found a sun -37.0 degrees high" in refused("simulate", "--out", tmp_path, "--id", "X", *passes)
+
+
+def test_what_a_simulation_takes_is_that_of_its_images(make_town: Callable[[], Scene], tmp_path: Path) -> None:
+    """Test views are among the views, and a given surface may be smaller than asked for."""
+    asked = ["simulate", "--out", tmp_path, "--views", "6", "--test-views", "2", "--dry-run"]
+    assert "0.0164 km2, 6 images, 0.393 megapixels" in CliRunner().invoke(main, list(map(str, asked))).stderr
+    heights = make_town().root / "truth/TOWN_DSM.tif"
+    assert "0.0041 km2, 6 images" in CliRunner().invoke(main, [*map(str, asked), "--dsm", str(heights)]).stderr
 
 
 def test_a_normalisation(make_town: Callable[[], Scene]) -> None:

@@ -38,6 +38,18 @@ def test_a_printed_configuration_is_one_that_can_be_given(tmp_path: Path) -> Non
     assert run("fit", "--config", str(path), "--print-config").stdout == first
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    ["prep x.tif", "simulate", "normalise", "prior", "align", "fit", "export", "compare", "change a.tif b.tif"],
+)
+def test_what_a_command_prints_without_options_can_be_given_to_it(tmp_path: Path, arguments: str) -> None:
+    path = tmp_path / "c.toml"
+    first = run(*arguments.split(), "--print-config").stdout
+    path.write_text(first)
+    again = run(*arguments.split(), "--config", str(path), "--print-config")
+    assert (again.exit_code, again.stdout) == (0, first)
+
+
 @pytest.mark.parametrize("text", ["seed = 3", "[fit]\nseed = 3\n[export]\nvertical = 'egm96'"])
 def test_options_come_from_the_top_level_or_the_commands_table(tmp_path: Path, text: Any) -> None:
     path = tmp_path / "c.toml"
@@ -109,6 +121,13 @@ def test_numbers_that_belong_together_stand_apart(call: Any, count: int) -> None
     result = run(*call, "a", "b", "c")
     assert result.exit_code == 2
     assert f"found '{call[-1]}', expected {count} numbers with blanks between them" in result.stderr
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "99"])
+def test_memory_is_a_number(number: str) -> None:
+    result = run("info", "--max-memory", number)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1].startswith("Error: Invalid value for '--max-memory'")
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,23 @@ def test_the_wanted_area_is_the_polygon_without_the_masks(tmp_path: Path) -> Non
     assert wanted_area(None, [lake], UTM33)(BOX).area == pytest.approx(9800.0)
 
 
+def test_rings_that_cross_lose_no_part(tmp_path: Path) -> None:
+    bow = Polygon([(X, Y), (X + 60, Y + 50), (X + 60, Y), (X, Y + 50)])  # two triangles of 750 m2
+    path = written(tmp_path / "bow.gpkg", bow)
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1500.0)
+    assert wanted_area(None, [path], UTM33)(BOX).area == pytest.approx(8500.0)
+
+
+def test_a_file_of_several_layers_says_which_is_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "places.gpkg"
+    for name, side in (("town", 20), ("lake", 10)):
+        frame = geopandas.GeoDataFrame(geometry=[box(X, Y, X + side, Y + side)], crs=UTM33)
+        frame.to_file(path, layer=name)
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(400.0)
+    (said,) = [one.getMessage() for one in caplog.records]
+    assert said.endswith("places.gpkg: found 2 layers, of which the first is read, 'town'")
+
+
 def test_a_rectangle_along_the_grid_needs_no_area(tmp_path: Path) -> None:
     assert wanted_area(written(tmp_path / "aoi.gpkg", box(*BOX)), [], UTM33)(BOX) is None
     assert wanted_area(None, [], UTM33)(BOX) is None

@@ -84,6 +84,13 @@ def test_bounds_are_degrees_without_crs_and_metres_with_it() -> None:
         bounds_from_numbers([2, 0, 1, 1], UTM33, None)
 
 
+@pytest.mark.parametrize("east", [180.002, -179.998])
+def test_bounds_may_reach_across_180_degrees(east: float) -> None:
+    """With a west larger than the east as in the bbox of GeoJSON and STAC, too."""
+    west, south, right, north = bounds_from_numbers([179.998, 20.0, east, 20.002], "EPSG:32601", None)
+    assert (right - west, north - south) == pytest.approx((422.8, 229.1), abs=0.1)  # turned by a degree there
+
+
 def test_geojson_area_in_degrees_or_in_its_own_crs(tmp_path: Path) -> None:
     ring = [[LON0, LAT0], [LON0 + 10 / EAST_M, LAT0], [LON0, LAT0 + 20 / NORTH_M], [LON0, LAT0]]
     feature = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]}}

@@ -179,6 +179,11 @@ def test_correction_none_keeps_the_cameras(images: Any, options: Any) -> None:
     scene, extra = prepare(images, replace(options, correction="none"))
     assert RPC.from_file(scene.path("rpc/city_2_RPC.TXT")).to_tags() == RPC.from_file(images[2]).to_tags()
     assert "cameras were left as they are (correction none)" in extra["notes"]
+    assert not any(note.endswith("; corrected") for note in extra["notes"])
+    found = extra["adjustment"]
+    assert (found["model"], found["median_after_px"]) == ("none", found["median_before_px"])
+    assert [item.properties["sattools:rpc_shift_px"] for item in scene.items] == [[0, 0]] * len(scene.items)
+    assert "tie points ask for" in scene.path("adjustment.txt").read_text()
 
 
 def test_an_existing_scene_is_kept_unless_told_otherwise(images: Any, options: Any, tmp_path: Path) -> None:
@@ -284,6 +289,7 @@ def test_an_area_outside_is_refused(images: Any, options: Any) -> None:
     [
         ({"metadata": "/nowhere"}, "found no such folder"),
         ({"crs": "EPSG:4326"}, "not projected in metres"),
+        ({"crs": "EPSG:32633+5773"}, "found one with heights of its own, expected that of a map such as EPSG:32633"),
         ({"holdout": ["city_9"]}, "holdout: found 'city_9'"),
         ({"bounds": [1.0, 2.0, 3.0, 4.0], "aoi": "a.geojson"}, "found both --aoi and --bounds"),
     ],

@@ -12,7 +12,7 @@ import pytest
 import rasterio
 
 from sattools.compare import compare_dsm, read_reference
-from sattools.errors import OutputExistsError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.schedule import own_cell
@@ -52,6 +52,21 @@ def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     with rasterio.open(scene.path(scene.products["prior_dsm"])) as data:
         assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
         assert data.units == ("m",)
+
+
+def test_planes_further_apart_than_the_heights_are_refused(make_town: Any) -> None:
+    scene = make_town()
+    scene.height_range_m = (-28.0, 21.0)
+    for refuse in (check_start, prior):
+        with pytest.raises(SceneError, match=r"found --step 50 m, expected at most the height range, 49 m"):
+            refuse(scene, PriorOptions(step=50.0))
+    assert "prior_dsm" not in scene.products
+
+
+def test_a_least_angle_above_the_largest_is_refused() -> None:
+    with pytest.raises(InputError, match=r"--min-angle: found 45, expected at most 40 \(--max-angle\)"):
+        PriorOptions(min_angle=45.0)
+    assert PriorOptions(min_angle=45.0, max_angle=60.0).min_angle == 45.0
 
 
 def test_the_surface_is_right_and_where_it_is_sure_it_is_righter(matched: Any) -> None:

@@ -139,6 +139,9 @@ def test_a_gamma_that_is_for_other_images_is_told(tmp_path: Path) -> None:
         ({"black": 65535}, "--black: found 65535, expected less than 65535, white in the 16 bits of i0"),
         ({"black": 1e9}, "--black: found 1e+09, expected less than 65535, white in the 16 bits of i0"),
         ({"offset": 0.5}, "--offset: found it without --scale"),
+        ({"saturation": 0.0}, "--saturation: found 0, expected more than 0, the number of no light"),
+        ({"saturation": 90.0, "black": 100.0}, "--saturation: found 90, expected more than 100"),
+        ({"bands": [2, 1, 2]}, "--bands: found [2, 1, 2], expected each of them once"),
     ],
 )
 def test_a_declaration_that_cannot_be_meant_stops_with_one_line(

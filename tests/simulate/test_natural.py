@@ -15,6 +15,9 @@ from sattools.camera.ground import project
 from sattools.camera.sun import sun_position
 from sattools.cli import main
 from sattools.errors import InputError
+from sattools.radiometry.kind import image_scales
+from sattools.radiometry.options import NormaliseOptions
+from sattools.radiometry.stage import normalise
 from sattools.reflectance import hapke, rpv
 from sattools.scene import Scene
 from sattools.scene.raster import read_image, read_raster
@@ -52,6 +55,25 @@ def test_the_tracers_reflectance_and_the_fits_agree_though_they_share_nothing(mo
     assert usual.sum() > 1000
     np.testing.assert_allclose(traced[usual], fitted[usual], rtol=2e-6, atol=1e-9)
     assert (traced[cos_i < 0] == 0).all()
+
+
+@pytest.mark.parametrize("options", [{}, {"quantity": "relative"}, {"match": True}])
+def test_natural_ground_stays_a_reflectance_factor_unless_something_else_is_asked_for(
+    tmp_path: Path, options: Any
+) -> None:
+    made = simulate(SimulateOptions(**SMALL | {"views": 2}), tmp_path)
+    for _ in range(2):  # what `normalise` has said does not count as what the images say
+        about = normalise(made, NormaliseOptions(**options))
+        kind = "relative" if options else "reflectance_factor"
+        assert (about["quantity"], made.items[0].properties["sattools:radiance"]) == (kind, kind)
+    numbers = read_image(made.path(made.items[0].assets["image"].href))
+    radiance = read_image(made.path(made.items[0].assets["radiance"].href))
+    np.testing.assert_allclose(radiance, numbers / 4095, rtol=1e-6)
+
+
+def test_saturated_pixels_of_natural_ground_are_masked(scene: Any) -> None:
+    (scale,) = image_scales(scene, scene.items[:1], NormaliseOptions()).values()
+    assert scale.saturation(12) == 4095
 
 
 def test_hapkes_golden_value() -> None:

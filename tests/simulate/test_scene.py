@@ -18,9 +18,10 @@ from sattools.camera.rpc import RPC
 from sattools.cli import main
 from sattools.compare import read_dfc2019, read_reference
 from sattools.errors import OutputExistsError
-from sattools.scene import Scene
+from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
+from sattools.simulate.stage import check_start, plan_views
 
 SMALL = {"size": 48.0, "views": 3, "dates": 2, "bias_px": 2.0, "gsd": 0.5, "test_views": 1}
 
@@ -145,6 +146,36 @@ def test_same_seed_same_files_other_seed_other_city(scene: Any, tmp_path: Path) 
     other = simulate(SimulateOptions(**SMALL, seed=1), tmp_path / "other")
     a, b = (read_raster(s.path(s.products["truth_dsm"]))[0] for s in (scene, other))
     assert np.abs(a - b).max() > 3
+
+
+@pytest.mark.parametrize(
+    ("views", "asked", "held"),
+    [
+        (12, 3, [1, 5, 9]),
+        (12, 5, [1, 3, 5, 8, 10]),
+        (12, 7, [1, 2, 4, 6, 7, 9, 11]),
+        (5, 0, []),
+        (4, 12, [1, 2, 3]),  # one is for training
+        (1, 1, []),
+    ],
+)
+def test_as_many_views_as_asked_for_are_held_out(views: int, asked: int, held: list[int]) -> None:
+    options = SimulateOptions(views=views, test_views=asked, size=40)
+    grid = Grid("EPSG:32617", 436000.0, 3357000.0, 0.5, 80, 80)
+    planned = plan_views(options, grid, (-22.0, 10.0), np.random.default_rng(0))
+    assert [k for k, view in enumerate(planned) if view.role == "test"] == held
+
+
+def test_more_test_views_than_views_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    check_start(SimulateOptions(views=4, test_views=12), tmp_path)
+    assert "--test-views: found 12 of 4 views, one of which is for training" in caplog.text
+
+
+def test_a_given_surface_has_no_streets_for_cars(tmp_path: Path) -> None:
+    arguments = ["simulate", "--dsm", "dsm.tif", "--cars", "3", "--out", str(tmp_path)]
+    refused = CliRunner().invoke(main, arguments)
+    assert refused.exit_code == 2
+    assert "--cars: found --dsm, expected none" in refused.stderr
 
 
 def test_eight_bit_images_are_tone_mapped(tmp_path: Path) -> None:
