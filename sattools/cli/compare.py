@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from sattools.scene import Scene
     from sattools.scene.jsonio import JsonObject
 
+log = logging.getLogger(__name__)
+
 
 @click.command("compare")
 @scene_argument
@@ -37,10 +40,13 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         raise click.UsageError("found both --predicted and --fit, expected one of them")
     if options.predicted is not None and (unused := _unused(options, scenes)):
         raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
+    if options.fit and scenes:
+        raise click.UsageError(f"found {scenes[0]} beside --fit, expected it as --fit NAME={scenes[0]}, too, or not")
     if options.fit and options.out is None:
         raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
     if options.out is not None and options.predicted is None and not options.fit:
         raise click.UsageError("found --out with a scene, whose results go into its own folder: expected it without")
+    _tell_idle(options)
     if options.predicted is not None:
         _compare_file(options, overwrite, dry_run, print_config)
         return
@@ -84,6 +90,14 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         foreseen=plans.of_compare,
         check=lambda s: _check(options, s, overwrite),
     )
+
+
+def _tell_idle(options: CompareOptions) -> None:
+    """One line for each option that was given on the command line and does nothing without another one."""
+    given = click.get_current_context().get_parameter_source
+    for name, needed in (("aoi", "truth"), ("lpips_weights", "views")):
+        if given(name) is click.core.ParameterSource.COMMANDLINE and not getattr(options, needed):
+            log.warning("--%s does nothing here: expected --%s beside it", name.replace("_", "-"), needed)
 
 
 def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
