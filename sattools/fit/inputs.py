@@ -15,7 +15,7 @@ import numpy as np
 
 from sattools import __version__
 from sattools.camera.rpc import RPC
-from sattools.errors import OutputExistsError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.illumination import views_left_out
@@ -30,7 +30,10 @@ from sattools.scene.dependencies import MADE, check_current, drop, latest, outda
 from sattools.scene.document import FIT_ROLE, PARTS
 from sattools.scene.files import check_outputs, digest, written
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.opening import opened
+from sattools.scene.placement import crs_of
 from sattools.scene.raster import raster_grid
+from sattools.scene.regrid import bounds_in
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
@@ -202,6 +205,27 @@ def check_prior(scene: Scene, options: FitOptions) -> None:
         check_current(scene, "prior")
 
 
+def check_reference(scene: Scene, reference: str | None) -> None:
+    """Raise InputError where a reference lies elsewhere than the scene: a fit would end with it after its first epoch.
+
+    Args:
+        scene: of the fit.
+        reference: file of heights, or None.
+    """
+    if reference is None:
+        return
+    grid = scene.require_grid()
+    path = Path(reference)
+    with opened(path) as data:
+        if data.crs is None:  # a tile of the contest, perhaps, whose place is in a file beside it
+            return
+        west, south, east, north = bounds_in(crs_of(data, path), grid.widened(max(grid.shape)))
+        left, bottom, right, top = data.bounds
+    across = min(left, right) < east and west < max(left, right)
+    if not (across and min(bottom, top) < north and south < max(bottom, top)):
+        raise InputError(f"{path}: found no ground of scene {scene.id}, expected a --reference of its area")
+
+
 def makes_prior(scene: Scene, options: FitOptions) -> bool:
     """Whether the fit will make the prior itself, as none is there or an earlier fit made it of something else."""
     return options.prior_weight > 0 and ("prior_dsm" not in scene.products or _is_left_over(scene))
@@ -313,6 +337,6 @@ def _hash(array: np.ndarray) -> str:
 
 
 __all__ = [
-    "basis_of", "check_prior", "fingerprint", "forget_left_over", "holding_out", "load_prior", "makes_prior",
-    "may_write", "saying_why_anew", "warn_of_prior",
+    "basis_of", "check_prior", "check_reference", "fingerprint", "forget_left_over", "holding_out", "load_prior",
+    "makes_prior", "may_write", "saying_why_anew", "warn_of_prior",
 ]  # fmt: skip

@@ -15,7 +15,15 @@ from sattools.fit.depth_prior import DepthPrior, certainty, reference_height
 from sattools.fit.described import COLOURS, Radiance
 from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import basis_of, check_prior, holding_out, load_prior, may_write, warn_of_prior
+from sattools.fit.inputs import (
+    basis_of,
+    check_prior,
+    check_reference,
+    holding_out,
+    load_prior,
+    may_write,
+    warn_of_prior,
+)
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.start import Beginning
@@ -85,6 +93,7 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     elif device.type == "cpu":
         check_step(options)
     check_prior(scene, options)
+    check_reference(scene, options.reference)
     basis = basis_of(scene, options, images.cameras)
     return FitSetup(items, radiance, calibrated(options, radiance), device, notes, images, basis)
 
