@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli import plans
-from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
+from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument, tell_idle
 from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
 from sattools.compare.options import CompareOptions
 from sattools.errors import OutputExistsError, SattoolsError
@@ -20,8 +19,6 @@ from sattools.progress import Progress
 if TYPE_CHECKING:
     from sattools.scene import Scene
     from sattools.scene.jsonio import JsonObject
-
-log = logging.getLogger(__name__)
 
 
 @click.command("compare")
@@ -46,7 +43,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
     if options.out is not None and options.predicted is None and not options.fit:
         raise click.UsageError("found --out with a scene, whose results go into its own folder: expected it without")
-    _tell_idle(options)
+    tell_idle("aoi", bool(options.truth), "--truth beside it")
+    tell_idle("lpips_weights", options.views, "--views beside it")
     if options.predicted is not None:
         _compare_file(options, overwrite, dry_run, print_config)
         return
@@ -90,14 +88,6 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         foreseen=plans.of_compare,
         check=lambda s: _check(options, s, overwrite),
     )
-
-
-def _tell_idle(options: CompareOptions) -> None:
-    """One line for each option that was given on the command line and does nothing without another one."""
-    given = click.get_current_context().get_parameter_source
-    for name, needed in (("aoi", "truth"), ("lpips_weights", "views")):
-        if given(name) is click.core.ParameterSource.COMMANDLINE and not getattr(options, needed):
-            log.warning("--%s does nothing here: expected --%s beside it", name.replace("_", "-"), needed)
 
 
 def _check(options: CompareOptions, scene: Scene, overwrite: bool) -> None:
