@@ -86,7 +86,8 @@ def change(
         )  # fmt: skip
         if ALBEDO in names:
             brighter = found.albedo_change(labels)
-            bands = old.band_names("albedo") or [f"band {k + 1}" for k in range(old.bands("albedo"))]
+            words = old.band_names("albedo") or [str(k + 1) for k in range(old.bands("albedo"))]
+            bands = [f"band {word}" if word.isdecimal() else word for word in words]
             _write_map(folder / ALBEDO, brighter, ("1", "albedo, later minus earlier"), (old, new), bands)
         title = f"{old.name} to {new.name}: change of height"
         difference_picture(heights.difference, old.grid, title, folder / PICTURE)

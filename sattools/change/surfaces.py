@@ -46,11 +46,11 @@ class Surface:
         return raster_bands(self.layers[layer]) if layer in self.layers else 0
 
     def band_names(self, layer: str) -> list[str]:
-        """STAC's common names of a layer's bands, as its file says them; empty where it does not."""
+        """What a layer's file calls its bands, STAC's common names or numbers; empty where it does not."""
         with opened(self.layers[layer]) as data:
             words = [str(text or "").split(" ")[-1].casefold() for text in data.descriptions]
-        named = len(set(words)) == len(words) and set(words) <= set(COMMON_NAMES)
-        return ["nir" if word == "nir08" else word for word in words] if named else []
+        known = all(word in COMMON_NAMES or word.isdecimal() for word in words) and len(set(words)) == len(words)
+        return ["nir" if word == "nir08" else word for word in words] if known else []
 
     def on(self, layer: str, where: Grid) -> np.ndarray:
         """A layer ``[B, h, w]`` float32, in its unit, on a grid; NaN where nothing was measured.
@@ -81,7 +81,7 @@ class Surface:
 def order_of_bands(old: Surface, new: Surface) -> list[int]:
     """Number, from 0, of the later albedo's band that is each of the earlier one's; empty where they differ.
 
-    Bands without names are taken in their order.
+    Bands without names, and those of which one date knows names and the other numbers, are taken in their order.
 
     Args:
         old: earlier date.
@@ -91,9 +91,10 @@ def order_of_bands(old: Surface, new: Surface) -> list[int]:
     if count == 0 or count != new.bands("albedo"):
         return []
     before, after = old.band_names("albedo"), new.band_names("albedo")
-    if not (before and after):
-        return list(range(count))
-    return [after.index(name) for name in before] if set(before) == set(after) else []
+    if set(before) == set(after) and before:
+        return [after.index(name) for name in before]
+    alike = [{word.isdecimal() for word in words} for words in (before, after)]
+    return [] if before and after and alike[0] == alike[1] else list(range(count))
 
 
 def read_surface(source: str) -> Surface:

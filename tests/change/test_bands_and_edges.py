@@ -58,12 +58,30 @@ def test_bands_in_another_order_are_compared_by_their_names(tmp_path: Path) -> N
     assert found == pytest.approx(0.0, abs=1e-6)
 
 
-def test_albedos_of_other_bands_are_not_subtracted(tmp_path: Path) -> None:
-    before = date(tmp_path, "A", ["blue", "green", "red"])
-    after = date(tmp_path, "B", ["green", "red", "nir"])
+def test_bands_that_have_numbers_only_are_compared_by_them(tmp_path: Path) -> None:
+    before = date(tmp_path, "A", ["3", "1"])
+    after = date(tmp_path, "B", ["1", "3"])
+    with rasterio.open(after.parent / "albedo.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as data:
+        first = data.read(1)  # which is number 1
+        first[30:, 30:] += 0.125
+        data.write(first, 1)
+    assert change(before, after, "--out", tmp_path / "out").exit_code == 0
+    found = read_raster(tmp_path / "out" / "albedo_change.tif")[0]
+    assert found[0] == pytest.approx(0.0, abs=1e-6)
+    assert found[1, 30:, 30:] == pytest.approx(0.125, abs=1e-6)
+    with rasterio.open(tmp_path / "out" / "albedo_change.tif") as data:
+        assert [text.split(", ")[-1] for text in data.descriptions] == ["band 3", "band 1"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [(["blue", "green", "red"], ["green", "red", "nir"]), (["1", "2", "3"], ["2", "3", "4"])]
+)
+def test_albedos_of_other_bands_are_not_subtracted(tmp_path: Path, old: list[str], new: list[str]) -> None:
+    before = date(tmp_path, "A", old)
+    after = date(tmp_path, "B", new)
     result = change(before, after, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr
-    note = "albedo: found blue, green, red before and green, red, nir after, expected the same bands: no map of"
+    note = f"albedo: found {', '.join(old)} before and {', '.join(new)} after, expected the same bands: no map of"
     assert note in result.stderr
     assert note in json.loads(result.stdout)["notes"][0]
     assert not (tmp_path / "out" / "albedo_change.tif").exists()
