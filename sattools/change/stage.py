@@ -25,7 +25,7 @@ from sattools.scene.files import all_or_nothing, check_outputs, make_folder, wri
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
-from sattools.scene.vectors import Features, geopackage, read_polygons
+from sattools.scene.vectors import Features, geopackage, numbered_polygons, read_polygons
 
 log = logging.getLogger(__name__)
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
@@ -167,11 +167,11 @@ def _row(values: dict[str, Any]) -> JsonObject:
 
 
 def _per_polygon(path: Path, grid: Grid, heights: HeightChange) -> list[JsonObject]:
-    """Change and volume of every polygon of a vector file, holes in the surfaces left out."""
+    """Change and volume of every polygon of a vector file, by its place there, holes in the surfaces left out."""
     from rasterio.features import rasterize
 
     table = []
-    for k, shape in enumerate(read_polygons(path, grid.crs)):
+    for k, shape in numbered_polygons(path, grid.crs).items():
         rows, cols = _around(grid, shape.bounds)
         part = grid.part(rows, cols)
         inside = rasterize([(shape, 1)], out_shape=part.shape, transform=part.transform, dtype="uint8") > 0

@@ -101,6 +101,11 @@ def read_layer(name: str, path: str, expected: str) -> Features:
 
 
 def read_polygons(path: Path, crs: str) -> list[Any]:
+    """`numbered_polygons` without their numbers."""
+    return list(numbered_polygons(path, crs).values())
+
+
+def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     """The polygons of a vector file, in a CRS.
 
     Args:
@@ -108,7 +113,7 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
         crs: projected ground CRS [m].
 
     Returns:
-        Shapely polygons and multipolygons, in the file's order.
+        Shapely polygons and multipolygons by their places in the file from 0, which points and empty features have too.
 
     Raises:
         InputError: missing, of another format, without a CRS, or without polygons.
@@ -122,7 +127,11 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
     kinds = ("Polygon", "MultiPolygon")
-    shapes = [shape for shape in places if shape is not None and shape.geom_type in kinds and not shape.is_empty]
+    shapes = {
+        number: shape
+        for number, shape in enumerate(places)
+        if shape is not None and shape.geom_type in kinds and not shape.is_empty
+    }
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
     return shapes
@@ -184,6 +193,7 @@ __all__ = [
     "in_crs",
     "is_geojson",
     "is_vector",
+    "numbered_polygons",
     "read_features",
     "read_layer",
     "read_polygons",

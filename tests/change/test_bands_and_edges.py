@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
-from shapely.geometry import Polygon, box
+from shapely.geometry import Point, Polygon, box
 
 from sattools.cli import main
 from sattools.scene import Scene
@@ -109,6 +109,17 @@ def test_a_polygon_that_reaches_beyond_the_maps_is_known_in_part(tmp_path: Path)
     rows = json.loads(result.stdout)["polygons"]
     assert [(row["known_share"], row["area_m2"]) for row in rows[:2]] == [(0.5, 100.0), (1.0, 100.0)]
     assert rows[2]["known_share"] == 1.0
+
+
+def test_the_numbers_of_polygons_are_their_places_in_the_file(tmp_path: Path) -> None:
+    for name, seed in (("old", 1), ("new", 2)):
+        write_cog(tmp_path / f"{name}.tif", heights(seed), GRID, units="m")
+    one, other = box(436010.0, 3355010.0, 436020.0, 3355020.0), box(436010.0, 3355010.0, 436015.0, 3355020.0)
+    places = geopandas.GeoDataFrame(geometry=[Point(436012.0, 3355012.0), one, None, other], crs="EPSG:32617")
+    places.to_file(tmp_path / "places.gpkg")
+    given = ["--polygons", tmp_path / "places.gpkg", "--out", tmp_path / "out"]
+    rows = json.loads(change(tmp_path / "old.tif", tmp_path / "new.tif", *given).stdout)["polygons"]
+    assert [(row["number"], row["area_m2"]) for row in rows] == [(1, 100.0), (3, 50.0)]
 
 
 def test_surfaces_that_are_not_moved_have_no_negative_zero(tmp_path: Path) -> None:
