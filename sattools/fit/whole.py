@@ -89,7 +89,13 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     if options.field == "surface":
         if options.device == "cuda":
             log.warning("--device cuda: a surface is fitted on the CPU; a GPU is for --field mlp, neural and voxel")
-        schedule(options, own_cell(scene), scene.require_height_range(), options.prior_weight > 0)
+        stages = schedule(options, own_cell(scene), scene.require_height_range(), options.prior_weight > 0)
+        finest = stages[-1].cell_size
+        if options.coarsest is not None and options.coarsest < finest * (1 - 1e-9) and not scene.is_part:
+            log.warning(
+                "--coarsest does nothing here: found %g m, expected more than the finest cell, %g m",
+                options.coarsest, finest,
+            )  # fmt: skip
     elif device.type == "cpu":
         check_step(options)
     check_prior(scene, options)

@@ -54,6 +54,15 @@ def test_softness_is_given_twice(given: list[str], found: str) -> None:
     assert words in " ".join(result.stderr.split())
 
 
+@pytest.mark.parametrize(("coarsest", "told"), [(0.5, True), (2.0, False), (8.0, False)])
+def test_a_coarsest_cell_below_the_finest_is_told(
+    make_town: Any, caplog: pytest.LogCaptureFixture, coarsest: float, told: bool
+) -> None:
+    check_start(make_town(), replace(QUICK, coarsest=coarsest))
+    line = "--coarsest does nothing here: found 0.5 m, expected more than the finest cell, 2 m"
+    assert (line in caplog.messages) == told
+
+
 def test_two_by_two_cells_are_fitted(make_town: Any) -> None:
     scene = make_town()
     fit(scene, replace(QUICK, resolution=32.0, prior_weight=0.0))
