@@ -221,7 +221,7 @@ def check_reference(scene: Scene, reference: str | None) -> None:
             return
         west, south, east, north = bounds_in(crs_of(data, path), grid.widened(max(grid.shape)))
         left, bottom, right, top = data.bounds
-    across = min(left, right) < east and west < max(left, right)
+    across = (min(left, right) < east and west < max(left, right)) or west > east  # at 180 degrees nobody can tell
     if not (across and min(bottom, top) < north and south < max(bottom, top)):
         raise InputError(f"{path}: found no ground of scene {scene.id}, expected a --reference of its area")
 

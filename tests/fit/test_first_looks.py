@@ -11,9 +11,10 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.errors import InputError
 from sattools.fit.checkpoint import load
+from sattools.fit.inputs import check_reference
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
-from sattools.scene import Grid
+from sattools.scene import Grid, Scene
 from sattools.scene.raster import raster_grid, write_cog
 
 QUICK = FitOptions(resolution=2.0, epochs=[1])
@@ -44,6 +45,14 @@ def test_a_reference_of_a_part_of_the_area_is_watched(make_town: Any, tmp_path: 
     write_cog(tmp_path / "part.tif", np.add.outer(np.arange(part.height), np.arange(part.width)).astype("f4"), part)
     fit(scene, replace(QUICK, reference=str(tmp_path / "part.tif")))
     assert (scene.root / "fit/trace.csv").read_text().startswith("seconds,stage,cell_m,epoch,softness_m,loss,mae_m\n")
+
+
+@pytest.mark.parametrize("west", [179.9995, -180.0003])
+def test_a_reference_at_the_date_line_is_taken(tmp_path: Path, west: float) -> None:
+    """West of it a degree is 180, east of it -180: boxes of these cannot be compared."""
+    zone = Grid("EPSG:32701", 180172.0, 8140199.0, 1.0, 100, 100)  # of 179.9999 degrees west, 16.8 south
+    write_cog(tmp_path / "fiji.tif", np.zeros((50, 200), np.float32), Grid("EPSG:4326", west, -16.7999, 1e-5, 200, 50))
+    check_reference(Scene("FIJI", tmp_path, grid=zone), str(tmp_path / "fiji.tif"))
 
 
 @pytest.mark.parametrize(("given", "found"), [(["1"], "1"), (["1", "0.5", "0.25"], "1 0.5 0.25")])
