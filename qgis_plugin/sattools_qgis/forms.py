@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 from typing import Any
 
 PARAMETERS = ("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc")
@@ -64,6 +65,7 @@ KINDS = {
 KINDS |= dict.fromkeys(("dsm", "classes", "predicted", "reference"), "raster")
 KINDS |= dict.fromkeys(("aoi", "polygons"), "polygons") | {"mask": "several polygons", "points": "file", "to": "file"}
 PRODUCTS = ("laz", "ply", "contours", "dtm", "ortho", "mesh", "obj", "tiles")  # of `export --products`
+QUOTES = " Several with blanks between them, in double quotes what holds blanks itself."
 ABBREVIATIONS = {"Dsm": "DSM", "Aoi": "Area of interest", "Crs": "CRS", "Id": "Name of the scene", "Brdf": "BRDF"}
 ABBREVIATIONS |= {"Bounds": "Extent", "Out": "Folder for the scene", "Dfc2019": "DFC 2019 folder", "To": "Reference"}
 
@@ -119,7 +121,7 @@ def fields(name: Any, command: Any) -> Any:
                 "multiple": option["multiple"],
                 "type": kind,
                 "label": title(option["name"], option.get("group") if own not in plain else None),
-                "help": option["help"],
+                "help": option["help"] + (QUOTES if kind == "list" and option["kind"] == "str" else ""),
                 "default": default if default not in ([], ()) else None,
                 "minimum": option["minimum"],
                 "maximum": option["maximum"],
@@ -146,13 +148,18 @@ def arguments(fields: Any, values: Any) -> Any:
             continue
         if value is None or value in ("", []) or value == field["default"]:
             continue
-        parts = value if isinstance(value, list) else str(value).split() if _several(field) else [value]
+        parts = value if isinstance(value, list) else parts_of(str(value)) if _several(field) else [value]
         if field["multiple"]:
             for part in parts:
                 found += [field["flag"], str(part)]
         else:
             found += [field["flag"], *map(str, parts)]
     return found
+
+
+def parts_of(text: Any) -> Any:
+    """What a text has between its blanks; within double quotes blanks are part of it: `w="my maps/w.tif" b=b.tif`."""
+    return [part.replace('"', "") for part in re.findall(r'(?:[^\s"]|"[^"]*")+', text)]
 
 
 def _several(field: Any) -> Any:

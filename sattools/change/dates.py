@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.change.surfaces import Surface
+from sattools.change.surfaces import Surface, order_of_bands
 from sattools.compare.doubts import FAR_M, check_metres, in_feet, of_registration, worse_than_none
 from sattools.compare.registration import Method, Registration, register, search_margin, shifted
 from sattools.compare.tally import Median
@@ -80,12 +80,14 @@ class Dates:
     def albedo_change(self, labels: np.ndarray) -> Callable[[slice], np.ndarray]:
         """Gives later minus earlier albedo ``[C, h, W]`` of some rows, the later one's brightness and contrast matched.
 
-        Haze, season and exposure change all colours alike. They are told where nothing has changed.
+        Haze, season and exposure change all colours alike. They are told where nothing has changed. Bands are those of
+        the same names, in the earlier date's order.
 
         Args:
             labels: ``[H, W]``, 0 where nothing has changed.
         """
-        grid, later = self.old.grid, self.moved("albedo")
+        grid, moved = self.old.grid, self.moved("albedo")
+        later = [moved[number] for number in order_of_bands(self.old, self.new)]
         step = math.ceil(math.sqrt(grid.width * grid.height / SAMPLED))
         olds, news = [], []
         for rows in pieces(grid.shape):
@@ -160,7 +162,7 @@ def register_dates(old: Surface, new: Surface, method: Method, folder: Path) -> 
     for rows in pieces(grid.shape):
         difference[rows] = shifted(wide, found.columns, found.rows, margin, rows) - offset - before[rows]
     east, north, _ = found.metres(grid.cell_size)
-    return Dates(old, new, difference, found, (east, north, -offset), margin, folder, notes)
+    return Dates(old, new, difference, found, (east, north, 0.0 - offset), margin, folder, notes)
 
 
 def _says_metres(path: Path) -> bool:

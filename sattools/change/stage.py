@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from sattools.camera.ground import check_metres
 from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
 from sattools.change.options import ChangeOptions
-from sattools.change.surfaces import Surface, read_surface
+from sattools.change.surfaces import Surface, order_of_bands, read_surface
 from sattools.compare.picture import difference_picture
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
@@ -25,7 +25,7 @@ from sattools.scene.files import all_or_nothing, check_outputs, make_folder, wri
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
-from sattools.scene.vectors import Features, geopackage, read_polygons
+from sattools.scene.vectors import Features, geopackage, numbered_polygons, read_polygons
 
 log = logging.getLogger(__name__)
 HEIGHT, SIGNIFICANCE, ALBEDO = "height_change.tif", "significance.tif", "albedo_change.tif"
@@ -68,7 +68,7 @@ def change(
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
     unsure = [surface for surface in (old, new) if regions and "confidence" not in surface.layers]
-    notes = [*found.notes, *map(_noise_alone, unsure)]
+    notes = [*found.notes, *_other_bands(old, new), *map(_noise_alone, unsure)]
     for text in notes:
         log.warning("%s", text)
     table: JsonObject = {"before": old.name, "after": new.name, "shift_m": [round(v, 4) for v in found.shift_m]}
@@ -86,7 +86,9 @@ def change(
         )  # fmt: skip
         if ALBEDO in names:
             brighter = found.albedo_change(labels)
-            _write_map(folder / ALBEDO, brighter, ("1", "albedo, later minus earlier"), (old, new), old.bands("albedo"))
+            words = old.band_names("albedo") or [str(k + 1) for k in range(old.bands("albedo"))]
+            bands = [f"band {word}" if word.isdecimal() else word for word in words]
+            _write_map(folder / ALBEDO, brighter, ("1", "albedo, later minus earlier"), (old, new), bands)
         title = f"{old.name} to {new.name}: change of height"
         difference_picture(heights.difference, old.grid, title, folder / PICTURE)
         write_bytes(folder / POLYGONS, _geopackage(labels, regions, old.grid))
@@ -104,7 +106,7 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
     """Both dates and the names of what will be written, once all is checked that needs no work."""
     old, new = read_surface(before), read_surface(after)
     check_metres(str(old.layers["height"]), old.grid.crs, old.grid.bounds)
-    names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if _same_bands(old, new) else [])]
+    names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if order_of_bands(old, new) else [])]
     polygons = [Path(options.polygons)] if options.polygons else []
     for path in polygons:
         read_polygons(path, old.grid.crs)
@@ -126,20 +128,24 @@ def _write_map(
     read: Callable[[slice], np.ndarray],
     about: tuple[str, str],
     dates: tuple[Surface, Surface],
-    bands: int = 1,
+    bands: Sequence[str] = ("",),
 ) -> None:
-    """Write what some rows hold, ``[h, W]`` or ``[B, h, W]``; ``about``: unit, and what it is."""
+    """Write what some rows hold, ``[h, W]`` or ``[B, h, W]``; ``about``: unit, and what it is; ``bands``: names."""
     tags = {"SOFTWARE": "sattools", "BEFORE": dates[0].name, "AFTER": dates[1].name}
     unit, name = about
-    described = [name] if bands == 1 else [f"{name}, band {k + 1}" for k in range(bands)]
+    described = [name] if len(bands) == 1 else [f"{name}, {band}" for band in bands]
     grid = dates[0].grid
-    with CogWriter(path, grid, bands=bands, units=unit, tags=tags, descriptions=described) as out:
+    with CogWriter(path, grid, bands=len(bands), units=unit, tags=tags, descriptions=described) as out:
         for rows in pieces(grid.shape):
             out.write(np.asarray(read(rows), np.float32), rows)
 
 
-def _same_bands(old: Surface, new: Surface) -> bool:
-    return old.bands("albedo") == new.bands("albedo") > 0
+def _other_bands(old: Surface, new: Surface) -> list[str]:
+    """Why there is no map of the change of albedo although both dates have one."""
+    if order_of_bands(old, new) or not (old.bands("albedo") and new.bands("albedo")):
+        return []
+    said = (", ".join(one.band_names("albedo")) or f"{one.bands('albedo')} bands" for one in (old, new))
+    return [f"albedo: found {' before and '.join(said)} after, expected the same bands: no map of its change"]
 
 
 def _table(heights: HeightChange, regions: list[Region], options: ChangeOptions) -> JsonObject:
@@ -161,19 +167,29 @@ def _row(values: dict[str, Any]) -> JsonObject:
 
 
 def _per_polygon(path: Path, grid: Grid, heights: HeightChange) -> list[JsonObject]:
-    """Change and volume of every polygon of a vector file, holes in the surfaces left out."""
+    """Change and volume of every polygon of a vector file, by its place there, holes in the surfaces left out."""
     from rasterio.features import rasterize
 
     table = []
-    for k, shape in enumerate(read_polygons(path, grid.crs)):
+    for k, shape in numbered_polygons(path, grid.crs).items():
         rows, cols = _around(grid, shape.bounds)
         part = grid.part(rows, cols)
         inside = rasterize([(shape, 1)], out_shape=part.shape, transform=part.transform, dtype="uint8") > 0
         known = (inside & np.isfinite(heights.difference[rows, cols])).sum() / max(1, inside.sum())
+        known *= _share_within(shape, grid)  # of what lies beyond the maps nothing is known
         values = asdict(sums(inside, heights, (rows, cols)))
         finite = {name: value if np.isfinite(value) else None for name, value in values.items()}
         table.append({"number": k, "known_share": round(float(known), 4), **_row(finite)})
     return table
+
+
+def _share_within(shape: Any, grid: Grid) -> float:
+    """Share of a polygon's area that lies on the grid."""
+    from shapely import make_valid
+    from shapely.geometry import box
+
+    whole = make_valid(shape)
+    return float(whole.intersection(box(*grid.bounds)).area) / whole.area if whole.area > 0 else 1.0
 
 
 def _around(grid: Grid, bounds: tuple[float, float, float, float]) -> tuple[slice, slice]:

@@ -11,9 +11,11 @@ import numpy as np
 from sattools.compare.doubts import check_heights
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
+from sattools.radiometry.bands import COMMON_NAMES
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import check_current
 from sattools.scene.location import location
+from sattools.scene.opening import opened
 from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map
 from sattools.scene.validity import MEASURED
@@ -43,6 +45,13 @@ class Surface:
         """Number of a layer's bands; 0 where there is no such layer."""
         return raster_bands(self.layers[layer]) if layer in self.layers else 0
 
+    def band_names(self, layer: str) -> list[str]:
+        """What a layer's file calls its bands, STAC's common names or numbers; empty where it does not."""
+        with opened(self.layers[layer]) as data:
+            words = [str(text or "").split(" ")[-1].casefold() for text in data.descriptions]
+        known = all(word in COMMON_NAMES or word.isdecimal() for word in words) and len(set(words)) == len(words)
+        return ["nir" if word == "nir08" else word for word in words] if known else []
+
     def on(self, layer: str, where: Grid) -> np.ndarray:
         """A layer ``[B, h, w]`` float32, in its unit, on a grid; NaN where nothing was measured.
 
@@ -67,6 +76,25 @@ class Surface:
     def height(self) -> np.ndarray:
         """``[H, W]`` [m], all of it; NaN where nothing was measured."""
         return self.on("height", self.grid)[0]
+
+
+def order_of_bands(old: Surface, new: Surface) -> list[int]:
+    """Number, from 0, of the later albedo's band that is each of the earlier one's; empty where they differ.
+
+    Bands without names, and those of which one date knows names and the other numbers, are taken in their order.
+
+    Args:
+        old: earlier date.
+        new: later date.
+    """
+    count = old.bands("albedo")
+    if count == 0 or count != new.bands("albedo"):
+        return []
+    before, after = old.band_names("albedo"), new.band_names("albedo")
+    if set(before) == set(after) and before:
+        return [after.index(name) for name in before]
+    alike = [{word.isdecimal() for word in words} for words in (before, after)]
+    return [] if before and after and alike[0] == alike[1] else list(range(count))
 
 
 def read_surface(source: str) -> Surface:
@@ -94,4 +122,4 @@ def read_surface(source: str) -> Surface:
     return Surface(scene.id, layers, validity, grid, (path, *used))
 
 
-__all__ = ["Surface", "read_surface"]
+__all__ = ["Surface", "order_of_bands", "read_surface"]

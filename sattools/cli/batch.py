@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,4 +133,19 @@ def configuration(path: Path | None) -> Configuration:
         except click.UsageError as error:
             error.ctx = click.get_current_context()  # it is `batch` that was called wrongly
             raise
+        if path is not None and name in tables:
+            _check_together(name, part, path)
     return Configuration(path.stem if path else "default", tables, resolved)
+
+
+def _check_together(name: str, command: click.Command, path: Path) -> None:
+    """Raise where a command refuses values of its table, or what they are together, which it else says hours later."""
+    parent = click.get_current_context().find_root()
+    try:
+        with (
+            redirect_stdout(io.StringIO()),
+            command.make_context(name, ["--config", str(path), "--print-config"], parent=parent) as context,
+        ):
+            command.invoke(context)
+    except click.UsageError as error:
+        raise click.BadParameter(f"{path}: [{name}] {error.format_message()}", param_hint="--config") from None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.cli import plans
-from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument
+from sattools.cli.options import build, common_options, dataclass_options, print_config, scene_argument, tell_idle
 from sattools.cli.pipe import Run, apply, progress_of, report_error, run_scenes
 from sattools.compare.options import CompareOptions
 from sattools.errors import OutputExistsError, SattoolsError
@@ -37,10 +37,14 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         raise click.UsageError("found both --predicted and --fit, expected one of them")
     if options.predicted is not None and (unused := _unused(options, scenes)):
         raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
+    if options.fit and scenes:
+        raise click.UsageError(f"found {scenes[0]} beside --fit, expected it as --fit NAME={scenes[0]}, too, or not")
     if options.fit and options.out is None:
         raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
     if options.out is not None and options.predicted is None and not options.fit:
         raise click.UsageError("found --out with a scene, whose results go into its own folder: expected it without")
+    tell_idle("aoi", bool(options.truth), "--truth beside it")
+    tell_idle("lpips_weights", options.views, "--views beside it")
     if options.predicted is not None:
         _compare_file(options, overwrite, dry_run, print_config)
         return

@@ -55,6 +55,11 @@ class CompareOptions:
     def __post_init__(self) -> None:
         name_and_file(self.map, "--map")
         name_and_file(self.fit, "--fit")
+        if self.classes is not None and self.dsm is None:
+            raise InputError(
+                f"--classes: found {self.classes} without --dsm, expected both: the reference of --truth, and that of "
+                "a simulated scene, has a class map of its own"
+            )
         if self.region is not None:
             parse_region(self.region)
 

@@ -236,7 +236,10 @@ def score(options: CompareOptions, scene: Scene, progress: Progress = silent, fo
         for name, reference in name_and_file(options.map, "--map").items():
             figures["parameters"][name], pairs[name] = _compare_map(scene, name, reference, result)
     if options.points:
-        figures["points"] = _compare_points(scene, Path(options.points), result)
+        figures["points"], unknown = _compare_points(scene, Path(options.points), result)
+        if unknown is not None:
+            log.warning("%s", unknown)
+            figures["notes"] = [*figures.get("notes", []), unknown]
     if options.views:
         progress(0.7, "views")
         figures |= compare_views(scene, options.lpips_weights)
@@ -296,15 +299,20 @@ def _datums(predicted: Path, options: CompareOptions) -> list[str]:
     return [text]
 
 
-def _compare_points(scene: Scene, path: Path, result: Comparison) -> list[JsonObject]:
-    from sattools.compare.points import compare_points, filed, read_points
+def _compare_points(scene: Scene, path: Path, result: Comparison) -> tuple[list[JsonObject], str | None]:
+    """The samples' table, and a remark where not one of their values is of a map that the scene has."""
+    from sattools.compare.points import band_of, compare_points, filed, read_points
 
     points = read_points(path)
     wanted = {key for point in points for key in point.values}
     names = [n for n in scene.products if any(key == n or key.rpartition("_")[0] == n for key in wanted)]
     maps = {name: filed(scene.path(scene.products[name])) for name in names}
     east, north, _ = result.registration.metres(result.grid.cell_size)
-    return compare_points(points, maps, (east, north))
+    table = compare_points(points, maps, (east, north))
+    if any(band_of(key, maps)[0] for key in wanted):
+        return table, None
+    found, expected = ", ".join(sorted(wanted))[:200], f"some of maps that scene {scene.id} has (albedo_1, theta, ...)"
+    return table, f"{path}: found values {found}, expected {expected}"
 
 
 def _scatter_href(name: str) -> str:

@@ -40,7 +40,8 @@ class Exported:
             count: its bands.
 
         Returns:
-            ``["albedo red", ...]``, or numbers from 1; ``{"WAVELENGTHS_UM": "0.66 ..."}`` or nothing.
+            ``["albedo red", ...]``, or the numbers of the images' bands from 1; ``{"WAVELENGTHS_UM": "0.66 ..."}`` or
+            nothing.
         """
         return band_names(self.scene, self.about, name, count)
 
@@ -56,7 +57,8 @@ def band_names(scene: Scene, model: Description, name: str, count: int) -> tuple
     """
     bands = _bands_of(scene, model)
     if len(bands) != count:
-        return [f"{name} {b + 1}" for b in range(count)], {}
+        own = model.bands if len(model.bands) == count else range(1, count + 1)
+        return [f"{name} {band}" for band in own], {}
     words = [str(band.get("common_name", band.get("name"))) for band in bands]
     lengths = [band.get("center_wavelength") for band in bands]
     known = all(isinstance(length, int | float) for length in lengths)

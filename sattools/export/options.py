@@ -47,6 +47,9 @@ class ExportOptions:
 
     def __post_init__(self) -> None:
         parse_names(self.products)
+        twice = next((name for k, name in enumerate(self.view) if name in self.view[:k]), None)
+        if twice is not None:
+            raise InputError(f"--view: found {twice!r} twice, expected every image once")
         if self.sun is None:
             return
         azimuth, elevation = self.sun

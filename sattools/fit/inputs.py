@@ -15,7 +15,7 @@ import numpy as np
 
 from sattools import __version__
 from sattools.camera.rpc import RPC
-from sattools.errors import OutputExistsError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.illumination import views_left_out
@@ -30,7 +30,10 @@ from sattools.scene.dependencies import MADE, check_current, drop, latest, outda
 from sattools.scene.document import FIT_ROLE, PARTS
 from sattools.scene.files import check_outputs, digest, written
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.opening import opened
+from sattools.scene.placement import crs_of
 from sattools.scene.raster import raster_grid
+from sattools.scene.regrid import bounds_in
 from sattools.views import Source
 
 log = logging.getLogger(__name__)
@@ -149,15 +152,8 @@ def load_prior(
     """
     if options.prior_weight == 0:
         return None, {}
-    ids = [item.id for item in scene.train_items()]
-    if _is_left_over(scene):
-        log.info("scene %s: the prior is made anew, for %d images", scene.id, len(ids))
-        drop(scene, "prior")
-        overwrite = True
+    overwrite = forget_left_over(scene) or overwrite
     check_prior(scene, options)
-    made = latest(scene, "prior")
-    if made is not None and "prior_dsm" in scene.products and (leaked := sorted(set(made["items"]) - set(ids))):
-        log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
     from sattools.prior.files import read_prior
 
     new: JsonObject = {}
@@ -209,21 +205,45 @@ def check_prior(scene: Scene, options: FitOptions) -> None:
         check_current(scene, "prior")
 
 
+def check_reference(scene: Scene, reference: str | None) -> None:
+    """Raise InputError where a reference lies elsewhere than the scene: a fit would end with it after its first epoch.
+
+    Args:
+        scene: of the fit.
+        reference: file of heights, or None.
+    """
+    if reference is None:
+        return
+    grid = scene.require_grid()
+    path = Path(reference)
+    with opened(path) as data:
+        if data.crs is None:  # a tile of the contest, perhaps, whose place is in a file beside it
+            return
+        west, south, east, north = bounds_in(crs_of(data, path), grid.widened(max(grid.shape)))
+        left, bottom, right, top = data.bounds
+    across = (min(left, right) < east and west < max(left, right)) or west > east  # at 180 degrees nobody can tell
+    if not (across and min(bottom, top) < north and south < max(bottom, top)):
+        raise InputError(f"{path}: found no ground of scene {scene.id}, expected a --reference of its area")
+
+
 def makes_prior(scene: Scene, options: FitOptions) -> bool:
     """Whether the fit will make the prior itself, as none is there or an earlier fit made it of something else."""
     return options.prior_weight > 0 and ("prior_dsm" not in scene.products or _is_left_over(scene))
 
 
 def warn_of_prior(scene: Scene, options: FitOptions) -> None:
-    """Warn where ``resolution`` asks for a surface on finer cells than the prior has, whose walls it would keep.
+    """Warn of a prior that has seen held-out images, or whose walls ``resolution`` would keep on finer cells.
 
     Args:
         scene: of the fit; its prior, if it has one, is readable.
         options: of the fit.
     """
+    made = makes_prior(scene, options)
+    seen = latest(scene, "prior") if options.prior_weight > 0 and not made else None
+    if seen is not None and (leaked := sorted(set(seen["items"]) - {item.id for item in scene.train_items()})):
+        log.warning("scene %s: the prior was matched with %s, which this fit holds out", scene.id, leaked[0])
     if options.resolution is None or options.field != "surface" or options.prior_weight == 0 or scene.is_part:
         return
-    made = makes_prior(scene, options)
     cell = (scene.require_grid() if made else raster_grid(scene.path(scene.products["prior_dsm"]))).cell_size
     if cell > FINER * options.resolution:
         log.warning(
@@ -231,6 +251,22 @@ def warn_of_prior(scene: Scene, options: FitOptions) -> None:
             "--resolution %g` before the fit its heights are better", scene.id, options.resolution, cell,
             options.resolution,
         )  # fmt: skip
+
+
+def forget_left_over(scene: Scene) -> bool:
+    """Drop the prior that an earlier fit has made of other images, or of images as they are no more, if it is that.
+
+    Args:
+        scene: of the fit, which has set the roles of the images; is changed.
+
+    Returns:
+        Whether it was.
+    """
+    if not _is_left_over(scene):
+        return False
+    log.info("scene %s: the prior is made anew, for %d images", scene.id, len(scene.train_items()))
+    drop(scene, "prior")
+    return True
 
 
 def _is_left_over(scene: Scene) -> bool:
@@ -301,6 +337,6 @@ def _hash(array: np.ndarray) -> str:
 
 
 __all__ = [
-    "basis_of", "check_prior", "fingerprint", "holding_out", "load_prior", "makes_prior", "may_write",
-    "saying_why_anew", "warn_of_prior",
+    "basis_of", "check_prior", "check_reference", "fingerprint", "forget_left_over", "holding_out", "load_prior",
+    "makes_prior", "may_write", "saying_why_anew", "warn_of_prior",
 ]  # fmt: skip

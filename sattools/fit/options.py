@@ -85,16 +85,16 @@ class FitOptions(RayOptions):
     )
     epochs: list[int] = option(
         [],
-        "Passes over all views per stage, coarse to fine (the last is repeated; default: 5 from a prior, 8 of "
-        "calibrated images or with a reflectance model, 16 from a flat start or where shadows or transients are "
-        "learned).",
+        "Passes over all views per stage, coarse to fine (repeatable; the last holds for all further stages; default: "
+        "5 from a prior, 8 of calibrated images or with a reflectance model, 16 from a flat start or where shadows or "
+        "transients are learned).",
         minimum=1,
         maximum=100_000,
     )
     softness: list[float] = option(
         [1.5, 0.5],
-        "How blurred the surface is in height at the start and the end of a stage, in cells: enough to find its way, "
-        "then sharp (s in docs/glossary.md).",
+        "How blurred the surface is in height at the start and, given again, at the end of a stage, in cells: enough "
+        "to find its way, then sharp (s in docs/glossary.md).",
         minimum=0.01,
         maximum=1000,
     )
@@ -139,6 +139,12 @@ class FitOptions(RayOptions):
 
     def __post_init__(self) -> None:
         parse_views(self.views)
+        if len(self.softness) != 2:
+            found = " ".join(f"{length:g}" for length in self.softness) or "no number"
+            raise InputError(
+                f"--softness: found {found}, expected two numbers, of the start and the end of a stage: --softness 1.5 "
+                "--softness 0.5"
+            )
 
 
 def parse_views(text: str) -> int | None:

@@ -6,7 +6,14 @@ from dataclasses import replace
 
 from sattools.fit.files import MODEL, TRACE
 from sattools.fit.foresight import check_tiled, with_tile
-from sattools.fit.inputs import holding_out, makes_prior, may_write, saying_why_anew, warn_of_prior
+from sattools.fit.inputs import (
+    forget_left_over,
+    holding_out,
+    makes_prior,
+    may_write,
+    saying_why_anew,
+    warn_of_prior,
+)
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.shared import PRODUCT
@@ -57,10 +64,12 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
     options = with_tile(scene, options)
     may = may_write(scene, options, overwrite)
     may_begin(scene, "fit", [MODEL, TRACE], may)
+    left_over = False
     with holding_out(scene, options.holdout, options.views):
         if options.tile and not scene.is_part and PRODUCT not in scene.products:
             set_up(scene, options)
             check_tiled(options)
+            left_over = options.prior_weight > 0 and forget_left_over(scene)
             plan = Plan.make(scene, options)
             if len(plan.tiles) > 1 and options.part != "mosaic":
                 plan.begun()
@@ -72,7 +81,7 @@ def check_start(scene: Scene, options: FitOptions, overwrite: bool = True) -> No
         set_up_whole(scene, options)
         if makes_prior(scene, options):
             with saying_why_anew(scene):
-                check_prior_start(scene, PriorOptions(), may or "prior_dsm" in scene.products)
+                check_prior_start(scene, PriorOptions(), may or left_over or "prior_dsm" in scene.products)
 
 
 __all__ = ["check_start", "choose_device", "fit"]

@@ -15,7 +15,15 @@ from sattools.fit.depth_prior import DepthPrior, certainty, reference_height
 from sattools.fit.described import COLOURS, Radiance
 from sattools.fit.files import CHECKPOINT, MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.illumination import calibrated, check_light, exposed, radiance_kind
-from sattools.fit.inputs import basis_of, check_prior, holding_out, load_prior, may_write, warn_of_prior
+from sattools.fit.inputs import (
+    basis_of,
+    check_prior,
+    check_reference,
+    holding_out,
+    load_prior,
+    may_write,
+    warn_of_prior,
+)
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.start import Beginning
@@ -81,10 +89,17 @@ def set_up(scene: Scene, options: FitOptions) -> FitSetup:
     if options.field == "surface":
         if options.device == "cuda":
             log.warning("--device cuda: a surface is fitted on the CPU; a GPU is for --field mlp, neural and voxel")
-        schedule(options, own_cell(scene), scene.require_height_range(), options.prior_weight > 0)
+        stages = schedule(options, own_cell(scene), scene.require_height_range(), options.prior_weight > 0)
+        finest = stages[-1].cell_size
+        if options.coarsest is not None and options.coarsest < finest * (1 - 1e-9) and not scene.is_part:
+            log.warning(
+                "--coarsest does nothing here: found %g m, expected more than the finest cell, %g m",
+                options.coarsest, finest,
+            )  # fmt: skip
     elif device.type == "cpu":
         check_step(options)
     check_prior(scene, options)
+    check_reference(scene, options.reference)
     basis = basis_of(scene, options, images.cameras)
     return FitSetup(items, radiance, calibrated(options, radiance), device, notes, images, basis)
 

@@ -78,10 +78,10 @@ def scene_page(scene: Scene) -> str:
 
 def _drop_stale(scene: Scene) -> list[Section]:
     """What is out of date is left out, and the page says so."""
-    for stage in ("fit", "export", "compare"):
+    for stage in ("normalise", "prior", "fit", "export", "compare"):
         reason = stale(scene, stage)
         if reason:
-            gone = ", ".join(drop(scene, stage))
+            gone = ", ".join(drop(scene, stage)) or f"what {stage} has made"
             log.warning("scene %s: %s; left out of the report: %s", scene.id, reason, gone)
             return [Section("Out of date", [f"Left out: {gone}. {reason[0].upper()}{reason[1:]}."])]
     return []

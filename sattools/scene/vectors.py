@@ -115,6 +115,11 @@ def _tell(text: str) -> None:
 
 
 def read_polygons(path: Path, crs: str) -> list[Any]:
+    """`numbered_polygons` without their numbers."""
+    return list(numbered_polygons(path, crs).values())
+
+
+def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     """The polygons of a vector file, in a CRS.
 
     Args:
@@ -122,7 +127,7 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
         crs: projected ground CRS [m].
 
     Returns:
-        Shapely polygons and multipolygons, in the file's order.
+        Shapely polygons and multipolygons by their places in the file from 0, which points and empty features have too.
 
     Raises:
         InputError: missing, of another format, without a CRS, or without polygons.
@@ -135,7 +140,9 @@ def read_polygons(path: Path, crs: str) -> list[Any]:
     except Exception as error:  # of pyproj, shapely and numpy
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
-    shapes = [shape for shape in map(_polygons, places) if shape is not None and not shape.is_empty]
+    shapes = {
+        number: shape for number, shape in enumerate(map(_polygons, places)) if shape is not None and not shape.is_empty
+    }
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
     return shapes
@@ -210,6 +217,7 @@ __all__ = [
     "in_crs",
     "is_geojson",
     "is_vector",
+    "numbered_polygons",
     "read_features",
     "read_layer",
     "read_polygons",

@@ -152,9 +152,10 @@ def make_view(
 def _cell_blur(col: np.ndarray, row: np.ndarray) -> tuple[float, float]:
     """Gaussian sigma in pixels (columns, rows) that brings an image's resolution to the grid's."""
     h, w = col.shape
-    middle = (slice(h // 2, h // 2 + 2), slice(w // 2, w // 2 + 2))
     if h < 2 or w < 2:
         return 0.0, 0.0
+    top, left = min(h // 2, h - 2), min(w // 2, w - 2)
+    middle = (slice(top, top + 2), slice(left, left + 2))
     c, r = col[middle], row[middle]
     along_col = math.hypot(c[0, 1] - c[0, 0], c[1, 0] - c[0, 0])
     along_row = math.hypot(r[0, 1] - r[0, 0], r[1, 0] - r[0, 0])

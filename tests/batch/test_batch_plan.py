@@ -210,7 +210,6 @@ def test_a_dry_run_looks_for_what_its_tasks_would_run_on(
         ("[prior]\nresolution = 100.0", "sattools prior: error: grid: found 1 x 1 cells of 100 m"),
         ("[fit]\nholdout = ['nobody']", "sattools fit: error: scene A: found no item 'nobody' to hold out"),
         ("[fit]\npreset = 'rpv-nerf'\nbrdf = 'hapke'", "sattools fit: error: --brdf hapke: network rpv has no head"),
-        ("[fit]\ntile = 20.0\noverlap = 10.0", "sattools fit: error: Invalid value for --overlap"),
         ("[fit]\ntile = 32.0\noverlap = 8.0\nbrdf = 'rpv'", "sattools fit: error: --tile: found --brdf rpv"),
         ("[export]\nview = ['nobody']", "sattools export: error: scene A: found no item 'nobody'"),
         ("[align]\nmethod = 'z'", "sattools align: error: "),

@@ -63,7 +63,6 @@ def fitted(fitted_source: Path, tmp_path: Path) -> Path:
         (["--bands", "pink"], "--bands: found 'pink'"),
         (["--holdout", "nobody"], "found no item 'nobody' to hold out"),
         (["--views", "nearest-nadir:1"], "found 1 training image, expected at least 2"),
-        (["--softness", "1"], "--softness: found [1.0]"),
         (["--tile", "32", "--overlap", "8", "--brdf", "rpv"], "--tile: found --brdf rpv"),
         ([], "exists already; give --overwrite to replace it"),
     ],

@@ -64,6 +64,14 @@ def test_bands_that_files_name_are_named_in_maps_without_normalise(make_town: Ca
         assert data.descriptions == ("albedo red", "albedo blue")
 
 
+def test_bands_without_names_keep_their_numbers_in_the_images(make_town: Callable[[], Scene]) -> None:
+    scene = make_town()
+    fit(scene, replace(QUICK, bands=["3", "1"]))
+    export(scene, ExportOptions())
+    with rasterio.open(scene.path(scene.products["albedo"])) as data:
+        assert data.descriptions == ("albedo 3", "albedo 1")
+
+
 def test_red_green_and_blue_of_eight_are_those_that_the_files_name(make_town: Callable[[], Scene]) -> None:
     scene = eight_bands(make_town())
     names = ["coastal", "blue", "nir", "green", "yellow", "red", "rededge", "nir08"]  # another sensor's

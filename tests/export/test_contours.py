@@ -106,3 +106,10 @@ def test_an_interval_asks_for_contours() -> None:
     options: Any = ExportOptions(contours=2.0)
     assert options.wanted == ["contours"]
     assert ExportOptions(products=["contours"]).wanted == ["contours"]
+
+
+def test_heights_are_written_as_people_write_them(tmp_path: Path) -> None:
+    """82 times 0.3 is 24.599999999999998 in binary numbers: a label, and a filter, would have it so."""
+    found = set(lines_of(maps_of(tmp_path, cone() + np.float32(20.0)), 0.3).height)
+    assert {24.6, 24.9, 25.2} <= found
+    assert 24.599999999999998 not in found

@@ -64,6 +64,15 @@ def test_an_option_of_several_values_is_given_once() -> None:
     assert forms.arguments(bounds, {"BOUNDS": "1 2 3 4"}) == ["--bounds", "1", "2", "3", "4"]
 
 
+def test_names_with_blanks_are_one_value_within_quotes() -> None:
+    fields = [f for f in forms.fields("compare", USAGE["commands"]["compare"]) if f["key"] in ("MAP", "LPIPS_WEIGHTS")]
+    text = 'w="C:\\my maps\\w.tif"  "b=O\'Hara/b.tif"'
+    assert forms.arguments(fields, {"MAP": text, "LPIPS_WEIGHTS": "a b"}) == [
+        "--map", "w=C:\\my maps\\w.tif", "--map", "b=O'Hara/b.tif", "--lpips-weights", "a", "--lpips-weights", "b",
+    ]  # fmt: skip
+    assert all("in double quotes what holds blanks itself" in f["help"] for f in fields)
+
+
 def test_several_layers_are_given_one_by_one_whatever_their_names_hold() -> None:
     fields = forms.fields("prep", USAGE["commands"]["prep"])
     assert forms.arguments(fields, {"MASK": ["a lake.gpkg", "b.shp"], "AOI": "my area.shp"}) == [

@@ -54,7 +54,8 @@ def contour_lines(maps: Maps, interval: float, progress: Progress) -> Features:
                 levels.append(level)
                 lines.append(line.simplify(0.1 * cell))
     numbers = np.array(levels, dtype=np.int64)
-    return Features(lines, {"height": numbers * interval, "major": numbers % _MAJOR == 0}, maps.grid.crs)
+    heights = np.round(numbers * interval, _DIGITS)  # -24.6, as people write it
+    return Features(lines, {"height": heights, "major": numbers % _MAJOR == 0}, maps.grid.crs)
 
 
 def write_contours(path: Path, maps: Maps, interval: float, progress: Progress) -> int:

@@ -41,10 +41,8 @@ def schedule(
     Raises:
         SceneError: options that make no schedule.
     """
-    if len(options.softness) != 2 or min(options.softness) <= 0:
-        raise SceneError(
-            f"--softness: found {options.softness}, expected two positive numbers (start and end of a stage)"
-        )
+    if min(options.softness) <= 0:
+        raise SceneError(f"--softness: found {options.softness}, expected positive numbers")
     epochs = options.epochs or [default_epochs(options, with_prior, relative)]
     if min(epochs) < 1:
         raise SceneError(f"--epochs: found {options.epochs}, expected positive numbers")

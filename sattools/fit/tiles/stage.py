@@ -14,7 +14,7 @@ import logging
 from dataclasses import replace
 
 from sattools.fit.foresight import check_tiled
-from sattools.fit.inputs import warn_of_prior
+from sattools.fit.inputs import forget_left_over, warn_of_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.clearing import WHOLE
 from sattools.fit.tiles.mosaic import mosaic_tiles
@@ -46,6 +46,8 @@ def fit_tiled(scene: Scene, options: FitOptions, progress: Progress = silent) ->
             with ``part="mosaic"``.
     """
     check_tiled(options)
+    if options.prior_weight > 0:
+        forget_left_over(scene)  # the tiles make their own
     plan = Plan.make(scene, options)
     if len(plan.tiles) == 1:
         log.info("scene %s is no larger than a tile: fitted all at once", scene.id)

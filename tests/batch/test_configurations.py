@@ -1,0 +1,59 @@
+"""Configurations whose values do not go together end a batch before its first fit, not after it."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from sattools.cli import main
+
+GOOD = """\
+[normalise]
+quantity = "reflectance_factor"
+scale = "1/10000"
+[fit]
+preset = "satnerf"
+tile = 200
+[export]
+products = ["laz,dtm", "mesh"]
+[align]
+to = "lidar.tif"
+[compare]
+dsm = "lidar.tif"
+classes = "classes.tif"
+region = "west"
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[export]\nproducts = ["laz", "lazz"]', "c.toml: [export] --products: found 'lazz', expected some of dsm,"),
+        ('[fit]\nviews = "nearest"', "c.toml: [fit] --views: found 'nearest', expected all or nearest-nadir:N"),
+        ("[fit]\ntile = 40", "c.toml: [fit] Invalid value for --overlap: found 32 m, expected less than half of"),
+        ('[compare]\nregion = "left"', "c.toml: [compare] --region: found 'left', expected west, east, north, south"),
+        ('[normalise]\nscale = "1/3"', "c.toml: [normalise] --scale: found --quantity auto, expected"),
+    ],
+)
+def test_what_a_command_would_refuse_after_hours_is_refused_at_once(
+    make_town: Any, tmp_path: Path, text: str, words: str
+) -> None:
+    scene = make_town("A")
+    (tmp_path / "c.toml").write_text(text)
+    out = tmp_path / "out"
+    given = ["batch", "--config", str(tmp_path / "c.toml"), "--out", str(out), "--workers", "1"]
+    result = CliRunner().invoke(main, given, input=scene.to_json())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in " ".join(result.stderr.split())
+    assert not out.exists()
+
+
+def test_a_configuration_of_values_that_go_together_is_taken(make_town: Any, tmp_path: Path) -> None:
+    from sattools.cli.batch import configuration
+
+    (tmp_path / "c.toml").write_text(GOOD)
+    with main.make_context("sattools", ["info"]) as context, context.scope():
+        found = configuration(tmp_path / "c.toml")
+    assert found.tables["fit"] == {"preset": "satnerf", "tile": 200}
+    assert found.resolved["export"]["products"] == ("laz,dtm", "mesh")
