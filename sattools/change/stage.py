@@ -21,7 +21,7 @@ from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
-from sattools.scene.files import all_or_nothing, check_outputs, make_folder, write_bytes, write_text
+from sattools.scene.files import all_or_nothing, check_outputs, make_folder, remove, write_bytes, write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import heights_above
 from sattools.scene.stored import pieces
@@ -89,6 +89,8 @@ def change(
             words = old.band_names("albedo") or [str(k + 1) for k in range(old.bands("albedo"))]
             bands = [f"band {word}" if word.isdecimal() else word for word in words]
             _write_map(folder / ALBEDO, brighter, ("1", "albedo, later minus earlier"), (old, new), bands)
+        else:
+            remove(folder / ALBEDO)  # of other dates, which nothing would tell from these
         title = f"{old.name} to {new.name}: change of height"
         difference_picture(heights.difference, old.grid, title, folder / PICTURE)
         write_bytes(folder / POLYGONS, _geopackage(labels, regions, old.grid))
@@ -111,7 +113,7 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
     for path in polygons:
         read_polygons(path, old.grid.crs)
     inputs = [*old.files, *new.files, *polygons]
-    check_outputs([Path(options.out) / name for name in names], inputs, overwrite)
+    check_outputs([Path(options.out) / name for name in dict.fromkeys([*names, ALBEDO])], inputs, overwrite)
     return old, new, names
 
 

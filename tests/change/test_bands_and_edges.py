@@ -87,6 +87,18 @@ def test_albedos_of_other_bands_are_not_subtracted(tmp_path: Path, old: list[str
     assert not (tmp_path / "out" / "albedo_change.tif").exists()
 
 
+def test_a_map_of_the_albedo_of_other_dates_does_not_stay_beside_new_ones(tmp_path: Path) -> None:
+    before, after = date(tmp_path, "A", ["blue", "green"]), date(tmp_path, "B", ["blue", "green"])
+    other, out = date(tmp_path, "C", ["red", "nir"]), tmp_path / "out"
+    assert change(before, after, "--out", out).exit_code == 0
+    refused = change(before, other, "--out", out)
+    assert refused.exit_code == 1
+    assert "--overwrite" in refused.stderr
+    assert (out / "albedo_change.tif").exists()
+    assert change(before, other, "--out", out, "--overwrite").exit_code == 0
+    assert not (out / "albedo_change.tif").exists()
+
+
 def test_bands_without_names_are_taken_in_their_order(tmp_path: Path) -> None:
     before = date(tmp_path, "A", ["1", "2", "3"])
     after = date(tmp_path, "B", ["blue", "green", "red"])
