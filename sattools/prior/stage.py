@@ -82,7 +82,7 @@ def prior(
     else:
         check_extent(grid)
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
-        found = _within(fine, wide, match_area(sources, wide, z_range, options, part))
+        found = _within(fine, wide, match_area(sources, wide, z_range, options, part, of=fine))
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
     if fine != grid:

@@ -9,7 +9,7 @@ import rasterio
 from synthetic_views import ALT0, LAT0, LON0, parallel_rpc
 
 from sattools.camera import RPC
-from sattools.camera.ground import from_geographic, project
+from sattools.camera.ground import from_geographic, localize, project
 from sattools.prior import PriorOptions, tiled
 from sattools.prior import stage as priors
 from sattools.prior.stage import prior
@@ -103,3 +103,26 @@ def test_depth_per_image_has_all_pixels_of_the_image_however_small_the_area(make
         x, y = (low_edge + side * grid.cell_size / 2 for low_edge in (scene.grid.left, scene.grid.bounds[1]))
         col, row = project(rpc, grid.crs, x, y, low + 4)
         assert np.hypot(*(seen.mean(axis=0) - [row, col])) < 0.3 * max(depth.shape)
+
+
+@pytest.mark.parametrize("at_once", [10**6, 1000])
+def test_shares_are_of_the_area_where_images_have_no_data_beyond(
+    middle: Any, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, _ = middle
+    monkeypatch.setattr(priors, "AT_ONCE", at_once)
+    grid, (low, high) = scene.require_grid(), scene.require_height_range()
+    west, south, east, north = grid.widened(round(3 / grid.cell_size)).bounds
+    for item in scene.train_items():
+        rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
+        with rasterio.open(scene.path(item.assets["image"].href), "r+") as data:
+            row, col = np.indices(data.shape)
+            at = [localize(rpc, grid.crs, col.ravel(), row.ravel(), np.full(row.size, z)) for z in (low, high)]
+            shown = np.zeros(data.shape, bool)
+            for x, y in at:
+                shown |= ((west < x) & (x < east) & (south < y) & (y < north)).reshape(data.shape)
+            data.nodata = 0
+            data.write(np.where(shown, np.maximum(data.read(), 1), 0))
+    entry = prior(scene, PriorOptions())
+    assert entry["prior"]["seen_by_two"] > 0.95
+    assert not any("seen by fewer" in text for text in entry["notes"])
