@@ -30,6 +30,7 @@ from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
 
 COLUMNS = ("z", "item", "column", "row")
+NUMBERS = ("x", "y", "lon", "lat", "z", "column", "row")
 DELIMITERS = (",", ";", "\t")  # of tables; the first where a heading has none
 SPARE_CELLS = 4  # of the reference around what is asked for
 
@@ -141,13 +142,16 @@ def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, boo
 
 
 def _csv_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
-    text = read_text(path)
-    head = text.lstrip().split("\n", 1)[0]
+    text = read_text(path).lstrip("\r\n")
+    delimiter = max(DELIMITERS, key=text.split("\n", 1)[0].count)
     try:
-        rows = list(csv.DictReader(io.StringIO(text), delimiter=max(DELIMITERS, key=head.count)))
+        rows = list(csv.DictReader(io.StringIO(text), delimiter=delimiter, skipinitialspace=True))
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read ({error}), expected a CSV of control points") from None
-    return [_on_ground({str(k).strip().lower(): _bare(v) for k, v in row.items()}, crs) for row in rows]
+    named = [{str(k).strip().lower(): _bare(v) for k, v in row.items()} for row in rows]
+    if delimiter == ";":  # of languages whose decimals begin with a comma
+        named = [{k: v.replace(",", ".") if k in NUMBERS and v else v for k, v in row.items()} for row in named]
+    return [_on_ground(row, crs) for row in named]
 
 
 def _bare(value: Any) -> Any:

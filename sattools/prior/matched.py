@@ -40,7 +40,7 @@ class Matched:
         confidence: ``[H, W]`` in [0, 1].
         pairs: ids of the images that were correlated.
         agreement: how every image agrees with the others, by id; None = unknown.
-        seen_by_two, consistent_in_two: shares of the cells.
+        seen_by_two, consistent_in_two: shares of the cells, without those around the area.
         bent: the image whose lines of sight are the least parallel, and by how much [m].
     """
 
@@ -59,6 +59,8 @@ def match_area(
     z_range: tuple[float, float],
     options: PriorOptions,
     progress: Progress = silent,
+    *,
+    of: Grid | None = None,
 ) -> Matched | None:
     """`match_sources`, and how sure it is.
 
@@ -68,19 +70,21 @@ def match_area(
         z_range: lowest and highest height [m].
         options: of the matching.
         progress: share done.
+        of: the part of the grid that shares are of; None = all of it.
     """
     found = match_sources(sources, grid, z_range, options, progress)
     if found is None:
         return None
     matched, views, pairs, agreement = found
     worst = max(views, key=lambda view: view.parallel_ray_error_m)
+    inside = grid.window(of or grid)
     return Matched(
         matched.height,
         match_confidence(matched),
         [(views[a].id, views[b].id) for a, b in pairs],
         {view.id: value for view, value in zip(views, agreement, strict=True)},
-        float((matched.views >= 2).mean()),
-        float((matched.consistent_views >= 2).mean()),
+        float((matched.views[inside] >= 2).mean()),
+        float((matched.consistent_views[inside] >= 2).mean()),
         (worst.id, worst.parallel_ray_error_m),
     )
 

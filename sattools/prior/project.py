@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sattools.camera.ground import ground_rays
+from sattools.camera.ground import ground_rays, project
 from sattools.camera.rpc import RPC
 from sattools.scene.grid import Grid
 
@@ -35,6 +35,39 @@ def seen_by(
         Height of the surface seen by each pixel ``[rows, columns]`` float32, and each layer there; NaN where a line of
         sight meets no known part of the surface.
     """
+    rows, cols = _window(rpc, shape, grid, z_range)
+    part = rows.stop - rows.start, cols.stop - cols.start
+    if part == shape:
+        return _seen_by(rpc, shape, grid, height, layers, z_range)
+    whole = [np.full(shape, np.nan, np.float32) for _ in range(1 + len(layers))]
+    if min(part) > 0:
+        seen, values = _seen_by(rpc.cropped(cols.start, rows.start), part, grid, height, layers, z_range)
+        for full, found in zip(whole, [seen, *values], strict=True):
+            full[rows, cols] = found
+    return whole[0], whole[1:]
+
+
+def _window(rpc: RPC, shape: tuple[int, int], grid: Grid, z_range: tuple[float, float]) -> tuple[slice, slice]:
+    """Rows and columns of an image that may show a grid, none or all of them."""
+    west, south, east, north = grid.bounds
+    x, y, z = np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5), z_range)
+    places = project(rpc, grid.crs, x.ravel(), y.ravel(), z.ravel())
+    if not np.isfinite(places).all():
+        return slice(0, shape[0]), slice(0, shape[1])
+    (first_col, last_col), (first_row, last_row) = ((np.floor(p.min()) - SKIP, np.ceil(p.max()) + SKIP) for p in places)
+    rows, cols = (np.clip([a, b], 0, n) for a, b, n in zip((first_row, first_col), (last_row, last_col), shape))
+    return slice(int(rows[0]), int(rows[1])), slice(int(cols[0]), int(cols[1]))
+
+
+def _seen_by(
+    rpc: RPC,
+    shape: tuple[int, int],
+    grid: Grid,
+    height: np.ndarray,
+    layers: Sequence[np.ndarray],
+    z_range: tuple[float, float],
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """`seen_by` of all pixels."""
     import cv2
 
     from sattools.prior.visibility.kernels import descend

@@ -25,13 +25,13 @@ from sattools.prior.project import seen_by
 from sattools.prior.surroundings import with_surroundings
 from sattools.prior.tiled import AT_ONCE, match_tiles
 from sattools.progress import Progress, silent, subprogress
-from sattools.scene import Asset, Grid, Scene
+from sattools.scene import Asset, Grid, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.regrid import resize_map
 from sattools.scene.stored import pieces
-from sattools.views import Source, load_sources, open_images
+from sattools.views import Opened, Source, load_sources, open_images
 from sattools.views.check import check_extent
 
 log = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ def prior(
     else:
         check_extent(grid)
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
-        found = _within(fine, wide, match_area(sources, wide, z_range, options, part))
+        found = _within(fine, wide, match_area(sources, wide, z_range, options, part, of=fine))
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
     if fine != grid:
@@ -92,8 +92,7 @@ def prior(
     write_maps(scene, found.height, found.confidence, grid)
     if options.per_image:
         maps = np.asarray(found.height), np.asarray(found.confidence)
-        sources = load_sources(scene, items) if sources is None or wide != grid else sources
-        _per_image(scene, sources, grid, *maps, z_range, progress=subprogress(progress, 0.92, 1.0))
+        _per_image(scene, items, images, grid, maps, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
     return {
         "notes": notes + _notes(scene, found, len(items), grid),
@@ -157,33 +156,31 @@ def _mean(values: np.ndarray) -> float:
 
 def _per_image(
     scene: Scene,
-    sources: list[Source],
+    items: list[Item],
+    images: Opened,
     grid: Grid,
-    height: np.ndarray,
-    confidence: np.ndarray,
-    z_range: tuple[float, float],
+    maps: tuple[np.ndarray, np.ndarray],
     *,
     progress: Progress,
 ) -> None:
     """Write the assets `depth` and `confidence` of every matched image, pixel by pixel of the image."""
-    items = {item.id: item for item in scene.items}
+    height, confidence = maps
+    z_range = scene.require_height_range()
     # a parabola may lie half a plane outside the range
     low, high = min(z_range[0], float(np.nanmin(height))) - 1.0, max(z_range[1], float(np.nanmax(height))) + 1.0
-    for k, source in enumerate(sources):
-        progress(k / len(sources), f"depth of {source.id}")
-        depth, (image_confidence,) = seen_by(
-            source.rpc, source.radiance.shape[1:], grid, height, [confidence], (low, high)
-        )
+    for k, (item, camera, part) in enumerate(zip(items, images.cameras, images.parts, strict=True)):
+        progress(k / len(items), f"depth of {item.id}")
+        depth, (image_confidence,) = seen_by(camera, part.shape, grid, height, [confidence], (low, high))
         # called depth, as other programs call the map of an image's distances; its numbers are heights
-        maps = {
+        named = {
             "depth": (depth, "height of what the pixel shows", "m"),
             "confidence": (image_confidence, "confidence", "1"),
         }
-        for name, (array, words, unit) in maps.items():
-            href = per_image_href(name, source.id)
+        for name, (array, words, unit) in named.items():
+            href = per_image_href(name, item.id)
             tags = DATUM if unit == "m" else None
-            write_sensor_map(scene.output(href), array, source.rpc, words, unit, tags)
-            items[source.id].assets[name] = Asset(href, GEOTIFF_TYPE)
+            write_sensor_map(scene.output(href), array, camera, words, unit, tags)
+            item.assets[name] = Asset(href, GEOTIFF_TYPE)
 
 
 def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:

@@ -94,8 +94,9 @@ def match_tiles(
         found = None
         if len(own) >= 2:
             shown = [replace(source, balance=balances[source.id]) for source in _sources(scene, own, tile.grid)]
-            found = match_area(shown, tile.grid, z_range, options, part)
-        means.add(found, tile.grid.width * tile.grid.height)
+            found = match_area(shown, tile.grid, z_range, options, part, of=grid)
+        rows, cols = tile.grid.window(grid)
+        means.add(found, (rows.stop - rows.start) * (cols.stop - cols.start))
         if found is not None:
             _add(tile, grid, maps, found.height, found.confidence)
             continue

@@ -132,6 +132,8 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     Raises:
         InputError: missing, of another format, without a CRS, or without polygons.
     """
+    import shapely
+
     found = read_features(path, "polygons")
     if found.crs is None:
         raise InputError(f"{path}: found no coordinate reference system, expected one")
@@ -140,8 +142,11 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     except Exception as error:  # of pyproj, shapely and numpy
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
+    known = [shape if shape is None or np.isfinite(shapely.get_coordinates(shape)).all() else None for shape in places]
+    if lost := sum(a is not b for a, b in zip(known, places, strict=True)):
+        _tell(f"{path}: {lost} of its features left out, whose places cannot be brought to {crs[:80]}")
     shapes = {
-        number: shape for number, shape in enumerate(map(_polygons, places)) if shape is not None and not shape.is_empty
+        number: shape for number, shape in enumerate(map(_polygons, known)) if shape is not None and not shape.is_empty
     }
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
@@ -152,13 +157,29 @@ def _polygons(shape: Any) -> Any:
     """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others."""
     import shapely
 
-    kinds = ("Polygon", "MultiPolygon")
-    if shape is None or shape.geom_type not in kinds:
+    if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
         return None
     if shape.is_valid:
         return shape
-    parts = shapely.get_parts(shapely.make_valid(shape))
-    return shapely.union_all([part for part in parts if part.geom_type in kinds])
+    parts = [
+        _within(part.exterior).difference(shapely.union_all([_within(hole) for hole in part.interiors]))
+        for part in shapely.get_parts(shape)
+        if not part.is_empty
+    ]
+    return shapely.union_all(parts)
+
+
+def _within(ring: Any) -> Any:
+    """All that a ring goes around, in whatever direction and how often ever.
+
+    What one repair leaves out of it the other has: lobes that are gone around the other way, and those gone around
+    twice.
+    """
+    import shapely
+
+    area = shapely.Polygon(ring)
+    whole = [part for part in shapely.get_parts(shapely.make_valid(area)) if part.area > 0]
+    return shapely.union_all([area.buffer(0), *whole])
 
 
 def in_crs(geometries: Sequence[Any], source: str, crs: str) -> list[Any]:

@@ -235,9 +235,9 @@ def tell_unknown(path: str, surface: GivenSurface) -> None:
     scene, around = surface.grid, (surface.wide.height - surface.grid.height) // 2
     known = np.isfinite(surface.heights[around : around + scene.height, around : around + scene.width])
     if not known.all():
-        share = 100 * (1 - known.mean())
+        share = float(f"{100 * (1 - known.mean()):.2g}")
         log.warning(
-            "%s: no height in %.2g %% of the scene, which has the nearest one there, and the truth too", path, share
+            "%s: no height in %g %% of the scene, which has the nearest one there, and the truth too", path, share
         )
 
 

@@ -25,6 +25,13 @@ def test_columns_may_be_parted_by_commas_semicolons_or_tabs(tmp_path: Path, betw
     assert (point.item, point.column, point.row) == ("TOWN_001", 4.0, 5.0)
 
 
+def test_decimals_may_begin_with_a_comma_where_semicolons_part_columns(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("\n" + "\n".join("; ".join(row).replace(".", ",") for row in ROWS))
+    (point,) = read_control_points(path, "EPSG:32617")
+    assert (point.x, point.y, point.z) == (436001.5, 3355002.0, 3.0)
+
+
 @pytest.mark.parametrize(
     ("options", "what"), [({"method": "z"}, "--method z"), ({"tilt": True}, "--tilt"), ({"method": "icp"}, "")]
 )

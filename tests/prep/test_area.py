@@ -11,6 +11,7 @@ import pytest
 import shapely
 from shapely.geometry import Point, Polygon, box
 
+from sattools.camera.ground import to_geographic
 from sattools.errors import InputError
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
@@ -23,6 +24,7 @@ from sattools.prep.stage import prepare
 from sattools.scene.area import wanted_cells, write_area
 from sattools.scene.raster import read_raster
 from sattools.scene.validity import UNWANTED
+from sattools.scene.vectors import numbered_polygons
 
 UTM33 = "EPSG:32633"
 X, Y = 500_000.0, 5_094_000.0
@@ -48,6 +50,31 @@ def test_rings_that_cross_lose_no_part(tmp_path: Path) -> None:
     path = written(tmp_path / "bow.gpkg", bow)
     assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1500.0)
     assert wanted_area(None, [path], UTM33)(BOX).area == pytest.approx(8500.0)
+
+
+def test_ground_that_a_ring_goes_around_twice_counts_and_holes_across_a_border_are_holes(tmp_path: Path) -> None:
+    corners = [(0, 0), (50, 0), (50, 50), (10, 50), (10, 10), (40, 10), (40, 40), (0, 40)]  # its end within its start
+    path = written(tmp_path / "loop.gpkg", Polygon([(X + x, Y + y) for x, y in corners]))
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(2400.0)
+    hole = box(X + 25, Y + 10, X + 75, Y + 40).exterior.coords
+    path = written(tmp_path / "hole.gpkg", Polygon(box(X, Y, X + 50, Y + 50).exterior.coords, [hole]))
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1750.0)
+
+
+def test_polygons_of_places_that_cannot_be_projected_are_left_out_and_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "world.geojson"
+    lon, lat = (float(v) for v in to_geographic(UTM33, X + 10, Y + 10))
+    here = [[lon, lat], [lon + 1e-4, lat], [lon + 1e-4, lat + 1e-4], [lon, lat]]
+    far = [[lon, lat], [1e300, lat], [lon, lat + 1], [lon, lat]]
+    shapes = [{"type": "Polygon", "coordinates": [ring]} for ring in (far, here)]
+    features = [{"type": "Feature", "properties": {}, "geometry": shape} for shape in shapes]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert list(numbered_polygons(path, UTM33)) == [1]
+    assert [one.getMessage() for one in caplog.records] == [
+        f"{path}: 1 of its features left out, whose places cannot be brought to {UTM33}"
+    ]
 
 
 def test_a_file_of_several_layers_says_which_is_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

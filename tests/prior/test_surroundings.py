@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from synthetic_views import ALT0, LAT0, LON0, parallel_rpc
 
-from sattools.camera.ground import from_geographic
+from sattools.camera import RPC
+from sattools.camera.ground import from_geographic, localize, project
 from sattools.prior import PriorOptions, tiled
 from sattools.prior import stage as priors
 from sattools.prior.stage import prior
@@ -82,3 +84,45 @@ def test_tiles_reach_into_the_surroundings_and_their_maps_do_not(middle: Any, mo
         monkeypatch.setattr(tiled, name, value)
     assert differing(scene, expected) < at_once + 0.05  # tiles see less around them
     assert scene.path(scene.products["prior_normals"]).exists()
+
+
+def test_depth_per_image_has_all_pixels_of_the_image_however_small_the_area(make_town: Any) -> None:
+    scene = make_town()
+    grid, (low, _) = scene.require_grid(), scene.require_height_range()
+    side = round(12 / grid.cell_size)
+    first = grid.width // 2 - side // 2
+    scene.grid = grid.part(slice(first, first + side), slice(first, first + side))
+    scene.height_range_m = low, low + 8  # so little shows where it is not that little of the images is looked at
+    prior(scene, PriorOptions(per_image=True))
+    for item in scene.train_items():
+        depth, image = (rasterio.open(scene.path(item.assets[name].href)) for name in ("depth", "image"))
+        with depth, image:
+            assert depth.shape == image.shape
+            seen = np.argwhere(np.isfinite(depth.read(1)))
+        rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
+        x, y = (low_edge + side * grid.cell_size / 2 for low_edge in (scene.grid.left, scene.grid.bounds[1]))
+        col, row = project(rpc, grid.crs, x, y, low + 4)
+        assert np.hypot(*(seen.mean(axis=0) - [row, col])) < 0.3 * max(depth.shape)
+
+
+@pytest.mark.parametrize("at_once", [10**6, 1000])
+def test_shares_are_of_the_area_where_images_have_no_data_beyond(
+    middle: Any, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, _ = middle
+    monkeypatch.setattr(priors, "AT_ONCE", at_once)
+    grid, (low, high) = scene.require_grid(), scene.require_height_range()
+    west, south, east, north = grid.widened(round(3 / grid.cell_size)).bounds
+    for item in scene.train_items():
+        rpc = RPC.from_file(scene.path(item.assets["rpc"].href))
+        with rasterio.open(scene.path(item.assets["image"].href), "r+") as data:
+            row, col = np.indices(data.shape)
+            at = [localize(rpc, grid.crs, col.ravel(), row.ravel(), np.full(row.size, z)) for z in (low, high)]
+            shown = np.zeros(data.shape, bool)
+            for x, y in at:
+                shown |= ((west < x) & (x < east) & (south < y) & (y < north)).reshape(data.shape)
+            data.nodata = 0
+            data.write(np.where(shown, np.maximum(data.read(), 1), 0))
+    entry = prior(scene, PriorOptions())
+    assert entry["prior"]["seen_by_two"] > 0.95
+    assert not any("seen by fewer" in text for text in entry["notes"])

@@ -131,16 +131,23 @@ def test_a_surface_whose_map_does_not_count_metres_is_refused_by_its_name(
         simulate(options, tmp_path / "out")
 
 
-@pytest.mark.parametrize("terrain", ["city", "natural"])
+@pytest.mark.parametrize(
+    ("terrain", "unknown", "share"), [("city", False, "10"), ("natural", False, "10"), ("city", True, "100")]
+)
 def test_ground_without_heights_in_the_given_surface_is_told(
-    tmp_path: Path, terrain: Any, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, terrain: Any, unknown: bool, share: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     heights = hill().astype(np.float32)
     heights[20:30, 20:36] = np.nan
+    if unknown:
+        heights[1:] = np.nan  # the row at the edge lies beyond the scene
     write_cog(tmp_path / "dsm.tif", heights, GRID)
     options = SimulateOptions(terrain=terrain, dsm=str(tmp_path / "dsm.tif"), size=40.0, views=2)
     simulate(options, tmp_path / "out")
-    assert "dsm.tif: no height in 10 % of the scene, which has the nearest one there, and the truth too" in caplog.text
+    assert (
+        f"dsm.tif: no height in {share} % of the scene, which has the nearest one there, and the truth too"
+        in caplog.text
+    )
 
 
 def test_a_town_whose_sun_is_down_is_refused(tmp_path: Path) -> None:
