@@ -132,6 +132,8 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     Raises:
         InputError: missing, of another format, without a CRS, or without polygons.
     """
+    import shapely
+
     found = read_features(path, "polygons")
     if found.crs is None:
         raise InputError(f"{path}: found no coordinate reference system, expected one")
@@ -140,6 +142,8 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     except Exception as error:  # of pyproj, shapely and numpy
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
+    if lost := sum(not np.isfinite(shapely.get_coordinates(shape)).all() for shape in places):
+        _tell(f"{path}: found {lost} shapes that reach beyond what {crs[:80]} can show, expected none: left out there")
     shapes = {
         number: shape for number, shape in enumerate(map(_polygons, places)) if shape is not None and not shape.is_empty
     }
@@ -149,12 +153,19 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
 
 
 def _polygons(shape: Any) -> Any:
-    """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others."""
+    """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others.
+
+    Parts whose places a CRS does not know, as that of a zone does not on the other side of the Earth, are left out.
+    """
     import shapely
 
     kinds = ("Polygon", "MultiPolygon")
     if shape is None or shape.geom_type not in kinds:
         return None
+    all_parts = shapely.get_parts(shape)
+    known = [part for part in all_parts if np.isfinite(shapely.get_coordinates(part)).all()]
+    if len(known) < len(all_parts):
+        shape = shapely.MultiPolygon(known)
     if shape.is_valid:
         return shape
     parts = shapely.get_parts(shapely.make_valid(shape))
