@@ -51,6 +51,8 @@ PLAIN = {
     "change": ("polygons", "register", "min-height", "min-area", "out"),
     "simulate": ("terrain", "size", "views", "dates", "id", "out"),
 }
+# what a form has no field for: scores of something else than the scene that it is given
+ASIDE = {"compare": ("predicted", "fit", "out")}
 # a source makes a scene below --out, all others work on the scene document that they are given
 SOURCES = ("prep", "simulate")
 KINDS = {
@@ -104,6 +106,8 @@ def fields(name: Any, command: Any) -> Any:
     found, plain = [], PLAIN.get(name, ())
     for option in command["options"]:
         own = option["name"].lstrip("-")
+        if own in ASIDE.get(name, ()):
+            continue
         kind = kind_of(option, own)
         if name == "compare" and own == "aoi":
             kind = "text"  # a name, not a file

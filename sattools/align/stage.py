@@ -314,7 +314,8 @@ def _recorded(scene: Scene, records: dict[str, JsonObject | None]) -> dict[str, 
     items = {item.id: item for item in scene.items}
     for stage, entry in records.items():
         if entry is not None and stage != "compare":
-            made |= record(scene, stage, [items[name] for name in entry["items"] if name in items])
+            own = {key: entry[key] for key in ("implicit",) if key in entry}
+            made |= record(scene, stage, [items[name] for name in entry["items"] if name in items], **own)
     return made
 
 

@@ -135,17 +135,18 @@ def configuration(path: Path | None) -> Configuration:
             raise
         if path is not None and name in tables:
             _check_together(name, part, path)
+    if path is not None and "align" in tables and resolved["align"]["to"] is None:
+        raise click.BadParameter(f"{path}: [align] found no 'to', expected a reference", param_hint="--config")
     return Configuration(path.stem if path else "default", tables, resolved)
 
 
 def _check_together(name: str, command: click.Command, path: Path) -> None:
     """Raise where a command refuses values of its table, or what they are together, which it else says hours later."""
     parent = click.get_current_context().find_root()
+    scenes = [] if name == "prep" else ["SCENE"]  # which nobody opens
+    arguments = [*scenes, "--config", str(path), "--print-config"]
     try:
-        with (
-            redirect_stdout(io.StringIO()),
-            command.make_context(name, ["--config", str(path), "--print-config"], parent=parent) as context,
-        ):
+        with redirect_stdout(io.StringIO()), command.make_context(name, arguments, parent=parent) as context:
             command.invoke(context)
     except click.UsageError as error:
         raise click.BadParameter(f"{path}: [{name}] {error.format_message()}", param_hint="--config") from None

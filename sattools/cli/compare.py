@@ -38,7 +38,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     if options.predicted is not None and (unused := _unused(options, scenes)):
         raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
     if options.fit and scenes:
-        raise click.UsageError(f"found {scenes[0]} beside --fit, expected it as --fit NAME={scenes[0]}, too, or not")
+        name = "SCENE" if scenes[0] == "-" else scenes[0]
+        raise click.UsageError(f"found {scenes[0]} beside --fit, expected it as --fit NAME={name}, too, or not")
     if options.fit and options.out is None:
         raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
     if options.out is not None and options.predicted is None and not options.fit:

@@ -206,7 +206,7 @@ def check_prior(scene: Scene, options: FitOptions) -> None:
 
 
 def check_reference(scene: Scene, reference: str | None) -> None:
-    """Raise InputError where a reference lies elsewhere than the scene: a fit would end with it after its first epoch.
+    """Raise InputError where a reference lies elsewhere than the scene, or nowhere: a fit would end with it later.
 
     Args:
         scene: of the fit.
@@ -217,7 +217,7 @@ def check_reference(scene: Scene, reference: str | None) -> None:
     grid = scene.require_grid()
     path = Path(reference)
     with opened(path) as data:
-        if data.crs is None:  # a tile of the contest, perhaps, whose place is in a file beside it
+        if data.crs is None and path.with_suffix(".txt").exists():  # a tile of the contest, whose place is in that
             return
         west, south, east, north = bounds_in(crs_of(data, path), grid.widened(max(grid.shape)))
         left, bottom, right, top = data.bounds

@@ -142,11 +142,10 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     except Exception as error:  # of pyproj, shapely and numpy
         text = " ".join(str(error).split())[:_LONGEST]
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
-    known = [shape if shape is None or np.isfinite(shapely.get_coordinates(shape)).all() else None for shape in places]
-    if lost := sum(a is not b for a, b in zip(known, places, strict=True)):
-        _tell(f"{path}: {lost} of its features left out, whose places cannot be brought to {crs[:80]}")
+    if lost := sum(not np.isfinite(shapely.get_coordinates(shape)).all() for shape in places):
+        _tell(f"{path}: {lost} of its features left out, as far as their places cannot be brought to {crs[:80]}")
     shapes = {
-        number: shape for number, shape in enumerate(map(_polygons, known)) if shape is not None and not shape.is_empty
+        number: shape for number, shape in enumerate(map(_polygons, places)) if shape is not None and not shape.is_empty
     }
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
@@ -154,11 +153,18 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
 
 
 def _polygons(shape: Any) -> Any:
-    """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others."""
+    """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others.
+
+    Parts whose places a CRS does not know, as that of a zone does not on the other side of the Earth, are left out.
+    """
     import shapely
 
     if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
         return None
+    all_parts = shapely.get_parts(shape)
+    known = [part for part in all_parts if np.isfinite(shapely.get_coordinates(part)).all()]
+    if len(known) < len(all_parts):
+        shape = shapely.MultiPolygon(known)
     if shape.is_valid:
         return shape
     parts = [

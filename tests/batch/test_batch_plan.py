@@ -212,7 +212,7 @@ def test_a_dry_run_looks_for_what_its_tasks_would_run_on(
         ("[fit]\npreset = 'rpv-nerf'\nbrdf = 'hapke'", "sattools fit: error: --brdf hapke: network rpv has no head"),
         ("[fit]\ntile = 32.0\noverlap = 8.0\nbrdf = 'rpv'", "sattools fit: error: --tile: found --brdf rpv"),
         ("[export]\nview = ['nobody']", "sattools export: error: scene A: found no item 'nobody'"),
-        ("[align]\nmethod = 'z'", "sattools align: error: "),
+        (f"[align]\nto = '{__file__}'", f"sattools align: error: {__file__}: "),
         ("[compare]\ntruth = 'nowhere'", "sattools compare: error: nowhere: no such folder"),
     ],
 )

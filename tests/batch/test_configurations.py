@@ -33,6 +33,9 @@ region = "west"
         ('[fit]\nviews = "nearest"', "c.toml: [fit] --views: found 'nearest', expected all or nearest-nadir:N"),
         ("[fit]\ntile = 40", "c.toml: [fit] Invalid value for --overlap: found 32 m, expected less than half of"),
         ('[compare]\nregion = "left"', "c.toml: [compare] --region: found 'left', expected west, east, north, south"),
+        ('[compare]\npredicted = "a.tif"\ndsm = "b.tif"', "c.toml: [compare] found a scene beside --predicted, which"),
+        ('[compare]\nfit = ["A=a.json"]\nout = "o"', "c.toml: [compare] found SCENE beside --fit, expected it as"),
+        ("[align]\ntilt = true", "c.toml: [align] found no 'to', expected a reference"),
         ('[normalise]\nscale = "1/3"', "c.toml: [normalise] --scale: found --quantity auto, expected"),
     ],
 )

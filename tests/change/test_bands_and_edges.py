@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
-from shapely.geometry import Point, Polygon, box
+from shapely.geometry import MultiPolygon, Point, Polygon, box
 
 from sattools.cli import main
 from sattools.scene import Scene
@@ -139,3 +139,20 @@ def test_surfaces_that_are_not_moved_have_no_negative_zero(tmp_path: Path) -> No
         write_cog(tmp_path / f"{name}.tif", heights(seed), GRID, units="m")
     result = change(tmp_path / "old.tif", tmp_path / "new.tif", "--register", "none", "--out", tmp_path / "out")
     assert '"shift_m": [0.0, 0.0, 0.0]' in result.stdout
+
+
+def test_polygons_on_the_other_side_of_the_earth_are_left_out(tmp_path: Path) -> None:
+    for name, seed in (("old", 1), ("new", 2)):
+        write_cog(tmp_path / f"{name}.tif", heights(seed), GRID, units="m")
+    crossed = Polygon([(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
+    here = box(-81.67, 30.31, -81.66, 30.33)
+    places = geopandas.GeoDataFrame(geometry=[crossed, MultiPolygon([here, box(8.0, 0.0, 9.0, 1.0)])], crs="EPSG:4326")
+    places.to_file(tmp_path / "places.gpkg")
+    given = ["--polygons", tmp_path / "places.gpkg", "--out", tmp_path / "out"]
+    result = change(tmp_path / "old.tif", tmp_path / "new.tif", *given)
+    assert result.exit_code == 0, result.stderr
+    assert (
+        "places.gpkg: 2 of its features left out, as far as their places cannot be brought to EPSG:32617"
+        in result.stderr
+    )
+    assert [(row["number"], row["area_m2"]) for row in json.loads(result.stdout)["polygons"]] == [(1, 1600.0)]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 
 from sattools.cli import main
 from sattools.errors import InputError
@@ -29,6 +30,15 @@ def test_a_reference_of_another_place_is_refused_before_anything_is_done(make_to
         with pytest.raises(InputError, match=r"far.tif: found no ground of scene TOWN, expected a --reference of its"):
             begin(scene, replace(QUICK, reference=str(tmp_path / "far.tif")))
     assert not list(scene.root.glob("fit/*"))
+
+
+def test_a_reference_without_a_place_is_refused_before_anything_is_done(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town()
+    Image.fromarray(np.zeros((8, 8), np.float32)).save(tmp_path / "bare.tif")
+    for begin in (check_start, fit):
+        with pytest.raises(InputError, match=r"bare.tif: found no coordinate reference system, expected a georef"):
+            begin(scene, replace(QUICK, reference=str(tmp_path / "bare.tif")))
+    assert not list(scene.root.glob("prior/*"))
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32617", "EPSG:4326"])

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from sattools import api
+from sattools.align.options import AlignOptions
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
 from sattools.scene import Scene
@@ -27,6 +28,15 @@ def test_a_fit_in_tiles_makes_the_prior_of_an_earlier_fit_anew_without_the_image
     api.fit(scene, replace(TILED, holdout=[ids[1]]), overwrite=True)
     assert items_of_the_prior(scene) == [ids[0], *ids[2:]]
     assert "prior_dsm" in scene.products
+
+
+@pytest.mark.parametrize("options", [WHOLE, TILED])
+def test_a_scene_that_is_aligned_still_knows_that_the_fit_made_its_prior(make_town: Any, options: FitOptions) -> None:
+    scene = api.export(api.fit(make_town(), WHOLE))
+    ids = [item.id for item in scene.train_items()]
+    scene = api.align(scene, AlignOptions(to=str(scene.path(scene.products["truth_dsm"])), method="z"))
+    api.fit(scene, replace(options, holdout=[ids[1]]), overwrite=True)
+    assert items_of_the_prior(scene) == [ids[0], *ids[2:]]
 
 
 def test_the_tiles_of_a_split_are_not_given_the_prior_of_an_earlier_fit(make_town: Any) -> None:

@@ -73,7 +73,7 @@ def test_polygons_of_places_that_cannot_be_projected_are_left_out_and_told(
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     assert list(numbered_polygons(path, UTM33)) == [1]
     assert [one.getMessage() for one in caplog.records] == [
-        f"{path}: 1 of its features left out, whose places cannot be brought to {UTM33}"
+        f"{path}: 1 of its features left out, as far as their places cannot be brought to {UTM33}"
     ]
 
 
