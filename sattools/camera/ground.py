@@ -287,12 +287,46 @@ def foreshortening(rpc: RPC, lon: float, lat: float, h: float) -> tuple[float, f
     return tangent, float(np.hypot(*(plane @ across)) / np.hypot(*(plane @ along)))
 
 
+def crop_window(
+    rpc: RPC,
+    crs: str,
+    bounds: tuple[float, float, float, float],
+    heights: tuple[float, float],
+    size: tuple[int, int],
+    margin: int,
+) -> tuple[int, int, int, int]:
+    """Part of an image (height, width) that may show the area at any of the heights, with a margin in pixels.
+
+    Width or height is 0 where the image does not see the area, or its camera knows no pixel of a part of it.
+
+    Args:
+        rpc: the camera.
+        crs: projected ground CRS [m].
+        bounds: (west, south, east, north) [m].
+        heights: lowest and highest height [m].
+        size: (height, width) of the image [px].
+        margin: around it [px].
+
+    Returns: (first column, first row, width, height).
+    """
+    west, south, east, north = bounds
+    t = np.linspace(0.0, 1.0, 5)
+    x, y, z = np.meshgrid(west + t * (east - west), south + t * (north - south), np.array(heights))
+    col, row = project(rpc, crs, x.ravel(), y.ravel(), z.ravel())
+    if not (np.isfinite(col).all() and np.isfinite(row).all()):
+        return (0, 0, 0, 0)
+    col0, col1 = max(0, math.floor(col.min()) - margin), min(size[1], math.ceil(col.max()) + margin + 1)
+    row0, row1 = max(0, math.floor(row.min()) - margin), min(size[0], math.ceil(row.max()) + margin + 1)
+    return (col0, row0, max(0, col1 - col0), max(0, row1 - row0))
+
+
 __all__ = [
     "azimuth_elevation",
     "check_ground_crs",
     "check_projected",
     "check_scale",
     "convergence_deg",
+    "crop_window",
     "direction",
     "foreshortening",
     "from_geographic",

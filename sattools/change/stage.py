@@ -187,11 +187,9 @@ def _per_polygon(path: Path, grid: Grid, heights: HeightChange) -> list[JsonObje
 
 def _share_within(shape: Any, grid: Grid) -> float:
     """Share of a polygon's area that lies on the grid."""
-    from shapely import make_valid
     from shapely.geometry import box
 
-    whole = make_valid(shape)
-    return float(whole.intersection(box(*grid.bounds)).area) / whole.area if whole.area > 0 else 1.0
+    return float(shape.intersection(box(*grid.bounds)).area) / shape.area if shape.area > 0 else 1.0
 
 
 def _around(grid: Grid, bounds: tuple[float, float, float, float]) -> tuple[slice, slice]:

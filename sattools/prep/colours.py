@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.camera.ground import to_geographic
+from sattools.camera.ground import crop_window, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
 from sattools.prep.beside import beside
 from sattools.prep.images import SourceImage
-from sattools.prep.layout import crop_window
 from sattools.prep.loading import load_source
 from sattools.prep.names import image_id
 from sattools.prep.pixels import look_for_frames, write_image

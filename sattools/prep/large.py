@@ -17,12 +17,12 @@ from shapely.geometry import Polygon, box
 
 from sattools.camera import RPC
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import ground_sample_distance
+from sattools.camera.ground import crop_window, ground_sample_distance
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage, at_once, block_factor
-from sattools.prep.layout import Bounds, common_bounds, crop_window, data_edge, ground_polygon
+from sattools.prep.layout import Bounds, common_bounds, data_edge, ground_polygon
 from sattools.prep.pixels import read_gray
 from sattools.prep.places import SearchHeights
 from sattools.processors import side_by_side

@@ -11,7 +11,7 @@ from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry.polygon import orient
 
 from sattools.camera import RPC
-from sattools.camera.ground import from_geographic, project, to_geographic
+from sattools.camera.ground import from_geographic, to_geographic
 from sattools.scene.grid import SURROUNDINGS_M
 
 Array = NDArray[np.float64]
@@ -208,36 +208,9 @@ def _size(bounds: Bounds) -> float:
     return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
 
 
-def crop_window(
-    rpc: RPC, crs: str, bounds: Bounds, heights: tuple[float, float], size: tuple[int, int], margin: int
-) -> Window:
-    """Part of an image (height, width) that may show the area at any of the heights, with a margin in pixels.
-
-    Width or height is 0 where the image does not see the area.
-
-    Args:
-        rpc: the camera.
-        crs: projected ground CRS [m].
-        bounds: (west, south, east, north) [m].
-        heights: lowest and highest height [m].
-        size: (height, width) of the image [px].
-        margin: around it [px].
-    """
-    west, south, east, north = bounds
-    t = np.linspace(0.0, 1.0, 5)
-    x, y, z = np.meshgrid(west + t * (east - west), south + t * (north - south), np.array(heights))
-    col, row = project(rpc, crs, x.ravel(), y.ravel(), z.ravel())
-    if not (np.isfinite(col).all() and np.isfinite(row).all()):
-        return (0, 0, 0, 0)
-    col0, col1 = max(0, math.floor(col.min()) - margin), min(size[1], math.ceil(col.max()) + margin + 1)
-    row0, row1 = max(0, math.floor(row.min()) - margin), min(size[0], math.ceil(row.max()) + margin + 1)
-    return (col0, row0, max(0, col1 - col0), max(0, row1 - row0))
-
-
 __all__ = [
     "common_bounds",
     "convex_outline",
-    "crop_window",
     "cut_to_shown",
     "data_edge",
     "footprint",

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from sattools.camera.adjust import Adjustment
+from sattools.camera.ground import crop_window
 from sattools.prep.images import SourceImage, at_once
 from sattools.prep.items import describe, tie_point_features
-from sattools.prep.layout import crop_window, with_surroundings
+from sattools.prep.layout import with_surroundings
 from sattools.prep.pairs import residual_vectors
 from sattools.prep.pixels import write_image
 from sattools.processors import side_by_side

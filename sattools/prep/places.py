@@ -9,9 +9,10 @@ import numpy as np
 from shapely.geometry import Polygon
 
 from sattools.camera import RPC
+from sattools.camera.ground import crop_window
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage
-from sattools.prep.layout import Bounds, crop_window, ground_polygon, groups, outline
+from sattools.prep.layout import Bounds, ground_polygon, groups, outline
 from sattools.scene.members import HEIGHT_LIMITS_M
 
 Given = tuple[float | None, float | None]  # lowest, highest height of the surface that the user gave [m]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sattools.camera.ground import ground_sample_distance, project, to_geographic
+from sattools.camera.ground import crop_window, ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
 from sattools.processors import side_by_side
@@ -187,16 +187,13 @@ def _needed(
     whole = slice(0, shape[0]), slice(0, shape[1]), 1
     if around is None or z_range is None:
         return whole
-    west, south, east, north = around.bounds
-    x, y = (a.ravel() for a in np.meshgrid(np.linspace(west, east, 5), np.linspace(south, north, 5)))
-    corners = np.concatenate([np.stack(project(rpc, around.crs, x, y, z)) for z in z_range], axis=1)
-    (c0, r0), (c1, r1) = np.floor(corners.min(axis=1)), np.ceil(corners.max(axis=1)) + 1
-    rows, cols = slice(max(0, int(r0)), min(shape[0], int(r1))), slice(max(0, int(c0)), min(shape[1], int(c1)))
-    if rows.start >= rows.stop or cols.start >= cols.stop:
+    col, row, width, height = crop_window(rpc, around.crs, around.bounds, z_range, shape, 0)
+    if min(width, height) == 0:
         return whole
+    west, south, east, north = around.bounds
     lon, lat = to_geographic(around.crs, (west + east) / 2, (south + north) / 2)
     pixels = around.cell_size / ground_sample_distance(rpc, float(lon), float(lat), z_range[0])
-    return rows, cols, max(1, int(pixels / _PIXELS_PER_CELL))
+    return slice(row, row + height), slice(col, col + width), max(1, int(pixels / _PIXELS_PER_CELL))
 
 
 def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple[float, float]) -> list[View]:

@@ -15,6 +15,7 @@ from sattools.camera.ground import (
     check_projected,
     check_scale,
     convergence_deg,
+    crop_window,
     direction,
     foreshortening,
     from_geographic,
@@ -31,6 +32,7 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 
 UTM33 = "EPSG:32633"
+X, Y = from_geographic(UTM33, LON0, LAT0)
 
 
 def test_utm_zone_of_a_place() -> None:
@@ -206,3 +208,15 @@ def test_sun_agrees_with_the_metadata_of_all_views(data_dir: Any) -> None:
         # The vendor's angles are those of the centre of its whole strip, some 10 km away, and rounded to 0.1 degrees.
         assert apart < 0.25
         assert abs(elevation - float(meta["sun_elevation"])) < 0.25
+
+
+def test_crop_window_holds_the_area_at_all_heights() -> None:
+    rpc = parallel_rpc(run=(0.5, 0.0), gsd=0.5, size=(1001, 1001))
+    window = crop_window(rpc, UTM33, (X - 10, Y - 20, X + 10, Y + 20), (ALT0 - 10, ALT0 + 30), (1001, 1001), 4)
+    # east -10 at +30 m: col 500 + (-10 - 15) / 0.5 = 450; east +10 at -10 m: 500 + (10 + 5) / 0.5 = 530; UTM: 0.04 %
+    assert window == (445, 455, 91, 91)
+
+
+def test_crop_window_of_an_area_elsewhere_is_empty() -> None:
+    window = crop_window(parallel_rpc(), UTM33, (X + 5000, Y, X + 5100, Y + 100), (0.0, 100.0), (240, 260), 4)
+    assert window[2] == 0

@@ -14,7 +14,7 @@ from sattools.camera.ground import from_geographic
 from sattools.errors import InputError
 from sattools.prep.area import bounds_from_file, bounds_from_geojson, bounds_from_numbers
 from sattools.prep.items import off_nadir_deg
-from sattools.prep.layout import common_bounds, crop_window, footprint, groups, left_out
+from sattools.prep.layout import common_bounds, footprint, groups, left_out
 from sattools.scene.grid import default_cell_size
 
 UTM33 = "EPSG:32633"
@@ -60,18 +60,6 @@ def test_a_mosaic_of_which_the_default_area_is_a_small_part_is_told_with_the_bou
 )
 def test_default_cell_size_is_round(gsd: Any, cell: Any) -> None:
     assert default_cell_size(gsd) == cell
-
-
-def test_crop_window_holds_the_area_at_all_heights() -> None:
-    rpc = parallel_rpc(run=(0.5, 0.0), gsd=0.5, size=(1001, 1001))
-    window = crop_window(rpc, UTM33, (X - 10, Y - 20, X + 10, Y + 20), (ALT0 - 10, ALT0 + 30), (1001, 1001), 4)
-    # east -10 at +30 m: col 500 + (-10 - 15) / 0.5 = 450; east +10 at -10 m: 500 + (10 + 5) / 0.5 = 530; UTM: 0.04 %
-    assert window == (445, 455, 91, 91)
-
-
-def test_crop_window_of_an_area_elsewhere_is_empty() -> None:
-    window = crop_window(parallel_rpc(), UTM33, (X + 5000, Y, X + 5100, Y + 100), (0.0, 100.0), (240, 260), 4)
-    assert window[2] == 0
 
 
 def test_bounds_are_degrees_without_crs_and_metres_with_it() -> None:
