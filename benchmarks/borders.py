@@ -6,7 +6,7 @@ Scenes come from `sattools prep` without an area, so that their images go on bey
 for `benchmarks/steps.py`. Every box is matched by itself and with so much beyond its border (`--beyond`), and is cut
 out of the prior of the whole. All are registered as the whole scene's prior is. Columns: mean absolute error about each
 box's median; each error at most 5 m; share of the cells more than 3 m off; CPU seconds of matching per box (the first
-scene's include compiling).
+scene's include compiling); share of the cells whose shadow, under the suns of all images, is not that of the whole.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ import numpy as np
 from steps import reference
 
 from sattools.compare import Truth, compare_dsm
+from sattools.export.novel import grid_sun
 from sattools.prior import PriorOptions
 from sattools.prior.matched import match_sources
+from sattools.render.shadows import light_from
 from sattools.scene import Grid, Scene
 from sattools.scene.regrid import reproject_map
 from sattools.views import load_sources
@@ -57,12 +59,17 @@ def boxes(known: np.ndarray, cells: int, count: int) -> list[tuple[slice, slice]
     return [found[k] for k in np.random.default_rng(0).permutation(len(found))[:count]]
 
 
-def row(name: str, found: Sequence[np.ndarray], seconds: float = float("nan")) -> None:
+def shadows(height: np.ndarray, cell_size: float, suns: Sequence[tuple[float, float, float]]) -> np.ndarray:
+    """``[suns, H, W]`` bool, where heights cast shadows."""
+    return np.stack([light_from(height.astype(np.float32), cell_size, sun) < 0.5 for sun in suns])
+
+
+def row(name: str, found: Sequence[np.ndarray], seconds: float = float("nan"), shadow: float = float("nan")) -> None:
     """Print a row of the table."""
     error = np.concatenate([np.abs(part - np.nanmedian(part)).ravel() for part in found])
     error = error[np.isfinite(error)]
     figures = f"{error.mean():6.3f} {np.minimum(error, 5).mean():6.3f} {100 * (error > 3).mean():5.1f} %"
-    print(f"{name:34s} {figures} {seconds / len(found):6.1f}", flush=True)
+    print(f"{name:34s} {figures} {seconds / len(found):6.1f} {100 * shadow:5.1f} %", flush=True)
 
 
 def main() -> None:
@@ -83,14 +90,20 @@ def main() -> None:
             print(f"{scene.id}: no box of {options.size:g} m has a reference")
             continue
         row(f"{scene.id}: of the whole scene", [error[place] for place in places])
+        suns = [grid_sun(grid, *item.sun) for item in scene.train_items() if item.sun is not None]
+        cast = shadows(whole, grid.cell_size, suns)
         for metres in options.beyond:
             around, start = round(metres / grid.cell_size), time.process_time()
-            found = []
+            found, wrong = [], []
             for rows, cols in places:
                 wide = grid.part(rows, cols).widened(around)
                 inside = slice(around, wide.height - around), slice(around, wide.width - around)
-                found.append(heights(scene, wide)[inside] - (whole - error)[rows, cols])
-            row(f"{scene.id}: with {metres:g} m beyond", found, time.process_time() - start)
+                height = heights(scene, wide)
+                found.append(height[inside] - (whole - error)[rows, cols])
+                own = shadows(height, grid.cell_size, suns)[:, *inside]
+                wrong.append(float((own != cast[:, rows, cols]).mean()))
+            seconds = time.process_time() - start
+            row(f"{scene.id}: with {metres:g} m beyond", found, seconds, float(np.mean(wrong)))
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from sattools.scene.raster import heights_above, raster_grid, raster_vertical, r
 from sattools.scene.stored import cut
 
 log = logging.getLogger(__name__)
-HEIGHTS = ("dsm", "dtm", "prior_dsm")
+HEIGHTS = ("dsm", "dtm", "prior_dsm", "prior_surroundings")
 CAMERAS = {"rpc": "_RPC.TXT", "colours_rpc": "_COLOURS_RPC.TXT"}  # of an item: asset -> end of its file's name
 ON_THE_GROUND = ("shadow", "s_net", "tau", "beta")  # assets of images that are maps of the ground
 MADE_OF_MAPS = sorted(

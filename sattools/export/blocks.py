@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sattools.render.around import Around
 from sattools.render.shadows import light_from
 from sattools.scene import Grid
 
@@ -53,10 +54,13 @@ class Surroundings:
     Args:
         grid: of the map.
         read: heights ``[h, w]`` of some rows and columns [m], NaN = unknown.
+        around: the ground around the map; None = nothing is known of it.
     """
 
-    def __init__(self, grid: Grid, read: Callable[[slice, slice], NDArray[np.float32]]) -> None:
-        self.grid, self.read = grid, read
+    def __init__(
+        self, grid: Grid, read: Callable[[slice, slice], NDArray[np.float32]], around: Around | None = None
+    ) -> None:
+        self.grid, self.read, self.beyond = grid, read, around
         shape = (math.ceil(n / _POOL) for n in grid.shape)
         self._top = np.full(tuple(shape), -np.inf, np.float32)
         self.low = np.inf
@@ -69,6 +73,8 @@ class Surroundings:
             if np.isfinite(heights).any():
                 self.low = min(self.low, float(np.nanmin(heights)))
         self.high = float(self._top.max())
+        if around is not None:
+            self.high = max(self.high, *(float(np.nanmax(values)) for values, _ in around.layers))
 
     def _strips(self) -> Iterator[tuple[slice, NDArray[np.float32]]]:
         grid = self.grid
@@ -86,9 +92,17 @@ class Surroundings:
         Unknown heights are the lowest of all.
         """
         rows, cols = self._around(block, direction)
-        lit = light_from(self.level(self.read(rows, cols)), self.grid.cell_size, direction)
+        height, cell = self.level(self.read(rows, cols)), self.grid.cell_size
+        if self.beyond is None or not self._at_border(rows, cols):
+            lit = light_from(height, cell, direction)
+        else:
+            lit = replace(self.beyond, area=self.grid.part(rows, cols)).light_from(height, cell, direction)
         up, left = block.rows.start - rows.start, block.cols.start - cols.start
         return np.ascontiguousarray(lit[up : up + block.grid.height, left : left + block.grid.width])
+
+    def _at_border(self, *parts: slice) -> bool:
+        """Whether rows or columns reach the border of the map."""
+        return any(part.start <= 0 or part.stop >= n for part, n in zip(parts, self.grid.shape, strict=True))
 
     def _around(self, block: Block, direction: Direction) -> tuple[slice, slice]:
         """The block and as much towards the direction as rays from its lowest cell may pass below something."""
@@ -108,6 +122,8 @@ class Surroundings:
             rows, cols = _widened(block, reach * east / across, -reach * north / across, whole)
             within = tuple(slice(part.start // _POOL, -(-part.stop // _POOL)) for part in (rows, cols))
             highest = float(self._top[within].max())
+            if self.beyond is not None and self._at_border(rows, cols):
+                highest = self.high
             if highest >= top:
                 break
             top = highest

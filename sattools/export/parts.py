@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from sattools.export.blocks import Block, Surroundings
+from sattools.fit.around import casting
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StoredModel
 from sattools.fit.surface.scene import SurfaceScene
-from sattools.render import sun_visibility
+from sattools.render.around import Around
 from sattools.scene import Grid
 from sattools.scene.stored import cut
 
@@ -35,6 +36,7 @@ class Part:
         surface: the same as a scene.
         valid: ``[h, w]`` bool, where it may be shown; None = everywhere.
         around: heights of the whole, for the shadows; None = the part is the whole.
+        beyond: the ground around the whole, where it is known and the part is the whole.
     """
 
     rows: slice
@@ -44,13 +46,14 @@ class Part:
     surface: SurfaceScene
     valid: np.ndarray | None
     around: Surroundings | None = None
+    beyond: Around | None = None
 
     def lit(self, sun: Vector | None) -> Tensor | None:
         """Share ``[h, w]`` of a sun's light that reaches the cells; None where nothing casts shadows."""
         if self.model.shadow == "none" or sun is None:
             return None
         if self.around is None:
-            return sun_visibility(self.surface.casting(), self.model.grid.cell_size, sun)
+            return casting(self.beyond)(self.surface.casting(), self.model.grid.cell_size, sun)
         return torch.from_numpy(self.around.lit(Block(self.rows, self.cols, self.model.grid), sun))
 
 
@@ -77,11 +80,13 @@ class WholeModel:
         head: the model.
         surface: the same as a scene.
         valid: see `Part`.
+        beyond: the ground around it, None = unknown.
     """
 
     head: FittedModel
     surface: SurfaceScene
     valid: np.ndarray | None = None
+    beyond: Around | None = None
 
     @property
     def grid(self) -> Grid:
@@ -91,7 +96,7 @@ class WholeModel:
     def parts(self, reach: float = 0.0) -> Iterator[Part]:
         """See `Parts`."""
         all_ = slice(0, self.grid.height), slice(0, self.grid.width)
-        yield Part(*all_, all_, self.head, self.surface, self.valid)
+        yield Part(*all_, all_, self.head, self.surface, self.valid, beyond=self.beyond)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,7 @@ from sattools.export.surface_files import (
 from sattools.export.validity import Witnesses
 from sattools.fit.stored import StoredModel
 from sattools.progress import Progress, silent, subprogress
+from sattools.render.around import read_around
 from sattools.scene import Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.dependencies import MADE, begin, check_current, may_begin, record
@@ -76,7 +78,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     witnesses = Witnesses(scene, stored.about.items)
     if not witnesses.known:
         log.warning("scene %s: images or cameras of the fit are missing: nobody knows what they show", scene.id)
-    surface = Surroundings(stored.grid, lambda rows, cols: stored.maps(rows, cols).height)
+    around = read_around(scene)
+    surface = Surroundings(stored.grid, lambda rows, cols: stored.maps(rows, cols).height, around)
     pieces = blocks(stored.grid, model is not None)
     counts = np.zeros(4, np.int64)
     last: Exported | None = None
@@ -91,7 +94,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
                 shown[block.rows, block.cols] = exported.valid
     part = subprogress(progress, 0.6, 0.7)
     if model is not None and last is not None:
-        _views(scene, _reflectance(last, model, options, part), options, part)
+        _views(scene, replace(_reflectance(last, model, options, part), beyond=around), options, part)
     elif views:
         from sattools.export.parts import ModelInParts
 

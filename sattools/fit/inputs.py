@@ -25,6 +25,7 @@ from sattools.fit.tiles.clearing import check_clear
 from sattools.fit.tiles.shared import PRODUCT
 from sattools.fit.tiles.state import COARSE, begun
 from sattools.progress import Progress
+from sattools.render.around import PRODUCT as AROUND
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import MADE, check_current, drop, latest, outdated_by, stale
 from sattools.scene.document import FIT_ROLE, PARTS
@@ -304,7 +305,8 @@ def fingerprint(scene: Scene, options: FitOptions, sources: Sequence[Source], pr
     ]
     what += [[item.id, item.properties.get("sattools:radiance")] for item in scene.train_items()]
     what.append([_hash(prior.height.numpy()), _hash(prior.confidence.numpy()), prior.grid.to_dict()] if prior else None)
-    what.append(digest(scene.path(scene.products[PRODUCT])) if PRODUCT in scene.products else None)
+    for product in (PRODUCT, AROUND):
+        what.append(digest(scene.path(scene.products[product])) if product in scene.products else None)
     return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
 

@@ -37,6 +37,7 @@ from sattools.fit.tiles.state import end
 from sattools.fit.trace import Trace
 from sattools.progress import Progress, silent, subprogress
 from sattools.radiometry.bands import chosen_bands
+from sattools.render.around import read_around
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import begin, seen
 from sattools.scene.jsonio import JsonObject
@@ -211,7 +212,9 @@ def _fit_surface(
     stages = stages_of(options)
     job = SurfaceJob(scene, sources, options, stages, prior, z_ref, SURFACE_DEVICE, radiance, lasting=lasting)
     job.basis = setup.basis
-    job.coarse = read_coarse(scene, [s.id for s in sources])
+    job.coarse, job.around = read_coarse(scene, [s.id for s in sources]), read_around(scene)
+    if job.coarse is not None:
+        job.around = job.coarse.around(job.around)
     if options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
         notes += choice.notes

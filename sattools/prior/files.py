@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,14 +22,18 @@ from sattools.prior.probability import (
     height_doubt,
     margin,
 )
+from sattools.render.around import PRODUCT as AROUND
 from sattools.scene import Grid, Scene
 from sattools.scene.cog import CogWriter, cogs
-from sattools.scene.files import written
+from sattools.scene.files import remove, written
 from sattools.scene.raster import read_raster, write_sensor_image
+from sattools.scene.stored import pieces
 
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 PROBABILITY = "prior/probability.tif"
 STD, ERROR95 = "prior/dsm_std.tif", "prior/dsm_error95.tif"
+SURROUNDINGS = "prior/surroundings.tif"
+RIM_M = 4.0  # of the area itself that is in that file, too: between cells there are no gaps
 DATUM = {"VERTICAL_DATUM": "WGS84 ellipsoid"}
 MAPS = {
     "dsm": DSM, "confidence": CONFIDENCE, "probability": PROBABILITY, "dsm_std": STD, "dsm_error95": ERROR95,
@@ -125,6 +130,31 @@ class MapFiles:
         self.scene.products.update({f"prior_{name}": href for name, href in MAPS.items()})
 
 
+def write_surroundings(scene: Scene, height: np.ndarray, grid: Grid | None) -> None:
+    """Write the heights around a scene's area, beyond whose border its images go on; nothing but a rim within.
+
+    Args:
+        scene: gets the product, or loses one of before where nothing is around.
+        height: ``[H, W]`` [m], of the area, too.
+        grid: of these; None = nothing is known around the area.
+    """
+    if grid is None:
+        scene.products.pop(AROUND, None)
+        remove(scene.output(SURROUNDINGS))
+        return
+    inside = grid.window(scene.require_grid())
+    rim = max(1, math.ceil(RIM_M / grid.cell_size))
+    deep = [range(part.start + rim, part.stop - rim) for part in inside]
+    about: dict[str, Any] = {"units": "m", "tags": {**DATUM, "SOFTWARE": "sattools"}, "descriptions": ["height"]}
+    with CogWriter(scene.output(SURROUNDINGS), grid, **about) as file:
+        for rows in pieces(grid.shape):
+            values = np.array(height[rows], np.float32)
+            first, last = (min(max(row - rows.start, 0), len(values)) for row in (deep[0].start, deep[0].stop))
+            values[first:last, deep[1].start : deep[1].stop] = np.nan
+            file.write(values, rows)
+    scene.products[AROUND] = SURROUNDINGS
+
+
 def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np.ndarray, Grid]:
     """Height [m] and confidence ``[H, W]`` of the scene's prior, and their grid; ``within``: only this part.
 
@@ -159,4 +189,16 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
     return arrays[0], arrays[1], grids[0]
 
 
-__all__ = ["CONFIDENCE", "DATUM", "DSM", "MAPS", "NORMALS", "PROBABILITY", "MapFiles", "read_prior", "write_sensor_map"]
+__all__ = [
+    "CONFIDENCE",
+    "DATUM",
+    "DSM",
+    "MAPS",
+    "NORMALS",
+    "PROBABILITY",
+    "SURROUNDINGS",
+    "MapFiles",
+    "read_prior",
+    "write_sensor_map",
+    "write_surroundings",
+]  # fmt: skip

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from sattools.errors import SceneError
-from sattools.prior.files import MAPS
+from sattools.prior.files import MAPS, SURROUNDINGS
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.options import PriorOptions
 from sattools.prior.tiled import AT_ONCE
@@ -140,7 +140,7 @@ def warn_of_base(scene: Scene, items: list[Item]) -> list[str]:
 
 def outputs(items: list[Item], options: PriorOptions) -> list[str]:
     """All files that will be written."""
-    found = list(MAPS.values())
+    found = [*MAPS.values(), SURROUNDINGS]
     if options.per_image:
         found += [per_image_href(name, item.id) for item in items for name in ("depth", "confidence")]
     return found

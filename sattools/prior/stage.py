@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sattools.errors import SceneError
-from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map
+from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map, write_surroundings
 from sattools.prior.gate import (
     NO_STEREO,
     check_count,
@@ -30,7 +30,7 @@ from sattools.scene.dependencies import MADE, begin, record, seen
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.regrid import resize_map
-from sattools.scene.stored import pieces
+from sattools.scene.stored import map_like, pieces
 from sattools.views import Opened, Source, load_sources, open_images
 from sattools.views.check import check_extent
 
@@ -82,14 +82,20 @@ def prior(
     else:
         check_extent(grid)
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
-        found = _within(fine, wide, match_area(sources, wide, z_range, options, part, of=fine))
+        found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
+    around, everything = wide, found.height
+    if fine.cell_size < grid.cell_size:  # as wide as those of the surface
+        around = wide.resized(grid.cell_size)
+        everything = _on(around, everything, wide)
+    found = _within(fine, wide, found)
     if fine != grid:
         found = replace(found, height=_on(grid, found.height, fine), confidence=_on(grid, found.confidence, fine))
 
     progress(0.9, "writing")
     write_maps(scene, found.height, found.confidence, grid)
+    write_surroundings(scene, everything, around if wide != fine else None)
     if options.per_image:
         maps = np.asarray(found.height), np.asarray(found.confidence)
         _per_image(scene, items, images, grid, maps, progress=subprogress(progress, 0.92, 1.0))
@@ -109,12 +115,19 @@ def prior(
     }
 
 
-def _within(grid: Grid, around: Grid, found: Matched | None) -> Matched | None:
+def _within(grid: Grid, around: Grid, found: Matched) -> Matched:
     """What was found of an area, of that and its surroundings."""
-    if found is None:
-        return None
-    inside = around.window(grid)
-    return replace(found, height=found.height[inside], confidence=found.confidence[inside])
+    rows, cols = around.window(grid)
+
+    def cut_out(values: np.ndarray) -> np.ndarray:
+        own = map_like(values, grid.shape, np.float32)
+        for part in pieces(grid.shape):
+            own[part] = values[rows.start + part.start : rows.start + part.stop, cols]
+        return own
+
+    if around == grid:
+        return found
+    return replace(found, height=cut_out(found.height), confidence=cut_out(found.confidence))
 
 
 def _on(grid: Grid, values: np.ndarray, matched: Grid) -> np.ndarray:

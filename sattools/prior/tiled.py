@@ -66,13 +66,14 @@ def match_tiles(
     Args:
         scene: of the images.
         items: the images.
-        grid: of the result.
+        grid: of the area, which the figures are of.
         around: the same with what stands around it, which is matched.
         options: of the matching.
         progress: share done.
 
     Returns:
-        The maps, to be read by rows (`sattools.scene.stored`); None where no two images look from different directions.
+        The maps of ``around``, to be read by rows (`sattools.scene.stored`); None where no two images look from
+        different directions.
 
     Raises:
         SceneError: an image that shows nothing of the area.
@@ -85,7 +86,7 @@ def match_tiles(
     sources = _sources(scene, items, coarse)
     unseen = _unseen(sources, coarse, tiles, z_range)
     balances = _balances(scene, sources, coarse, tiles, unseen, options)
-    maps = tuple(new_map(grid.shape, np.float32, scene.root) for _ in range(3))
+    maps = tuple(new_map(around.shape, np.float32, scene.root) for _ in range(3))
     means, rough = _Means(), None
     for k, tile in enumerate(tiles):
         part = subprogress(progress, k / len(tiles), (k + 1) / len(tiles))
@@ -98,15 +99,15 @@ def match_tiles(
         rows, cols = tile.grid.window(grid)
         means.add(found, (rows.stop - rows.start) * (cols.stop - cols.start))
         if found is not None:
-            _add(tile, grid, maps, found.height, found.confidence)
+            _add(tile, around, maps, found.height, found.confidence)
             continue
         rough = rough or match_area(sources, coarse, z_range, options)
         if rough is None:
             return None
         there = sample_map(rough.height, coarse, tile.grid)
-        _add(tile, grid, maps, there, np.zeros_like(there))
+        _add(tile, around, maps, there, np.zeros_like(there))
     height, confidence, weight = maps
-    for rows in pieces(grid.shape):
+    for rows in pieces(around.shape):
         share = weight[rows]
         height[rows], confidence[rows] = height[rows] / share, confidence[rows] / share
     return means.of(height, confidence, [item.id for item in items])

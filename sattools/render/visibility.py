@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
+
+#: `sun_visibility`, or what takes its place: heights ``[H, W]`` [m], edge of a cell [m], unit vector to the sun
+Cast = Callable[[Tensor, float, tuple[float, float, float]], Tensor]
 
 
 def sun_visibility(height: Tensor, cell_size: float, sun: Tensor | tuple[float, float, float]) -> Tensor:
@@ -69,4 +73,4 @@ class _Visibility(torch.autograd.Function):
         return total.view_as(grad), None, None
 
 
-__all__ = ["plate_slopes", "sun_visibility"]
+__all__ = ["Cast", "plate_slopes", "sun_visibility"]

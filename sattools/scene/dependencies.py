@@ -43,7 +43,10 @@ STAGES: dict[str, Stage] = {
     "prep": Stage(("area",)),
     "normalise": Stage(("radiance_histogram",), ("radiance",)),
     "prior": Stage(
-        ("prior_dsm", "prior_dsm_error95", "prior_confidence", "prior_probability", "prior_normals"),
+        (
+            *("prior_dsm", "prior_dsm_error95", "prior_confidence", "prior_probability", "prior_normals"),
+            "prior_surroundings",
+        ),
         ("depth", "confidence"),
     ),
     "fit": Stage(("model", "trace"), (), (FIT_ROLE,)),

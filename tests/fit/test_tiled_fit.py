@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
 from sattools.errors import SceneError
+from sattools.fit.around import casting
 from sattools.fit.checkpoint import load
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
@@ -263,13 +264,14 @@ def test_what_stands_outside_a_tile_throws_its_shadow_into_it() -> None:
     sun = (math.cos(math.radians(30)), 0.0, 0.5)
     flat = torch.zeros(tile.shape)
     assert (sun_visibility(flat, 1.0, sun) == 1).all()
-    lit = coarse.cast(flat, 1.0, sun)
+    cast = casting(coarse.around(None))
+    lit = cast(flat, 1.0, sun)
     assert lit.shape == flat.shape
     # the edge of the wall is a ramp of a coarse cell
     assert int((lit[50] < 0.5).sum()) == pytest.approx(42, abs=2)
     assert (lit[:, :50] == 1).all()
     # from the other side it stands in nobody's way
-    assert (coarse.cast(flat, 1.0, (-sun[0], 0.0, 0.5)) == 1).all()
+    assert (cast(flat, 1.0, (-sun[0], 0.0, 0.5)) == 1).all()
 
 
 @pytest.mark.parametrize(

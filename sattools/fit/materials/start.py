@@ -15,6 +15,7 @@ from sattools.fit.materials.scene import LIT, ReflectiveScene, Sky
 from sattools.fit.materials.sky import deep_shade
 from sattools.fit.materials.steps import normals_within, smooth_heights
 from sattools.fit.surface.scene import SurfaceScene
+from sattools.render.visibility import Cast, sun_visibility
 from sattools.views import View, shown_on
 
 LOW_LIGHT = 0.15  # cosine of incidence below which a first albedo is not divided further
@@ -34,6 +35,7 @@ def reflective(
     seed: int,
     solve: bool = True,
     sky: Sky = "none",
+    cast: Cast | None = None,
 ) -> tuple[ReflectiveScene, list[Tensor]]:
     """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
 
@@ -49,18 +51,18 @@ def reflective(
         seed: of the clustering.
         solve: find endmembers and amplitudes, too.
         sky: light of the sky: none, fitted, auto = fitted and kept if it is surely there, or its share per band.
+        cast: sun visibility of heights on cells under a sun; None = `sattools.render.sun_visibility`.
 
     Returns:
         The scene, and the sun's visibility in every view.
     """
-    from sattools.render import sun_visibility
-
     height = scene.height.detach()
     suns = height.new_tensor([view.sun for view in views])
     view_vectors = height.new_tensor([view.slope.unit() for view in views])
     casting, steps = smooth_heights(height, cell_size)
-    cast = {view.sun: sun_visibility(casting, cell_size, view.sun) for view in views if view.sun is not None}
-    visibility = [cast[view.sun] for view in views if view.sun is not None]
+    cast = cast or sun_visibility
+    lit = {sun: cast(casting, cell_size, sun) for view in views if (sun := view.sun) is not None}
+    visibility = [lit[view.sun] for view in views if view.sun is not None]
     normal = frozen
     if normal is None:
         normal = surface_normals(height, cell_size) if steps is None else normals_within(casting, cell_size, steps)

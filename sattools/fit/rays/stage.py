@@ -15,6 +15,7 @@ import torch
 from sattools.field import neural
 from sattools.field.mlp import MlpField
 from sattools.field.surface_base import SurfaceBase
+from sattools.fit.around import casting, of_the_area
 from sattools.fit.combinations import starts_from_prior
 from sattools.fit.depth_prior import DepthPrior, reference_height
 from sattools.fit.described import Radiance
@@ -39,6 +40,7 @@ from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.resume import Interrupted
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress, duration, subprogress
+from sattools.render.around import read_around
 from sattools.scene import Grid, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, View, match_colours, views_on
@@ -91,9 +93,10 @@ def fit_rays(
     warm = starts_from_prior(options)  # and so as detailed as the prior
     grid = whole.resized(options.resolution or (1 if warm else 2) * whole.cell_size)
     z_ref = reference_height(prior, z_range)
-    views = views_on(sources, grid, z_ref, z_range)
     first = prior if start is None or prior is None else start.guide(prior)
     prior_here = None if first is None else filled_prior(first, grid)
+    around, height = read_around(scene), prior_here.height if prior_here else None
+    views = of_the_area(views_on(sources, grid, z_ref, z_range), around, height, grid.cell_size, z_range)
     rays = ray_set(views, grid, z_range, prior_here, normals=options.brdf != "lambert").to(device)
     gain, offset = (torch.from_numpy(a) for a in match_colours(views))
     if radiance != "relative":  # the images have one scale already
@@ -105,12 +108,14 @@ def fit_rays(
     base = None
     if warm:
         assert prior_here is not None  # `check_combination`
-        base = base_surface(views, prior_here, z_range, gain.numpy(), offset.numpy(), shaded=options.shadow != "none")
+        given = (views, prior_here, z_range, gain.numpy(), offset.numpy())
+        base = base_surface(*given, shaded=options.shadow != "none", cast=casting(around))
         if coloured:
             base, gain, offset = coloured.coloured(base, grid), coloured.surface.gain, coloured.surface.offset
             if options.field == "mlp" and options.shadow != "none" and options.shadow_start == "geometric":
                 learned = options.shadow == "learned"
-                base = replace(base, light=known_light(views, base, coloured.surface.ambient, learned=learned))
+                known = known_light(views, base, coloured.surface.ambient, learned=learned, cast=casting(around))
+                base = replace(base, light=known)
         base = base.to(device)
     # whatever is made from here on, is made there; where it is made anyway, to ask for it takes a tenth of a fit
     with device if device != torch.get_default_device() else contextlib.nullcontext():

@@ -21,7 +21,8 @@ from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.rays.trainer import RaySet
-from sattools.render import ParallelRays, Quadrature, plate_slopes, render, sun_visibility
+from sattools.render import ParallelRays, Quadrature, plate_slopes, render
+from sattools.render.visibility import Cast, sun_visibility
 from sattools.scene import Grid
 from sattools.scene.regrid import sample_map
 from sattools.views import View, shown_on
@@ -46,6 +47,7 @@ def base_surface(
     offset: np.ndarray,
     *,
     shaded: bool,
+    cast: Cast = sun_visibility,
 ) -> SurfaceBase:
     """The prior's surface with the colours that the images show there.
 
@@ -56,9 +58,10 @@ def base_surface(
         gain: ``[V, C]`` of the images.
         offset: ``[V, C]`` of the images.
         shaded: take cast shadows out of the colours; a network without shadows must begin with the mean image.
+        cast: sun visibility of heights on cells under a sun.
     """
     height, grid = prior.height, prior.grid
-    lit = {sun: sun_visibility(height, grid.cell_size, sun).numpy() for sun in {v.sun for v in views} if sun and shaded}
+    lit = {sun: cast(height, grid.cell_size, sun).numpy() for sun in {v.sun for v in views} if sun and shaded}
     total, weight = np.zeros_like(views[0].target), np.zeros((*grid.shape, 1), np.float32)
     for view, a, b in zip(views, gain, offset, strict=True):
         picture, seen = shown_on(view, height.numpy(), grid.cell_size)
@@ -70,7 +73,9 @@ def base_surface(
     return SurfaceBase(box_over(grid, z_range), height, colour, PRIOR_SOFTNESS)
 
 
-def known_light(views: Sequence[View], base: SurfaceBase, ambient: Tensor, *, learned: bool) -> KnownLight | None:
+def known_light(
+    views: Sequence[View], base: SurfaceBase, ambient: Tensor, *, learned: bool, cast: Cast = sun_visibility
+) -> KnownLight | None:
     """How a base is lit under the suns of views, None where no sun is known.
 
     Args:
@@ -78,6 +83,7 @@ def known_light(views: Sequence[View], base: SurfaceBase, ambient: Tensor, *, le
         base: the surface, on the views' grid.
         ambient: ``[V, C]`` light of the views in shade, as a share of the light in the sun.
         learned: whether a network learns the sun's visibility, and begins with the shadows that the surface casts.
+        cast: sun visibility of heights on cells under a sun.
     """
     by_sun: dict[tuple[float, float, float], list[Tensor]] = {}
     for view, share in zip(views, ambient, strict=True):
@@ -87,7 +93,7 @@ def known_light(views: Sequence[View], base: SurfaceBase, ambient: Tensor, *, le
         return None
     shade = torch.stack([torch.stack(shares).mean(dim=0) for shares in by_sun.values()])
     cell = (base.box.high[0] - base.box.low[0]) / base.height.shape[1]
-    visible = torch.stack([sun_visibility(base.height, cell, sun) for sun in by_sun]) if learned else None
+    visible = torch.stack([cast(base.height, cell, sun) for sun in by_sun]) if learned else None
     return KnownLight(torch.tensor(list(by_sun), dtype=torch.float32), shade.float(), visible)
 
 

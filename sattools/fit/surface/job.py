@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sattools.fit.around import casting, of_the_area
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.described import Radiance
 from sattools.fit.files import CHECKPOINT
@@ -29,7 +30,8 @@ from sattools.fit.surface.trainer import REFRESH, StageSettings, StageTrainer
 from sattools.fit.tiles.shared import Coarse
 from sattools.fit.trace import Row, Trace
 from sattools.progress import Progress
-from sattools.render import sun_visibility
+from sattools.render.around import Around
+from sattools.render.visibility import Cast
 from sattools.scene import Grid, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, View, match_colours, shown_on, views_on
@@ -60,6 +62,7 @@ class SurfaceJob:
     light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
     chosen: IlluminationOptions | None = None
     coarse: Coarse | None = None
+    around: Around | None = None
     basis: JsonObject = field(default_factory=dict)  # of a checkpoint, see `Interrupted`
     lasting: bool = True  # leaves checkpoints; the start of another field is fitted anew
 
@@ -75,7 +78,7 @@ class SurfaceJob:
             self.last_softness = stage.softness[1]
             if saved and k < saved.stage:
                 continue
-            self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
+            self.views = self._views_on(grid, stage)
             self._warn_parallel(stage.cell_size, notes)
             surface = self._begin_stage(surface, k, grid, saved, notes)
             trainer = self._trainer(surface, k, grid)
@@ -114,8 +117,17 @@ class SurfaceJob:
             surface = self._reflective(surface, grid, saved.tensors if saved else None)
         return surface
 
+    def _views_on(self, grid: Grid, stage: StageSettings) -> list[View]:
+        """The images on the cells of a stage, without what they show of the ground around the area."""
+        views = views_on(self.sources, grid, self.z_ref, stage.z_range)
+        height = None if self.prior is None else self.prior.on(grid).height.nan_to_num(self.z_ref)
+        return of_the_area(views, self.around, height, grid.cell_size, stage.z_range)
+
+    @property
+    def _cast(self) -> Cast:
+        return casting(self.around)
+
     def _trainer(self, surface: SurfaceScene, k: int, grid: Grid) -> StageTrainer:
-        cast = self.coarse.cast if self.coarse else sun_visibility
         prior = self.prior.on(grid, self.device) if self.prior else None
         return StageTrainer(
             surface,
@@ -125,7 +137,7 @@ class SurfaceJob:
             prior,
             k,
             illumination=self.illumination,
-            cast=cast,
+            cast=self._cast,
         )
 
     def _work(self, stages: int) -> float:
@@ -145,17 +157,16 @@ class SurfaceJob:
         if saved:
             self.chosen = saved.illumination
             return []
-        chosen, why = choose_light(surface, self.views, cell, self.options)
+        chosen, why = choose_light(surface, self.views, cell, self.options, self._cast)
         self.chosen = IlluminationOptions(chosen.shadow, chosen.transient)
         return why
 
     def _follow(self, surface: SurfaceScene, cell: float) -> None:
         """Learned shadows begin at those of the start surface."""
-        cast = self.coarse.cast if self.coarse else sun_visibility
         suns = [view.sun for view in self.views if view.sun]
         if suns:
             with torch.no_grad():
-                visibility = {sun: cast(surface.casting(), cell, sun) for sun in set(suns)}
+                visibility = {sun: self._cast(surface.casting(), cell, sun) for sun in set(suns)}
             self.illumination.follow(suns, [visibility[sun] for sun in suns], self.options.seed)
 
     def _start(self, grid: Grid) -> SurfaceScene:
@@ -205,6 +216,7 @@ class SurfaceJob:
             smooth=options.material_smooth,
             seed=options.seed,
             sky=options.sky_share or options.sky,
+            cast=self._cast,
         )
         return modelled
 
@@ -215,7 +227,7 @@ class SurfaceJob:
             SceneError: there is no prior, or a sun is unknown.
         """
         grid = self.scene.require_grid().resized(stage.cell_size)
-        self.views = views_on(self.sources, grid, self.z_ref, stage.z_range)
+        self.views = self._views_on(grid, stage)
         scale = [light_scale(self.radiance, view.sun) for view in self.views]
         surface, lit = reflective(
             self._start(grid),
@@ -228,6 +240,7 @@ class SurfaceJob:
             smooth=0.0,
             seed=self.options.seed,
             solve=False,
+            cast=self._cast,
         )
         cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
         return choose_model(cells, block, self.radiance == "relative")

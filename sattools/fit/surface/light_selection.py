@@ -21,7 +21,7 @@ from sattools.fit.losses import tone
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.light import IlluminationModel
 from sattools.fit.surface.scene import SurfaceScene
-from sattools.render import sun_visibility
+from sattools.render.visibility import Cast, sun_visibility
 from sattools.views import View, shown_on
 
 Shadow = Literal["none", "geometric", "learned"]
@@ -52,7 +52,7 @@ class Shown:
 
 
 def choose_light(
-    surface: SurfaceScene, views: Sequence[View], cell_size: float, options: FitOptions
+    surface: SurfaceScene, views: Sequence[View], cell_size: float, options: FitOptions, cast: Cast = sun_visibility
 ) -> tuple[FitOptions, list[str]]:
     """The options with ``auto`` of `shadow` and `transient` resolved, and why.
 
@@ -61,12 +61,13 @@ def choose_light(
         views: the views.
         cell_size: edge of a cell [m].
         options: of the fit.
+        cast: sun visibility of heights on cells under a sun.
     """
     if "auto" not in (options.shadow, options.transient):
         return options, []
     notes = []
     with torch.no_grad():
-        shown = show(surface, views, cell_size)
+        shown = show(surface, views, cell_size, cast)
     if options.shadow == "auto":
         shadow, why = choose_shadow(shown, views, cell_size, options)
         options = replace(options, shadow=shadow)
@@ -82,23 +83,24 @@ def choose_light(
     return options, notes
 
 
-def show(surface: SurfaceScene, views: Sequence[View], cell_size: float) -> Shown:
+def show(surface: SurfaceScene, views: Sequence[View], cell_size: float, cast: Cast = sun_visibility) -> Shown:
     """Resample the views to the cells of the surface; cells that the surface itself hides from a view do not count.
 
     Args:
         surface: start surface.
         views: the views.
         cell_size: edge of a cell [m].
+        cast: sun visibility of heights on cells under a sun.
     """
     height = surface.height.detach()
     colours, weights, lights = [], [], []
     for view in views:
         picture, seen = shown_on(view, height.cpu().numpy(), cell_size)
         direction = np.array([*view.slope, 1.0]) / np.linalg.norm([*view.slope, 1.0])
-        free = sun_visibility(height, cell_size, tuple(direction))
+        free = cast(height, cell_size, tuple(direction))
         colours.append(torch.from_numpy(picture))
         weights.append((torch.from_numpy(seen[..., 0]) * (free.cpu() > 0.95)).float())
-        lit = sun_visibility(height, cell_size, view.sun).cpu() if view.sun else torch.full(height.shape, torch.nan)
+        lit = cast(height, cell_size, view.sun).cpu() if view.sun else torch.full(height.shape, torch.nan)
         lights.append(lit)
     return Shown(torch.stack(colours), torch.stack(weights), torch.stack(lights))
 

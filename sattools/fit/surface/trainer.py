@@ -19,7 +19,8 @@ from sattools.fit.surface.light import IlluminationModel
 from sattools.fit.surface.pose import image_shift, remove_gauge
 from sattools.fit.surface.scene import SurfaceScene
 from sattools.fit.surface.smoothness import EdgeWeights, edge_weights, smoothness_penalty
-from sattools.render import ParallelRays, Quadrature, render, sun_visibility
+from sattools.render import ParallelRays, Quadrature, render
+from sattools.render.visibility import Cast, sun_visibility
 from sattools.views import View
 
 # epochs between refreshes of the sun visibility and of the poses; a checkpoint can only be taken right before one
@@ -100,7 +101,7 @@ class StageTrainer:
         index: int,
         *,
         illumination: IlluminationModel | None = None,
-        cast: Callable[[Tensor, float, tuple[float, float, float]], Tensor] = sun_visibility,
+        cast: Cast = sun_visibility,
     ) -> None:
         self.cast = cast
         self.scene, self.views, self.settings, self.options, self.prior, self.index = (

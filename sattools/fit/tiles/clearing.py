@@ -10,7 +10,7 @@ from pathlib import Path
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
 from sattools.fit.files import CHECKPOINT, MODEL, TRACE
 from sattools.fit.tiles.state import COARSE, STATE, read_state
-from sattools.prior.files import MAPS
+from sattools.prior.files import MAPS, SURROUNDINGS
 from sattools.runlog import NAME
 from sattools.scene import Scene
 from sattools.scene.dependencies import STAGES
@@ -21,7 +21,7 @@ COMMON = f"{PARTS}/common.safetensors"
 WHOLE = f"{PARTS}/scene.json"  # the document of the whole as it was cut
 _PART = re.compile(rf"{COARSE}|(pilot\.)?r\d+c\d+")
 _OF_BATCHES = ("task.json", "attempts.jsonl", "config.toml", "log.txt")
-_IN_PARTS = ("scene.json", MODEL, TRACE, CHECKPOINT, *MAPS.values(), NAME, f"{NAME}.1", *_OF_BATCHES)
+_IN_PARTS = ("scene.json", MODEL, TRACE, CHECKPOINT, *MAPS.values(), SURROUNDINGS, NAME, f"{NAME}.1", *_OF_BATCHES)
 _STAGES = ("normalise", "prior", "fit")  # what is done of a part before it is joined
 
 

@@ -6,11 +6,9 @@ names as its product ``coarse``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from sattools.errors import SceneError
@@ -18,9 +16,8 @@ from sattools.fit.described import COLOURS
 from sattools.fit.model import FittedModel
 from sattools.fit.resume import IlluminationOptions
 from sattools.fit.surface.scene import SurfaceScene
-from sattools.render import sun_visibility
+from sattools.render.around import Around
 from sattools.scene import Grid, Scene
-from sattools.scene.regrid import sample_map
 
 PRODUCT = "coarse"
 
@@ -33,7 +30,7 @@ class Coarse:
         colours: gain, offset and ambient ``[V, C]`` and pose ``[V, 2]`` of the tile's images.
         illumination: how the light is modelled.
         height: ``[H, W]`` heights of the whole area [m]; grid: theirs.
-        tile: the tile's grid; no shadow is looked for further away than its edge.
+        tile: the tile's grid.
     """
 
     colours: dict[str, Tensor]
@@ -49,32 +46,10 @@ class Coarse:
         surface.held = True
         return surface
 
-    def cast(self, height: Tensor, cell_size: float, sun: tuple[float, float, float]) -> Tensor:
-        """`sun_visibility` of the tile's heights, with the coarse surface around them to cast shadows, too.
-
-        Args:
-            height: ``[H, W]`` [m].
-            cell_size: edge of a cell [m].
-            sun: unit vector (east, north, up) to the sun.
-        """
-        top, bottom = float(self.height.max()), min(float(self.height.min()), float(height.min()))
-        across = math.hypot(sun[0], sun[1])
-        if sun[2] <= 0 or across < 1e-6:
-            return sun_visibility(height, cell_size, sun)
-        longest = self.tile.cell_size * max(self.tile.shape)
-        reach = min((top - bottom) * across / sun[2], longest) / across / cell_size
-        east, north = math.ceil(abs(sun[0]) * reach), math.ceil(abs(sun[1]) * reach)
-        rows, cols = height.shape
-        # only what lies towards the sun can stand in its way
-        up, left = (north if sun[1] > 0 else 0), (east if sun[0] < 0 else 0)
-        wide = Grid(
-            self.tile.crs, self.tile.left - left * cell_size, self.tile.top + up * cell_size, cell_size,
-            cols + east, rows + north,
-        )  # fmt: skip
-        around = torch.from_numpy(sample_map(self.height.numpy(), self.grid, wide, outside=bottom))
-        around[up : up + rows, left : left + cols] = height.detach().cpu()
-        lit = sun_visibility(around, cell_size, sun)[up : up + rows, left : left + cols]
-        return lit.contiguous().to(height.device)
+    def around(self, own: Around | None) -> Around:
+        """The whole area as what stands around the tile, with what its own prior knows better."""
+        layers = ((self.height.numpy(), self.grid), *(own.layers if own else ()))
+        return Around(layers, self.tile)
 
 
 def read_coarse(scene: Scene, ids: Sequence[str]) -> Coarse | None:
