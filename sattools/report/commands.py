@@ -7,6 +7,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sattools.scene.dependencies import in_force
+from sattools.scene.jsonio import JsonObject
 from sattools.settings import specs
 
 OPTIONS = {
@@ -47,10 +49,10 @@ def command_line(command: str, options: Mapping[str, Any]) -> str:
     return " ".join(word if word == "IMAGE..." else shlex.quote(word) for word in words)
 
 
-def pipeline(history: Sequence[Mapping[str, Any]]) -> str:
-    """All command lines of a history as one pipe; the last entry of a command that was run again."""
-    last = {entry["command"]: entry for entry in history}
-    return " |\n    ".join(command_line(name, entry.get("options", {})) for name, entry in last.items())
+def pipeline(history: Sequence[JsonObject]) -> str:
+    """The command lines of a history as one pipe that leads to the same scene: without what was done in vain."""
+    steps = in_force(history)
+    return " |\n    ".join(command_line(entry["command"], entry.get("options", {})) for entry in steps)
 
 
 def _same(value: Any, default: Any) -> bool:

@@ -23,6 +23,7 @@ from sattools.errors import InputError
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
 from sattools.report.page import Picture, Section, render
+from sattools.report.scene import scene_page
 from sattools.scene import Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
@@ -231,6 +232,31 @@ def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
     )
     history = [{"command": "fit", "options": {"seed": seed}} for seed in (1, 2)] + [{"command": "export"}]
     assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
+
+
+def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> None:
+    """`fit` stood before the `normalise` that it was run again for, with the prior and the notes of before."""
+    seconds = {"seconds": 100.0}
+    finished.history = [
+        {"command": "prior", "options": {"step": 0.5}, **seconds},
+        {"command": "fit", "options": {"brdf": "hapke"}, "notes": ["amplitudes are relative"], **seconds},
+        {"command": "normalise", "options": {"black": [40.0]}, "seconds": 1.0},
+        {"command": "fit", "options": {"seed": 2}, "notes": ["heights are the prior's"], "seconds": 2.0},
+        {"command": "export", "options": {}, "seconds": 0.5},
+    ]
+    assert pipeline(finished.history) == (
+        "sattools normalise --black 40.0 |\n    sattools fit --seed 2 |\n    sattools export"
+    )
+    page = Page(scene_page(finished)).text
+    assert "heights are the prior's" in page
+    assert "amplitudes are relative" not in page
+
+
+def test_images_that_were_set_aside_are_not_said_to_be_held_out(finished: Any) -> None:
+    finished.items[0].properties["sattools:role"] = "unused"
+    finished.items[1].properties["sattools:fit_role"] = "test"
+    roles = re.findall(r"<td[^>]*>(train|test|unused)</td>", scene_page(finished))
+    assert roles == ["unused", "test", *["train"] * (len(finished.items) - 2)]
 
 
 def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished: Any, batch: Any, opened: Any) -> None:
