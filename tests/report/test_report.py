@@ -20,6 +20,7 @@ from sattools.batch.table import write_tables
 from sattools.cli import main
 from sattools.compare.picture import line_styles
 from sattools.errors import InputError
+from sattools.report.batch import batch_page
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
 from sattools.report.page import Picture, Section, render
@@ -211,6 +212,24 @@ def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch: Any) ->
     for words in ("MAE [m]", "2.000", "found no <images>", "seed = 3", "sattools fit scene.json"):
         assert words in page.text
     assert "said something" not in page.text
+
+
+def test_a_batchs_page_shows_nothing_that_an_earlier_run_has_left_in_the_folder(batch: Any, finished: Any) -> None:
+    """A map of errors and commands of before, where the configuration has changed since."""
+    folder = batch / "runs/fast/A"
+    for name in ("dsm", "difference"):
+        (folder / "export").mkdir(exist_ok=True)
+        shutil.copy(finished.root / f"export/{name}.tif", folder / "export")
+    (folder / "compare").mkdir()
+    shutil.copy(finished.root / "export/difference.tif", folder / "compare")
+    del finished.products["difference"]
+    (folder / "scene.json").write_text(finished.to_json(root="."))
+    calls = ["normalise", "fit --seed 1", "export", "compare", "fit --seed 2", "fit --seed 2", "export"]
+    (folder / "log.txt").write_text("".join(f"$ sattools --threads 1 {call} scene.json\n" for call in calls))
+    page = batch_page(batch)
+    assert "A, fast: surface model" in page
+    assert "A, fast: registered surface minus reference" not in page
+    assert re.findall("--threads 1 (.*) scene.json", Page(page).text) == ["fit --seed 2", "export"]
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "scene,configuration,status,seconds,mae_m\n../x,fast,done,1,2\n"])
