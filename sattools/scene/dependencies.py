@@ -305,11 +305,14 @@ def _inputs(scene: Scene, stage: str, ids: Sequence[str], read: Seen = MappingPr
 
 
 def _gone(scene: Scene, stage: str, ids: Sequence[str]) -> Path | None:
-    """The first image or camera of a stage that is not there any more."""
-    if stage not in ("normalise", "prior", "fit"):
-        return None
-    items = [item for item in scene.items if item.id in ids]
-    hrefs = [item.assets[name].href for item in items for name in (_pixels(item, stage), "rpc") if name in item.assets]
+    """The first image, camera or map that a stage has read and that is not there any more."""
+    hrefs = []
+    if stage in ("normalise", "prior", "fit"):
+        items = [item for item in scene.items if item.id in ids]
+        hrefs = [i.assets[name].href for i in items for name in (_pixels(i, stage), "rpc") if name in i.assets]
+    if stage in ("fit", "export"):
+        before = names_of(STAGES["prior"]) if stage == "fit" else {"model"}
+        hrefs += [href for name, href in scene.products.items() if name in before]
     paths = (scene.path(href) for href in hrefs)
     return next((path for path in paths if not (isinstance(path, RemotePath) or path.exists())), None)
 

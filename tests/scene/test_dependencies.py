@@ -65,6 +65,15 @@ def test_an_image_or_camera_that_is_gone_is_named(scene: Any, name: str) -> None
     assert stale(scene, "fit") == reason
 
 
+@pytest.mark.parametrize(("name", "of"), [("prior/dsm.tif", "fit"), ("fit/model.safetensors", "export")])
+def test_a_file_of_the_step_before_that_is_gone_is_named(scene: Any, name: str, of: str) -> None:
+    for command in ("prior", "fit", "export"):
+        run(scene, command)
+    (scene.root / name).unlink()
+    reason = f"found no {scene.root / name} any more, of which {of} was made, expected it there"
+    assert stale(scene, "export") == reason
+
+
 def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene: Any) -> None:
     for command in FILES:
         run(scene, command)
