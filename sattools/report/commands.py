@@ -51,8 +51,15 @@ def command_line(command: str, options: Mapping[str, Any]) -> str:
 
 def pipeline(history: Sequence[JsonObject]) -> str:
     """The command lines of a history as one pipe that leads to the same scene: without what was done in vain."""
-    steps = in_force(history)
-    return " |\n    ".join(command_line(entry["command"], entry.get("options", {})) for entry in steps)
+    lines: list[str] = []
+    done: set[str] = set()
+    for entry in in_force(history):
+        command = entry["command"]
+        # `align` has a folder of its own each time
+        again = " --overwrite" if command in done and command != "align" else ""
+        lines.append(command_line(command, entry.get("options", {})) + again)
+        done.add(command)
+    return " |\n    ".join(lines)
 
 
 def _same(value: Any, default: Any) -> bool:

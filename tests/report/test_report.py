@@ -253,6 +253,13 @@ def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
     assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
 
 
+def test_what_is_done_once_more_after_an_alignment_replaces_its_files_in_the_same_again() -> None:
+    history = [{"command": name} for name in ("fit", "export", "align", "fit", "align", "export")]
+    assert pipeline(history).replace("sattools ", "").split(" |\n    ") == [
+        *("fit", "export", "align", "fit --overwrite", "align", "export --overwrite")
+    ]
+
+
 def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> None:
     """`fit` stood before the `normalise` that it was run again for, with the prior and the notes of before."""
     seconds = {"seconds": 100.0}
