@@ -49,16 +49,21 @@ def check_folder(
 
 def _check_joined(folder: Path, ids: Sequence[str]) -> None:
     """Raise OutputExistsError where the surface of scenes that are not at hand would give way to one without them."""
-    path = folder / SEAMS
-    try:
-        missing = sorted(set(read_json(path)["scenes"]) - set(ids)) if path.exists() else []
-    except (SattoolsError, KeyError, TypeError):
-        missing = []  # not ours
+    missing = sorted(joined_scenes(folder) - set(ids))
     if missing:
         raise OutputExistsError(
             f"{folder / FILES[0]}: found a surface with {', '.join(missing)}, expected none but those given; "
             "give them, too, or another --out (--overwrite replaces it, and does all tasks again)"
         )
+
+
+def joined_scenes(folder: Path) -> set[str]:
+    """Ids of the scenes that the joined surface in a folder is made of; none where there is none of ours."""
+    path = folder / SEAMS
+    try:
+        return set(read_json(path)["scenes"]) if path.exists() else set()
+    except (SattoolsError, KeyError, TypeError):
+        return set()
 
 
 def check_references(runs: Sequence[tuple[Task, Configuration]]) -> None:
@@ -99,4 +104,6 @@ def is_own(scene: Scene, out: Path) -> bool:
     return scene.origin is not None and path.exists() and scene.origin.samefile(path)
 
 
-__all__ = ["DIGESTS", "FIGURE", "check_folder", "check_references", "document_of", "is_own", "joined_folder"]
+__all__ = [
+    "DIGESTS", "FIGURE", "check_folder", "check_references", "document_of", "is_own", "joined_folder", "joined_scenes",
+]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import tomllib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import remove_orphans, write_text
-from sattools.scene.jsonio import JsonObject, read_json
+from sattools.scene.jsonio import JsonObject, read_json, read_toml
 from sattools.scene.schema import Anything, Items, Table, Text
 
 log = logging.getLogger(__name__)
@@ -179,7 +180,7 @@ def run_task(
     key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
     folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
     name = f"{scene}/{configuration.name}"
-    config = _toml(configuration, [c for c in COMMANDS if c != "prep"])
+    config = _toml(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
     return Task(name, str(folder), key, scene, configuration.name, commands, config, str(source))
 
 
@@ -336,13 +337,26 @@ def reference_files(configuration: Configuration, truth: Path | None, scene: str
         yield Path(pair.partition("=")[2])
 
 
-def _toml(configuration: Configuration, commands: list[str]) -> str:
+def is_of(folder: Path, configuration: Configuration) -> bool:
+    """Whether a run, by its folder, had the options that a configuration has now; True where the folder does not say.
+
+    Args:
+        folder: of the run.
+        configuration: one of the same name.
+    """
+    try:
+        return read_toml(folder / "config.toml") == tomllib.loads(_toml(configuration, COMMANDS))
+    except InputError:
+        return True
+
+
+def _toml(configuration: Configuration, commands: Iterable[str]) -> str:
     import tomli_w
 
     return tomli_w.dumps({name: configuration.tables[name] for name in commands if name in configuration.tables})
 
 
 __all__ = [
-    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "key_of", "pilot_tasks", "prep_task",
-    "reference_files", "run_task", "scene_content", "shared_task", "tile_tasks",
+    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "is_of", "key_of", "pilot_tasks",
+    "prep_task", "reference_files", "run_task", "scene_content", "shared_task", "tile_tasks",
 ]  # fmt: skip

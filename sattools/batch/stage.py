@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sattools.batch.cluster import Job, run, shares
+from sattools.batch.earlier import comparable_rows, tell_of_joined
 from sattools.batch.figure import draw
 from sattools.batch.gate import DIGESTS, FIGURE, check_folder, check_references, document_of, is_own, joined_folder
 from sattools.batch.join import FILES, join
@@ -26,7 +27,7 @@ from sattools.batch.plan import (
     shared_task,
     tile_tasks,
 )
-from sattools.batch.table import Row, earlier_rows, failed_row, write_tables
+from sattools.batch.table import Row, failed_row, write_tables
 from sattools.errors import InputError, SattoolsError, SceneError
 from sattools.progress import Progress, silent
 from sattools.scene.document import Scene, check_id
@@ -205,13 +206,12 @@ def batch(
     make_folder(out)
     with locked(out):  # another batch would begin tiles anew that this one is about to join
         plan = make_plan(options, scenes, configurations, overwrite)
-        plan.kept = earlier_rows(out, plan.rows)
-        if plan.kept:
-            log.info("the table keeps %d rows of earlier calls", len(plan.kept))
+        plan.kept = comparable_rows(out, plan.rows, configurations)
         for pair, (_, error) in plan.errors.items():
             log.error("%s/%s: %s", *pair, error)
         for result in plan.results.values():
             emit(_line(result))
+        before = set(plan.results)
         state = _Running(plan, out, progress, emit)
         log.info("%d tasks, %d of them done before", state.total, len(plan.results))
         try:
@@ -228,6 +228,8 @@ def batch(
             draw(rows[: len(rows) - len(plan.kept)], out / FIGURE)
         if options.join:
             plan.joined = {c.name: _join(plan, c.name, out) for c in configurations}
+        else:
+            tell_of_joined(out, set(plan.results) - before, configurations)
     return plan
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +18,7 @@ from sattools.export.datum import check_datum
 from sattools.export.options import ExportOptions
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.collection import write_collection
+from sattools.export.products.names import FILES
 from sattools.export.products.names import hrefs as product_hrefs
 from sattools.export.products.plan import Wanted, check_libraries, write_products
 from sattools.export.surface_files import (
@@ -37,7 +38,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.render.around import read_around
 from sattools.scene import Scene
 from sattools.scene.area import wanted_cells
-from sattools.scene.dependencies import MADE, begin, check_current, may_begin, record
+from sattools.scene.dependencies import MADE, STAGES, begin, check_current, may_begin, names_of, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.stored import new_map
 from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
@@ -73,7 +74,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     """
     stored, model = _opened(scene, options)
     views = bool(options.view or options.sun is not None)
-    begin(scene, "export", _outputs(scene, options, stored, model), overwrite)
+    outputs = _outputs(scene, options, stored, model)
+    begin(scene, "export", outputs, overwrite)
     progress(0.05, "what the images show")
     witnesses = Witnesses(scene, stored.about.items)
     if not witnesses.known:
@@ -108,13 +110,8 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
         kinds["outside"] = UNWANTED
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
-    notes = []
-    if words := heights_of_start(stored.about):
-        notes.append(f"heights: {words}")
-        log.warning("scene %s: %s", scene.id, notes[-1])
-    if witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill:
-        notes.append(EMPTY)
-        log.warning("scene %s: %s", scene.id, notes[-1])
+    empty = witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill
+    notes = _notes(scene, stored, outputs, bool(empty))
     return {
         "vertical_datum": files.datum, "validity": fractions, "products": products, "notes": notes,
         MADE: record(scene, "export"),
@@ -194,6 +191,27 @@ def _outputs(scene: Scene, options: ExportOptions, stored: StoredModel, model: F
     if options.sun is not None:
         hrefs += [RELIT, *(view_href("relit", name) for name in options.view)]
     return hrefs + product_hrefs(options.wanted)
+
+
+def _notes(scene: Scene, stored: StoredModel, outputs: Sequence[str], empty: bool) -> list[str]:
+    """What there is to say of an export, which is told, too."""
+    notes = []
+    if words := heights_of_start(stored.about):
+        notes.append(f"heights: {words}")
+    if empty:
+        notes.append(EMPTY)
+    if left := _left(scene, outputs):
+        notes.append(f"{', '.join(left)}: left by an earlier export, not of this surface")
+    for text in notes:
+        log.warning("scene %s: %s", scene.id, text)
+    return notes
+
+
+def _left(scene: Scene, outputs: Sequence[str]) -> list[str]:
+    """Files beside the outputs that look like more of them, but were written by an export of before."""
+    maps = [f"export/{name}.tif" for name in names_of(STAGES["export"])]
+    known = sorted({*maps, *product_hrefs(list(FILES))} - {*outputs})
+    return [href for href in known if scene.path(href).is_file()]
 
 
 def _needs_whole(options: ExportOptions, stored: StoredModel) -> bool:

@@ -103,13 +103,15 @@ def may_write(scene: Scene, options: FitOptions, overwrite: bool) -> bool:
         return False
     if scene.path(CHECKPOINT).exists() or begun(scene.root):
         return True
-    # without a model in the document the fit was stopped before its end was noted
     if "model" in scene.products:
         raise OutputExistsError(
             f"{scene.path(scene.products['model'])}: found a finished fit, expected an interrupted one for --resume; "
             "give --overwrite to fit anew"
         )
-    return True
+    # without a model in the document the fit was stopped before its end was noted, unless the history knows the file:
+    # then it is of a finished fit that another command has put out of date since
+    noted = {(entry.get(MADE) or {}).get("fit", {}).get("outputs", {}).get("model") for entry in scene.history}
+    return digest(scene.path(MODEL)) not in noted - {None}
 
 
 def _check_nothing_begun(scene: Scene, options: FitOptions) -> None:

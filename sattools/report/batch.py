@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from sattools.batch.figure import means, speed_error_figure
+from sattools.batch.plan import COMMANDS
 from sattools.batch.table import SHORT
 from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render
@@ -82,24 +84,20 @@ def _surfaces(folder: Path, rows: list[JsonObject]) -> Section:
     done = [row for row in rows if row["status"] == "done"]
     for row in done[:SHOWN]:
         root, name = folder / "runs" / row["configuration"] / row["scene"], f"{row['scene']}, {row['configuration']}"
-        dsm = _dsm(root)
+        scene = Scene.from_file(root / "scene.json") if (root / "scene.json").is_file() else None
+        # by the document: `align` may have moved the surface, and a file may be that of an earlier run in the folder
+        dsm, scored = (None, None) if scene is None else (product(scene, "dsm"), product(scene, "difference"))
         if dsm is not None:
             heights, grid = read_overview(dsm)
             figure = picture(heights[0], grid, name, vertical_datum(dsm))
             section.parts.append(Picture(figure, f"Heights of {name}", f"{name}: surface model, heights in metres."))
-        if (root / "compare/difference.tif").is_file():
-            difference, grid = read_overview(root / "compare/difference.tif")
+        if scored is not None:
+            difference, grid = read_overview(scored)
             caption = f"{name}: registered surface minus reference [m], blue too low, red too high, grey not scored."
             section.parts.append(Picture(difference_figure(difference[0], grid, name), f"Errors of {name}", caption))
     if len(done) > SHOWN:
         section.parts.append(f"The first {SHOWN} of {len(done)} runs are shown.")
     return section
-
-
-def _dsm(root: Path) -> Path | None:
-    """The surface of a run, which `align` may have moved; None without one."""
-    document = root / "scene.json"
-    return product(Scene.from_file(document), "dsm") if document.is_file() else None
 
 
 def _commands(folder: Path, rows: list[JsonObject]) -> Section:
@@ -112,10 +110,26 @@ def _commands(folder: Path, rows: list[JsonObject]) -> Section:
         config = _read(root / "config.toml")
         if config:
             section.parts.append(Code(config, f"Options of {name} that are not the defaults:"))
-        calls = [line[2:] for line in _read(root / "log.txt").splitlines() if line.startswith("$ ")]
+        calls = _last_calls([line[2:] for line in _read(root / "log.txt").splitlines() if line.startswith("$ ")])
         if calls:
             section.parts.append(Code("\n".join(dict.fromkeys(calls)), f"Commands of {scene}, {name}:"))
     return section
+
+
+def _last_calls(calls: Sequence[str]) -> list[str]:
+    """Of the command lines of all runs in a folder those of the last one: as far back as they follow the pipe."""
+    kept: list[str] = []
+    for call in reversed(calls):
+        place = _place(call)
+        if kept and place > _place(kept[0]):
+            break
+        kept.insert(0, call)
+    return kept
+
+
+def _place(call: str) -> int:
+    """Where a line's command stands in the pipe."""
+    return next((COMMANDS.index(word) for word in call.split() if word in COMMANDS), 0)
 
 
 def _read(path: Path) -> str:

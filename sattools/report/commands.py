@@ -7,6 +7,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from sattools.scene.dependencies import in_force
+from sattools.scene.jsonio import JsonObject
 from sattools.settings import specs
 
 OPTIONS = {
@@ -47,10 +49,17 @@ def command_line(command: str, options: Mapping[str, Any]) -> str:
     return " ".join(word if word == "IMAGE..." else shlex.quote(word) for word in words)
 
 
-def pipeline(history: Sequence[Mapping[str, Any]]) -> str:
-    """All command lines of a history as one pipe; the last entry of a command that was run again."""
-    last = {entry["command"]: entry for entry in history}
-    return " |\n    ".join(command_line(name, entry.get("options", {})) for name, entry in last.items())
+def pipeline(history: Sequence[JsonObject]) -> str:
+    """The command lines of a history as one pipe that leads to the same scene: without what was done in vain."""
+    lines: list[str] = []
+    done: set[str] = set()
+    for entry in in_force(history):
+        command = entry["command"]
+        # `align` has a folder of its own each time
+        again = " --overwrite" if command in done and command != "align" else ""
+        lines.append(command_line(command, entry.get("options", {})) + again)
+        done.add(command)
+    return " |\n    ".join(lines)
 
 
 def _same(value: Any, default: Any) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 from sattools.report.figures import error_over_time, errors_by
 from sattools.report.page import Picture, Section, Table
 from sattools.report.parts import number, product, trace_rows
+from sattools.scene.dependencies import in_force
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Items, Maybe, Number, Text
@@ -96,7 +97,7 @@ def _bars(figures: JsonObject) -> Picture | str:
 def _over_time(scene: Scene, figures: JsonObject) -> Picture:
     """Error against time: of the fit's passes, where it was watched, and of the surface as it was exported."""
     spent, start = 0.0, 0.0
-    for entry in {entry["command"]: entry for entry in scene.history}.values():
+    for entry in in_force(scene.history):
         if entry["command"] == "fit":
             start = spent
         if entry["command"] in ("prep", "normalise", "prior", "fit", "export"):

@@ -16,7 +16,7 @@ from sattools.report.errors import errors_section
 from sattools.report.links import products_section
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.report.parts import number, product, trace_rows
-from sattools.scene.dependencies import drop, stale
+from sattools.scene.dependencies import drop, in_force, stale
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import raster_grid, read_overview, read_some_pixels
@@ -122,11 +122,12 @@ def _item_table(scene: Scene) -> Table:
                 str(p.get("datetime") or "")[:16].replace("T", " "),
                 *(number(value, 1) for value in (*sun, p.get("view:azimuth"), p.get("view:off_nadir"))),
                 number(p.get("gsd"), 2),
-                "test" if item.held_out else "train",
+                "test" if item.held_out and item.role == "train" else item.role,
             ]
         )
     names = ["image", "UTC", "sun azimuth [°]", "sun elevation [°]", "view azimuth [°]", "off nadir [°]", "pixel [m]"]
-    return Table([*names, "role"], rows, "Azimuths from true north; images of the role test are held out of the fit.")
+    caption = "Azimuths from true north; images of the role test are held out of the fit, unused ones are in no step."
+    return Table([*names, "role"], rows, caption)
 
 
 def _adjustment(scene: Scene) -> Section:
@@ -257,7 +258,8 @@ def _history(scene: Scene) -> Section:
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
     section.parts.append(Code(pipeline(scene.history), text))
-    told = [entry for entry in scene.history if entry["command"] != "align"]  # which has a section of its own
+    # what was done in vain says nothing of what is shown, and `align` has a section of its own
+    told = [entry for entry in in_force(scene.history) if entry["command"] != "align"]
     notes = [f"{entry['command']}: {note}" for entry in told for note in entry.get("notes", [])]
     section.parts.extend(notes)
     return section

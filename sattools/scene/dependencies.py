@@ -203,6 +203,27 @@ def current_entry(scene: Scene, command: str) -> JsonObject | None:
     return None
 
 
+def in_force(history: Iterable[JsonObject]) -> list[JsonObject]:
+    """The entries of a history that the scene as it is now stands on, oldest first.
+
+    A stage that was run again makes its earlier entries, and those of all after it, void; but what an `align` was found
+    with stays, as everything lies where it has moved it.
+    """
+    kept: list[JsonObject] = []
+    for entry in history:
+        command = entry.get("command")
+        moved = 1 + max((k for k, old in enumerate(kept) if old.get("command") == "align"), default=-1)
+        if command in SOURCES:
+            kept = []
+        elif command == "align":  # drops scores, and was found without them
+            kept = [old for old in kept if old.get("command") != "compare"]
+        elif command in STAGES:
+            before, after = kept[:moved], kept[moved:]
+            kept = before + [old for old in after if not _is_void(old.get("command"), command)]
+        kept.append(entry)
+    return kept
+
+
 def check_current(scene: Scene, stage: str) -> None:
     """Raise StaleError where a stage's products are not what it left, or were made from something else than is there.
 
@@ -237,6 +258,11 @@ def _is_before(command: str | None, stage: str) -> bool:
     if command in SOURCES:
         return True
     return command in STAGES and stage in STAGES and ORDER.index(command) < ORDER.index(stage)
+
+
+def _is_void(old: str | None, command: str) -> bool:
+    """Whether what a command has made gives way when another one runs."""
+    return old == command or (old in STAGES and _is_before(command, old))
 
 
 def _has_outputs(scene: Scene, stage: str) -> bool:
@@ -282,11 +308,14 @@ def _inputs(scene: Scene, stage: str, ids: Sequence[str], read: Seen = MappingPr
 
 
 def _gone(scene: Scene, stage: str, ids: Sequence[str]) -> Path | None:
-    """The first image or camera of a stage that is not there any more."""
-    if stage not in ("normalise", "prior", "fit"):
-        return None
-    items = [item for item in scene.items if item.id in ids]
-    hrefs = [item.assets[name].href for item in items for name in (_pixels(item, stage), "rpc") if name in item.assets]
+    """The first image, camera or map that a stage has read and that is not there any more."""
+    hrefs = []
+    if stage in ("normalise", "prior", "fit"):
+        items = [item for item in scene.items if item.id in ids]
+        hrefs = [i.assets[name].href for i in items for name in (_pixels(i, stage), "rpc") if name in i.assets]
+    if stage in ("fit", "export"):
+        before = names_of(STAGES["prior"]) if stage == "fit" else {"model"}
+        hrefs += [href for name, href in scene.products.items() if name in before]
     paths = (scene.path(href) for href in hrefs)
     return next((path for path in paths if not (isinstance(path, RemotePath) or path.exists())), None)
 
@@ -305,6 +334,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "MADE", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of", "latest", "may_begin",
-    "names_of", "outdated_by", "record", "seen", "stale",
+    "MADE", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of", "in_force", "latest",
+    "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
 ]  # fmt: skip

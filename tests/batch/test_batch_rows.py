@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from sattools.batch import stage
+from sattools.batch.earlier import comparable_rows
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration
 from sattools.batch.table import earlier_rows, make_row, to_csv, write_tables
@@ -60,6 +61,24 @@ def test_rows_of_earlier_calls_stay_in_the_table_as_long_as_their_runs_are_there
     # what this call does itself is not known from before
     assert [row["scene"] for row in earlier_rows(tmp_path, [("A", "fast")])] == ["B"]
     assert to_csv(kept) == to_csv([one, two])
+
+
+def test_rows_of_other_options_under_the_same_name_are_told_and_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """They had stood beside the new ones as if they were of one configuration, in figures and reports, too."""
+    rows = [{"scene": name, "configuration": "fast", "status": "done", "mae_m": 1.0} for name in ("A", "B", "C")]
+    other = {"scene": "A", "configuration": "slow", "status": "done", "mae_m": 1.0}
+    written(tmp_path, *rows, other)
+    (tmp_path / "runs/fast/A/config.toml").write_text("[fit]\nseed = 3\nepochs = [ 4 ]\n")
+    (tmp_path / "runs/fast/B/config.toml").write_text("[fit]\nepochs = [4]\nseed = 2\n")
+    (tmp_path / "runs/slow/A/config.toml").write_text("[fit]\nseed = 7\n")
+    now = Configuration("fast", {"fit": {"epochs": [4], "seed": 3}})
+    kept = comparable_rows(tmp_path, [("D", "fast")], [now])
+    # C does not say
+    assert [(row["scene"], row["configuration"]) for row in kept] == [("A", "fast"), ("C", "fast"), ("A", "slow")]
+    assert "fast: has other options than in an earlier call" in caplog.text
+    assert "give B again, too" in caplog.text
 
 
 @pytest.mark.parametrize("text", ["a,b\n1,2\n", "", "scene,configuration,status,mae_m\nA,fast,done,much\n", "\0"])

@@ -286,3 +286,13 @@ def test_scenes_are_aligned_and_joined(folder: Any) -> None:
     _, said = again.communicate(timeout=HANGING_S)
     assert again.returncode == 0, said
     assert len((folder / "joint/runs/onto/A/attempts.jsonl").read_text().splitlines()) == 1
+    # of A by other options now, and not joined again: the row of B and the joined surface are of those of before
+    (folder / "onto.toml").write_text('[fit]\nepochs = [1]\n[align]\nto = "dem.tif"\n')
+    last = start(folder, "A/scene.json", *call[2:-1])
+    _, said = last.communicate(timeout=HANGING_S)
+    assert last.returncode == 0, said
+    assert "onto: has other options than in an earlier call" in said
+    assert "left out of the table: give B again, too" in said
+    assert "joint/joined/onto/dsm.tif: is still of what A had before this call; --join makes it anew" in said
+    with open(folder / "joint/table.csv", newline="") as file:
+        assert [row["scene"] for row in csv.DictReader(file)] == ["A"]

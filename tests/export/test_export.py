@@ -148,6 +148,20 @@ def test_products_need_overwrite(scene: Any) -> None:
         export(scene, ExportOptions(), overwrite=False)
 
 
+def test_files_of_an_earlier_export_beside_the_new_surface_are_named(
+    scene: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Contours and ground of another surface lie in the same folder, and only the document knows."""
+    export(scene, ExportOptions(products=["dtm"], contours=2.0))
+    (scene.root / "export/mine.tif").write_text("of the user's own")
+    caplog.clear()
+    left = "export/contours.gpkg, export/dtm.tif, export/dtm_validity.tif, export/ndsm.tif"
+    notes = export(scene, ExportOptions())["notes"]
+    assert notes == [f"{left}: left by an earlier export, not of this surface"]
+    assert f"scene BLOCK: {notes[0]}" in caplog.messages
+    assert export(scene, ExportOptions(products=["dtm"], contours=2.0))["notes"] == []
+
+
 def test_a_model_of_another_kind_is_refused(scene: Any) -> None:
     save(scene.root / "model", {"weights": torch.zeros(3)}, {"field": "other"})
     with pytest.raises(InputError, match="found no 'grid', expected grid, items, suns, shadow"):

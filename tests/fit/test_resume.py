@@ -282,6 +282,17 @@ def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole: Any, make_town: 
     assert_same(model(scene), whole)
 
 
+def test_a_finished_fit_that_is_out_of_date_is_replaced_only_where_that_is_asked_for(make_town: Any) -> None:
+    """`normalise` has put it out of date, so that the document names its model no more; there is nothing to resume."""
+    scene = api.normalise(api.fit(make_town("TOWN"), SHORT))
+    before = (scene.root / "fit/model.safetensors").read_bytes()
+    with pytest.raises(OutputExistsError, match=r"fit/model.safetensors: exists already; give --overwrite"):
+        api.fit(scene, replace(SHORT, resume=True))
+    assert (scene.root / "fit/model.safetensors").read_bytes() == before
+    api.fit(scene, replace(SHORT, resume=True, seed=1), overwrite=True)
+    assert (scene.root / "fit/model.safetensors").read_bytes() != before
+
+
 def test_a_fit_whose_end_cannot_be_noted_is_not_lost(
     whole: Any, make_town: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,9 +20,11 @@ from sattools.batch.table import write_tables
 from sattools.cli import main
 from sattools.compare.picture import line_styles
 from sattools.errors import InputError
+from sattools.report.batch import batch_page
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
 from sattools.report.page import Picture, Section, render
+from sattools.report.scene import scene_page
 from sattools.scene import Scene
 from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
@@ -212,6 +214,24 @@ def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch: Any) ->
     assert "said something" not in page.text
 
 
+def test_a_batchs_page_shows_nothing_that_an_earlier_run_has_left_in_the_folder(batch: Any, finished: Any) -> None:
+    """A map of errors and commands of before, where the configuration has changed since."""
+    folder = batch / "runs/fast/A"
+    for name in ("dsm", "difference"):
+        (folder / "export").mkdir(exist_ok=True)
+        shutil.copy(finished.root / f"export/{name}.tif", folder / "export")
+    (folder / "compare").mkdir()
+    shutil.copy(finished.root / "export/difference.tif", folder / "compare")
+    del finished.products["difference"]
+    (folder / "scene.json").write_text(finished.to_json(root="."))
+    calls = ["normalise", "fit --seed 1", "export", "compare", "fit --seed 2", "fit --seed 2", "export"]
+    (folder / "log.txt").write_text("".join(f"$ sattools --threads 1 {call} scene.json\n" for call in calls))
+    page = batch_page(batch)
+    assert "A, fast: surface model" in page
+    assert "A, fast: registered surface minus reference" not in page
+    assert re.findall("--threads 1 (.*) scene.json", Page(page).text) == ["fit --seed 2", "export"]
+
+
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "scene,configuration,status,seconds,mae_m\n../x,fast,done,1,2\n"])
 def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path: Path, text: Any) -> None:
     (tmp_path / "table.csv").write_text(text)
@@ -231,6 +251,38 @@ def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
     )
     history = [{"command": "fit", "options": {"seed": seed}} for seed in (1, 2)] + [{"command": "export"}]
     assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
+
+
+def test_what_is_done_once_more_after_an_alignment_replaces_its_files_in_the_same_again() -> None:
+    history = [{"command": name} for name in ("fit", "export", "align", "fit", "align", "export")]
+    assert pipeline(history).replace("sattools ", "").split(" |\n    ") == [
+        *("fit", "export", "align", "fit --overwrite", "align", "export --overwrite")
+    ]
+
+
+def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> None:
+    """`fit` stood before the `normalise` that it was run again for, with the prior and the notes of before."""
+    seconds = {"seconds": 100.0}
+    finished.history = [
+        {"command": "prior", "options": {"step": 0.5}, **seconds},
+        {"command": "fit", "options": {"brdf": "hapke"}, "notes": ["amplitudes are relative"], **seconds},
+        {"command": "normalise", "options": {"black": [40.0]}, "seconds": 1.0},
+        {"command": "fit", "options": {"seed": 2}, "notes": ["heights are the prior's"], "seconds": 2.0},
+        {"command": "export", "options": {}, "seconds": 0.5},
+    ]
+    assert pipeline(finished.history) == (
+        "sattools normalise --black 40.0 |\n    sattools fit --seed 2 |\n    sattools export"
+    )
+    page = Page(scene_page(finished)).text
+    assert "heights are the prior's" in page
+    assert "amplitudes are relative" not in page
+
+
+def test_images_that_were_set_aside_are_not_said_to_be_held_out(finished: Any) -> None:
+    finished.items[0].properties["sattools:role"] = "unused"
+    finished.items[1].properties["sattools:fit_role"] = "test"
+    roles = re.findall(r"<td[^>]*>(train|test|unused)</td>", scene_page(finished))
+    assert roles == ["unused", "test", *["train"] * (len(finished.items) - 2)]
 
 
 def test_pages_open_in_a_browser_without_a_broken_image_or_an_error(finished: Any, batch: Any, opened: Any) -> None:

@@ -7,7 +7,17 @@ import pytest
 
 from sattools.errors import OutputExistsError, OutputIsInputError, StaleError
 from sattools.scene import Asset, Grid, Item, Scene
-from sattools.scene.dependencies import MADE, begin, check_current, current_entry, drop, latest, record, stale
+from sattools.scene.dependencies import (
+    MADE,
+    begin,
+    check_current,
+    current_entry,
+    drop,
+    in_force,
+    latest,
+    record,
+    stale,
+)  # fmt: skip
 from sattools.scene.document import FIT_ROLE
 
 FILES = {
@@ -53,6 +63,15 @@ def test_an_image_or_camera_that_is_gone_is_named(scene: Any, name: str) -> None
     (scene.root / name).unlink()
     reason = f"found no {scene.root / name} any more, of which prior was made, expected it there"
     assert stale(scene, "fit") == reason
+
+
+@pytest.mark.parametrize(("name", "of"), [("prior/dsm.tif", "fit"), ("fit/model.safetensors", "export")])
+def test_a_file_of_the_step_before_that_is_gone_is_named(scene: Any, name: str, of: str) -> None:
+    for command in ("prior", "fit", "export"):
+        run(scene, command)
+    (scene.root / name).unlink()
+    reason = f"found no {scene.root / name} any more, of which {of} was made, expected it there"
+    assert stale(scene, "export") == reason
 
 
 def test_a_new_fit_drops_everything_that_was_made_of_the_old_one(scene: Any) -> None:
@@ -158,3 +177,21 @@ def test_a_copy_in_another_place_knows_its_history(scene: Any, tmp_path: Path) -
     assert stale(copy, "compare") is None
     put(scene, "a.tif", "other pixels")
     assert stale(copy, "compare") is not None
+
+
+@pytest.mark.parametrize(
+    ("run", "stands"),
+    [
+        ("prep prior fit export compare", "prep prior fit export compare"),
+        ("prep prior fit export fit", "prep prior fit"),
+        ("prep prior fit normalise fit export", "prep normalise fit export"),
+        ("prep fit export compare export", "prep fit export"),
+        # where the surface lies is known from that of before
+        ("prep fit export compare align fit export", "prep fit export align fit export"),
+        ("prep fit export align compare align export export", "prep fit export align align export"),
+        ("simulate fit export align prep normalise", "prep normalise"),
+    ],
+)
+def test_what_a_scene_stands_on_is_what_no_later_command_has_made_void(run: str, stands: str) -> None:
+    history = [{"command": name} for name in run.split()]
+    assert " ".join(entry["command"] for entry in in_force(history)) == stands
