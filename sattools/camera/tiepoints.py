@@ -26,6 +26,9 @@ from sattools.progress import Progress, silent, subprogress
 
 Array = NDArray[np.float64]
 AT_ONCE = 8  # pairs, of up to 100 MB each
+# OpenCV doubles the image about its corner and halves positions about its first pixel's centre: all come out that far
+# right and down (`enable_precise_upscale` would find other features). In metres it is more, the larger the pixels
+SIFT_BIAS_PX = 0.25
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePo
     usable = cv2.warpAffine(valid.astype(np.uint8), to_image, (out_width, out_height), flags=flags, borderValue=0)
     usable = cv2.erode(usable, np.ones((17, 17), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
 
-    sift = cv2.SIFT.create(contrastThreshold=0.015, edgeThreshold=12)
+    sift = cv2.SIFT.create(contrastThreshold=0.015, edgeThreshold=12, enable_precise_upscale=False)
     keypoints = list(sift.detect(upright, usable))
     if not keypoints:
         return Features(np.empty((0, 2)), np.empty((0, 128), np.float32))
@@ -132,7 +135,7 @@ def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePo
             seen.add(key)
             kept.append(cv2.KeyPoint(k.pt[0], k.pt[1], k.size, 0.0, k.response, k.octave))
     described, descriptor = sift.compute(upright, kept)
-    pt = np.array([k.pt for k in described])
+    pt = np.array([k.pt for k in described]) - SIFT_BIAS_PX
     pixel = pt @ to_image[:, :2].T + to_image[:, 2]
     # Hellinger distance discriminates better than Euclidean (Arandjelovic and Zisserman 2012, "RootSIFT").
     root = np.sqrt(descriptor / np.maximum(descriptor.sum(1, keepdims=True), 1e-6)).astype(np.float32)

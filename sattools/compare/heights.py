@@ -20,7 +20,7 @@ WATER = 9
 CLASSES: dict[str, tuple[int, ...]] = {"ground": (2,), "trees": (5,), "buildings": (6,)}
 """Names of the classes scored on their own, and their codes in the class map (ASPRS LAS codes)."""
 
-CLIP_M = 10.0
+CLIP_M = 10.0  # beyond the reference's range: blunders of a registered surface count no more
 FILL_METHOD = "nearest"
 COUNTED, MEASURED, NEAR = 1, 2, 4  # bits of what is known of a cell; then two of its class, three of its slope
 _CLASS, _SLOPE = 3, 5  # first of those
@@ -70,7 +70,12 @@ def height_errors(
 
 
 def errors_of(
-    predicted: Callable[[slice], Rows], reference: np.ndarray, classes: np.ndarray | None, cell_size: float | None
+    predicted: Callable[[slice], Rows],
+    reference: np.ndarray,
+    classes: np.ndarray | None,
+    cell_size: float | None,
+    *,
+    limited: bool = True,
 ) -> tuple[JsonObject, np.ndarray]:
     """`height_errors` of maps that may be larger than memory, and prediction minus reference.
 
@@ -79,6 +84,8 @@ def errors_of(
         reference: ``[H, W]`` heights [m]; NaN = not counted.
         classes: ``[H, W]`` class codes, or None.
         cell_size: see `height_errors`.
+        limited: heights count to 10 m beyond the reference's. Not for those that nobody registered: another vertical
+            datum would be cut to that.
 
     Returns:
         The table, and the differences ``[H, W]`` [m], limited as the table's are; NaN = not scored.
@@ -86,7 +93,7 @@ def errors_of(
     Raises:
         InputError: nothing can be compared.
     """
-    limits = _limits(reference)
+    limits = _limits(reference) if limited else (-np.inf, np.inf)
     shape = (reference.shape[0], reference.shape[1])
     difference, everywhere = (map_like(reference, shape, np.float32) for _ in range(2))
     kind = map_like(reference, shape, np.uint8)

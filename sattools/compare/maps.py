@@ -40,7 +40,7 @@ def compare_map(name: str, path: Path, reference: Path, shift: tuple[float, floa
     found, wanted = raster_bands(path), raster_bands(reference)
     if found != wanted:
         raise InputError(f"{reference}: found {wanted} bands, expected {found} as in {name}")
-    grid, as_stored = grid_on_ground(reference, raster_grid(path).crs, metres=False)
+    grid, as_stored = grid_on_ground(reference, raster_grid(path).crs)
     step = math.ceil(math.sqrt(max(1.0, wanted * grid.width * grid.height / SHOWN)))
     errors = MapErrors()
     shown: list[Pair] = []

@@ -25,11 +25,13 @@ class CompareOptions:
     aoi: str | None = option(None, "Name of the tile in --truth [default: the scene's id].")
     register: Literal["ncc", "nuth-kaab", "z", "none"] = option(
         "ncc",
-        "ncc: whole cells, then mean height; nuth-kaab: parts of cells, for open ground; z: mean height only; none.",
+        "ncc: whole cells, then mean height; nuth-kaab: parts of cells, for open ground; z: mean height only; none. "
+        "But for none, heights count to 10 m beyond the reference's range.",
     )
     region: str | None = option(
         None,
-        "Part to score: west, east, north, south or W,S,E,N in the reference's CRS (the scene's for one in degrees).",
+        "Part to score: west, east, north, south or W,S,E,N in the reference's CRS (the scene's for one in degrees or "
+        "feet).",
     )
     map: list[str] = option([], "Parameter map to score, NAME=REFERENCE, NAME a product of the scene; repeatable.")
     points: str | None = option(

@@ -195,7 +195,7 @@ def _check_asked(options: CompareOptions, scene: Scene, made: Collection[str] | 
         if not is_remote(str(path)):
             if not path.exists():
                 raise InputError(f"{path}: no such file, expected one for --map {name}")
-            grid_on_ground(path, scene.grid.crs if scene.grid else None, metres=False)
+            grid_on_ground(path, scene.grid.crs if scene.grid else None)
     if options.points:
         from sattools.compare.points import read_points
 

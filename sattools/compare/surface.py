@@ -159,7 +159,7 @@ def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", fold
         known = None if only is None else np.isfinite(shifted(only, *by))
         return shifted(wide, *by) + shift.up, shifted(complete, *by, beyond=True) + shift.up, known
 
-    figures, difference = errors_of(moved, reference, truth.classes, grid.cell_size)
+    figures, difference = errors_of(moved, reference, truth.classes, grid.cell_size, limited=method != "none")
     figures |= {
         "shift_m": [round(value, 4) for value in shift.metres(grid.cell_size)],
         "registration": {"method": shift.method, "correlation": shift.correlation},

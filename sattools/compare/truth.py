@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.camera.ground import check_projected, utm_crs
+from sattools.camera.ground import check_metres, check_projected, utm_crs
 from sattools.compare.doubts import check_heights
 from sattools.compare.heights import WATER
 from sattools.compare.options import parse_region
@@ -140,8 +140,9 @@ def _check_tile(folder: Path, aoi: str) -> None:
 def read_reference(dsm: Path | str, classes: Path | str | None = None) -> Truth:
     """Any georeferenced DSM as reference, with an optional class map in any grid.
 
-    Its own cells are kept where they are square, in metres. One in degrees, turned or of oblong cells comes onto square
-    ones of about that size, bilinear, classes by the nearest; holes neither grow nor shrink.
+    Its own cells are kept where they are square, in metres on the ground. One in degrees, feet or of a web map, turned
+    or of oblong cells comes onto square ones of about that size, bilinear, classes by the nearest; holes neither grow
+    nor shrink.
 
     A tile of the contest, `<AOI>_DSM.tif` with `<AOI>_DSM.txt` and a class map beside it or without a georeference of
     its own, is read by `read_dfc2019`, its class map included. Raises InputError.
@@ -160,7 +161,7 @@ def open_reference(
         dsm: the file.
         classes: class map, or None.
         folder: for temporary files; None = the system's.
-        crs: projected CRS [m] onto which a reference in degrees comes; None = UTM.
+        crs: projected CRS [m] onto which a reference in degrees or feet comes; None = UTM.
 
     Raises:
         InputError: as `read_reference`.
@@ -186,32 +187,36 @@ def open_reference(
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
 
 
-def grid_on_ground(dsm: Path, crs: str | None, metres: bool = True) -> tuple[Grid, bool]:
+def grid_on_ground(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
     """The grid of a reference, and whether it is that of the file's own cells.
 
     Args:
         dsm: the file.
-        crs: projected CRS [m] onto which one in degrees comes; None = UTM.
-        metres: refuse one in feet; else it comes onto that CRS, too.
+        crs: projected CRS [m] onto which one that does not count metres on the ground comes; None = UTM.
 
     Raises:
-        InputError: in feet, without a georeference, or unreadable.
+        InputError: without a georeference, or unreadable.
     """
-    own = crs_on_ground(dsm, metres)
-    if own is not None and has_grid(dsm):
+    with opened(dsm) as data:
+        own, bounds = crs_of(data, dsm), data.bounds
+    try:
+        check_metres(str(dsm), own, bounds)
+        metres = True
+    except InputError:
+        metres = False
+    if metres and has_grid(dsm):
         return raster_grid(dsm), True
     try:
-        return ground_grid(dsm, lambda lon, lat: own or crs or utm_crs(lon, lat)), False
+        return ground_grid(dsm, lambda lon, lat: own if metres else crs or utm_crs(lon, lat)), False
     except SceneError as error:
         raise InputError(f"{dsm}: {error}") from None
 
 
-def crs_on_ground(path: Path, metres: bool = True) -> str | None:
+def crs_on_ground(path: Path) -> str | None:
     """The CRS of a raster, None where it is in degrees. Raises InputError for one in feet, or unreadable.
 
     Args:
         path: the file.
-        metres: refuse one in feet; else it has none, too.
     """
     with opened(path) as data:
         crs = crs_of(data, path)
@@ -220,8 +225,6 @@ def crs_on_ground(path: Path, metres: bool = True) -> str | None:
     try:
         return check_projected(crs)
     except InputError as error:
-        if not metres:
-            return None
         raise InputError(f"{path}: {error}") from None
 
 

@@ -44,6 +44,7 @@ _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
 _LARGEST_NUMBER = 1e9
+_FINER = 1.4  # times finer than usual: views of one sensor up to 40 degrees off nadir differ by less
 
 
 def check_sources(sources: Sequence[SourceImage]) -> None:
@@ -309,6 +310,22 @@ def check_cells(grid: Grid, pixel_m: float) -> None:
         )
 
 
+def check_pixel_sizes(sizes: Sequence[float]) -> list[str]:
+    """A note where images are much finer than most others, which blur what these show.
+
+    Args:
+        sizes: edges of the images' pixels on the ground [m].
+    """
+    usual = float(np.median(sizes))
+    fine = [size for size in sizes if size * _FINER < usual]
+    if len(fine) < 3:  # two leave more in doubt than coarse ones blur
+        return []
+    return [
+        f"{len(fine)} of {len(sizes)} images have pixels of {np.median(fine):.2g} m, the others larger ones of up to "
+        f"{max(sizes):.2g} m, which blur the surface: the finer images alone may give a better one"
+    ]
+
+
 def check_heights(low: float, high: float, tie_heights: Array, given: bool) -> list[str]:
     """Raise InputError for heights that are not of the Earth or not of this place; notes where they may be meant.
 
@@ -351,6 +368,7 @@ __all__ = [
     "check_height_unit",
     "check_heights",
     "check_metadata",
+    "check_pixel_sizes",
     "check_pixels",
     "check_places_and_suns",
     "check_sources",

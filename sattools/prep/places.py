@@ -13,6 +13,7 @@ from sattools.camera.ground import crop_window
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage
 from sattools.prep.layout import Bounds, ground_polygon, groups, outline
+from sattools.scene.globe import near_longitude
 from sattools.scene.members import HEIGHT_LIMITS_M
 
 Given = tuple[float | None, float | None]  # lowest, highest height of the surface that the user gave [m]
@@ -113,10 +114,12 @@ def _meet_elsewhere(sources: Sequence[SourceImage], crs: str, given: Given) -> b
 def middle_of(sources: Sequence[SourceImage]) -> tuple[float, float]:
     """Longitude and latitude in the middle of the images. Raises InputError where no camera reaches its pixels."""
     centres = [s.rpc.localization((s.size[1] - 1) / 2, (s.size[0] - 1) / 2, s.rpc.alt_offset) for s in sources]
-    lon, lat = np.nanmedian(np.array(centres), axis=0)
-    if not (np.isfinite(lon) and np.isfinite(lat)):
+    known = [place for place in centres if np.isfinite(place).all()]
+    if not known:
         raise InputError(f"{sources[0].path}: found RPCs that do not reach the images' pixels, expected their own RPCs")
-    return float(lon), float(lat)
+    # one camera may count longitudes from -180 degrees where another one, on the same ground, counts up to 180 or 360
+    lons = [near_longitude(lon, known[0][0]) for lon, _ in known]
+    return float(np.median(lons)), float(np.median([lat for _, lat in known]))
 
 
 def cropped_to_area(

@@ -25,6 +25,7 @@ from sattools.prep.gate import (
     check_height_unit,
     check_heights,
     check_metadata,
+    check_pixel_sizes,
     check_pixels,
     check_places_and_suns,
     check_sources,
@@ -371,6 +372,7 @@ def _grid(
     middles = [((width - 1) / 2, (height - 1) / 2) for _, _, width, height in windows]
     places = [r.localization(*at, middle) for r, at in zip(rpcs, middles, strict=True)]
     sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
+    _warn(check_pixel_sizes(sizes), notes)
     pixel = float(np.median(sizes))
     cell = options.cell_size or default_cell_size(pixel)
     if asked is not None:

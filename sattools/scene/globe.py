@@ -9,6 +9,16 @@ from sattools.scene.jsonio import JsonObject
 Box = list[float]
 
 
+def near_longitude(lon: float, other: float) -> float:
+    """A longitude at most half a turn from another one.
+
+    Args:
+        lon: any longitude [degrees].
+        other: the same.
+    """
+    return float(lon) - 360.0 * round((lon - other) / 360.0)
+
+
 def outline_on_globe(ring: Sequence[Sequence[float]]) -> tuple[JsonObject, Box]:
     """GeoJSON geometry of a closed ring, and its box; cut in two at the antimeridian where it crosses that.
 
@@ -20,7 +30,7 @@ def outline_on_globe(ring: Sequence[Sequence[float]]) -> tuple[JsonObject, Box]:
         A Polygon, or a MultiPolygon; (west, south, east, north), west > east where it crosses.
     """
     first = ring[0][0]
-    lons = [_near(place[0], first) for place in ring]
+    lons = [near_longitude(place[0], first) for place in ring]
     lats = [float(place[1]) for place in ring]
     if not (min(lons) < -180.0 or max(lons) > 180.0):
         places = [[lon, lat] for lon, lat in zip(lons, lats, strict=True)]
@@ -51,7 +61,7 @@ def box_of_all(boxes: Sequence[Sequence[float]]) -> Box:
         boxes: one or more of one place.
     """
     start = boxes[0][0]
-    wests = [_near(box[0], start) for box in boxes]
+    wests = [near_longitude(box[0], start) for box in boxes]
     widths = [(box[2] - box[0]) % 360.0 if box[2] < box[0] else box[2] - box[0] for box in boxes]
     west, east = min(wests), max(w + width for w, width in zip(wests, widths, strict=True))
     south, north = min(box[1] for box in boxes), max(box[3] for box in boxes)
@@ -60,14 +70,9 @@ def box_of_all(boxes: Sequence[Sequence[float]]) -> Box:
     return [_wrapped(west), south, _wrapped(east), north]
 
 
-def _near(lon: float, other: float) -> float:
-    """A longitude less than half a turn from another one."""
-    return float(lon) - 360.0 * round((lon - other) / 360.0)
-
-
 def _wrapped(lon: float) -> float:
     """A longitude from -180 to 180 degrees."""
     return lon if -180.0 <= lon <= 180.0 else (lon + 180.0) % 360.0 - 180.0
 
 
-__all__ = ["box_of_all", "outline_on_globe"]
+__all__ = ["box_of_all", "near_longitude", "outline_on_globe"]

@@ -91,6 +91,8 @@ def _gdal(error: Exception, path: Path) -> str:
     """GDAL's reason in words of ours where they are known."""
     text = " ".join(str(error).split()).replace(f"{path}: ", "").replace(f"'{path}' ", "").replace(str(path), "it")
     if "not recognized as" in text:  # which GDAL also says of what is missing in an archive
+        if path.suffix.lower() == ".vrt":
+            return "a VRT, which names other files: gdal_translate makes a GeoTIFF of it"
         why = "not of a format that is read: GeoTIFF, NITF, JPEG 2000, JPEG, PNG"
         return f"not there, or {why}" if isinstance(path, RemotePath) else why
     return text[:200]

@@ -44,11 +44,11 @@ def test_changes_are_measured_on_maps_of_metres(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_reference_in_feet_east_and_north_is_refused(tmp_path: Path) -> None:
-    reference = surface(tmp_path / "feet.tif", "EPSG:2236", 452_000.0, 2_190_000.0, 3.0)
-    done = run("compare", "--predicted", reference, "--dsm", reference)
+def test_a_surface_in_feet_east_and_north_is_not_scored(tmp_path: Path) -> None:
+    predicted = surface(tmp_path / "feet.tif", "EPSG:2236", 452_000.0, 2_190_000.0, 3.0)
+    done = run("compare", "--predicted", predicted, "--dsm", predicted)
     assert done.exit_code == 1
-    assert f"{reference}: CRS 'EPSG:2236': found one that is not projected in metres" in done.stderr
+    assert f"{predicted}: CRS 'EPSG:2236': found one that is not projected in metres" in done.stderr
 
 
 def test_rims_wider_than_any_wall_are_wrong_usage(tmp_path: Path) -> None:

@@ -109,19 +109,46 @@ def test_a_reference_of_a_map_may_be_in_degrees(tmp_path: Path, moved: float) ->
     assert figures["rmse"] < 0.05  # a plane is kept by interpolation but at its rim, where the nearest cell counts
 
 
-def test_a_reference_of_a_map_may_be_in_feet_as_it_has_no_unit_of_length(tmp_path: Path) -> None:
-    write_cog(tmp_path / "w.tif", SLOPE, GRID)
-    west, south, east, north = transform_bounds(GRID.crs, "EPSG:2236", *GRID.bounds)
-    there = np.full((round(north - south) // 3, round(east - west) // 3), -9999.0, np.float32)
-    transform = rasterio.Affine(3, 0, west, 0, -3, north)
+def in_another_crs(path: Path, crs: str, cell: float) -> Path:
+    west, south, east, north = transform_bounds(GRID.crs, crs, *GRID.bounds)
+    there = np.full((int((north - south) / cell), int((east - west) / cell)), -9999.0, np.float32)
+    transform = rasterio.Affine(cell, 0, west, 0, -cell, north)
     reproject(
         SLOPE, there, src_transform=GRID.transform, src_crs=GRID.crs, src_nodata=np.nan, dst_transform=transform,
-        dst_crs="EPSG:2236", dst_nodata=-9999.0, resampling=Resampling.bilinear,
+        dst_crs=crs, dst_nodata=-9999.0, resampling=Resampling.bilinear,
     )  # fmt: skip
-    reference = stored(tmp_path / "reference.tif", there, transform, "EPSG:2236", nodata=-9999.0)
+    return stored(path, there, transform, crs, nodata=-9999.0)
+
+
+def test_a_reference_of_a_map_may_be_in_feet_as_it_has_no_unit_of_length(tmp_path: Path) -> None:
+    write_cog(tmp_path / "w.tif", SLOPE, GRID)
+    reference = in_another_crs(tmp_path / "reference.tif", "EPSG:2236", 3.0)
     figures, _ = compare_map("w", tmp_path / "w.tif", reference, (0.0, 0.0))
     assert figures["n"] > 4000
     assert figures["rmse"] < 0.05
+
+
+@pytest.mark.parametrize(("crs", "cell"), [("EPSG:2236", 3.28), ("EPSG:3857", 1.16)])  # feet of Florida, a web map
+def test_a_reference_whose_cells_are_not_in_metres_on_the_ground_comes_onto_the_surfaces_crs(
+    tmp_path: Path, crs: str, cell: float
+) -> None:
+    write_cog(tmp_path / "dsm.tif", SLOPE - np.float32(2.0), GRID)
+    reference = in_another_crs(tmp_path / "reference.tif", crs, cell)
+    figures = compared("--predicted", tmp_path / "dsm.tif", "--dsm", reference, "--register", "none")
+    assert figures["median"] == pytest.approx(2.0, abs=0.02)
+    truth = open_reference(reference, crs=GRID.crs)
+    assert truth.grid.crs == "EPSG:32617"
+    assert truth.grid.cell_size == pytest.approx(1.0, abs=0.02)  # m, of 3.28 feet and of 1.16 m of a web map at 30 N
+
+
+def test_heights_above_something_else_are_scored_as_far_off_as_they_are(tmp_path: Path) -> None:
+    """29 m, as in Florida between the ellipsoid and the geoid, of ground that spans 54 m; 10 m beyond that counted."""
+    write_cog(tmp_path / "dsm.tif", SLOPE - np.float32(29.0), GRID)
+    write_cog(tmp_path / "reference.tif", SLOPE, GRID)
+    surfaces = ("--predicted", tmp_path / "dsm.tif", "--dsm", tmp_path / "reference.tif")
+    figures = compared(*surfaces, "--register", "none")
+    assert (figures["mae"], figures["median"], figures["nmad"]) == pytest.approx((29.0, 29.0, 0.0), abs=1e-5)
+    assert compared(*surfaces, "--register", "z")["mae"] == pytest.approx(0.0, abs=1e-5)
 
 
 def test_a_class_map_of_another_place_is_refused(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from spoilt import Town, exchanged, made, prep, refused, roles, southern, warned
 
 from sattools.camera import RPC
 from sattools.cli import main
-from sattools.prep.gate import check_cells, check_heights, check_pixels, mirrored
+from sattools.prep.gate import check_cells, check_heights, check_pixel_sizes, check_pixels, mirrored
 from sattools.prep.options import PrepOptions
 from sattools.prep.pixels import read_gray
 from sattools.prep.stage import survey
@@ -382,3 +382,13 @@ def test_a_folder_of_metadata_of_other_images_is_told(town: Any) -> None:
     for path in town.images()[1:]:
         (town.folder / f"metadata/CITY_{path.stem[-3:]}.json").rename(path.with_suffix(".json"))  # beside it
     assert "metadata file" not in prep(town, "--dry-run").stderr
+
+
+def test_images_much_finer_than_most_are_told_as_coarse_ones_blur_the_surface() -> None:
+    assert check_pixel_sizes([0.5, 0.52, 0.5, 0.5, 2.0, 2.1, 2.0, 2.0, 2.0, 2.0]) == [
+        "4 of 10 images have pixels of 0.5 m, the others larger ones of up to 2.1 m, which blur the surface: the finer "
+        "images alone may give a better one"
+    ]
+    assert check_pixel_sizes([0.5, 0.5, 0.5, 0.5, 2.0]) == []  # cells are made for the fine ones
+    assert check_pixel_sizes([0.5, 0.5, 1.0, 1.0, 1.0, 1.0]) == []  # two see too little between houses
+    assert check_pixel_sizes([0.5, 0.52, 0.55, 0.6, 0.7, 0.75]) == []  # one sensor up to 40 degrees off nadir

@@ -14,7 +14,7 @@ from sattools.camera.ground import from_geographic
 from sattools.errors import InputError
 from sattools.prep.loading import load_source
 from sattools.prep.options import PrepOptions
-from sattools.prep.places import check_places, ground_heights, search_heights
+from sattools.prep.places import check_places, ground_heights, middle_of, search_heights
 from sattools.prep.stage import prepare
 
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3)]
@@ -107,3 +107,15 @@ def test_the_ground_is_looked_for_at_heights_given_and_else_over_the_cameras_ran
     assert search_heights([source], (None, 4900.0)).half == 2000.0
     source.rpc = of_range(rpc, 2900.0, 300.0)
     assert search_heights([source], (None, None)).half == 600.0
+
+
+@pytest.mark.parametrize("east", [179.9995, -81.66])
+def test_images_whose_cameras_count_longitudes_from_other_meridians_lie_where_they_are(
+    pixels: Any, tmp_path: Path, east: float
+) -> None:
+    """As across 180 degrees, or where one vendor counts up to 360; the mean of the numbers is half the Earth away."""
+    sources = [load_source(path, path.stem, None) for path in write(tmp_path, pixels, ALT0)]
+    sources = sources[:2]
+    for source, turn in zip(sources, (0, -360), strict=True):
+        source.rpc = replace(source.rpc, lon_offset=east + turn)
+    assert middle_of(sources) == pytest.approx((east, LAT0), abs=1e-3)

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 import shutil
 import subprocess
 from html import escape
@@ -13,17 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from matplotlib.colors import to_rgb
 from patience import HANGING_S
 
 from sattools.batch.table import write_tables
 from sattools.cli import main
-from sattools.compare.picture import line_styles
 from sattools.errors import InputError
 from sattools.report.batch import batch_page
-from sattools.report.commands import command_line, pipeline
-from sattools.report.figures import new_figure
-from sattools.report.page import Picture, Section, render
+from sattools.report.commands import pipeline
+from sattools.report.page import Section, render
 from sattools.report.scene import scene_page
 from sattools.scene import Scene
 from sattools.scene.grid import Grid
@@ -241,25 +237,6 @@ def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path: Path, text: Any) -
     assert result.stderr.count("\n") == 1
 
 
-def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
-    line = command_line("fit", {"preset": "fast", "epochs": [4, 2], "pose": False, "reference": "my dsm.tif"})
-    assert shlex.split(line) == [
-        *("sattools", "fit", "--epochs", "4", "--epochs", "2", "--no-pose", "--reference", "my dsm.tif")
-    ]
-    assert command_line("prep", {"bounds": [1.0, 2.0, 3.0, 4.0], "out": "."}) == (
-        "sattools prep IMAGE... --bounds 1.0 2.0 3.0 4.0"
-    )
-    history = [{"command": "fit", "options": {"seed": seed}} for seed in (1, 2)] + [{"command": "export"}]
-    assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
-
-
-def test_what_is_done_once_more_after_an_alignment_replaces_its_files_in_the_same_again() -> None:
-    history = [{"command": name} for name in ("fit", "export", "align", "fit", "align", "export")]
-    assert pipeline(history).replace("sattools ", "").split(" |\n    ") == [
-        *("fit", "export", "align", "fit --overwrite", "align", "export --overwrite")
-    ]
-
-
 def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> None:
     """`fit` stood before the `normalise` that it was run again for, with the prior and the notes of before."""
     seconds = {"seconds": 100.0}
@@ -350,15 +327,6 @@ def test_a_batch_table_of_no_numbers_is_refused(tmp_path: Path, value: Any) -> N
         read_rows(tmp_path / "table.csv")
 
 
-def test_footprints_some_of_whose_corners_have_a_height(make_town: Any) -> None:
-    scene = make_town()
-    corners = scene.items[0].geometry["coordinates"][0]
-    corners[0] = [*corners[0], 12.0]  # as GeoJSON allows
-    (scene.root / "scene.json").write_text(scene.to_json())
-    result = run(scene.root)
-    assert result.exit_code == 0, result.output
-
-
 def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finished: Any) -> None:
     grid = Grid("EPSG:32617", 436500.0, 3357800.0, 0.5, 800, 700)  # more cells than a picture shows
     write_cog(finished.output("export/dsm.tif"), np.zeros(grid.shape, np.float32), grid)
@@ -423,27 +391,3 @@ def test_a_page_fits_a_phone_and_uses_a_wide_screen(
     found, page_width, nav = re.search(r"<title>(.*?)</title>", document)[1].split(",")
     assert (int(found), nav) == (columns, "true"), said
     assert int(page_width) <= width
-
-
-def test_a_page_that_would_be_too_large_has_coarser_pictures() -> None:
-    def page(count: int) -> str:
-        rng = np.random.default_rng(0)
-        pictures = []
-        for _ in range(count):
-            figure = new_figure(8, 8)
-            figure.subplots().imshow(rng.random((400, 400)), interpolation="nearest")
-            pictures.append(Picture(figure, "noise", "noise"))
-        return render("Noise", [Section("Pictures", list(pictures))])
-
-    one, many = page(1), page(12)
-    assert len(many) < 3_000_000
-    assert len(many) < 0.8 * 12 * len(one)
-
-
-def test_lines_of_many_images_can_be_told_apart() -> None:
-    for count in (3, 12, 17, 40):
-        styles = line_styles(count)
-        shown = [(to_rgb(style["color"]), style.get("linestyle", "-")) for style in styles]
-        assert len(set(shown)) == count
-        alike = [np.abs(np.subtract(a[0], b[0])).max() for k, a in enumerate(shown) for b in shown[:k] if a[1] == b[1]]
-        assert not alike or min(alike) > 0.08

@@ -127,6 +127,13 @@ def test_descriptions_of_other_files_are_no_images_whatever_their_name(
     assert asked() == []
 
 
+def test_a_vrt_says_what_makes_an_image_of_it(tmp_path: Path) -> None:
+    mosaic = tmp_path / "mosaic.vrt"
+    mosaic.write_text(HOSTILE["vrt"].format(href="tile.tif"))
+    with pytest.raises(InputError, match=r"mosaic\.vrt: .*gdal_translate makes a GeoTIFF of it"):
+        read_image(mosaic)
+
+
 def test_references_may_be_addresses_and_are_read_without_a_word(make_town: Any, server: Any, tmp_path: Path) -> None:
     address, asked = server
     scene = make_town()

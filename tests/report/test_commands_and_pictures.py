@@ -1,0 +1,66 @@
+"""Commands that a page names, footprints, and pictures by themselves."""
+
+import shlex
+from typing import Any
+
+import numpy as np
+from click.testing import CliRunner
+from matplotlib.colors import to_rgb
+
+from sattools.cli import main
+from sattools.compare.picture import line_styles
+from sattools.report.commands import command_line, pipeline
+from sattools.report.figures import new_figure
+from sattools.report.page import Picture, Section, render
+
+
+def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
+    line = command_line("fit", {"preset": "fast", "epochs": [4, 2], "pose": False, "reference": "my dsm.tif"})
+    assert shlex.split(line) == [
+        *("sattools", "fit", "--epochs", "4", "--epochs", "2", "--no-pose", "--reference", "my dsm.tif")
+    ]
+    assert command_line("prep", {"bounds": [1.0, 2.0, 3.0, 4.0], "out": "."}) == (
+        "sattools prep IMAGE... --bounds 1.0 2.0 3.0 4.0"
+    )
+    history = [{"command": "fit", "options": {"seed": seed}} for seed in (1, 2)] + [{"command": "export"}]
+    assert pipeline(history) == "sattools fit --seed 2 |\n    sattools export"
+
+
+def test_what_is_done_once_more_after_an_alignment_replaces_its_files_in_the_same_again() -> None:
+    history = [{"command": name} for name in ("fit", "export", "align", "fit", "align", "export")]
+    assert pipeline(history).replace("sattools ", "").split(" |\n    ") == [
+        *("fit", "export", "align", "fit --overwrite", "align", "export --overwrite")
+    ]
+
+
+def test_a_page_that_would_be_too_large_has_coarser_pictures() -> None:
+    def page(count: int) -> str:
+        rng = np.random.default_rng(0)
+        pictures = []
+        for _ in range(count):
+            figure = new_figure(8, 8)
+            figure.subplots().imshow(rng.random((400, 400)), interpolation="nearest")
+            pictures.append(Picture(figure, "noise", "noise"))
+        return render("Noise", [Section("Pictures", list(pictures))])
+
+    one, many = page(1), page(12)
+    assert len(many) < 3_000_000
+    assert len(many) < 0.8 * 12 * len(one)
+
+
+def test_lines_of_many_images_can_be_told_apart() -> None:
+    for count in (3, 12, 17, 40):
+        styles = line_styles(count)
+        shown = [(to_rgb(style["color"]), style.get("linestyle", "-")) for style in styles]
+        assert len(set(shown)) == count
+        alike = [np.abs(np.subtract(a[0], b[0])).max() for k, a in enumerate(shown) for b in shown[:k] if a[1] == b[1]]
+        assert not alike or min(alike) > 0.08
+
+
+def test_footprints_some_of_whose_corners_have_a_height(make_town: Any) -> None:
+    scene = make_town()
+    corners = scene.items[0].geometry["coordinates"][0]
+    corners[0] = [*corners[0], 12.0]  # as GeoJSON allows
+    (scene.root / "scene.json").write_text(scene.to_json())
+    result = CliRunner().invoke(main, ["report", str(scene.root)])
+    assert result.exit_code == 0, result.output
