@@ -15,7 +15,7 @@ from sattools.camera.ground import project
 from sattools.scene import Grid
 from sattools.scene.grid import SURROUNDINGS_M
 
-SHOWN = 0.9  # of the images that show a place of the area must show one beyond its border
+SHOWN = 0.5  # of the images that show a place of the area must show one beyond its border, as in a scene of all of it
 ACROSS, ALONG = 4, 16  # places that are looked at in a strip, and per axis in the area
 
 
