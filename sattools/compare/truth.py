@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.camera.ground import check_metres, check_projected, utm_crs
+from sattools.camera.ground import check_metres, utm_crs
 from sattools.compare.doubts import check_heights
 from sattools.compare.heights import WATER
 from sattools.compare.options import parse_region
@@ -197,35 +197,31 @@ def grid_on_ground(dsm: Path, crs: str | None) -> tuple[Grid, bool]:
     Raises:
         InputError: without a georeference, or unreadable.
     """
-    with opened(dsm) as data:
-        own, bounds = crs_of(data, dsm), data.bounds
-    try:
-        check_metres(str(dsm), own, bounds)
-        metres = True
-    except InputError:
-        metres = False
-    if metres and has_grid(dsm):
+    own = crs_on_ground(dsm)
+    if own is not None and has_grid(dsm):
         return raster_grid(dsm), True
     try:
-        return ground_grid(dsm, lambda lon, lat: own if metres else crs or utm_crs(lon, lat)), False
+        return ground_grid(dsm, lambda lon, lat: own or crs or utm_crs(lon, lat)), False
     except SceneError as error:
         raise InputError(f"{dsm}: {error}") from None
 
 
 def crs_on_ground(path: Path) -> str | None:
-    """The CRS of a raster, None where it is in degrees. Raises InputError for one in feet, or unreadable.
+    """The CRS of a raster that counts metres on the ground; None where its own counts others, as degrees or feet.
 
     Args:
         path: the file.
+
+    Raises:
+        InputError: without a georeference, or unreadable.
     """
     with opened(path) as data:
-        crs = crs_of(data, path)
-        if data.crs.is_geographic:
-            return None
+        crs, bounds = crs_of(data, path), data.bounds
     try:
-        return check_projected(crs)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        check_metres(str(path), crs, bounds)
+    except InputError:
+        return None
+    return crs
 
 
 def _heights_on(dsm: Path, where: Grid, own: bool) -> np.ndarray:

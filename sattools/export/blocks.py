@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,10 +93,8 @@ class Surroundings:
         """
         rows, cols = self._around(block, direction)
         height, cell = self.level(self.read(rows, cols)), self.grid.cell_size
-        if self.beyond is None or not self._at_border(rows, cols):
-            lit = light_from(height, cell, direction)
-        else:
-            lit = replace(self.beyond, area=self.grid.part(rows, cols)).light_from(height, cell, direction)
+        beyond = self.beyond.of(self.grid.part(rows, cols)) if self.beyond and self._at_border(rows, cols) else None
+        lit = beyond.light_from(height, cell, direction) if beyond else light_from(height, cell, direction)
         up, left = block.rows.start - rows.start, block.cols.start - cols.start
         return np.ascontiguousarray(lit[up : up + block.grid.height, left : left + block.grid.width])
 

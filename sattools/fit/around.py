@@ -43,16 +43,18 @@ def of_the_area(
     if around is None or height is None:
         return list(views)
     heights = height.detach().cpu().numpy()
-    fall = max(around.fall(heights), float(heights.max() - heights.min()))
+    low, high = around.range(heights)
     quadrature = make_quadrature(SOFTNESS_M, z_range)
     found = []
     for view in views:
-        east, north = view.slope.east * fall, view.slope.north * fall
-        wide, rows, cols = around.widened(heights, cell_size, (east, north), (-east, -north))
+        # where rays are at the highest and at the lowest of all
+        ends = [(view.slope.east * (z - view.z_ref), view.slope.north * (z - view.z_ref)) for z in (low, high)]
+        wide, rows, cols = around.widened(heights, cell_size, *ends)
         own = torch.zeros(*wide.shape, 1)
         own[rows, cols] = 1.0
         rays = ParallelRays(view.slope, view.z_ref, (0.0, 0.0))
-        share, _, _ = render(torch.from_numpy(wide), own, rays, quadrature, cell_size)
+        wanted = own[..., 0].to(torch.uint8)
+        share, _, _ = render(torch.from_numpy(wide), own, rays, quadrature, cell_size, wanted)
         mask = view.mask * (share[rows, cols, 0] > 0.5).numpy().astype(view.mask.dtype)
         found.append(replace(view, mask=mask) if mask.any() else view)
     return found

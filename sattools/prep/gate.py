@@ -44,7 +44,7 @@ _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
 _LARGEST_NUMBER = 1e9
-_FINER = 1.4  # times finer than usual: views of one sensor up to 40 degrees off nadir differ by less
+_FINER = 1.4  # times finer than usual, by more than how obliquely they look
 
 
 def check_sources(sources: Sequence[SourceImage]) -> None:
@@ -310,14 +310,17 @@ def check_cells(grid: Grid, pixel_m: float) -> None:
         )
 
 
-def check_pixel_sizes(sizes: Sequence[float]) -> list[str]:
+def check_pixel_sizes(sizes: Sequence[float], ups: Sequence[float]) -> list[str]:
     """A note where images are much finer than most others, which blur what these show.
 
     Args:
         sizes: edges of the images' pixels on the ground [m].
+        ups: upward parts of the unit vectors towards their cameras; the pixels of one sensor are wider, and longer
+            still, the more obliquely it looks.
     """
-    usual = float(np.median(sizes))
-    fine = [size for size in sizes if size * _FINER < usual]
+    known = np.array(sizes)
+    from_above = known * np.abs(ups) ** 1.5
+    fine = known[(known * _FINER < np.median(known)) & (from_above * _FINER < np.median(from_above))]
     if len(fine) < 3:  # two leave more in doubt than coarse ones blur
         return []
     return [

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shapely.geometry import box
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import check_ground_crs, check_scale, ground_sample_distance, utm_crs
+from sattools.camera.ground import check_ground_crs, check_scale, ground_sample_distance, utm_crs, view_direction
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
@@ -372,7 +372,8 @@ def _grid(
     middles = [((width - 1) / 2, (height - 1) / 2) for _, _, width, height in windows]
     places = [r.localization(*at, middle) for r, at in zip(rpcs, middles, strict=True)]
     sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
-    _warn(check_pixel_sizes(sizes), notes)
+    ups = [float(view_direction(r, *place, middle)[2]) for r, place in zip(rpcs, places, strict=True)]
+    _warn(check_pixel_sizes(sizes, ups), notes)
     pixel = float(np.median(sizes))
     cell = options.cell_size or default_cell_size(pixel)
     if asked is not None:

@@ -85,17 +85,14 @@ def prior(
         found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
-    around, everything = wide, found.height
-    if fine.cell_size < grid.cell_size:  # as wide as those of the surface
-        around = wide.resized(grid.cell_size)
-        everything = _on(around, everything, wide)
+    around, everything = _wide_cells(grid, fine, wide, found.height)
     found = _within(fine, wide, found)
     if fine != grid:
         found = replace(found, height=_on(grid, found.height, fine), confidence=_on(grid, found.confidence, fine))
 
     progress(0.9, "writing")
     write_maps(scene, found.height, found.confidence, grid)
-    write_surroundings(scene, everything, around if wide != fine else None)
+    write_surroundings(scene, everything, around if around not in (fine, grid) else None)
     if options.per_image:
         maps = np.asarray(found.height), np.asarray(found.confidence)
         _per_image(scene, items, images, grid, maps, progress=subprogress(progress, 0.92, 1.0))
@@ -113,6 +110,28 @@ def prior(
         },
         MADE: record(scene, "prior", items, read, implicit=implicit),
     }
+
+
+def _wide_cells(grid: Grid, fine: Grid, wide: Grid, height: np.ndarray) -> tuple[Grid, np.ndarray]:
+    """What was matched of an area and its surroundings, on cells that are no smaller than the surface's.
+
+    Args:
+        grid: of the surface.
+        fine: the same area on the cells of the matching.
+        wide: the same with its surroundings.
+        height: ``[H, W]`` on these [m].
+    """
+    times = round(grid.cell_size / fine.cell_size)
+    if times <= 1:
+        return wide, height
+    # whole cells of the surface, which it shares its corners with
+    whole = []
+    for inside, cells in zip(wide.window(fine), wide.shape, strict=True):
+        first = inside.start % times
+        whole.append(slice(first, cells - (cells - first) % times))
+    matched = wide.part(*whole)
+    around = matched.resized(grid.cell_size)
+    return around, _on(around, height[tuple(whole)], matched)
 
 
 def _within(grid: Grid, around: Grid, found: Matched) -> Matched:

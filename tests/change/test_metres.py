@@ -1,5 +1,6 @@
-"""Areas, volumes, slopes and shifts are measured on maps of metres; others are refused in one line."""
+"""Areas, volumes, slopes and shifts are measured on maps of metres; `change` refuses others in one line."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from click.testing import CliRunner
 
 from sattools.cli import main
 from sattools.scene.grid import Grid
-from sattools.scene.raster import write_cog
+from sattools.scene.raster import raster_grid, write_cog
 
 
 def surface(path: Path, crs: str, left: float, top: float, cell: float, rise: float = 0.0) -> str:
@@ -44,11 +45,15 @@ def test_changes_are_measured_on_maps_of_metres(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_surface_in_feet_east_and_north_is_not_scored(tmp_path: Path) -> None:
+def test_a_surface_in_feet_east_and_north_is_scored_on_cells_in_metres(tmp_path: Path) -> None:
     predicted = surface(tmp_path / "feet.tif", "EPSG:2236", 452_000.0, 2_190_000.0, 3.0)
-    done = run("compare", "--predicted", predicted, "--dsm", predicted)
-    assert done.exit_code == 1
-    assert f"{predicted}: CRS 'EPSG:2236': found one that is not projected in metres" in done.stderr
+    done = run("compare", "--predicted", predicted, "--dsm", predicted, "--out", str(tmp_path / "out"))
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["mae"] == pytest.approx(0.0, abs=1e-6)
+    (difference,) = (tmp_path / "out").rglob("*.tif")
+    grid = raster_grid(difference)
+    assert grid.crs == "EPSG:32617"
+    assert grid.cell_size == pytest.approx(0.914, abs=0.01)  # 3 feet
 
 
 def test_rims_wider_than_any_wall_are_wrong_usage(tmp_path: Path) -> None:

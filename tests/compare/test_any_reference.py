@@ -141,6 +141,17 @@ def test_a_reference_whose_cells_are_not_in_metres_on_the_ground_comes_onto_the_
     assert truth.grid.cell_size == pytest.approx(1.0, abs=0.02)  # m, of 3.28 feet and of 1.16 m of a web map at 30 N
 
 
+@pytest.mark.parametrize(("crs", "cell"), [("EPSG:2236", 3.28), ("EPSG:3857", 1.16)])
+def test_a_surface_whose_cells_are_not_in_metres_on_the_ground_is_scored_on_those_of_utm(
+    tmp_path: Path, crs: str, cell: float
+) -> None:
+    surface = in_another_crs(tmp_path / "surface.tif", crs, cell)
+    write_cog(tmp_path / "dsm.tif", SLOPE - np.float32(2.0), GRID)
+    for reference, apart in ((tmp_path / "dsm.tif", -2.0), (surface, 0.0)):
+        figures = compared("--predicted", surface, "--dsm", reference, "--register", "none")
+        assert figures["median"] == pytest.approx(apart, abs=0.02)
+
+
 def test_heights_above_something_else_are_scored_as_far_off_as_they_are(tmp_path: Path) -> None:
     """29 m, as in Florida between the ellipsoid and the geoid, of ground that spans 54 m; 10 m beyond that counted."""
     write_cog(tmp_path / "dsm.tif", SLOPE - np.float32(29.0), GRID)

@@ -105,6 +105,26 @@ def test_surroundings_of_wide_cells_have_cells_as_wide(middle: Any) -> None:
     assert raster_grid(middle.path(middle.products["prior_surroundings"])).cell_size == 2.0
 
 
+def test_surroundings_share_corners_with_the_wide_cells_of_the_area(middle: Any) -> None:
+    middle.grid = middle.grid.resized(3.0)
+    prior(middle, PriorOptions())
+    grid = raster_grid(middle.path(middle.products["prior_surroundings"]))
+    west, south, east, north = middle.grid.bounds
+    assert grid.bounds == (west - 15, south - 15, east + 15, north + 15)
+    assert grid.cell_size == 3.0
+
+
+@pytest.mark.parametrize(("cell", "around"), [(5.0, 3), (20.0, 0)])
+def test_cells_that_would_reach_further_than_what_was_matched_are_none_of_them(cell: float, around: int) -> None:
+    area = Grid("EPSG:32633", 500000.0, 5000000.0, cell, 9, 8)
+    fine = area.resized(0.5)
+    wide = fine.widened(32)  # 16 m
+    grid, height = priors._wide_cells(area, fine, wide, np.full(wide.shape, 7.0, np.float32))
+    assert grid == area.widened(around)
+    assert height.shape == grid.shape
+    assert (height == 7.0).all()
+
+
 def test_a_prior_that_was_matched_by_itself_has_none(middle: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = middle.path(middle.products["prior_surroundings"])
     assert path.exists()

@@ -385,10 +385,12 @@ def test_a_folder_of_metadata_of_other_images_is_told(town: Any) -> None:
 
 
 def test_images_much_finer_than_most_are_told_as_coarse_ones_blur_the_surface() -> None:
-    assert check_pixel_sizes([0.5, 0.52, 0.5, 0.5, 2.0, 2.1, 2.0, 2.0, 2.0, 2.0]) == [
+    assert check_pixel_sizes([0.5, 0.52, 0.5, 0.5, 2.0, 2.1, 2.0, 2.0, 2.0, 2.0], [0.9] * 10) == [
         "4 of 10 images have pixels of 0.5 m, the others larger ones of up to 2.1 m, which blur the surface: the finer "
         "images alone may give a better one"
     ]
-    assert check_pixel_sizes([0.5, 0.5, 0.5, 0.5, 2.0]) == []  # cells are made for the fine ones
-    assert check_pixel_sizes([0.5, 0.5, 1.0, 1.0, 1.0, 1.0]) == []  # two see too little between houses
-    assert check_pixel_sizes([0.5, 0.52, 0.55, 0.6, 0.7, 0.75]) == []  # one sensor up to 40 degrees off nadir
+    assert check_pixel_sizes([0.5, 0.5, 0.5, 0.5, 2.0], [1.0] * 5) == []  # cells are made for the fine ones
+    assert check_pixel_sizes([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], [1.0] * 6) == []  # two see too little between houses
+    # one sensor from above, and 45 degrees from that
+    assert check_pixel_sizes([0.31, 0.31, 0.32, *[0.52] * 7], [1.0, 1.0, 0.99, *[0.707] * 7]) == []
+    assert len(check_pixel_sizes([0.31, 0.31, 0.32, *[0.52] * 7], [0.9] * 10)) == 1

@@ -84,6 +84,30 @@ def test_a_scene_without_surroundings_has_nothing_around(tmp_path: Path) -> None
     assert read_around(Scene("A", tmp_path, grid=WHOLE)) is None
 
 
+def test_of_a_large_area_only_what_is_known_and_near_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An area of 400 m in a ring of 20 m, in pieces of 40 m."""
+    monkeypatch.setattr("sattools.scene.stored.AT_ONCE", 1000)
+    monkeypatch.setattr("sattools.render.around._EDGE", 40)
+    whole = Grid("EPSG:32633", 500000.0, 5000000.0, 1.0, 440, 440)
+    height = np.random.default_rng(1).normal(0, 3, whole.shape).astype(np.float32)
+    inside = slice(20, 420), slice(20, 420)
+    known = height.copy()
+    known[24:416, 24:416] = np.nan
+    write_cog(tmp_path / "around.tif", known, whole)
+    scene = Scene("A", tmp_path, grid=whole.part(*inside), products={"prior_surroundings": "around.tif"})
+    around = read_around(scene)
+    assert around is not None
+    assert sum(values.size for values, _ in around.layers) < 0.5 * whole.height * whole.width
+    lit = around.light_from(height[inside], 1.0, SUNS[0])
+    np.testing.assert_array_equal(lit, light_from(height, 1.0, SUNS[0])[inside])
+    scene.grid = whole.part(slice(20, 80), slice(200, 260))  # a tile at the northern border
+    near = read_around(scene)
+    assert near is not None
+    assert max(grid.bounds[2] for _, grid in near.layers) < whole.left + 400
+    scene.grid = whole.part(slice(200, 260), slice(200, 260))
+    assert read_around(scene) is None
+
+
 def test_a_file_of_surroundings_that_holds_nothing_is_told(tmp_path: Path) -> None:
     scene = Scene("A", tmp_path, grid=WHOLE)
     scene.products["prior_surroundings"] = "none.tif"
