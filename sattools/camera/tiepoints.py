@@ -29,6 +29,9 @@ AT_ONCE = 8  # pairs, of up to 100 MB each
 # OpenCV doubles the image about its corner and halves positions about its first pixel's centre: all come out that far
 # right and down (`enable_precise_upscale` would find other features). In metres it is more, the larger the pixels
 SIFT_BIAS_PX = 0.25
+# of the best determined shift, below which views do not determine one: those of one pass, whose heights all show along
+# one direction, tell shifts along it by their small differences, a few centimetres of which would be kilometres
+_DETERMINED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -325,7 +328,7 @@ def coarse_bias(
     w = base.copy()
     solution = np.zeros(2 * n)
     for _ in range(30):
-        solution = np.linalg.lstsq(design * w[:, None], target * w, rcond=1e-8)[0]
+        solution = np.linalg.lstsq(design * w[:, None], target * w, rcond=_DETERMINED)[0]
         residual = np.abs(design @ solution - target)
         w = base / np.sqrt(np.maximum(residual, 0.1))
     bias = solution.reshape(n, 2)
