@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import tomllib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import remove_orphans, write_text
-from sattools.scene.jsonio import JsonObject, read_json, read_toml
+from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Anything, Items, Table, Text
 
 log = logging.getLogger(__name__)
@@ -56,6 +55,7 @@ class Task:
         commands: arguments of `sattools`, one list a command; `{scene}` stands for the folder's scene.json.
         config: TOML with the options.
         source: scene.json to copy, or None where the first command makes the scene.
+        options: of a run, see `options_of`.
         kind: `prep`, `run` (whose result is a row of the table), or for a fit in tiles before it `coarse`, `tile` (of
             pilots, too) and `split`.
     """
@@ -68,6 +68,7 @@ class Task:
     commands: list[list[str]]
     config: str
     source: str | None = None
+    options: str = ""
     kind: Literal["prep", "run", "coarse", "split", "tile"] = "run"
 
     @property
@@ -138,6 +139,18 @@ def scene_content(scene: Scene, digests: Digests) -> list[Any]:
     return [document, [digests(path) for path in files_of(scene)]]
 
 
+def options_of(configuration: Configuration, prepared: bool) -> str:
+    """Hash of a configuration's options, those that it does not name included.
+
+    Args:
+        configuration: the configuration.
+        prepared: with those of `prep`, for areas whose scene the batch makes.
+    """
+    run = [name for name in (*OPTIONAL, "align") if name in configuration.tables]
+    told = [run, {name: table for name, table in configuration.resolved.items() if prepared or name != "prep"}]
+    return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+
+
 def run_task(
     out: Path,
     scene: str,
@@ -147,6 +160,7 @@ def run_task(
     *,
     truth: Path | None,
     digests: Digests,
+    prepared: bool = False,
 ) -> Task:
     """The task that fits, exports and scores one scene in one configuration.
 
@@ -158,6 +172,7 @@ def run_task(
         configuration: the configuration.
         truth: folder of the reference, or None.
         digests: of files, as known so far.
+        prepared: the batch makes the scene itself.
     """
     commands = []
     for name in COMMANDS[1:]:
@@ -180,8 +195,9 @@ def run_task(
     key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
     folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
     name = f"{scene}/{configuration.name}"
-    config = _toml(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
-    return Task(name, str(folder), key, scene, configuration.name, commands, config, str(source))
+    config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
+    options = options_of(configuration, prepared)
+    return Task(name, str(folder), key, scene, configuration.name, commands, config, str(source), options)
 
 
 def prep_task(
@@ -201,7 +217,7 @@ def prep_task(
     key = key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
     folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
     command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *arguments, "--overwrite"]
-    config = _toml(configuration, ["prep"])
+    config = toml_of(configuration, ["prep"])
     return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, [command], config, kind="prep")
 
 
@@ -229,7 +245,7 @@ def shared_task(out: Path, run: Task, content: Any, configuration: Configuration
         folder=str(folder),
         key=key_of("shared", content, wanted, given),
         commands=[[name, "{scene}", "--overwrite"] for name in (*given, "prior")],
-        config=_toml(configuration, list(OPTIONAL)),
+        config=toml_of(configuration, list(OPTIONAL)),
         kind="prep",
     )
 
@@ -337,26 +353,14 @@ def reference_files(configuration: Configuration, truth: Path | None, scene: str
         yield Path(pair.partition("=")[2])
 
 
-def is_of(folder: Path, configuration: Configuration) -> bool:
-    """Whether a run, by its folder, had the options that a configuration has now; True where the folder does not say.
-
-    Args:
-        folder: of the run.
-        configuration: one of the same name.
-    """
-    try:
-        return read_toml(folder / "config.toml") == tomllib.loads(_toml(configuration, COMMANDS))
-    except InputError:
-        return True
-
-
-def _toml(configuration: Configuration, commands: Iterable[str]) -> str:
+def toml_of(configuration: Configuration, commands: Iterable[str]) -> str:
+    """The tables of some commands as they were given, as TOML."""
     import tomli_w
 
     return tomli_w.dumps({name: configuration.tables[name] for name in commands if name in configuration.tables})
 
 
 __all__ = [
-    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "is_of", "key_of", "pilot_tasks",
-    "prep_task", "reference_files", "run_task", "scene_content", "shared_task", "tile_tasks",
+    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "key_of", "options_of",
+    "pilot_tasks", "prep_task", "reference_files", "run_task", "scene_content", "shared_task", "tile_tasks", "toml_of",
 ]  # fmt: skip

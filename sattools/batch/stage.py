@@ -329,7 +329,8 @@ def _add_area(
         if c.tables.get("prep", {}).get("metadata"):
             given = [*given[2:]] if metadata else given
         prep = prep_task(out, aoi, images, given, c, digests)
-        task = run_task(out, aoi, Path(prep.folder) / aoi / "scene.json", prep.key, c, truth=truth, digests=digests)
+        source = Path(prep.folder) / aoi / "scene.json"
+        task = run_task(out, aoi, source, prep.key, c, truth=truth, digests=digests, prepared=True)
         earlier = plan.earlier(prep)
         before: tuple[Job, ...] = ()
         if earlier is None:

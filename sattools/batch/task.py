@@ -47,7 +47,7 @@ def perform(
     earlier = task.result()
     if earlier is not None:
         return earlier
-    result: dict[str, Any] = {"key": task.key, "name": task.name}
+    result: dict[str, Any] = {"key": task.key, "name": task.name, "options": task.options}
     own = launcher or Launcher()
     try:
         scene = task.start()

@@ -111,10 +111,10 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
     empty = witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill
-    notes = _notes(scene, stored, outputs, bool(empty))
+    made = record(scene, "export")
+    notes = _notes(scene, stored, bool(empty), _left(scene, outputs, made["export"]["outputs"]["dsm"]))
     return {
-        "vertical_datum": files.datum, "validity": fractions, "products": products, "notes": notes,
-        MADE: record(scene, "export"),
+        "vertical_datum": files.datum, "validity": fractions, "products": products, "notes": notes, MADE: made,
     }  # fmt: skip
 
 
@@ -193,25 +193,37 @@ def _outputs(scene: Scene, options: ExportOptions, stored: StoredModel, model: F
     return hrefs + product_hrefs(options.wanted)
 
 
-def _notes(scene: Scene, stored: StoredModel, outputs: Sequence[str], empty: bool) -> list[str]:
+def _notes(scene: Scene, stored: StoredModel, empty: bool, left: Sequence[str]) -> list[str]:
     """What there is to say of an export, which is told, too."""
     notes = []
     if words := heights_of_start(stored.about):
         notes.append(f"heights: {words}")
     if empty:
         notes.append(EMPTY)
-    if left := _left(scene, outputs):
+    if left:
         notes.append(f"{', '.join(left)}: left by an earlier export, not of this surface")
     for text in notes:
         log.warning("scene %s: %s", scene.id, text)
     return notes
 
 
-def _left(scene: Scene, outputs: Sequence[str]) -> list[str]:
-    """Files beside the outputs that look like more of them, but were written by an export of before."""
-    maps = [f"export/{name}.tif" for name in names_of(STAGES["export"])]
-    known = sorted({*maps, *product_hrefs(list(FILES))} - {*outputs})
-    return [href for href in known if scene.path(href).is_file()]
+def _left(scene: Scene, outputs: Sequence[str], surface: str | None) -> list[str]:
+    """Files beside the outputs that look like more of them, but are not known to be of the same surface.
+
+    Args:
+        scene: that was exported.
+        outputs: hrefs of what was written.
+        surface: digest of its heights.
+    """
+    names = {f"export/{name}.tif": name for name in names_of(STAGES["export"])}
+    names |= {href: name for files in FILES.values() for name, href in files.items()}
+    made: dict[str, str | None] = {}  # product -> digest of the heights that it was exported with
+    for entry in scene.history:
+        if entry.get("command") == "export":
+            known = (entry.get(MADE) or {}).get("export", {}).get("outputs", {})
+            made |= dict.fromkeys(known, known.get("dsm"))
+    others = [href for href, name in names.items() if href not in outputs and made.get(name) != surface]
+    return sorted(href for href in others if scene.path(href).is_file())
 
 
 def _needs_whole(options: ExportOptions, stored: StoredModel) -> bool:

@@ -19,6 +19,7 @@ from sattools.scene.document import Scene, check_id
 from sattools.scene.jsonio import JsonObject, read_text
 from sattools.scene.raster import read_overview
 
+_BEFORE = {"mosaic": "split", "split": "coarse"}  # part of a fit in tiles -> that which it goes on from
 SHOWN = 24  # difference maps of more runs would make a page that no browser likes
 NUMBERS = {name for name in SHORT if name.endswith("_m") or name in ("completeness", "seconds", "peak_memory_mb")}
 
@@ -120,11 +121,18 @@ def _last_calls(calls: Sequence[str]) -> list[str]:
     """Of the command lines of all runs in a folder those of the last one: as far back as they follow the pipe."""
     kept: list[str] = []
     for call in reversed(calls):
-        place = _place(call)
-        if kept and place > _place(kept[0]):
+        before = next((_BEFORE[part] for part in _BEFORE if kept and _is_part(kept[0], part)), None)
+        if before is not None:
+            if not _is_part(call, before):  # the tiles that a run goes on with may be those of an earlier one
+                continue
+        elif kept and _place(call) > _place(kept[0]):
             break
         kept.insert(0, call)
     return kept
+
+
+def _is_part(call: str, part: str) -> bool:
+    return f" --part {part} " in f"{call} "
 
 
 def _place(call: str) -> int:

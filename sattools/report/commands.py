@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sattools.scene.dependencies import in_force
+from sattools.scene.dependencies import STAGES, in_force
 from sattools.scene.jsonio import JsonObject
 from sattools.settings import specs
 
@@ -55,8 +55,7 @@ def pipeline(history: Sequence[JsonObject]) -> str:
     done: set[str] = set()
     for entry in in_force(history):
         command = entry["command"]
-        # `align` has a folder of its own each time
-        again = " --overwrite" if command in done and command != "align" else ""
+        again = " --overwrite" if command in done and command in STAGES else ""  # not `align`, with a folder each time
         lines.append(command_line(command, entry.get("options", {})) + again)
         done.add(command)
     return " |\n    ".join(lines)

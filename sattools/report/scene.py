@@ -258,9 +258,9 @@ def _history(scene: Scene) -> Section:
     section.parts.append(Table(names, rows, "Every command that changed the scene."))
     text = "The same again; IMAGE... stands for the images above. Options that are not named have their defaults."
     section.parts.append(Code(pipeline(scene.history), text))
-    # what was done in vain says nothing of what is shown, and `align` has a section of its own
-    told = [entry for entry in in_force(scene.history) if entry["command"] != "align"]
-    notes = [f"{entry['command']}: {note}" for entry in told for note in entry.get("notes", [])]
+    # what is shown is of the last one of a command, and `align` has a section of its own
+    told = {entry["command"]: entry for entry in in_force(scene.history) if entry["command"] != "align"}
+    notes = [f"{command}: {note}" for command, entry in told.items() for note in entry.get("notes", [])]
     section.parts.extend(notes)
     return section
 

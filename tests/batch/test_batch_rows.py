@@ -1,6 +1,7 @@
 """What a row of a batch's table says of a scene."""
 
 import csv
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from sattools.batch import stage
 from sattools.batch.earlier import comparable_rows
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration
+from sattools.batch.plan import Configuration, options_of
 from sattools.batch.table import earlier_rows, make_row, to_csv, write_tables
 from sattools.errors import SceneError
 from sattools.scene import Scene
@@ -79,6 +80,30 @@ def test_rows_of_other_options_under_the_same_name_are_told_and_left_out(
     assert [(row["scene"], row["configuration"]) for row in kept] == [("A", "fast"), ("C", "fast"), ("A", "slow")]
     assert "fast: has other options than in an earlier call" in caplog.text
     assert "give B again, too" in caplog.text
+
+
+def test_rows_stay_where_the_options_are_the_same_in_other_words(tmp_path: Path) -> None:
+    """A default that a file begins to name, and `[prep]` of scenes that a batch was given, make no other result."""
+    rows = [{"scene": name, "configuration": "fast", "status": "done", "mae_m": 1.0} for name in ("A", "B", "C", "D")]
+    written(tmp_path, *rows)
+    had = {"prep": {"copy": True}, "fit": {"epochs": [4], "seed": 0}}
+    short = Configuration("fast", {"fit": {"epochs": [4]}}, had)
+    other = Configuration("fast", {"fit": {"epochs": [4]}}, {**had, "prep": {"copy": False}})
+    for name, configuration, prepared in (("A", short, False), ("B", short, True), ("C", other, True)):
+        (tmp_path / f"runs/fast/{name}/config.toml").write_text("[fit]\nepochs = [4]\n")
+        record = {"options": options_of(configuration, prepared)}
+        (tmp_path / f"runs/fast/{name}/task.json").write_text(json.dumps(record))
+    # of a version that noted neither
+    (tmp_path / "runs/fast/D/config.toml").write_text("[fit]\nepochs = [4]\n")
+
+    def kept(tables: Any, resolved: Any) -> list[str]:
+        rows = comparable_rows(tmp_path, [("E", "fast")], [Configuration("fast", tables, resolved)])
+        return [row["scene"] for row in rows]
+
+    assert kept({"fit": {"epochs": [4], "seed": 0}}, had) == ["A", "B"]
+    assert kept({"fit": {"epochs": [4]}}, {**had, "prep": {"copy": False}}) == ["A", "C", "D"]
+    assert kept({"prep": {"copy": True}, "fit": {"epochs": [4]}}, had) == ["A", "B", "D"]
+    assert kept({"fit": {"epochs": [4]}}, {**had, "fit": {"epochs": [4], "seed": 1}}) == ["D"]
 
 
 @pytest.mark.parametrize("text", ["a,b\n1,2\n", "", "scene,configuration,status,mae_m\nA,fast,done,much\n", "\0"])

@@ -162,6 +162,20 @@ def test_files_of_an_earlier_export_beside_the_new_surface_are_named(
     assert export(scene, ExportOptions(products=["dtm"], contours=2.0))["notes"] == []
 
 
+def test_files_of_an_earlier_export_of_the_same_surface_are_not_called_those_of_another(scene: Any) -> None:
+    """Ground first, then points: both are of one `dsm.tif`."""
+    scene.history.append({"command": "export", **export(scene, ExportOptions(products=["dtm"]))})
+    scene.history.append({"command": "export", **export(scene, ExportOptions(products=["ply"]))})
+    assert scene.history[-1]["notes"] == []
+    tensors, about = load(scene.path("model"))
+    tensors["height"] += 0.5
+    save(scene.path("model"), tensors, about)
+    left = "export/dtm.tif, export/dtm_validity.tif, export/ndsm.tif"
+    assert export(scene, ExportOptions(products=["ply"]))["notes"] == [
+        f"{left}: left by an earlier export, not of this surface"
+    ]
+
+
 def test_a_model_of_another_kind_is_refused(scene: Any) -> None:
     save(scene.root / "model", {"weights": torch.zeros(3)}, {"field": "other"})
     with pytest.raises(InputError, match="found no 'grid', expected grid, items, suns, shadow"):

@@ -1,17 +1,23 @@
 """Commands that a page names, footprints, and pictures by themselves."""
 
+import re
 import shlex
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from click.testing import CliRunner
 from matplotlib.colors import to_rgb
 
+from sattools.batch.table import write_tables
 from sattools.cli import main
 from sattools.compare.picture import line_styles
+from sattools.report.batch import batch_page
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
 from sattools.report.page import Picture, Section, render
+from sattools.report.scene import scene_page
+from sattools.scene import Scene
 
 
 def test_command_lines_name_what_is_not_the_default_and_can_be_pasted() -> None:
@@ -30,6 +36,30 @@ def test_what_is_done_once_more_after_an_alignment_replaces_its_files_in_the_sam
     history = [{"command": name} for name in ("fit", "export", "align", "fit", "align", "export")]
     assert pipeline(history).replace("sattools ", "").split(" |\n    ") == [
         *("fit", "export", "align", "fit --overwrite", "align", "export --overwrite")
+    ]
+
+
+def test_commands_of_another_tool_are_named_as_they_are() -> None:
+    assert pipeline([{"command": "mine"}, {"command": "mine"}]) == "sattools mine |\n    sattools mine"
+
+
+def test_remarks_are_those_of_the_last_fit_where_one_stands_on_each_side_of_an_alignment(tmp_path: Path) -> None:
+    scene = Scene("A", tmp_path)
+    told = [("fit", "of the first fit"), ("export", "of the first export"), ("align", "moved"), ("fit", "of the last")]
+    scene.history = [{"command": name, "notes": [note]} for name, note in told]
+    assert re.findall(r"of the (?:first|last)[a-z ]*", scene_page(scene)) == ["of the last", "of the first export"]
+
+
+def test_a_batchs_page_names_the_coarse_fit_and_the_split_that_an_earlier_run_has_left(tmp_path: Path) -> None:
+    """With other options of `export` only the tiles are joined again."""
+    folder = tmp_path / "runs/cut/A"
+    folder.mkdir(parents=True)
+    write_tables([{"scene": "A", "configuration": "cut", "status": "done", "seconds": 1.0}], tmp_path)
+    begun = ["prior", "fit --part coarse", "normalise", "fit --part coarse", "fit --part split"]
+    joined = ["fit --part mosaic", "export", "compare", "fit --part mosaic", "export"]
+    (folder / "log.txt").write_text("".join(f"$ sattools {call} scene.json\n" for call in begun + joined))
+    assert re.findall("sattools ([a-z]+(?: --part [a-z]+)?) scene.json", batch_page(tmp_path)) == [
+        *("normalise", "fit --part coarse", "fit --part split", "fit --part mosaic", "export")
     ]
 
 
