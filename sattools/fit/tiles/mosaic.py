@@ -21,8 +21,10 @@ from sattools.fit.tiles.plan import Plan
 from sattools.fit.tiles.state import COARSE
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
+from sattools.render.around import PRODUCT as AROUND
 from sattools.scene import Grid
 from sattools.scene.dependencies import Seen, record
+from sattools.scene.files import write_bytes
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_grid, read_raster
 from sattools.scene.regrid import sample_map
@@ -189,7 +191,7 @@ def _resampled(model: FittedModel, grid: Grid) -> CellMaps:
 
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:
     """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
-    from sattools.prior.files import CONFIDENCE, DSM, MapFiles
+    from sattools.prior.files import CONFIDENCE, DSM, SURROUNDINGS, MapFiles
 
     whole = plan.scene.require_grid()
     rough, rough_grid = read_raster(plan.root(COARSE) / DSM)
@@ -223,6 +225,10 @@ def _mosaic_priors(plan: Plan, names: list[str]) -> None:
                         mosaic.add(one.tile, share, values, own)
             height, confidence = (mosaic.done()[..., 0] for mosaic in mosaics)
             files.write(height, confidence, slice(first, last))
+    around = plan.root(COARSE) / SURROUNDINGS
+    if around.exists():  # coarse ones do for shadows
+        write_bytes(plan.scene.output(SURROUNDINGS), around.read_bytes())
+        plan.scene.products[AROUND] = SURROUNDINGS
 
 
 def _trace(plan: Plan, names: list[str]) -> Trace:
