@@ -190,15 +190,6 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
 
 
 __all__ = [
-    "CONFIDENCE",
-    "DATUM",
-    "DSM",
-    "MAPS",
-    "NORMALS",
-    "PROBABILITY",
-    "SURROUNDINGS",
-    "MapFiles",
-    "read_prior",
-    "write_sensor_map",
-    "write_surroundings",
+    "CONFIDENCE", "DATUM", "DSM", "MAPS", "NORMALS", "PROBABILITY", "SURROUNDINGS", "MapFiles", "read_prior",
+    "write_sensor_map", "write_surroundings",
 ]  # fmt: skip

@@ -35,7 +35,7 @@ def reflective(
     seed: int,
     solve: bool = True,
     sky: Sky = "none",
-    cast: Cast | None = None,
+    cast: Cast = sun_visibility,
 ) -> tuple[ReflectiveScene, list[Tensor]]:
     """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
 
@@ -51,7 +51,7 @@ def reflective(
         seed: of the clustering.
         solve: find endmembers and amplitudes, too.
         sky: light of the sky: none, fitted, auto = fitted and kept if it is surely there, or its share per band.
-        cast: sun visibility of heights on cells under a sun; None = `sattools.render.sun_visibility`.
+        cast: sun visibility of heights on cells under a sun.
 
     Returns:
         The scene, and the sun's visibility in every view.
@@ -60,7 +60,6 @@ def reflective(
     suns = height.new_tensor([view.sun for view in views])
     view_vectors = height.new_tensor([view.slope.unit() for view in views])
     casting, steps = smooth_heights(height, cell_size)
-    cast = cast or sun_visibility
     lit = {sun: cast(casting, cell_size, sun) for view in views if (sun := view.sun) is not None}
     visibility = [lit[view.sun] for view in views if view.sun is not None]
     normal = frozen
