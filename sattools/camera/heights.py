@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.camera.ground import project, to_geographic
+from sattools.camera.planes import Array, Bounds, GroundPlanes, blurred
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
 from sattools.processors import side_by_side
 from sattools.progress import Progress, silent
-
-Array = NDArray[np.float64]
-Bounds = tuple[float, float, float, float]
 
 PATCH = 50  # cells that agree about their height by more than chance, whose patches have those of a window or two
 
@@ -126,24 +123,20 @@ def sweep_patches(
 
     west, south, east, north = bounds
     cell = float(np.sqrt((east - west) * (north - south) / max_cells))
-    width, height = max(8, int((east - west) / cell)), max(8, int((north - south) / cell))
-    x, y = west + (np.arange(width) + 0.5) * cell, north - (np.arange(height) + 0.5) * cell
-    nodes_x, nodes_y = np.linspace(x[0], x[-1], 5), np.linspace(y[0], y[-1], 5)
-    smoothed = [_blurred(g, r, crs, bounds, float(planes[0]), cell) for g, r in zip(grays, rpcs, strict=True)]
-    lon, lat = to_geographic(crs, *(g.ravel() for g in np.meshgrid(nodes_x, nodes_y)))
-    to_pixels = _to_affine(nodes_x, nodes_y, x, y)
-    seen_at = [np.stack(r.projection(lon, lat, planes[:, None]), axis=-1) for r in rpcs]  # [D, 25, 2]
+    ground = GroundPlanes.of(rpcs, crs, bounds, cell, planes)
+    height, width = ground.shape
+    smoothed = [
+        _standard(g, blurred(g, r, crs, bounds, float(planes[0]), cell)) for g, r in zip(grays, rpcs, strict=True)
+    ]
 
     window = np.ones((5, 5), np.uint8)
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     best, least = np.full((height, width), -1.0), np.ones((height, width))
     winner = np.full((height, width), -1, np.int32)
 
     def agreement(k: int) -> tuple[Array, Array]:
         total, own, views = (np.zeros((height, width)) for _ in range(3))
-        for gray, at in zip(smoothed, seen_at, strict=True):
-            to_image = (to_pixels @ at[k]).T
-            value = cv2.warpAffine(gray, to_image, (width, height), flags=flags, borderValue=np.nan)
+        for view, gray in enumerate(smoothed):
+            value = ground.shown(gray, view, k)
             seen = np.isfinite(value)
             value[~seen] = 0.0
             mean = cv2.blur(value, (5, 5))
@@ -204,28 +197,11 @@ def _largest_patches(winner: NDArray[np.int32], score: Array, n: int, least: Arr
     return patches
 
 
-def _blurred(
-    gray: NDArray[np.float32], rpc: RPC, crs: str, bounds: Bounds, z: float, cell: float
-) -> NDArray[np.float32]:
-    """Image smoothed to the cell size and scaled to unit spread; NaN where it has no value."""
-    import cv2
-
-    west, south, east, north = bounds
-    x, y = (west + east) / 2, (south + north) / 2
-    col, row = project(rpc, crs, [x, x + cell, x], [y, y, y + cell], z)
-    pixels = float(np.sqrt(abs((col[1] - col[0]) * (row[2] - row[0]) - (col[2] - col[0]) * (row[1] - row[0]))))
-    valid = np.isfinite(gray)
-    spread = float(np.std(gray[valid])) if valid.any() else 1.0
-    filled = np.where(valid, (gray - (gray[valid].mean() if valid.any() else 0.0)) / max(spread, 1e-6), 0.0)
-    smooth = cv2.GaussianBlur(filled.astype(np.float32), (0, 0), max(0.5 * pixels, 0.3))
-    return np.where(valid, smooth, np.float32(np.nan))
-
-
-def _to_affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any]) -> Array:
-    """What makes the least squares map ``[3, 2]`` from cell (column, row) to pixel (col, row) of the nodes' pixels."""
-    cell_x, cell_y = x[1] - x[0], y[1] - y[0]
-    gx, gy = np.meshgrid((nodes_x - x[0]) / cell_x, (nodes_y - y[0]) / cell_y)
-    return np.linalg.pinv(np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)], 1))
+def _standard(gray: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A smoothed image scaled to unit spread of the image."""
+    known = gray[np.isfinite(gray)]
+    mean, spread = (float(known.mean()), float(np.std(known))) if known.size else (0.0, 1.0)
+    return np.asarray((smooth - np.float32(mean)) / np.float32(max(spread, 1e-6)))
 
 
 __all__ = ["HeightOptions", "by_chance", "estimate_height_range", "extend_range", "sweep_patches", "tie_point_range"]

@@ -15,6 +15,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 from scipy.ndimage import binary_dilation, label
 
+from sattools.prep.blocks import Blocks
 from sattools.prep.layout import convex_outline
 from sattools.prep.numbers import read_band
 from sattools.scene.raster import has_mask
@@ -34,24 +35,12 @@ class Frame:
     Attributes:
         value: of its pixels, in all bands.
         share: of the pixels that were looked at.
-        places: ``[h, w]`` bool, blocks of pixels where it may be: a pixel of the number elsewhere is ground.
-        step: pixels along the edge of a block.
-        corner: column and row of the first.
+        blocks: where it may be: a pixel of the number elsewhere is ground.
     """
 
     value: float
     share: float
-    places: NDArray[np.bool_]
-    step: int
-    corner: tuple[int, int]
-
-    def within(self, window: Window) -> NDArray[np.bool_]:
-        """Where it may be, ``[height, width]`` of a window of the file."""
-        (col, row), (height, width) = self.corner, self.places.shape
-        rows = (np.arange(window.row_off, window.row_off + window.height) - row) // self.step
-        cols = (np.arange(window.col_off, window.col_off + window.width) - col) // self.step
-        inside = (rows >= 0)[:, None] & (rows < height)[:, None] & (cols >= 0) & (cols < width)
-        return np.asarray(self.places[np.clip(rows, 0, height - 1)][:, np.clip(cols, 0, width - 1)] & inside)
+    blocks: Blocks
 
     def __str__(self) -> str:
         percent = f"{100 * self.share:.2g}" if self.share < 0.1 else f"{100 * self.share:.0f}"
@@ -97,7 +86,7 @@ def find_frames(data: DatasetReader, path: Path, window: tuple[int, int, int, in
         share = float(places.mean())
         if share >= LEAST_SHARE and _is_frame(same, places, sum(k > 0 for k in of_corners)):
             # a block whose sampled pixel is ground may hold some of the frame
-            found.append(Frame(value, share, binary_dilation(places, np.ones((3, 3))), step, (col, row)))
+            found.append(Frame(value, share, Blocks(binary_dilation(places, np.ones((3, 3))), step, (col, row))))
     return found
 
 

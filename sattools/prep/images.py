@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sattools.camera import RPC
+from sattools.prep.blocks import Blocks
 from sattools.prep.frames import Frame
 from sattools.prep.metadata import Metadata
 
@@ -38,6 +39,7 @@ class SourceImage:
     masked: bool = False  # a mask lies beside the bands
     tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used
     frames: tuple[Frame, ...] = ()  # of pixels without data that the file does not call so
+    clouds: Blocks | None = None  # that hide the ground
     read_range: tuple[tuple[int, int, int, int], tuple[float, float]] | None = None  # window, its extreme numbers
 
     def warn(self, text: str) -> None:

@@ -34,6 +34,10 @@ class PrepOptions:
     mask: list[str] = option(
         [], "Vector file of polygons (water, clouds) in which no surface is wanted; repeatable.", path="file"
     )
+    clouds: Literal["mask", "keep"] = option(
+        "mask",
+        "Clouds and glare, which an image shows where the others show darker ground: no data, or kept as they are.",
+    )
     colours: str | None = option(
         None,
         "Folder with multispectral images of the same acquisitions as the images, which are panchromatic then: the "

@@ -75,6 +75,8 @@ def write_images(
         if not copied[k]:
             for frame in source.frames:
                 source.warn(f"is not copied, so its frame of {frame.value:g} is ground later on: declare it as no data")
+            if source.clouds is not None:
+                source.warn("is not copied, so its clouds are ground later on: `--copy` masks them")
             item.assets["image"].href = str(source.path.absolute())
             item.assets["image"].extra[WINDOW] = list(source.window)
         write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())

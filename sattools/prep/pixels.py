@@ -43,7 +43,7 @@ def look_for_frames(data: DatasetReader, source: SourceImage) -> None:
 
 
 def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray[np.bool_]:
-    """Which pixels ``[H, W]`` of a window are no data by a mask or as a frame, whatever their numbers.
+    """Which pixels ``[H, W]`` of a window are no data by a mask, as a frame or as a cloud, whatever their numbers.
 
     Args:
         data: the open image.
@@ -57,10 +57,12 @@ def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray
     if source.masked:
         found |= data.dataset_mask(window=window) == 0
     for frame in source.frames:
-        there = frame.within(window)
+        there = frame.blocks.within(window)
         for band in range(1, data.count + 1):
             there &= read_band(data, source.path, band, window) == frame.value
         found |= there
+    if source.clouds is not None:
+        found |= source.clouds.within(window)
     return found
 
 
@@ -171,7 +173,7 @@ def significant_bits(source: SourceImage, highest: float) -> int | None:
 def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
 
-    A mask within the file says which of them are no data where the source's mask or its frames do.
+    A mask within the file says which of them are no data where the source's mask, its frames or clouds do.
 
     Strip by strip, and read back before the file gets its name.
 
@@ -189,7 +191,7 @@ def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
         profile |= {"interleave": "pixel" if data.count > 1 else "band", "bigtiff": "if_safer"}
         strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
 
-        mask = source.masked or bool(source.frames)
+        mask = source.masked or bool(source.frames) or source.clouds is not None
 
         def write(path: Path) -> None:
             with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **profile) as out:

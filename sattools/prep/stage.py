@@ -14,7 +14,6 @@ from shapely.geometry import box
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_ground_crs, check_scale, ground_sample_distance, utm_crs, view_direction
-from sattools.camera.heights import estimate_height_range
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
@@ -36,11 +35,9 @@ from sattools.prep.layout import (
     Bounds,
     common_bounds,
     cut_to_shown,
-    data_edge,
     ground_polygon,
     left_out,
     with_rim,
-    with_surroundings,
 )
 from sattools.prep.loading import load_source
 from sattools.prep.names import check_ids, common_name
@@ -48,6 +45,7 @@ from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, write_images, write_reports
 from sattools.prep.pairs import IN_HISTORY, pair_table
 from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights
+from sattools.prep.sweeps import height_range, mask_clouds
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
@@ -96,9 +94,12 @@ def prepare(
     notes += result.notes
     roles = _roles(options, result, sources, notes)
     _warn(check_corrections(result, sources), notes)
-    heights = _height_range(options, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
-    given = options.min_height is not None or options.max_height is not None
-    _warn(check_heights(*heights, result.heights(), given), notes)
+    given = options.min_height, options.max_height
+    heights = height_range(given, result, whole, crs, asked, subprogress(progress, 0.75, 0.85))
+    _warn(check_heights(*heights, result.heights(), given != (None, None)), notes)
+    if options.clouds == "mask":
+        roles |= _clouded(mask_clouds(sources, result, whole, crs, asked, heights), notes)
+        _check_left(roles, "are not covered by clouds (`--clouds keep` goes on with them)")
     ground = _ground_height(options, result, heights)
     scene.grid = _grid(options, sources, result, crs, (heights, ground), asked, edges=whole.edges(), notes=notes)
     scene.height_range_m = heights
@@ -257,6 +258,12 @@ def _roles(
     return roles
 
 
+def _clouded(ids: Sequence[str], notes: list[str]) -> dict[str, str]:
+    """Roles of images that show next to nothing but clouds."""
+    _warn([f"{name}: clouds hide the area, set aside (role unused)" for name in ids], notes)
+    return dict.fromkeys(ids, "unused")
+
+
 def _check_left(roles: Mapping[str, str], what: str) -> None:
     """Raise InputError where fewer than two images are left to train on."""
     left = [name for name, role in roles.items() if role == "train"]
@@ -324,31 +331,6 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
 
 def _wanted(options: PrepOptions, crs: str) -> Callable[[Bounds], Any]:
     return wanted_area(location(options.aoi) if options.aoi else None, [Path(name) for name in options.mask], crs)
-
-
-def _height_range(
-    options: PrepOptions,
-    result: Adjustment,
-    whole: GrayImages,
-    crs: str,
-    asked: Bounds | None,
-    progress: Progress,
-) -> tuple[float, float]:
-    low, high = options.min_height, options.max_height
-    if low is None or high is None:
-        heights = result.heights()
-        middle = float(np.median(heights))
-        cameras = whole.cameras(result.rpcs)
-        polygons = [
-            ground_polygon(r, (0, 0, g.shape[1], g.shape[0]), middle, crs, data_edge(g))
-            for r, g in zip(cameras, whole.grays, strict=True)
-        ]
-        bounds = with_surroundings(asked) if asked else common_bounds(polygons)
-        if bounds is None:
-            raise InputError("images: found no ground that two of them show, expected images that overlap")
-        estimate = estimate_height_range(heights, whole.grays, cameras, crs, bounds, progress=progress)
-        low, high = (estimate[0] if low is None else low), (estimate[1] if high is None else high)
-    return round(float(low), 2), round(float(high), 2)
 
 
 def _grid(

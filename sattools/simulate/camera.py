@@ -74,6 +74,19 @@ class Pushbroom:
         col = self.focal * (offset @ self.across) / (offset @ self.look)
         return col + self.col0, along + self.row0
 
+    def seen(self, col: np.ndarray, row: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points [..., 3] [m] of these heights that pixels show, and the directions [..., 3] in which they look.
+
+        Args:
+            col: of the pixels.
+            row: of the pixels.
+            height: of the points [m].
+        """
+        origin = self.origin + (row - self.row0)[..., None] * self.velocity
+        line = self.look + ((col - self.col0) / self.focal)[..., None] * self.across
+        times = (height - origin[..., 2]) / line[..., 2]
+        return origin + times[..., None] * line, line
+
 
 def fit_rpc(camera: Pushbroom, crs: str, centre: tuple[float, float, float]) -> tuple[RPC, float]:
     """RPC of a camera around (easting, northing, height), and its largest error in pixels between the fitted points.

@@ -61,6 +61,12 @@ class SimulateOptions:
         minimum=0,
         maximum=2000,
     )
+    clouds: float = option(
+        0.0,
+        "Share of the sky under clouds on every other date, other ones in every image; not over natural ground.",
+        minimum=0,
+        maximum=0.95,
+    )
     pan: int | None = option(
         None,
         "Panchromatic images, and beside them in colours/ what a multispectral sensor with so many times larger pixels "
@@ -115,7 +121,7 @@ class SimulateOptions:
 
 
 NATURAL_ONLY = ("reflectance", "units", "slope", "sun_azimuth", "sun_elevation", "sky", "train")
-TOWN_ONLY = ("dates", "test_views", "bits", "trees", "cars", "hdr", "classes")
+TOWN_ONLY = ("dates", "test_views", "bits", "trees", "cars", "clouds", "hdr", "classes")
 WITHOUT_DSM_ONLY = ("lon", "lat", "slope", "trees")
 
 

@@ -19,6 +19,7 @@ from sattools.scene.files import check_outputs
 from sattools.scene.grid import Grid
 from sattools.simulate.camera import Pushbroom, fit_rpc
 from sattools.simulate.cars import with_cars
+from sattools.simulate.clouds import CLOUD_BASE_M, CloudLayer
 from sattools.simulate.detailed import DetailedWorld, leaves_on
 from sattools.simulate.earlier import remove_earlier
 from sattools.simulate.fan import pass_suns, simulate_natural
@@ -37,7 +38,7 @@ SKY_STRIDE = 8
 LOWEST_SUN_DEG = 2.0  # a lower one, or none, leaves towns in shade
 DSM_MARGIN_M = 60.0  # surroundings of the scene that cast shadows into it
 BRIGHT_ROOF = 0.4  # reflectance from which a building's top (class 6) counts as bright
-CAR_KEY, OUTLIER_KEY = 1000, 1001
+CAR_KEY, OUTLIER_KEY, CLOUD_KEY = 1000, 1001, 1002
 OUTLIER = (5.0, 12.0)  # one camera of a downtown is off by so many times as much as the others may be
 BASE_M = -22.0  # ellipsoidal height of the ground, as at Jacksonville
 
@@ -236,6 +237,16 @@ def _on_the_day(options: SimulateOptions, world: World, number: int, view: Simul
     return with_cars(world, options.cars, options.size / 2, rng)
 
 
+def _clouds(options: SimulateOptions, view: SimulatedView, ground: float) -> CloudLayer | None:
+    """The clouds of one image above the ground's height [m], if there are some that day."""
+    number = int(view.id.rsplit("_", 1)[-1])
+    if not options.clouds or (number - 1) % options.dates % 2 == 0:
+        return None
+    # a seed of their own: nothing else changes when clouds do
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(CLOUD_KEY, number)))
+    return CloudLayer(options.clouds, ground + CLOUD_BASE_M, rng)
+
+
 def _take(
     scene: Scene,
     options: SimulateOptions,
@@ -249,6 +260,9 @@ def _take(
     light = _light(options)
     sun = grid_direction(*view.sun, scene.grid.crs, view.rpc.lon_offset, view.rpc.lat_offset)
     radiance, lit, height = _traced(world, view, sky, sun, light.sky * SKY_COLOUR)
+    if (clouds := _clouds(options, view, scene.require_height_range()[0])) is not None:
+        both = np.stack([sun_colour(view.sun[1]), light.sky * SKY_COLOUR])
+        radiance = clouds.over(radiance, height, view.camera, sun, both)
     rng = np.random.default_rng(seed)
     bits = 8 if options.bits == 8 else 11
     image = digital_numbers(radiance, view.radiometry, options.noise, bits, rng, light.exposure)

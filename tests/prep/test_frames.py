@@ -179,7 +179,7 @@ def test_a_window_knows_the_frame_that_reaches_its_corners(tmp_path: Path) -> No
         (frame,) = find_frames(data, path, (200, 100, 150, 150))
         assert frame.value == 7
         assert frame.share == pytest.approx(100 / 150, abs=0.01)
-        there = frame.within(rasterio.windows.Window(240, 120, 40, 20))
+        there = frame.blocks.within(rasterio.windows.Window(240, 120, 40, 20))
     assert there.shape == (20, 40)
     assert there[:, 10:].all()
     assert not there[:, :8].any()
@@ -209,8 +209,8 @@ def test_a_frame_of_a_large_image_is_found_by_some_of_its_pixels(
         data.write(values)
     with rasterio.open(path) as data:
         (found,) = find_frames(data, path, (0, 0, 400, 300))
-    assert found.step > 1
-    there = found.within(rasterio.windows.Window(0, 0, 400, 300))
+    assert found.blocks.step > 1
+    there = found.blocks.within(rasterio.windows.Window(0, 0, 400, 300))
     assert there[frame].all()  # of which the pixels of that number are taken
     assert there[~frame].mean() < 0.3
 

@@ -1,0 +1,287 @@
+"""Clouds: large places in an image that are brighter than what the others show there, at whatever height they look.
+
+Two things tell a cloud from bright ground: it is not there on another date, and no height makes it what the others
+show. Tie points, which lie on the ground, say how bright the ground is in one image where it is so in another; a coarse
+look at the ground on horizontal planes then finds, for every place of an image, the height at which it differs least
+from the darker ones of the images that show it. What is large, and brighter than nearly all of the ground by as much as
+that is brighter than usual ground, is a cloud (or glare on water, which is as useless). Thin clouds and shadows of
+clouds show the ground, which matching copes with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sattools.camera.planes import Bounds, GroundPlanes, blurred
+from sattools.camera.rpc import RPC
+from sattools.camera.tracks import Tracks
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Gray = NDArray[np.float32]
+_CANDIDATES = 200  # pairs of tie points that lines are drawn through
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """What counts as a cloud; brightness in units of what the brightest tenth of the ground has above usual ground."""
+
+    brighter: float = 1.0  # than the others, and than usual ground
+    edge: float = 0.4  # the same at the edge of a cloud
+    width_m: float = 12.0  # it is nowhere narrower
+    area_m2: float = 2000.0  # of one, or a quarter of the area: a roof that shines in one image is smaller
+    another_m2: float = 300.0  # of the others beside it
+    margin_m: float = 6.0  # around it: it thins out
+    cell_m: float = 2.0  # of the look at the ground
+    max_cells: int = 60_000
+    max_planes: int = 48
+    darker: float = 0.4  # share of the images at a place that are darker than what it is taken to be: clouds are bright
+    observations: int = 20  # tie points of an image, below which nothing is known of it
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Those of one image.
+
+    Attributes:
+        places: ``[h, w]`` bool, blocks of pixels that hold some.
+        step: pixels along the edge of a block.
+        share: of what the image shows of the area.
+    """
+
+    places: Mask
+    step: int
+    share: float
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What is found in the images at a common brightness.
+
+    ``excess``: per image, coarse pixels ``[h, w]`` by which it is brighter than the others at the best height, inf
+    where no other shows the place. ``bright``: the same pixels' own brightness. ``usual``, ``scale``: that of half of
+    the ground, and by how much that of a tenth is above. ``step``: pixels along the edge of a coarse one.
+    """
+
+    excess: list[Gray]
+    bright: list[Gray]
+    usual: float
+    scale: float
+    step: list[int]
+
+
+def find_clouds(
+    grays: Sequence[Gray],
+    cameras: Sequence[RPC],
+    tracks: Tracks,
+    crs: str,
+    bounds: Bounds,
+    heights: tuple[float, float],
+    *,
+    options: CloudOptions | None = None,
+) -> list[Clouds | None]:
+    """Where clouds hide the ground, image by image.
+
+    Args:
+        grays: images ``[H, W]``; NaN = no data.
+        cameras: their corrected cameras.
+        tracks: tie points in their pixels.
+        crs: projected ground CRS [m].
+        bounds: (west, south, east, north) of the area that matters [m].
+        heights: lowest and highest of the surface [m].
+        options: see `CloudOptions`; None = the defaults.
+
+    Returns:
+        One an image; None = no cloud.
+    """
+    options = options or CloudOptions()
+    west, south, east, north = bounds
+    area = (east - west) * (north - south)
+    cell = max(options.cell_m, float(np.sqrt(area / options.max_cells)))
+    planes = min(options.max_planes, max(2, int(np.ceil((heights[1] - heights[0]) / (2.0 * cell)))))
+    ground = GroundPlanes.of(cameras, crs, bounds, cell, np.linspace(*heights, planes))
+    smooth = [blurred(g, r, crs, bounds, heights[0], 2.0 * cell) for g, r in zip(grays, cameras, strict=True)]
+    values = _values(grays, tracks)
+    found: list[Clouds | None] = [None] * len(grays)
+    for _ in range(2):  # tie points on clouds spoil what they say of the ground
+        gain, offset = common_brightness(tracks, values, len(grays), options.observations)
+        images = [(g * s + o).astype(np.float32) for g, s, o in zip(smooth, gain, offset, strict=True)]
+        look = _look(images, ground, cell, options)
+        if look is None:
+            return [None] * len(grays)
+        found = [_clouds(look, view, cell, min(options.area_m2, area / 4.0), options) for view in range(len(grays))]
+        for view, clouds in enumerate(found):
+            if clouds is not None:
+                _forget(values, tracks, view, clouds)
+        if not any(found):
+            break
+    return found
+
+
+def common_brightness(tracks: Tracks, values: Array, views: int, least: int = 20) -> tuple[Array, Array]:
+    """Gain and offset ``[V]`` that make images equally bright at the tie points which they share; NaN = unknown.
+
+    Straight lines to the median of all images at every point, over and over; points that do not obey count less.
+
+    Args:
+        tracks: tie points.
+        values: ``[n]`` what the images show at them; NaN = nothing.
+        views: number of images.
+        least: values of an image, below which nothing is known of it.
+    """
+    gain, offset = np.full(views, np.nan), np.full(views, np.nan)
+    of = [np.flatnonzero((tracks.view == view) & np.isfinite(values)) for view in range(views)]
+    for view, known in enumerate(of):
+        if known.size >= least:
+            middle = np.median(values[known])
+            spread = max(1.4826 * float(np.median(np.abs(values[known] - middle))), 1e-6)
+            gain[view], offset[view] = 1.0 / spread, -middle / spread
+    if not np.isfinite(gain).any():
+        return gain, offset
+    first = gain.copy()
+    for turn in range(8):
+        common = _median_of_points(tracks, values * gain[tracks.view] + offset[tracks.view])
+        for view in np.flatnonzero(np.isfinite(gain)).tolist():
+            x, y = values[of[view]], common[tracks.point[of[view]]]
+            start = _line_of_most(x, y) if turn < 2 else (float(gain[view]), float(offset[view]))
+            slope, level = _robust_line(x, y, *start)
+            if slope > 0.2 * first[view]:
+                gain[view], offset[view] = slope, level
+        drift = float(np.nanmedian(gain / first))
+        gain, offset = gain / drift, offset / drift
+    return gain, offset
+
+
+def _median_of_points(tracks: Tracks, values: Array) -> Array:
+    """Median of the values ``[n]`` of each point; NaN where it has none."""
+    order = np.lexsort((values, tracks.point))  # NaN last
+    sizes = np.bincount(tracks.point[np.isfinite(values)], minlength=tracks.n_points)
+    start = np.searchsorted(tracks.point[order], np.arange(tracks.n_points))
+    ranked = values[order]
+    last = ranked.size - 1
+    low, high = (ranked[np.minimum(start + np.maximum(k, 0), last)] for k in ((sizes - 1) // 2, sizes // 2))
+    return np.where(sizes > 0, 0.5 * (low + high), np.nan)
+
+
+def _line_of_most(x: Array, y: Array) -> tuple[float, float]:
+    """Slope and level of the rising line through two of the points that half of all points are nearest to.
+
+    Points on clouds may be nearly as many as those on the ground, and all on one side.
+    """
+    a, b = np.random.default_rng(0).integers(0, x.size, (2, _CANDIDATES))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = (y[b] - y[a]) / (x[b] - x[a])
+    levels = y[a] - slopes * x[a]
+    rising = np.isfinite(slopes) & (slopes > 0.0)
+    if not rising.any():
+        return 0.0, float(np.median(y))
+    slopes, levels = slopes[rising], levels[rising]
+    best = int(np.median(np.abs(y - slopes[:, None] * x - levels[:, None]), axis=1).argmin())
+    return float(slopes[best]), float(levels[best])
+
+
+def _robust_line(x: Array, y: Array, slope: float, level: float) -> tuple[float, float]:
+    """Slope and level of y over x near a line by Cauchy's weights."""
+    for _ in range(5):
+        error = y - slope * x - level
+        scale = 2.0 * 1.4826 * float(np.median(np.abs(error))) + 1e-9
+        weight = 1.0 / (1.0 + (error / scale) ** 2)
+        mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
+        slope = float((weight * (x - mean_x) * (y - mean_y)).sum() / max((weight * (x - mean_x) ** 2).sum(), 1e-12))
+        level = float(mean_y - slope * mean_x)
+    return slope, level
+
+
+def _values(grays: Sequence[Gray], tracks: Tracks) -> Array:
+    """What the images show at the tie points ``[n]``, somewhat smoothed; NaN = nothing."""
+    import cv2
+
+    found = np.full(tracks.view.size, np.nan)
+    for view, gray in enumerate(grays):
+        of = np.flatnonzero(tracks.view == view)
+        col, row = np.rint(tracks.pixel[of]).astype(int).T
+        inside = (col >= 0) & (row >= 0) & (col < gray.shape[1]) & (row < gray.shape[0])
+        smooth = cv2.GaussianBlur(gray, (0, 0), 1.0)  # NaN beside what is not known
+        found[of[inside]] = smooth[row[inside], col[inside]]
+    return found
+
+
+def _forget(values: Array, tracks: Tracks, view: int, clouds: Clouds) -> None:
+    """Leave out what an image shows at tie points on its clouds."""
+    of = np.flatnonzero(tracks.view == view)
+    col, row = (np.clip(np.rint(tracks.pixel[of]).T, 0, None) // clouds.step).astype(int)
+    rows, cols = clouds.places.shape
+    values[of[clouds.places[np.minimum(row, rows - 1), np.minimum(col, cols - 1)]]] = np.nan
+
+
+def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: CloudOptions) -> _Look | None:
+    """By how much images are brighter than the others, at the height where they differ least; None = nothing known."""
+    import cv2
+
+    steps = [_pixels_of_a_cell(ground, view) for view in range(len(images))]
+    shapes = [(max(1, s.shape[0] // f), max(1, s.shape[1] // f)) for s, f in zip(images, steps, strict=True)]
+    excess = [np.full(shape, np.inf, np.float32) for shape in shapes]
+    levels = []
+    for k in range(len(ground.heights)):
+        shown = np.stack([ground.shown(image, view, k) for view, image in enumerate(images)])
+        count = np.isfinite(shown).sum(axis=0)
+        rank = np.maximum((options.darker * (count - 1)).astype(int), 0)
+        others = np.take_along_axis(np.sort(shown, axis=0), rank[None], axis=0)[0]  # NaN last
+        levels.append(others[count >= 2])
+        difference = np.where(np.isfinite(shown) & (count >= 2), shown - others, np.float32(np.inf))
+        for view, step in enumerate(steps):
+            blocks = np.array([[step, 0, (step - 1) / 2], [0, step, (step - 1) / 2], [0, 0, 1.0]])
+            to_cells = cv2.invertAffineTransform(ground.to_image(view, k)) @ blocks
+            there = cv2.warpAffine(
+                difference[view], to_cells, shapes[view][::-1],
+                flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=np.inf,
+            )  # fmt: skip
+            excess[view] = np.where(np.abs(there) < np.abs(excess[view]), there, excess[view])
+    level = levels[len(levels) // 2]
+    if not level.size:
+        return None
+    usual, high = np.quantile(level, [0.5, 0.9])
+    both = zip(images, shapes, strict=True)
+    bright = [np.asarray(cv2.resize(s, shape[::-1], interpolation=cv2.INTER_AREA), np.float32) for s, shape in both]
+    return _Look(excess, bright, float(usual), max(float(high - usual), 1e-6), steps)
+
+
+def _pixels_of_a_cell(ground: GroundPlanes, view: int) -> int:
+    """Pixels of an image along the edge of a cell."""
+    (a, b, _), (c, d, _) = ground.to_image(view, 0)
+    edge = np.sqrt(abs(a * d - b * c))
+    return max(1, int(edge)) if np.isfinite(edge) else 1
+
+
+def _clouds(look: _Look, view: int, cell: float, least_m2: float, options: CloudOptions) -> Clouds | None:
+    """What clouds cover of an image; None = no cloud."""
+    import cv2
+
+    def disc(radius_m: float) -> NDArray[np.uint8]:
+        size = 2 * max(1, round(radius_m / cell)) + 1
+        return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
+
+    def brighter(by: float) -> NDArray[np.uint8]:
+        excess, bright = look.excess[view], look.bright[view]
+        found = np.isfinite(excess) & (excess > by * look.scale) & (bright > look.usual + by * look.scale)
+        return found.astype(np.uint8)
+
+    cores = cv2.morphologyEx(brighter(options.brighter), cv2.MORPH_OPEN, disc(options.width_m / 2.0))
+    _, label, figures, _ = cv2.connectedComponentsWithStats(cores, connectivity=4)
+    areas = figures[:, cv2.CC_STAT_AREA] * cell**2
+    areas[0] = 0.0  # which is all the rest
+    if areas.max() < least_m2:
+        return None
+    core = (areas >= min(options.another_m2, least_m2))[label]
+    wide = cv2.morphologyEx(brighter(options.edge), cv2.MORPH_OPEN, disc(cell)) | core.astype(np.uint8)
+    _, label = cv2.connectedComponents(wide, connectivity=4)
+    wanted = np.isin(label, np.unique(label[core]))
+    places = np.asarray(cv2.dilate(wanted.astype(np.uint8), disc(options.margin_m)) > 0)
+    return Clouds(places, look.step[view], float(places[np.isfinite(look.excess[view])].mean()))
+
+
+__all__ = ["CloudOptions", "Clouds", "common_brightness", "find_clouds"]
