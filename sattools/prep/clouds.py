@@ -23,6 +23,7 @@ from sattools.camera.tracks import Tracks
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Gray = NDArray[np.float32]
+ODD_ONE = 3  # images that have to show a place: of two nobody knows which is right
 _CANDIDATES = 200  # pairs of tie points that lines are drawn through
 
 
@@ -63,8 +64,8 @@ class _Look:
     """What is found in the images at a common brightness.
 
     ``excess``: per image, coarse pixels ``[h, w]`` by which it is brighter than the others at the best height, inf
-    where no other shows the place. ``bright``: the same pixels' own brightness. ``usual``, ``scale``: that of half of
-    the ground, and by how much that of a tenth is above. ``step``: pixels along the edge of a coarse one.
+    where fewer than two others show the place. ``bright``: the same pixels' own brightness. ``usual``, ``scale``: that
+    of half of the ground, and by how much that of a tenth is above. ``step``: pixels along the edge of a coarse one.
     """
 
     excess: list[Gray]
@@ -232,7 +233,7 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: Cl
         rank = np.maximum((options.darker * (count - 1)).astype(int), 0)
         others = np.take_along_axis(np.sort(shown, axis=0), rank[None], axis=0)[0]  # NaN last
         levels.append(others[count >= 2])
-        difference = np.where(np.isfinite(shown) & (count >= 2), shown - others, np.float32(np.inf))
+        difference = np.where(np.isfinite(shown) & (count >= ODD_ONE), shown - others, np.float32(np.inf))
         for view, step in enumerate(steps):
             blocks = np.array([[step, 0, (step - 1) / 2], [0, step, (step - 1) / 2], [0, 0, 1.0]])
             to_cells = cv2.invertAffineTransform(ground.to_image(view, k)) @ blocks

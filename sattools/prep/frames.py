@@ -15,9 +15,9 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 from scipy.ndimage import binary_dilation, label
 
-from sattools.prep.blocks import Blocks
 from sattools.prep.layout import convex_outline
 from sattools.prep.numbers import read_band
+from sattools.scene.blocks import Blocks
 from sattools.scene.raster import has_mask
 
 CORNER_PX = 4  # edge of what must be of one number in a corner

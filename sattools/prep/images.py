@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sattools.camera import RPC
-from sattools.prep.blocks import Blocks
 from sattools.prep.frames import Frame
 from sattools.prep.metadata import Metadata
+from sattools.scene.blocks import Blocks
 
 log = logging.getLogger(__name__)
 LARGE_PX = 9_000_000  # of an image, beyond which none is read as a whole

@@ -17,11 +17,14 @@ from sattools.prep.pairs import residual_vectors
 from sattools.prep.pixels import write_image
 from sattools.processors import side_by_side
 from sattools.progress import Progress
-from sattools.scene import Scene
+from sattools.scene import Asset, Item, Scene
+from sattools.scene.blocks import Blocks
+from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath
-from sattools.scene.pixels import WINDOW
+from sattools.scene.pixels import BLOCKS, CLOUDS, WINDOW
+from sattools.scene.raster import write_sensor_image
 
 COPY_LIMIT = 2 << 30  # bytes of pixels in all, above which images are referred to
 MARGIN_PX = 16  # around the area asked for, once the cameras are corrected
@@ -76,11 +79,28 @@ def write_images(
             for frame in source.frames:
                 source.warn(f"is not copied, so its frame of {frame.value:g} is ground later on: declare it as no data")
             if source.clouds is not None:
-                source.warn("is not copied, so its clouds are ground later on: `--copy` masks them")
+                _write_clouds(scene, item, source.clouds)
             item.assets["image"].href = str(source.path.absolute())
             item.assets["image"].extra[WINDOW] = list(source.window)
         write_text(scene.output(f"rpc/{source.id}_RPC.TXT"), camera.to_rpc_txt())
         scene.items.append(item)
+
+
+def _write_clouds(scene: Scene, item: Item, clouds: Blocks) -> None:
+    """What clouds hide of an original, which nothing is written into."""
+    href = clouds_href(item.id)
+    write_sensor_image(scene.output(href), clouds.places[None].astype(np.uint8))
+    asset = Asset(href, GEOTIFF_TYPE, ["metadata"], {BLOCKS: [*clouds.corner, clouds.step]})
+    item.assets[CLOUDS] = asset
+
+
+def clouds_href(name: str) -> str:
+    """Where the mask of an image's clouds is.
+
+    Args:
+        name: id of the item.
+    """
+    return f"clouds/{name}.tif"
 
 
 def _bytes(source: SourceImage) -> int:
@@ -117,4 +137,4 @@ def _no_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-__all__ = ["REPORTS", "write_images", "write_reports"]
+__all__ = ["REPORTS", "clouds_href", "write_images", "write_reports"]

@@ -42,7 +42,7 @@ from sattools.prep.layout import (
 from sattools.prep.loading import load_source
 from sattools.prep.names import check_ids, common_name
 from sattools.prep.options import PrepOptions
-from sattools.prep.outputs import REPORTS, write_images, write_reports
+from sattools.prep.outputs import REPORTS, clouds_href, write_images, write_reports
 from sattools.prep.pairs import IN_HISTORY, pair_table
 from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights
 from sattools.prep.sweeps import height_range, mask_clouds
@@ -318,6 +318,7 @@ def _outputs(ids: Sequence[str], options: PrepOptions) -> list[str]:
     """All files that may be written; images that do not show the area are left out."""
     copies = [] if options.copy is False else [f"images/{i}.tif" for i in ids]
     copies += hrefs(ids) if options.colours else []
+    copies += [clouds_href(i) for i in ids] if options.copy is not True and options.clouds == "mask" else []
     return [*REPORTS.values(), AREA, "scene.json", *copies, *(f"rpc/{i}_RPC.TXT" for i in ids)]
 
 

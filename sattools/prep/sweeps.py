@@ -12,12 +12,12 @@ from sattools.camera.adjust import Adjustment
 from sattools.camera.heights import estimate_height_range
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
-from sattools.prep.blocks import Blocks
 from sattools.prep.clouds import find_clouds
 from sattools.prep.images import SourceImage
 from sattools.prep.large import GrayImages
 from sattools.prep.layout import Bounds, common_bounds, data_edge, ground_polygon, with_surroundings
 from sattools.progress import Progress
+from sattools.scene.blocks import Blocks
 
 HIDDEN = 0.95  # share of what an image shows of the area, from which on clouds leave nothing of use
 

@@ -96,6 +96,7 @@ ITEM = Table(
                     "roles": Items(Text()),
                     "eo:bands": Items(_BAND),
                     "sattools:window": Items(Number(0, 10**7, whole=True), 4, 4),
+                    "sattools:blocks": Items(Number(0, 10**7, whole=True), 3, 3),
                     "sattools:saturated": Table(
                         {
                             "bands": Items(Number(1, 10_000, whole=True), 1),

@@ -6,13 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rasterio.windows import Window
 
-from sattools.errors import InputError
+from sattools.errors import InputError, SceneError
+from sattools.scene.blocks import Blocks
 from sattools.scene.document import Item, Scene
 from sattools.scene.opening import opened
 from sattools.scene.raster import image_shape, read_image
 
 WINDOW = "sattools:window"  # of an asset: column, row, width, height within its file
+CLOUDS = "clouds"  # asset of an item whose image is an original: blocks of its pixels that clouds hide
+BLOCKS = "sattools:blocks"  # of that asset: column and row of the first block within the file, pixels of an edge
 
 
 @dataclass(frozen=True)
@@ -23,12 +27,14 @@ class ImagePart:
         path: the file.
         rows, cols: of the file.
         referred: it is an original that `prep` has not copied; its own camera is not the corrected one.
+        hidden: pixels of the file that are no data, whatever it says.
     """
 
     path: Path
     rows: slice
     cols: slice
     referred: bool = False
+    hidden: Blocks | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -61,7 +67,18 @@ class ImagePart:
         rows, cols = window or (slice(0, self.shape[0]), slice(0, self.shape[1]))
         up, left = self.rows.start, self.cols.start
         place = (slice(up + rows.start, up + rows.stop), slice(left + cols.start, left + cols.stop))
-        return read_image(self.path, place, reduce)
+        pixels = read_image(self.path, place, reduce)
+        if self.hidden is not None:
+            pixels[:, self._hidden(place, reduce)] = np.nan
+        return pixels
+
+    def _hidden(self, place: tuple[slice, slice], reduce: int) -> np.ndarray:
+        """What is hidden in the middle of each mean of ``reduce`` x ``reduce`` pixels at a place of the file."""
+        assert self.hidden is not None  # the caller has looked
+        rows, cols = place
+        window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
+        height, width = window.height // reduce, window.width // reduce
+        return self.hidden.within(window)[reduce // 2 :: reduce, reduce // 2 :: reduce][:height, :width]
 
 
 def image_part(scene: Scene, item: Item, name: str = "image") -> ImagePart:
@@ -82,7 +99,22 @@ def image_part(scene: Scene, item: Item, name: str = "image") -> ImagePart:
             f"{path}: found {width} x {height} pixels, expected those of columns {col} to {col + cols} and rows {row} "
             f"to {row + rows}, of which item {item.id} is made"
         )
-    return ImagePart(path, slice(row, row + rows), slice(col, col + cols), True)
+    return ImagePart(path, slice(row, row + rows), slice(col, col + cols), True, _clouds(scene, item, name))
 
 
-__all__ = ["WINDOW", "ImagePart", "image_part"]
+def _clouds(scene: Scene, item: Item, name: str) -> Blocks | None:
+    """What clouds hide of an original; those of a copy are masked in the copy itself."""
+    asset = item.assets.get(CLOUDS)
+    if asset is None or name != "image":
+        return None
+    if BLOCKS not in asset.extra:
+        raise SceneError(
+            f"scene {scene.id}: found no {BLOCKS!r} at the asset {CLOUDS!r} of item {item.id}, expected it"
+        )
+    col, row, step = (int(v) for v in asset.extra[BLOCKS])
+    if step < 1:
+        raise SceneError(f"scene {scene.id}: found blocks of {step} pixels at item {item.id}, expected one or more")
+    return Blocks(read_image(scene.path(asset.href))[0] == 1.0, step, (col, row))
+
+
+__all__ = ["BLOCKS", "CLOUDS", "WINDOW", "ImagePart", "image_part"]

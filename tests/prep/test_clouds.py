@@ -1,6 +1,7 @@
 """Clouds hide the ground in single images: they are found, told and masked, and bright ground is not."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,16 @@ from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
 
 from sattools.camera.ground import from_geographic
 from sattools.camera.tracks import Tracks
-from sattools.errors import InputError
-from sattools.prep.blocks import Blocks
+from sattools.errors import InputError, SceneError
 from sattools.prep.clouds import Clouds, common_brightness, find_clouds
+from sattools.prep.large import GrayImages
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
+from sattools.prep.sweeps import mask_clouds
 from sattools.scene import Scene
+from sattools.scene.blocks import Blocks
+from sattools.scene.pixels import image_part
+from sattools.scene.raster import read_image
 
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.15, 0.3), (-0.3, -0.1)]
 CAMERAS = [parallel_rpc(run) for run in RUNS]
@@ -131,8 +136,9 @@ def test_without_tie_points_nothing_is_known(plain: Any) -> None:
     assert found(images, none) == [None] * 5
 
 
-def test_where_no_other_image_shows_the_ground_nothing_is_known(plain: Any, points: Tracks) -> None:
-    images = [np.full_like(image, np.nan) for image in plain]
+def test_of_two_images_nobody_knows_which_is_right(plain: Any, points: Tracks) -> None:
+    """A field may be mown in one of them."""
+    images = [image if view < 2 else np.full_like(image, np.nan) for view, image in enumerate(plain)]
     images[1], _ = covered(plain[1], 28.0)
     assert found(images, points) == [None] * 5
 
@@ -156,6 +162,23 @@ def test_gains_and_offsets_bring_images_to_one_brightness(gains: Any, levels: An
     # noise of 0.05 at both ends of a line, and its own error
     assert np.abs(same[clear] - np.median(same[clear], axis=1)[:, None]).max() < 0.4
     assert np.median(same[:40, 2]) > same[clear].max() + 1.0
+
+
+def test_clouds_of_images_that_are_seen_reduced_lie_in_the_pixels_of_the_file(plain: Any, points: Tracks) -> None:
+    """As whole satellite scenes are, of which a window is looked at."""
+    images = list(plain)
+    images[1], inside = covered(images[1], 28.0)
+    whole = GrayImages([image.reshape(120, 2, 130, 2).mean(axis=(1, 3)) for image in images], [2] * 5)
+    seen: Any = SimpleNamespace(rpcs=CAMERAS, tracks=points)
+    said: list[str] = []
+    one = {"window": (1000, 500, 260, 240), "clouds": None, "warn": said.append}
+    sources: Any = [SimpleNamespace(id=str(number), **one) for number in range(5)]
+    assert mask_clouds(sources, seen, whole, UTM, None, HEIGHTS) == []
+    assert [source.clouds is not None for source in sources] == [False, True, False, False, False]
+    mask = sources[1].clouds.within(rasterio.windows.Window(1000, 500, 260, 240))
+    assert mask[inside].mean() > 0.97
+    assert not mask[~covered(plain[1], 28.0 + 14.0)[1]].any()
+    assert len(said) == 1
 
 
 @pytest.fixture
@@ -208,11 +231,47 @@ def test_clouds_stay_where_the_user_wants_them(town: Any) -> None:
     assert masked(town, 3) == 0.0
 
 
-def test_images_that_are_not_copied_keep_their_clouds_and_that_is_told(town: Any) -> None:
+def test_clouds_of_images_that_are_not_copied_are_masked_too(town: Any) -> None:
+    """The originals stay as they are; whatever reads them for the scene reads the mask as well."""
     town.pixels(3, cloud_over(30.0))
-    result = prep(town, "--no-copy")
-    assert result.exit_code == 0, result.output
-    assert "TOWN_003: is not copied, so its clouds are ground later on: `--copy` masks them" in result.stderr
+    before = town.image(3).read_bytes()
+    copied, referred = prep(town), prep(town, "--no-copy", "--overwrite")
+    assert referred.exit_code == 0, referred.output
+    assert town.image(3).read_bytes() == before
+    items = [Scene.from_json(result.stdout).items[2] for result in (copied, referred)]
+    assert "clouds" not in items[0].assets
+    mask = items[1].assets["clouds"]
+    assert mask.href == "clouds/TOWN_003.tif"
+    scene = Scene.from_json(referred.stdout)
+    for window, reduce in ((None, 1), ((slice(10, 90), slice(20, 81)), 1), ((slice(11, 100), slice(8, 90)), 3)):
+        own = image_part(scene, items[1]).read(window, reduce)
+        there = np.isnan(own).all(axis=0)
+        assert 0.2 < there.mean() < 0.98
+        plain = read_image(town.image(3), window and _moved(window, items[1]), reduce)
+        np.testing.assert_array_equal(own[:, ~there], plain[:, ~there])
+    with rasterio.open(town.folder / "out/Q/images/TOWN_003.tif") as data:  # of the first run
+        hidden = data.dataset_mask() == 0
+    whole = np.isnan(image_part(scene, items[1]).read()).all(axis=0)
+    np.testing.assert_array_equal(whole, hidden)
+
+
+def _moved(window: Any, item: Any) -> Any:
+    """A window of an item's image in its file."""
+    col, row = item.assets["image"].extra["sattools:window"][:2]
+    rows, cols = window
+    return slice(rows.start + row, rows.stop + row), slice(cols.start + col, cols.stop + col)
+
+
+@pytest.mark.parametrize(("blocks", "words"), [(None, "found no 'sattools:blocks'"), ([0, 0, 0], "blocks of 0 pixels")])
+def test_a_mask_whose_place_is_not_told_is_refused(town: Any, blocks: Any, words: str) -> None:
+    town.pixels(3, cloud_over(30.0))
+    scene = Scene.from_json(prep(town, "--no-copy").stdout)
+    extra = scene.items[2].assets["clouds"].extra
+    del extra["sattools:blocks"]
+    if blocks is not None:
+        extra["sattools:blocks"] = blocks
+    with pytest.raises(SceneError, match=words):
+        image_part(scene, scene.items[2])
 
 
 def written(folder: Path, images: Any) -> list[Path]:
@@ -243,8 +302,9 @@ def test_an_image_that_shows_clouds_alone_is_set_aside(plain: Any, tmp_path: Pat
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_where_clouds_leave_one_image_that_is_said_before_anything_is_written(plain: Any, tmp_path: Path) -> None:
-    images = list(plain[:2])
+    images = list(plain[:3])
     images[1], _ = covered(images[1], 52.0)
+    images[2], _ = covered(images[2], 52.0)
     with pytest.raises(InputError, match=r"found 1 for training that are not covered by clouds \(`--clouds keep`"):
         prepare(written(tmp_path, images), middle(tmp_path))
     assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]

@@ -1,0 +1,80 @@
+"""What do clouds cost? Simulated towns with clear skies, with clouds that are masked, and with clouds that are kept.
+
+    python benchmarks/clouds.py [--out FOLDER] [--terrain downtown] [--seeds N ...] [--share S ...]
+
+For every seed a town is simulated without and with clouds over half of the dates (`simulate --clouds`; cameras, dates,
+noise and traffic are the same), and goes through `prep --bounds` of its truth, `fit`, `export` and `compare --protocol
+dfc2019`: without clouds, with `prep --clouds mask` (the default) and with `keep`. Columns: mean absolute error; about
+the median; each error at most 5 m; images in which clouds were found, and the share of what they show of the area.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import rasterio
+
+FOUND = re.compile(r"clouds or glare hide (\d+) %")
+
+
+def sattools(*arguments: str, text: str = "") -> tuple[str, str]:
+    """What a command prints and says."""
+    command = [sys.executable, "-m", "sattools", *arguments]
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    return done.stdout, done.stderr
+
+
+def simulated(folder: Path, terrain: str, seed: int, share: float) -> Path:
+    """The folder of a town."""
+    name = f"{terrain}_{seed}_{100 * share:.0f}"
+    options = ["--terrain", terrain, "--seed", str(seed), "--bias-px", "2" if terrain == "city" else "3"]
+    sattools("simulate", "--id", name, "--out", str(folder), "--clouds", str(share), *options, "--overwrite")
+    return folder / name
+
+
+def row(name: str, town: Path, out: Path, clouds: str) -> None:
+    """Print a row of the table."""
+    reference = town / "truth" / f"{town.name}_DSM.tif"
+    with rasterio.open(reference) as data:
+        area = ["--crs", str(data.crs), "--bounds", *map(str, data.bounds)]
+    images = map(str, sorted((town / "images").glob("*.tif")))
+    metadata = ["--metadata", str(town / "metadata")]
+    text, said = sattools(
+        "prep", *images, *metadata, "--out", str(out / clouds), *area, "--clouds", clouds, "--overwrite"
+    )
+    for stage in (["fit"], ["export"], ["compare", "--protocol", "dfc2019", "--dsm", str(reference)]):
+        text, _ = sattools(*stage, "--overwrite", text=text)
+    figures = json.loads((out / clouds / town.name / "compare/errors.json").read_text())
+    hidden = [int(share) for share in FOUND.findall(said)]
+    print(
+        f"{name:32s} {figures['mae']:7.3f} {figures['mae_centred']:7.3f} {figures['mae_capped_5m']:7.3f} "
+        f"{len(hidden):3d} {sum(hidden) / max(len(hidden), 1):4.0f} %",
+        flush=True,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("clouds"))
+    parser.add_argument("--terrain", choices=["city", "downtown"], default="downtown")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[2020, 2021, 2022])
+    parser.add_argument("--share", type=float, nargs="+", default=[0.2, 0.5], help="of the sky under clouds")
+    options = parser.parse_args()
+    print(f"{'town, clouds':32s} {'MAE':>7s} {'median':>7s} {'at 5 m':>7s} {'images, covered':>10s}")
+    for seed in options.seeds:
+        row(f"{options.terrain} {seed}, none", simulated(options.out, options.terrain, seed, 0.0), options.out, "mask")
+        for share in options.share:
+            town = simulated(options.out, options.terrain, seed, share)
+            for clouds in ("mask", "keep"):
+                row(f"{options.terrain} {seed}, {100 * share:.0f} %, {clouds}", town, options.out, clouds)
+
+
+if __name__ == "__main__":
+    main()
