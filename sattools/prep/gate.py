@@ -24,7 +24,7 @@ from sattools.errors import InputError
 from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
 from sattools.radiometry.bands import named_bands
-from sattools.scene.grid import Grid
+from sattools.scene.grid import Grid, finer_pixel
 from sattools.scene.location import RemotePath
 from sattools.scene.members import FINEST, HEIGHT_LIMITS_M, LEAST_CELLS, MAX_CELLS
 from sattools.scene.sidecars import sidecars
@@ -44,7 +44,8 @@ _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
 _LARGEST_NUMBER = 1e9
-_FINER = 1.4  # times finer than usual, by more than how obliquely they look
+_COARSER = 3.0  # times as wide as fine pixels, by more than how obliquely they look; twice as wide is no harm
+_ENOUGH_FINE = 4  # images, which see more without coarse ones; three leave more in doubt than those blur
 
 
 def check_sources(sources: Sequence[SourceImage]) -> None:
@@ -311,7 +312,7 @@ def check_cells(grid: Grid, pixel_m: float) -> None:
 
 
 def check_pixel_sizes(sizes: Sequence[float], ups: Sequence[float]) -> list[str]:
-    """A note where images are much finer than most others, which blur what these show.
+    """A note where some images are so coarse that they blur what the others show; there have to be enough others.
 
     Args:
         sizes: edges of the images' pixels on the ground [m].
@@ -320,12 +321,12 @@ def check_pixel_sizes(sizes: Sequence[float], ups: Sequence[float]) -> list[str]
     """
     known = np.array(sizes)
     from_above = known * np.abs(ups) ** 1.5
-    fine = known[(known * _FINER < np.median(known)) & (from_above * _FINER < np.median(from_above))]
-    if len(fine) < 3:  # two leave more in doubt than coarse ones blur
+    coarse = from_above > _COARSER * finer_pixel(from_above.tolist())
+    if not coarse.any() or (~coarse).sum() < _ENOUGH_FINE:
         return []
     return [
-        f"{len(fine)} of {len(sizes)} images have pixels of {np.median(fine):.2g} m, the others larger ones of up to "
-        f"{max(sizes):.2g} m, which blur the surface: the finer images alone may give a better one"
+        f"{coarse.sum()} of {len(sizes)} images have pixels of {np.median(known[coarse]):.2g} m, the others of "
+        f"{np.median(known[~coarse]):.2g} m: the coarse ones blur the surface, which is better without them"
     ]
 
 

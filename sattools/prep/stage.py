@@ -50,7 +50,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
 from sattools.scene.area import AREA, write_area
 from sattools.scene.dependencies import begin, may_begin
-from sattools.scene.grid import default_cell_size
+from sattools.scene.grid import default_cell_size, finer_pixel
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath, location
 from sattools.scene.schema import meant
@@ -357,7 +357,7 @@ def _grid(
     sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
     ups = [float(view_direction(r, *place, middle)[2]) for r, place in zip(rpcs, places, strict=True)]
     _warn(check_pixel_sizes(sizes, ups), notes)
-    pixel = float(np.median(sizes))
+    pixel = finer_pixel(sizes)
     cell = options.cell_size or default_cell_size(pixel)
     if asked is not None:
         at_ends = [[ground_polygon(r, w, h, crs, edge) for r, w, edge in shown] for h in heights]

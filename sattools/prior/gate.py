@@ -15,7 +15,7 @@ from sattools.prior.options import PriorOptions
 from sattools.prior.tiled import AT_ONCE
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.dependencies import may_begin
-from sattools.scene.grid import default_cell_size
+from sattools.scene.grid import default_cell_size, finer_pixel
 from sattools.views import line_of_sight, open_images
 from sattools.views.check import check_extent
 
@@ -72,7 +72,7 @@ def grids(scene: Scene, items: list[Item], options: PriorOptions) -> tuple[Grid,
     sizes = [float(item.properties.get("gsd") or 0.0) for item in items]
     if not all(size > 0 for size in sizes):
         return whole, whole
-    times = whole.cell_size / default_cell_size(float(np.median(sizes)))
+    times = whole.cell_size / default_cell_size(finer_pixel(sizes))
     if times > COARSE:
         return whole, whole.resized(whole.cell_size / math.ceil(times - 1e-6))
     return whole, whole.resized(whole.cell_size * (round(1 / times) if times < FINE else 1))

@@ -56,9 +56,22 @@ def test_a_mosaic_of_which_the_default_area_is_a_small_part_is_told_with_the_bou
 
 
 @pytest.mark.parametrize(
-    ("gsd", "cell"), [(0.33, 0.5), (0.5, 0.5), (0.54, 0.5), (0.7, 1.0), (1.5, 2.0), (4.0, 5.0), (9, 10)]
+    ("gsd", "cell"),
+    [
+        (0.05, 0.05),
+        (0.27, 0.2),
+        (0.31, 0.5),
+        (0.5, 0.5),
+        (0.7, 0.5),
+        (0.88, 0.5),
+        (0.9, 1.0),
+        (1.5, 1.0),
+        (1.9, 2.0),
+        (4.0, 2.0),
+        (9, 10),
+    ],
 )
-def test_default_cell_size_is_round(gsd: Any, cell: Any) -> None:
+def test_the_default_cell_is_the_round_one_below_the_pixels_but_for_the_finest_satellites(gsd: Any, cell: Any) -> None:
     assert default_cell_size(gsd) == cell
 
 
