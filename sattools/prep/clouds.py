@@ -230,7 +230,8 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: Cl
     for k in range(len(ground.heights)):
         shown = np.stack([ground.shown(image, view, k) for view, image in enumerate(images)])
         count = np.isfinite(shown).sum(axis=0)
-        rank = np.maximum((options.darker * (count - 1)).astype(int), 0)
+        # two images are darker, so that two are left wherever clouds are masked
+        rank = np.clip((options.darker * (count - 1)).astype(int), 1, len(images) - 1)
         others = np.take_along_axis(np.sort(shown, axis=0), rank[None], axis=0)[0]  # NaN last
         levels.append(others[count >= 2])
         difference = np.where(np.isfinite(shown) & (count >= ODD_ONE), shown - others, np.float32(np.inf))

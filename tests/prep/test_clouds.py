@@ -1,5 +1,6 @@
 """Clouds hide the ground in single images: they are found, told and masked, and bright ground is not."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -134,6 +135,15 @@ def test_without_tie_points_nothing_is_known(plain: Any) -> None:
     images[1], _ = covered(images[1], 28.0)
     none = Tracks(np.empty(0, np.intp), np.empty(0, np.intp), np.empty((0, 2)))
     assert found(images, none) == [None] * 5
+
+
+def test_two_images_are_left_wherever_clouds_are_masked(plain: Any, points: Tracks) -> None:
+    """Of three, two of which are white, the two may be right, as where trees have leaves on two dates."""
+    images = [image if view < 3 else np.full_like(image, np.nan) for view, image in enumerate(plain)]
+    images[1], _ = covered(plain[1], 28.0)
+    assert [cloud is not None for cloud in found(images, points)] == [False, True, False, False, False]
+    images[2], _ = covered(plain[2], 28.0)
+    assert found(images, points) == [None] * 5
 
 
 def test_of_two_images_nobody_knows_which_is_right(plain: Any, points: Tracks) -> None:
@@ -301,10 +311,12 @@ def test_an_image_that_shows_clouds_alone_is_set_aside(plain: Any, tmp_path: Pat
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
-def test_where_clouds_leave_one_image_that_is_said_before_anything_is_written(plain: Any, tmp_path: Path) -> None:
+def test_where_clouds_leave_one_image_for_training_that_is_said_before_anything_is_written(
+    plain: Any, tmp_path: Path
+) -> None:
     images = list(plain[:3])
     images[1], _ = covered(images[1], 52.0)
-    images[2], _ = covered(images[2], 52.0)
+    held = replace(middle(tmp_path), holdout=["field_2"])
     with pytest.raises(InputError, match=r"found 1 for training that are not covered by clouds \(`--clouds keep`"):
-        prepare(written(tmp_path, images), middle(tmp_path))
+        prepare(written(tmp_path, images), held)
     assert not [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
