@@ -113,8 +113,9 @@ def find_clouds(
         images = [(g * s + o).astype(np.float32) for g, s, o in zip(smooth, gain, offset, strict=True)]
         look = _look(images, ground, cell, options)
         if look is None:
-            return [None] * len(grays)
-        found = [_clouds(look, view, cell, min(options.area_m2, area / 4.0), options) for view in range(len(grays))]
+            break
+        for view in np.flatnonzero(np.isfinite(gain)).tolist():  # of the others nothing is known but what was found
+            found[view] = _clouds(look, view, cell, min(options.area_m2, area / 4.0), options)
         for view, clouds in enumerate(found):
             if clouds is not None:
                 _forget(values, tracks, view, clouds)
