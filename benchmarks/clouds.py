@@ -16,6 +16,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import rasterio
 
@@ -39,19 +40,28 @@ def simulated(folder: Path, terrain: str, seed: int, share: float) -> Path:
     return folder / name
 
 
-def row(name: str, town: Path, out: Path, clouds: str) -> None:
-    """Print a row of the table."""
-    reference = town / "truth" / f"{town.name}_DSM.tif"
-    with rasterio.open(reference) as data:
+def prepared(town: Path, out: Path, *options: str) -> tuple[str, str]:
+    """What `prep` prints and says of the area of a town's truth."""
+    with rasterio.open(town / "truth" / f"{town.name}_DSM.tif") as data:
         area = ["--crs", str(data.crs), "--bounds", *map(str, data.bounds)]
     images = map(str, sorted((town / "images").glob("*.tif")))
-    metadata = ["--metadata", str(town / "metadata")]
-    text, said = sattools(
-        "prep", *images, *metadata, "--out", str(out / clouds), *area, "--clouds", clouds, "--overwrite"
-    )
-    for stage in (["fit"], ["export"], ["compare", "--protocol", "dfc2019", "--dsm", str(reference)]):
-        text, _ = sattools(*stage, "--overwrite", text=text)
-    figures = json.loads((out / clouds / town.name / "compare/errors.json").read_text())
+    where = ["--metadata", str(town / "metadata"), "--out", str(out)]
+    return sattools("prep", *images, *where, *area, *options, "--overwrite")
+
+
+def errors(text: str, town: Path, out: Path) -> dict[str, Any]:
+    """What `compare` finds of a town's fitted scene, by the town's truth."""
+    text, _ = sattools("export", "--overwrite", text=text)
+    reference = str(town / "truth" / f"{town.name}_DSM.tif")
+    sattools("compare", "--protocol", "dfc2019", "--dsm", reference, "--overwrite", text=text)
+    return dict(json.loads((out / town.name / "compare/errors.json").read_text()))
+
+
+def row(name: str, town: Path, out: Path, clouds: str) -> None:
+    """Print a row of the table."""
+    text, said = prepared(town, out / clouds, "--clouds", clouds)
+    text, _ = sattools("fit", "--overwrite", text=text)
+    figures = errors(text, town, out / clouds)
     hidden = [int(share) for share in FOUND.findall(said)]
     print(
         f"{name:32s} {figures['mae']:7.3f} {figures['mae_centred']:7.3f} {figures['mae_capped_5m']:7.3f} "

@@ -11,12 +11,10 @@ the default.
 from __future__ import annotations
 
 import argparse
-import json
 import resource
 from pathlib import Path
 
-import rasterio
-from clouds import sattools
+from clouds import errors, prepared, sattools
 
 from sattools.scene.grid import default_cell_size
 
@@ -29,19 +27,13 @@ def spent() -> float:
 
 def row(town: Path, gsd: float, cell: float, out: Path) -> None:
     """Print a row of the table."""
-    reference = town / "truth" / f"{town.name}_DSM.tif"
-    with rasterio.open(reference) as data:
-        area = ["--crs", str(data.crs), "--bounds", *map(str, data.bounds)]
-    images = map(str, sorted((town / "images").glob("*.tif")))
-    where = ["--out", str(out / f"cells_{cell:g}"), *area, "--overwrite", "--metadata", str(town / "metadata")]
-    text, _ = sattools("prep", *images, *where, "--cell-size", str(cell))
+    out /= f"cells_{cell:g}"
+    text, _ = prepared(town, out, "--cell-size", str(cell))
     before = spent()
     text, _ = sattools("prior", "--resolution", str(cell), "--overwrite", text=text)
     text, _ = sattools("fit", "--overwrite", text=text)
     seconds = spent() - before
-    text, _ = sattools("export", "--overwrite", text=text)
-    sattools("compare", "--protocol", "dfc2019", "--dsm", str(reference), "--overwrite", text=text)
-    figures = json.loads((out / f"cells_{cell:g}" / town.name / "compare/errors.json").read_text())
+    figures = errors(text, town, out)
     mark = "*" if cell == default_cell_size(gsd) else " "
     print(
         f"{gsd:5.2f} {cell:5.2f}{mark} {figures['mae']:7.3f} {figures['mae_capped_5m']:7.3f} {seconds:6.1f} s",

@@ -34,9 +34,9 @@ class CloudOptions:
     brighter: float = 1.0  # than the others, and than usual ground
     edge: float = 0.4  # the same at the edge of a cloud
     width_m: float = 12.0  # it is nowhere narrower
-    area_m2: float = 2000.0  # of one, or a quarter of the area: a roof that shines in one image is smaller
+    area_m2: float = 1500.0  # of one, or a quarter of the area: a roof that shines in one image is smaller
     another_m2: float = 300.0  # of the others beside it
-    margin_m: float = 6.0  # around it: it thins out
+    margin_m: float = 5.0  # around it: it thins out
     cell_m: float = 2.0  # of the look at the ground
     max_cells: int = 60_000
     max_planes: int = 48
@@ -65,7 +65,8 @@ class _Look:
 
     ``excess``: per image, coarse pixels ``[h, w]`` by which it is brighter than the others at the best height, inf
     where fewer than two others show the place. ``bright``: the same pixels' own brightness. ``usual``, ``scale``: that
-    of half of the ground, and by how much that of a tenth is above. ``step``: pixels along the edge of a coarse one.
+    of half of the ground, and by how much that of a tenth is above. ``step``: pixels along the edge of a coarse one,
+    ``metres``: that edge on the ground.
     """
 
     excess: list[Gray]
@@ -73,6 +74,7 @@ class _Look:
     usual: float
     scale: float
     step: list[int]
+    metres: list[float]
 
 
 def find_clouds(
@@ -115,7 +117,7 @@ def find_clouds(
         if look is None:
             break
         for view in np.flatnonzero(np.isfinite(gain)).tolist():  # of the others nothing is known but what was found
-            found[view] = _clouds(look, view, cell, min(options.area_m2, area / 4.0), options)
+            found[view] = _clouds(look, view, min(options.area_m2, area / 4.0), options)
         for view, clouds in enumerate(found):
             if clouds is not None:
                 _forget(values, tracks, view, clouds)
@@ -224,7 +226,8 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: Cl
     """By how much images are brighter than the others, at the height where they differ least; None = nothing known."""
     import cv2
 
-    steps = [_pixels_of_a_cell(ground, view) for view in range(len(images))]
+    edges = [_pixels_of_a_cell(ground, view) for view in range(len(images))]
+    steps = [max(1, round(edge)) for edge in edges]
     shapes = [(max(1, s.shape[0] // f), max(1, s.shape[1] // f)) for s, f in zip(images, steps, strict=True)]
     excess = [np.full(shape, np.inf, np.float32) for shape in shapes]
     levels = []
@@ -248,24 +251,27 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: Cl
     if not level.size:
         return None
     usual, high = np.quantile(level, [0.5, 0.9])
+    metres = [cell * step / edge for step, edge in zip(steps, edges, strict=True)]
     both = zip(images, shapes, strict=True)
     bright = [np.asarray(cv2.resize(s, shape[::-1], interpolation=cv2.INTER_AREA), np.float32) for s, shape in both]
-    return _Look(excess, bright, float(usual), max(float(high - usual), 1e-6), steps)
+    return _Look(excess, bright, float(usual), max(float(high - usual), 1e-6), steps, metres)
 
 
-def _pixels_of_a_cell(ground: GroundPlanes, view: int) -> int:
+def _pixels_of_a_cell(ground: GroundPlanes, view: int) -> float:
     """Pixels of an image along the edge of a cell."""
     (a, b, _), (c, d, _) = ground.to_image(view, 0)
-    edge = np.sqrt(abs(a * d - b * c))
-    return max(1, int(edge)) if np.isfinite(edge) else 1
+    edge = float(np.sqrt(abs(a * d - b * c)))
+    return edge if np.isfinite(edge) and edge > 0.0 else 1.0
 
 
-def _clouds(look: _Look, view: int, cell: float, least_m2: float, options: CloudOptions) -> Clouds | None:
+def _clouds(look: _Look, view: int, least_m2: float, options: CloudOptions) -> Clouds | None:
     """What clouds cover of an image; None = no cloud."""
     import cv2
 
+    pixel = look.metres[view]
+
     def disc(radius_m: float) -> NDArray[np.uint8]:
-        size = 2 * max(1, round(radius_m / cell)) + 1
+        size = 2 * max(1, round(radius_m / pixel)) + 1
         return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 
     def brighter(by: float) -> NDArray[np.uint8]:
@@ -275,12 +281,12 @@ def _clouds(look: _Look, view: int, cell: float, least_m2: float, options: Cloud
 
     cores = cv2.morphologyEx(brighter(options.brighter), cv2.MORPH_OPEN, disc(options.width_m / 2.0))
     _, label, figures, _ = cv2.connectedComponentsWithStats(cores, connectivity=4)
-    areas = figures[:, cv2.CC_STAT_AREA] * cell**2
+    areas = figures[:, cv2.CC_STAT_AREA] * pixel**2
     areas[0] = 0.0  # which is all the rest
     if areas.max() < least_m2:
         return None
     core = (areas >= min(options.another_m2, least_m2))[label]
-    wide = cv2.morphologyEx(brighter(options.edge), cv2.MORPH_OPEN, disc(cell)) | core.astype(np.uint8)
+    wide = cv2.morphologyEx(brighter(options.edge), cv2.MORPH_OPEN, disc(pixel)) | core.astype(np.uint8)
     _, label = cv2.connectedComponents(wide, connectivity=4)
     wanted = np.isin(label, np.unique(label[core]))
     places = np.asarray(cv2.dilate(wanted.astype(np.uint8), disc(options.margin_m)) > 0)

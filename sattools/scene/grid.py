@@ -14,7 +14,7 @@ from sattools.errors import SceneError
 from sattools.scene.jsonio import JsonObject
 
 GRACE = 1.12  # times as wide as a pixel that a cell may be
-TOWN_PIXEL_M, TOWN_CELL_M = 0.28, 0.5
+FINE_ENOUGH_M = 0.5  # cells that nobody is given finer ones than for the sake of accuracy
 SURROUNDINGS_M = 16.0  # around an area, in which things hide and shade parts of it
 
 
@@ -153,17 +153,17 @@ class Grid:
 def default_cell_size(gsd: float) -> float:
     """The round cell size (0.5, 1, 2, 5, 10 ... m) that suits a ground sample distance [m]: the next one below it.
 
-    Cells of one to two pixels cost a tenth to a half of the accuracy, on towns and on hills, but for what stands in
-    towns being as large whatever the pixels are: from 0.28 m on, cells of less than 0.5 m bring nothing.
+    Cells of one to two pixels cost a tenth to a half of the accuracy, on towns and on hills. But what stands in towns
+    is as large whatever the pixels are: of less than half a metre, cells are the next ones above.
 
     Args:
         gsd: edge of a pixel on the ground [m].
     """
-    if TOWN_PIXEL_M <= gsd < TOWN_CELL_M:
-        return TOWN_CELL_M
-    exponent = math.floor(math.log10(GRACE * gsd))
-    digit = next((digit for digit in (5.0, 2.0) if digit * 10.0**exponent <= GRACE * gsd), 1.0)
-    return round(digit * 10.0**exponent, 6)
+    exponent = math.floor(math.log10(gsd))
+    sizes = [digit * 10.0**power for power in (exponent - 1, exponent, exponent + 1) for digit in (1.0, 2.0, 5.0)]
+    above = next(size for size in sizes if size >= 0.9 * gsd)
+    below = max(size for size in sizes if size <= GRACE * gsd)
+    return round(max(below, min(above, FINE_ENOUGH_M)), 6)
 
 
 def finer_pixel(sizes: Sequence[float]) -> float:

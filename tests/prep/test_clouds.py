@@ -132,6 +132,20 @@ def test_what_shines_in_one_image_and_is_small_is_no_cloud(plain: Any, points: T
     assert found(images, points) == [None] * 5
 
 
+@pytest.mark.parametrize(("radius_m", "is_cloud"), [(17.0, False), (32.0, True)])
+def test_what_is_large_is_so_in_metres_whatever_the_pixels(points: Tracks, radius_m: float, is_cloud: bool) -> None:
+    """910 and 3220 m2 in pixels of 1.05 m, of which not quite two are as wide as a cell of the look."""
+    size, gsd = (115, 125), 1.05
+    cameras = [parallel_rpc(run, gsd, size) for run in RUNS]
+    images = [render(texture(), run, gsd, size) for run in RUNS]
+    rows, cols = np.indices(size)
+    images[1] = np.where(np.hypot(rows - 57, cols - 62) * gsd < radius_m, np.float32(WHITE), images[1])
+    pixel = (points.pixel - [129.5, 119.5]) * 0.5 / gsd + [62.0, 57.0]
+    here = Tracks(points.point, points.view, pixel)
+    clouds = find_clouds(images, cameras, here, UTM, BOUNDS, HEIGHTS)
+    assert [cloud is not None for cloud in clouds] == [False, is_cloud, False, False, False]
+
+
 def test_haze_that_leaves_the_ground_to_be_seen_is_no_cloud(plain: Any, points: Tracks) -> None:
     images = list(plain)
     _, inside = covered(images[1], 28.0)

@@ -59,7 +59,8 @@ def test_a_mosaic_of_which_the_default_area_is_a_small_part_is_told_with_the_bou
     ("gsd", "cell"),
     [
         (0.05, 0.05),
-        (0.27, 0.2),
+        (0.15, 0.2),
+        (0.27, 0.5),
         (0.31, 0.5),
         (0.5, 0.5),
         (0.7, 0.5),
@@ -71,7 +72,9 @@ def test_a_mosaic_of_which_the_default_area_is_a_small_part_is_told_with_the_bou
         (9, 10),
     ],
 )
-def test_the_default_cell_is_the_round_one_below_the_pixels_but_for_the_finest_satellites(gsd: Any, cell: Any) -> None:
+def test_the_default_cell_is_the_round_one_below_the_pixels_but_not_for_accuracy_below_half_a_metre(
+    gsd: Any, cell: Any
+) -> None:
     assert default_cell_size(gsd) == cell
 
 
