@@ -19,6 +19,7 @@ class Frame:
         cell: edge of a cell [m].
         margin: cells.
         suns: per view, unit vector (east, north, up) to the sun; None = unknown, then nothing counts as shaded.
+        shares: per view, how much it counts beside the others (0 to 1); empty = all alike.
     """
 
     images: np.ndarray
@@ -28,6 +29,7 @@ class Frame:
     cell: float
     margin: int
     suns: tuple[tuple[float, float, float] | None, ...]
+    shares: tuple[float, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -35,12 +37,18 @@ class Frame:
         rows, cols = self.images.shape[1:]
         return rows - 2 * self.margin, cols - 2 * self.margin
 
+    @property
+    def view_weights(self) -> np.ndarray:
+        """The shares ``[V]`` float32."""
+        return np.array(self.shares or (1.0,) * len(self.images), np.float32)
+
     def halved(self) -> Frame:
         """The same with cells of twice the size; margin, rows and columns must be even."""
         images, masks = self.images[:, ::2] + self.images[:, 1::2], np.minimum(self.masks[:, ::2], self.masks[:, 1::2])
         images = (images[..., ::2] + images[..., 1::2]) / np.float32(4)
         masks = np.minimum(masks[..., ::2], masks[..., 1::2])
-        return Frame(images, masks, self.parallax / 2, self.z_ref, self.cell * 2, self.margin // 2, self.suns)
+        parallax, cell, margin = self.parallax / 2, self.cell * 2, self.margin // 2
+        return replace(self, images=images, masks=masks, parallax=parallax, cell=cell, margin=margin)
 
     def widened(self, margin: int) -> Frame:
         """The same with at least that margin; what is added has no valid pixel."""

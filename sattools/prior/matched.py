@@ -42,6 +42,7 @@ class Matched:
         agreement: how every image agrees with the others, by id; None = unknown.
         seen_by_two, consistent_in_two: shares of the cells, without those around the area.
         bent: the image whose lines of sight are the least parallel, and by how much [m].
+        shares: how much every image counted, by id.
     """
 
     height: np.ndarray
@@ -51,6 +52,7 @@ class Matched:
     seen_by_two: float
     consistent_in_two: float
     bent: tuple[str, float]
+    shares: dict[str, float]
 
 
 def match_area(
@@ -86,6 +88,7 @@ def match_area(
         float((matched.views[inside] >= 2).mean()),
         float((matched.consistent_views[inside] >= 2).mean()),
         (worst.id, worst.parallel_ray_error_m),
+        {view.id: share for view, share in zip(views, matched.shares, strict=True)},
     )
 
 

@@ -63,6 +63,13 @@ class PriorOptions:
         minimum=0,
         maximum=1,
     )
+    unlike: float = option(
+        0.2,
+        "What an image counts, at least, that is blurred, or agrees with the others much less than these among "
+        "themselves (snow, a flood): so little of 12 images or more, of 4 all of it; 1 = all count alike.",
+        minimum=0.01,
+        maximum=1,
+    )
     small_jump: float = option(
         0.2,
         "Semi-global penalty for a height change of one plane (an agreement); half on hills, else up to 1.5 x with "

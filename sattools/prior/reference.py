@@ -27,9 +27,11 @@ def agreement(a: np.ndarray, b: np.ndarray, noise: float, brightness: float) -> 
 def correlate(
     images, masks, parallax, heights, z_ref, first_hit_height, shadow_height, dark, tolerance, pairs,
     radius, noise, shadow_noise, brightness, margin, unseen, power=1, weak=0.0, mixed=0.0, base=None,
+    view_weights=None,
 ):  # fmt: skip
     """Scores ``[H, W, D]`` of a frame; arguments as in `sattools.prior.matching.kernels.correlate`."""
     views, rows, cols = images.shape
+    shares = np.ones(views) if view_weights is None else view_weights
     volume = np.empty((rows - 2 * margin, cols - 2 * margin, len(heights)))  # [H, W, D]
     near = range(-radius, radius + 1)
     for row, col, k in np.ndindex(volume.shape):
@@ -50,8 +52,8 @@ def correlate(
         nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
         valid = [masks[n] > 0 for n in nearest]  # [V]
         weights = [
-            ok * (1.0 if first_hit_height[n] <= z[0, 0] + tolerance else weak)
-            for ok, n in zip(valid, nearest, strict=True)
+            share * ok * (1.0 if first_hit_height[n] <= z[0, 0] + tolerance else weak)
+            for share, ok, n in zip(shares, valid, nearest, strict=True)
         ]  # [V]
         lit = [shadow_height[v, row, col] <= z[0, 0] for v in range(views)]  # [V]
         powers = weight = 0.0
@@ -70,7 +72,9 @@ def correlate(
     return np.where(volume < 0, np.minimum(worth, 0.9 * best), volume)  # [H, W, D]
 
 
-def mean_look(images, masks, parallax, heights, z_ref, first_hit_height, tolerance, hidden, margin) -> np.ndarray:
+def mean_look(
+    images, masks, view_weights, parallax, heights, z_ref, first_hit_height, tolerance, hidden, margin
+) -> np.ndarray:
     """What the views show on average ``[H, W, D]``; arguments as in `sattools.prior.matching.look.mean_look`."""
     views, rows, cols = images.shape
     look = np.zeros((rows - 2 * margin, cols - 2 * margin, len(heights)))  # [H, W, D]
@@ -78,7 +82,8 @@ def mean_look(images, masks, parallax, heights, z_ref, first_hit_height, toleran
         shift = parallax * (heights[k] - z_ref)  # [V, 2] cells
         nearest = [(v, row + margin + round(shift[v, 0]), col + margin + round(shift[v, 1])) for v in range(views)]
         seen = [
-            (masks[n] > 0) * (1.0 if first_hit_height[n] <= heights[k] + tolerance else hidden) for n in nearest
+            share * (masks[n] > 0) * (1.0 if first_hit_height[n] <= heights[k] + tolerance else hidden)
+            for share, n in zip(view_weights, nearest, strict=True)
         ]  # [V]
         shown = [bilinear(images[v], row + margin + shift[v, 0], col + margin + shift[v, 1]) for v in range(views)]
         if sum(seen) > 0:

@@ -34,6 +34,8 @@ from sattools.scene.stored import map_like, pieces
 from sattools.views import Opened, Source, load_sources, open_images
 from sattools.views.check import check_extent
 
+COUNTS = 0.9  # of what the others do: an image that counts less is named
+
 log = logging.getLogger(__name__)
 
 
@@ -107,6 +109,7 @@ def prior(
             "left_out_agreement": {
                 name: None if value is None else round(value, 4) for name, value in found.agreement.items()
             },
+            "image_weights": {name: round(share, 3) for name, share in found.shares.items()},
         },
         MADE: record(scene, "prior", items, read, implicit=implicit),
     }
@@ -222,6 +225,9 @@ def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:
         notes.append(f"{name}: lines of sight are parallel only to {bent:.2f} m over this area")
     if images == 2:
         notes.append("two images only: what one of them does not show is taken from lower ground around it")
+    less = sorted(name for name, share in found.shares.items() if share < COUNTS)
+    if less:
+        notes.append(f"{', '.join(less)}: less weight in the matching, being blurred or unlike the other images")
     if found.seen_by_two < 0.9:
         notes.append(f"{100 * (1 - found.seen_by_two):.0f} % of the area is seen by fewer than two images")
     for text in notes:

@@ -32,6 +32,7 @@ class _Means:
     def __init__(self) -> None:
         self._cells, self._seen, self._consistent = 0, 0.0, 0.0
         self._agreement: dict[str, list[float]] = {}
+        self._shares: dict[str, list[float]] = {}
         self._pairs: set[tuple[str, str]] = set()
         self._bent = ("", 0.0)
 
@@ -47,12 +48,15 @@ class _Means:
         for name, value in found.agreement.items():
             if value is not None:
                 self._agreement.setdefault(name, []).append(value)
+        for name, share in found.shares.items():
+            self._shares.setdefault(name, []).append(share)
 
     def of(self, height: np.ndarray, confidence: np.ndarray, ids: Sequence[str]) -> Matched:
         """What was found of all tiles together."""
         agreement = {name: float(np.mean(self._agreement[name])) if name in self._agreement else None for name in ids}
         seen, consistent = self._seen / self._cells, self._consistent / self._cells
-        return Matched(height, confidence, sorted(self._pairs), agreement, seen, consistent, self._bent)
+        shares = {name: float(np.mean(self._shares[name])) for name in ids if name in self._shares}
+        return Matched(height, confidence, sorted(self._pairs), agreement, seen, consistent, self._bent, shares)
 
 
 def match_tiles(

@@ -39,6 +39,7 @@ def run_correlate(
     dark: Any = None,
     base: Any = PLANES,
     active: Any = None,
+    view_weights: Any = None,
     **changed: Any,
 ) -> Any:
     s = SETTINGS | ROOT_MEAN_SQUARE | changed
@@ -54,6 +55,7 @@ def run_correlate(
     correlate(
         images,
         masks,
+        np.ones(len(images), np.float32) if view_weights is None else view_weights,
         slopes,
         heights,
         base,
@@ -94,7 +96,7 @@ def test_a_weighted_power_mean_is_that_of_the_plain_twin(power: Any) -> None:
     pairs, heights = np.array([(0, 1), (0, 2), (2, 3), (1, 3)]), np.array([-2.0, 0.3, 2.0, 4.5])
     shadow_height = np.random.default_rng(3).choice([LOW, 1.0, 3.0], (4, 7, 9)).astype(np.float32)
     dark = np.full(4, LOW, np.float32)
-    robust = {"power": power, "weak": 0.05, "mixed": 0.1}
+    robust = {"power": power, "weak": 0.05, "mixed": 0.1, "view_weights": np.array([1.0, 0.2, 0.6, 1.0], np.float32)}
     fast = run_correlate(images, masks, slopes, first_hit_height, pairs, heights, shadow_height=shadow_height, **robust)
     settings = SETTINGS | robust
     slow = reference.correlate(
@@ -211,14 +213,15 @@ def test_the_mean_look_is_that_of_the_plain_twin() -> None:
     heights = np.array([-2.0, 0.5, 3.0])
     active = np.ones((1, 1, 3), bool)
     look = np.empty((7, 3, 9), np.float32)
-    arguments = (images, masks, parallax, heights, 0.3, first_hit_height, 0.5)
+    weights = np.array([1.0, 0.2, 0.6, 1.0], np.float32)
+    arguments = (images, masks, weights, parallax, heights, 0.3, first_hit_height, 0.5)
     mean_look(*arguments, np.float32(0.1), MARGIN, active, look)
     want = reference.mean_look(*arguments, 0.1, MARGIN)
     assert want.std() > 0.04
     np.testing.assert_allclose(by_cell(look), want, atol=1e-5)
     # at heights that are not looked at, and where no image shows the place, there is nothing
     active[..., 1], masks[:, :, :9], masks[:, :, 9:] = False, 0, 1
-    mean_look(images, masks, np.zeros_like(parallax), *arguments[3:], np.float32(0.1), MARGIN, active, look)
+    mean_look(images, masks, weights, np.zeros_like(parallax), *arguments[4:], np.float32(0.1), MARGIN, active, look)
     assert (look[:, 1] == 0).all()
     assert (look[:, :, : 9 - MARGIN] == 0).all()
     assert (look[:, ::2, 9 - MARGIN :] != 0).all()

@@ -20,7 +20,7 @@ LINES = 4  # of these, each without what the one before does not explain
 OUTLYING = 2.5  # standard deviations from which on a cell shows something else: what grew, was parked or built
 
 
-def equally_sharp(images: np.ndarray, masks: np.ndarray) -> np.ndarray:
+def equally_sharp(images: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The views ``[V, H, W]`` float32 with as much detail added as brings them to one sharpness; none is blurred.
 
     Optics, haze, resampling and a slanted line of sight take fine detail from images, from each a share of its own.
@@ -30,18 +30,22 @@ def equally_sharp(images: np.ndarray, masks: np.ndarray) -> np.ndarray:
     Args:
         images: ``[V, H, W]`` float32.
         masks: ``[V, H, W]`` 1 = valid.
+
+    Returns:
+        The views, and how sharp each was ``[V]``: the standard deviation of its detail, in units of what a blur by one
+        cell leaves of it.
     """
-    result = np.empty_like(images)
+    result, sharpness = np.empty_like(images), np.zeros(len(images))
 
     def sharpen(view: int) -> None:
-        result[view] = _sharpened(images[view], masks[view] > 0)
+        result[view], sharpness[view] = _sharpened(images[view], masks[view] > 0)
 
     for _ in side_by_side(sharpen, range(len(images)), AT_ONCE):
         pass
-    return result
+    return result, sharpness
 
 
-def _sharpened(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def _sharpened(image: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float]:
     """One of them."""
     import cv2
 
@@ -56,8 +60,10 @@ def _sharpened(image: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
     fine = detail(np.where(valid, image, np.float32(0)))
     finer = detail(fine)
-    amount = _detail_wanted(*(values[valid] for values in (fine, finer, detail(finer))))
-    return np.asarray(image + np.float32(amount) * fine)
+    finest = detail(finer)
+    there = fine[valid], finer[valid], finest[valid]
+    amount, left = _detail_wanted(*there), float(np.std(there[0] - there[1])) if valid.any() else 0.0
+    return np.asarray(image + np.float32(amount) * fine), float(np.std(there[0])) / left if left > 0 else SHARP
 
 
 def _detail_wanted(fine: np.ndarray, finer: np.ndarray, finest: np.ndarray) -> float:

@@ -227,12 +227,13 @@ def _fill_unseen(row, unseen, best):
 
 @njit(cache=True, fastmath=FASTMATH)
 def _look(
-    image, mask, parallax, z, base, z_ref, hit_height, shadow_height, tolerance, radius, margin, weak, r0, c0,
+    image, mask, weight, parallax, z, base, z_ref, hit_height, shadow_height, tolerance, radius, margin, weak, r0, c0,
     moved, seen,
 ):  # fmt: skip
     """What a view shows of a tile at a height (or a height above a surface), and how well it sees it.
 
-    moved: ``[rows + 2 radius, cols + 2 radius]``; seen: ``[rows, cols + 2 radius]``, whose last columns are left alone.
+    weight, weak: of the view where it sees a point, and where the surface hides it; moved: ``[rows + 2 radius, cols +
+    2 radius]``; seen: ``[rows, cols + 2 radius]``, whose last columns are left alone.
     """
     rows, cols = len(seen), seen.shape[1] - 2 * radius
     dz, scale = z - z_ref, _scale(radius)
@@ -246,7 +247,7 @@ def _look(
                 nc = margin + c0 + j + round(parallax[1] * (there - z_ref))
                 lit = np.float32(1) if there >= shadow_height[r0 + i, c0 + j] else np.float32(-1)
                 near = hit_height[nr, nc] <= there + tolerance
-                seen[i, j] = lit * np.float32(mask[nr, nc]) * (np.float32(1) if near else weak)
+                seen[i, j] = lit * np.float32(mask[nr, nc]) * (weight if near else weak)
         return
     dr, dc = parallax[0] * dz, parallax[1] * dz
     _translate(image, margin + r0 - radius, margin + c0 - radius, dr, dc, scale, moved)
@@ -257,12 +258,12 @@ def _look(
         shadow, target = shadow_height[r0 + i, c0 : c0 + cols], seen[i]
         for j in range(cols):
             lit = np.float32(1) if lowest_lit >= shadow[j] else np.float32(-1)
-            target[j] = lit * np.float32(valid[j]) * (np.float32(1) if hit[j] <= lowest_hit else weak)
+            target[j] = lit * np.float32(valid[j]) * (weight if hit[j] <= lowest_hit else weak)
 
 
 @njit(inline="always", fastmath=FASTMATH)
 def _correlate_tile(
-    images, masks, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
+    images, masks, view_weights, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
     pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, r0, c0,
     volume,
 ):  # fmt: skip
@@ -287,9 +288,9 @@ def _correlate_tile(
             continue
         for v in range(views):
             _look(
-                images[v], masks[v], parallax[v], heights[k], base, z_ref, hit_heights[v], shadow_heights[v], tolerance,
-                radius, margin, weak, r0, c0, moved[v].reshape(rows + 2 * radius, stride),
-                seen[v].reshape(rows, stride),
+                images[v], masks[v], view_weights[v], parallax[v], heights[k], base, z_ref, hit_heights[v],
+                shadow_heights[v], tolerance, radius, margin, weak * view_weights[v], r0, c0,
+                moved[v].reshape(rows + 2 * radius, stride), seen[v].reshape(rows, stride),
             )  # fmt: skip
             _moments(
                 moved[v], seen[v], dark[v] + brightness, radius, stride, noise, squares, line, mean[v], variance[v],
@@ -320,31 +321,10 @@ def _correlate_tile(
 @spread(lambda *arguments: arguments[-2].shape[0] * arguments[-2].shape[1])
 @njit(cache=True, fastmath=FASTMATH, nogil=True)
 def correlate(
-    images,
-    masks,
-    parallax,
-    heights,
-    base,
-    z_ref,
-    hit_heights,
-    shadow_heights,
-    dark,
-    tolerance,
-    pairs,
-    radius,
-    noise,
-    shadow_noise,
-    brightness,
-    margin,
-    unseen,
-    power,
-    weak,
-    mixed,
-    active,
-    volume,
-    first_tile,
-    end_tile,
-):
+    images, masks, view_weights, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
+    pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed, active, volume,
+    first_tile, end_tile,
+):  # fmt: skip
     """Agreement of the views at every (cell, height).
 
     It is a power mean over the pairs, weighted by whether both see the place, either both in the sun or both in shadow.
@@ -358,6 +338,7 @@ def correlate(
     Args:
         images: ``[V, Hf, Wf]`` float32 on the frame, mean near zero (single precision cancels otherwise).
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid with its whole window.
+        view_weights: ``[V]`` float32, how much each view counts.
         parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         base: ``[H + 2 radius, W + 2 radius]`` float32 surface, with a border as wide as the window, above which the
@@ -390,7 +371,7 @@ def correlate(
         r0, c0 = TILE * (t // across), TILE_COLS * (t % across)
         rows, cols = slice(r0, min(r0 + TILE, height)), slice(c0, min(c0 + TILE_COLS, width))
         _correlate_tile(
-            images, masks, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
+            images, masks, view_weights, parallax, heights, base, z_ref, hit_heights, shadow_heights, dark, tolerance,
             pairs, radius, noise, shadow_noise, brightness, margin, unseen, power, weak, mixed,
             active[t // across, t % across], r0, c0, volume[rows, :, cols],
         )  # fmt: skip

@@ -11,8 +11,8 @@ from sattools.prior.matching.kernels import TILE, TILE_COLS
 
 
 @njit(cache=True, fastmath=FASTMATH)
-def _add_view(image, mask, parallax, dz, row, col, hits, lowest_hit, hidden, total, weight):
-    """Add what a view shows of a row of places, and how well it sees them."""
+def _add_view(image, mask, clear, parallax, dz, row, col, hits, lowest_hit, hidden, total, weight):
+    """Add what a view shows of a row of places, and how well it sees them (``clear``, or ``hidden``)."""
     n = total.shape[0]
     dr, dc = parallax[0] * dz, parallax[1] * dz
     iy, ix = math.floor(dr), math.floor(dc)
@@ -24,7 +24,7 @@ def _add_view(image, mask, parallax, dz, row, col, hits, lowest_hit, hidden, tot
     nr, nc = row + round(dr), col + round(dc)
     valid, hit = mask[nr, nc : nc + n], hits[nr, nc : nc + n]
     for j in range(n):
-        seen = np.float32(valid[j]) * (np.float32(1) if hit[j] <= lowest_hit else hidden)
+        seen = np.float32(valid[j]) * (clear if hit[j] <= lowest_hit else hidden)
         total[j] += seen * (a * upper[j] + b * upper[j + 1] + c * lower[j] + d * lower[j + 1])
         weight[j] += seen
 
@@ -32,13 +32,15 @@ def _add_view(image, mask, parallax, dz, row, col, hits, lowest_hit, hidden, tot
 @spread(lambda *arguments: arguments[-2].shape[0] * arguments[-2].shape[1])
 @njit(cache=True, fastmath=FASTMATH, nogil=True)
 def mean_look(
-    images, masks, parallax, heights, z_ref, hit_heights, tolerance, hidden, margin, active, look, first_tile, end_tile
-):
+    images, masks, view_weights, parallax, heights, z_ref, hit_heights, tolerance, hidden, margin, active, look,
+    first_tile, end_tile,
+):  # fmt: skip
     """Mean of what the views show of every place, each with the weight with which it sees the place.
 
     Args:
         images: ``[V, Hf, Wf]`` float32 on the frame.
         masks: ``[V, Hf, Wf]`` uint8, 1 = valid.
+        view_weights: ``[V]`` float32, how much each view counts.
         parallax: ``[V, 2]`` float64 (row, column) cells per metre of height.
         heights: ``[D]`` float64 [m].
         z_ref: reference height of the frame [m].
@@ -65,8 +67,9 @@ def mean_look(
                 seen[:] = 0
                 for v in range(images.shape[0]):
                     _add_view(
-                        images[v], masks[v], parallax[v], heights[k] - z_ref, margin + row, margin + left,
-                        hit_heights[v], np.float32(heights[k] + tolerance), hidden, mean, seen,
+                        images[v], masks[v], view_weights[v], parallax[v], heights[k] - z_ref, margin + row,
+                        margin + left, hit_heights[v], np.float32(heights[k] + tolerance), hidden * view_weights[v],
+                        mean, seen,
                     )  # fmt: skip
                 for n in range(right - left):
                     mean[n] = mean[n] / seen[n] if seen[n] > 0 else np.float32(0)

@@ -20,6 +20,7 @@ from sattools.prior.matching.sweep import (
     narrow,
     sweep_blocks,
 )
+from sattools.prior.matching.weights import for_likeness, for_sharpness, shares_of
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.alone import stands_alone
@@ -62,6 +63,7 @@ class Match:
         views: ``[H, W]`` uint8 number of images that see the surface there.
         consistent_views: ``[H, W]`` uint8 number of these whose rays have their best place there (see `minima`).
         blur: how far coarser cells that a wall divides are the mean of both sides (see `blurred_walls`).
+        shares: per view, how much it counted (see `shares_of`).
     """
 
     height: np.ndarray
@@ -70,6 +72,7 @@ class Match:
     views: np.ndarray
     consistent_views: np.ndarray
     blur: float = 1.0
+    shares: tuple[float, ...] = ()
 
 
 def margin_for(parallax: np.ndarray, z_ref: float, z_range: tuple[float, float], window: int) -> int:
@@ -135,7 +138,7 @@ def match(
         height, doubt, blur = snap_edges(frame, hits, height, tolerance, task.options.edges, finer, few=not task.robust)
     agreeing, views = count_consistent_views(frame, hits, minima, height, tolerance, step)
     height = mean_of_neighbours(height, doubt, step_m=STEP_M * relief(frame.cell))
-    return Match(height, score, uniqueness, views, agreeing, blur)
+    return Match(height, score, uniqueness, views, agreeing, blur, task.frame.shares)
 
 
 def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], options: PriorOptions) -> MatchTask:
@@ -144,10 +147,11 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     Images have lost their mean, masks the windows that reach beyond an image, and the margin is such that no height of
     any pass leaves the frame.
     """
-    images = equally_sharp(frame.images - np.float32(frame.images[frame.masks > 0].mean()), frame.masks)
+    images, sharpness = equally_sharp(frame.images - np.float32(frame.images[frame.masks > 0].mean()), frame.masks)
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
-    fine = Frame(images, masks, frame.parallax, frame.z_ref, frame.cell, frame.margin, frame.suns)
+    shares = shares_of(for_sharpness(sharpness), options.unlike)
+    fine = replace(frame, images=images, masks=masks, shares=shares)
     step = options.step or plane_distance(frame, pairs)
     # the first surface is known to the planes of the rough passes: what is nearer must not count as occluded
     options = replace(options, tolerance=max(options.tolerance, 2 * step))
@@ -231,6 +235,11 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             light = equally_bright(frame, visibility, height, score > SURE, options.tolerance)
             frame, fine = brightened(frame, *light), brightened(task.frame, *light)
             task, rough = replace(task, frame=fine), replace(rough, frame=frame)
+            if options.unlike < 1:
+                likeness = for_likeness(rough, visibility, height, score > SURE)
+                shares = shares_of(np.array(frame.shares) * likeness, options.unlike)
+                frame, fine = replace(frame, shares=shares), replace(fine, shares=shares)
+                task, rough = replace(task, frame=fine), replace(rough, frame=frame)
         dark = measure_dark(frame, height, options.tolerance, visibility)
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
         if k < OPENING_PASSES:

@@ -254,9 +254,9 @@ def agreement(
         active = active_planes(heights, None, frame.shape, 0, 0.0)
     volume = np.empty((frame.shape[0], len(heights), frame.shape[1]), np.float32)
     correlate(
-        frame.images, frame.masks, frame.parallax, heights, base, frame.z_ref, visibility.first_hit_height,
-        visibility.shadow_height, visibility.dark, options.tolerance, task.pairs, options.window, options.noise,
-        shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
+        frame.images, frame.masks, frame.view_weights, frame.parallax, heights, base, frame.z_ref,
+        visibility.first_hit_height, visibility.shadow_height, visibility.dark, options.tolerance, task.pairs,
+        options.window, options.noise, shadow_noise, options.brightness, frame.margin, np.float32(options.unseen),
         *pair_weights(task), active, volume,
     )  # fmt: skip
     return volume
@@ -277,8 +277,8 @@ def looks_at(task: MatchTask, visibility: Visibility, heights: np.ndarray, activ
     frame, options = task.frame, task.options
     look = np.empty((frame.shape[0], len(heights), frame.shape[1]), np.float32)
     mean_look(
-        frame.images, frame.masks, frame.parallax, heights, frame.z_ref, visibility.first_hit_height,
-        options.tolerance, np.float32(max(options.weak, LEAST_HIDDEN)), frame.margin,
+        frame.images, frame.masks, frame.view_weights, frame.parallax, heights, frame.z_ref,
+        visibility.first_hit_height, options.tolerance, np.float32(max(options.weak, LEAST_HIDDEN)), frame.margin,
         maximum_filter(active, (3, 3, 1)), look,
     )  # fmt: skip
     return look
