@@ -311,18 +311,28 @@ def check_cells(grid: Grid, pixel_m: float) -> None:
         )
 
 
-def check_pixel_sizes(sizes: Sequence[float], ups: Sequence[float]) -> list[str]:
-    """A note where some images are so coarse that they blur what the others show; there have to be enough others.
+def much_coarser(sizes: Sequence[float], ups: Sequence[float]) -> NDArray[np.bool_]:
+    """Which images ``[V]`` are so coarse that they blur what the others show; none where the others are too few.
 
     Args:
         sizes: edges of the images' pixels on the ground [m].
         ups: upward parts of the unit vectors towards their cameras; the pixels of one sensor are wider, and longer
             still, the more obliquely it looks.
     """
-    known = np.array(sizes)
-    from_above = known * np.abs(ups) ** 1.5
+    from_above = np.array(sizes) * np.abs(ups) ** 1.5
     coarse = from_above > _COARSER * finer_pixel(from_above.tolist())
-    if not coarse.any() or (~coarse).sum() < _ENOUGH_FINE:
+    return coarse if (~coarse).sum() >= _ENOUGH_FINE else np.zeros(len(sizes), bool)
+
+
+def check_pixel_sizes(sizes: Sequence[float], ups: Sequence[float]) -> list[str]:
+    """A note where some images are `much_coarser` than the others.
+
+    Args:
+        sizes: edges of the images' pixels on the ground [m].
+        ups: upward parts of the unit vectors towards their cameras.
+    """
+    coarse, known = much_coarser(sizes, ups), np.array(sizes)
+    if not coarse.any():
         return []
     return [
         f"{coarse.sum()} of {len(sizes)} images have pixels of {np.median(known[coarse]):.2g} m, the others of "

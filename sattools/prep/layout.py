@@ -11,7 +11,7 @@ from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry.polygon import orient
 
 from sattools.camera import RPC
-from sattools.camera.ground import from_geographic, to_geographic
+from sattools.camera.ground import from_geographic, ground_sample_distance, to_geographic, view_direction
 from sattools.scene.grid import SURROUNDINGS_M
 
 Array = NDArray[np.float64]
@@ -208,6 +208,23 @@ def _size(bounds: Bounds) -> float:
     return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
 
 
+def pixels_on_ground(
+    cameras: Sequence[RPC], shapes: Sequence[tuple[int, int]], height: float
+) -> tuple[list[float], list[float]]:
+    """Edge of every image's pixels on the ground [m], and upward part of the unit vector towards its camera.
+
+    Args:
+        cameras: of the images.
+        shapes: their rows and columns; it is asked in the middle.
+        height: of the ground [m].
+    """
+    middles = [((columns - 1) / 2, (rows - 1) / 2) for rows, columns in shapes]
+    places = [camera.localization(*at, height) for camera, at in zip(cameras, middles, strict=True)]
+    both = list(zip(cameras, places, strict=True))
+    sizes = [ground_sample_distance(camera, *place, height) for camera, place in both]
+    return sizes, [float(view_direction(camera, *place, height)[2]) for camera, place in both]
+
+
 __all__ = [
     "common_bounds",
     "convex_outline",
@@ -218,6 +235,7 @@ __all__ = [
     "groups",
     "left_out",
     "outline",
+    "pixels_on_ground",
     "with_rim",
     "with_surroundings",
 ]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shapely.geometry import box
 
 from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
-from sattools.camera.ground import check_ground_crs, check_scale, ground_sample_distance, utm_crs, view_direction
+from sattools.camera.ground import check_ground_crs, check_scale, utm_crs
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
@@ -37,6 +37,7 @@ from sattools.prep.layout import (
     cut_to_shown,
     ground_polygon,
     left_out,
+    pixels_on_ground,
     with_rim,
 )
 from sattools.prep.loading import load_source
@@ -352,10 +353,7 @@ def _grid(
     covered = common_bounds(polygons)
     if covered is None:
         raise InputError(f"images: found no ground at {middle:.0f} m that half of them show, expected some they share")
-    middles = [((width - 1) / 2, (height - 1) / 2) for _, _, width, height in windows]
-    places = [r.localization(*at, middle) for r, at in zip(rpcs, middles, strict=True)]
-    sizes = [ground_sample_distance(r, *place, middle) for r, place in zip(rpcs, places, strict=True)]
-    ups = [float(view_direction(r, *place, middle)[2]) for r, place in zip(rpcs, places, strict=True)]
+    sizes, ups = pixels_on_ground(rpcs, [(rows, columns) for _, _, columns, rows in windows], middle)
     _warn(check_pixel_sizes(sizes, ups), notes)
     pixel = finer_pixel(sizes)
     cell = options.cell_size or default_cell_size(pixel)

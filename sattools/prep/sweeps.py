@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 from shapely.geometry import Polygon
@@ -13,9 +14,17 @@ from sattools.camera.heights import estimate_height_range
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
 from sattools.prep.clouds import find_clouds
+from sattools.prep.gate import much_coarser
 from sattools.prep.images import SourceImage
 from sattools.prep.large import GrayImages
-from sattools.prep.layout import Bounds, common_bounds, data_edge, ground_polygon, with_surroundings
+from sattools.prep.layout import (
+    Bounds,
+    common_bounds,
+    data_edge,
+    ground_polygon,
+    pixels_on_ground,
+    with_surroundings,
+)
 from sattools.progress import Progress
 from sattools.scene.blocks import Blocks
 
@@ -31,6 +40,8 @@ def height_range(
     progress: Progress,
 ) -> tuple[float, float]:
     """Lowest and highest height of the surface [m]: the user's, or what the images tell.
+
+    Images much coarser than the others do not show the roofs of towers, and outvote those that do.
 
     Args:
         given: heights that the user gave.
@@ -51,7 +62,9 @@ def height_range(
         bounds = with_surroundings(asked) if asked else common_bounds(_polygons(whole, cameras, middle, crs))
         if bounds is None:
             raise InputError("images: found no ground that two of them show, expected images that overlap")
-        estimate = estimate_height_range(heights, whole.grays, cameras, crs, bounds, progress=progress)
+        fine = ~much_coarser(*pixels_on_ground(cameras, [gray.shape[:2] for gray in whole.grays], middle))
+        grays, cameras = list(compress(whole.grays, fine)), list(compress(cameras, fine))
+        estimate = estimate_height_range(heights, grays, cameras, crs, bounds, progress=progress)
         low, high = (estimate[0] if low is None else low), (estimate[1] if high is None else high)
     return round(float(low), 2), round(float(high), 2)
 

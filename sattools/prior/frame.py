@@ -19,6 +19,7 @@ class Frame:
         cell: edge of a cell [m].
         margin: cells.
         suns: per view, unit vector (east, north, up) to the sun; None = unknown, then nothing counts as shaded.
+        pixels: per view, edge of the image's pixels on the ground [m]; empty = unknown.
         shares: per view, how much it counts beside the others (0 to 1); empty = all alike.
     """
 
@@ -29,6 +30,7 @@ class Frame:
     cell: float
     margin: int
     suns: tuple[tuple[float, float, float] | None, ...]
+    pixels: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
 
     @property

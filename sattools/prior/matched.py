@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sattools.camera.ground import ground_sample_distance, to_geographic
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
@@ -230,7 +231,10 @@ def make_frame(
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
     images = gamma_encode(images, masks, all(s.linear for s in sources), balances[0].contrast if balances else None)
-    return Frame(images, masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views)), views
+    west, south, east, north = grid.bounds
+    lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
+    pixels = tuple(ground_sample_distance(source.rpc, lon, lat, z_ref) for source in sources)
+    return Frame(images, masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views), pixels), views
 
 
 __all__ = [

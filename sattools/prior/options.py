@@ -63,10 +63,10 @@ class PriorOptions:
         minimum=0,
         maximum=1,
     )
-    unlike: float = option(
+    blurred: float = option(
         0.2,
-        "What an image counts, at least, that is blurred, or agrees with the others much less than these among "
-        "themselves (snow, a flood): so little of 12 images or more, of 4 all of it; 1 = all count alike.",
+        "What an image counts, at least, that is much less sharp than others, or has pixels more than twice as wide: "
+        "so little with 12 images or more, the fewer there are the more, with 4 as much as any; 1 = all count alike.",
         minimum=0.01,
         maximum=1,
     )

@@ -227,7 +227,7 @@ def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:
         notes.append("two images only: what one of them does not show is taken from lower ground around it")
     less = sorted(name for name, share in found.shares.items() if share < COUNTS)
     if less:
-        notes.append(f"{', '.join(less)}: less weight in the matching, being blurred or unlike the other images")
+        notes.append(f"{', '.join(less)}: less weight in the matching, being less sharp than other images")
     if found.seen_by_two < 0.9:
         notes.append(f"{100 * (1 - found.seen_by_two):.0f} % of the area is seen by fewer than two images")
     for text in notes:

@@ -20,7 +20,7 @@ from sattools.prior.matching.sweep import (
     narrow,
     sweep_blocks,
 )
-from sattools.prior.matching.weights import for_likeness, for_sharpness, shares_of
+from sattools.prior.matching.weights import view_shares
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.alone import stands_alone
@@ -63,7 +63,7 @@ class Match:
         views: ``[H, W]`` uint8 number of images that see the surface there.
         consistent_views: ``[H, W]`` uint8 number of these whose rays have their best place there (see `minima`).
         blur: how far coarser cells that a wall divides are the mean of both sides (see `blurred_walls`).
-        shares: per view, how much it counted (see `shares_of`).
+        shares: per view, how much it counted (see `view_shares`).
     """
 
     height: np.ndarray
@@ -150,7 +150,7 @@ def _prepared(frame: Frame, pairs: np.ndarray, z_range: tuple[float, float], opt
     images, sharpness = equally_sharp(frame.images - np.float32(frame.images[frame.masks > 0].mean()), frame.masks)
     size = 2 * options.window + 1
     masks = np.stack([minimum_filter(mask, size, mode="nearest") for mask in frame.masks])
-    shares = shares_of(for_sharpness(sharpness), options.unlike)
+    shares = view_shares(sharpness, frame.pixels, frame.cell, options.blurred)
     fine = replace(frame, images=images, masks=masks, shares=shares)
     step = options.step or plane_distance(frame, pairs)
     # the first surface is known to the planes of the rough passes: what is nearer must not count as occluded
@@ -235,11 +235,6 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             light = equally_bright(frame, visibility, height, score > SURE, options.tolerance)
             frame, fine = brightened(frame, *light), brightened(task.frame, *light)
             task, rough = replace(task, frame=fine), replace(rough, frame=frame)
-            if options.unlike < 1:
-                likeness = for_likeness(rough, visibility, height, score > SURE)
-                shares = shares_of(np.array(frame.shares) * likeness, options.unlike)
-                frame, fine = replace(frame, shares=shares), replace(fine, shares=shares)
-                task, rough = replace(task, frame=fine), replace(rough, frame=frame)
         dark = measure_dark(frame, height, options.tolerance, visibility)
         surface = RoughSurface(height, score, eroded, replace(visibility, dark=dark), ceiling)
         if k < OPENING_PASSES:
