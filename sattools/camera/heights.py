@@ -15,7 +15,7 @@ from sattools.errors import InputError
 from sattools.processors import side_by_side
 from sattools.progress import Progress, silent
 
-PATCH = 50  # cells that agree about their height by more than chance, whose patches have those of a window or two
+PATCH = 30, 60  # cells by which patches agree by more than chance: so many, and so many over the views that show them
 
 
 @dataclass(frozen=True)
@@ -70,13 +70,22 @@ def estimate_height_range(
     span = max(high - low, 2.0 * options.min_margin_m)
     search = (low - 0.5 * span, high + max(2.0 * span, options.towers_m))
     planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
-    patches = sweep_patches(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
-    low, high = extend_range(low, high, planes, patches)
+    patches, views = sweep_patches(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
+    low, high = extend_range(low, high, planes, patches, least_patch(views))
     margin = max(options.margin * (high - low), options.min_margin_m)
     return low - margin, high + margin
 
 
-def extend_range(low: float, high: float, planes: Array, patches: NDArray[Any]) -> tuple[float, float]:
+def least_patch(views: float) -> float:
+    """Cells that a patch needs to be no chance, where so many views show a place.
+
+    Windows of 5 x 5 cells make patches of chance, of up to 47 cells with three views, 32 with six and 28 with twelve
+    (14 simulated downtowns); the roof of a tower may have 40.
+    """
+    return PATCH[0] + PATCH[1] / max(views, 1.0)
+
+
+def extend_range(low: float, high: float, planes: Array, patches: NDArray[Any], least: float) -> tuple[float, float]:
     """Widen [low, high] to the planes outside it on which a patch lies that is too large for chance.
 
     One roof that agrees counts, however few cells it has beside the whole area; cells that agree by chance are as many
@@ -87,9 +96,10 @@ def extend_range(low: float, high: float, planes: Array, patches: NDArray[Any]) 
         high: highest height so far [m].
         planes: ``[D]`` heights [m].
         patches: ``[D]`` cells of the largest patch on each.
+        least: cells from which on a patch counts.
     """
     outside = (planes < low) | (planes > high)
-    supported = planes[outside & (patches >= PATCH)]
+    supported = planes[outside & (patches >= least)]
     if supported.size == 0:
         return low, high
     return min(low, float(supported.min())), max(high, float(supported.max()))
@@ -104,8 +114,10 @@ def sweep_patches(
     max_cells: int = 40_000,
     *,
     progress: Progress = silent,
-) -> NDArray[np.int64]:
+) -> tuple[NDArray[np.int64], float]:
     """Number of ground cells ``[D]`` of the largest patch whose best correlation lies on each plane or beside it.
+
+    And the number of views that show a place there, the median of all places.
 
     The score of a cell at a height is the mean zero-mean normalised correlation of all pairs of views in a window of
     5 x 5 cells, which costs one pass over the views: (|sum z|^2 - sum |z|^2) / (n (n - 1)).
@@ -130,7 +142,7 @@ def sweep_patches(
     ]
 
     window = np.ones((5, 5), np.uint8)
-    best, least = np.full((height, width), -1.0), np.ones((height, width))
+    best, shown = np.full((height, width), -1.0), np.zeros((height, width))
     winner = np.full((height, width), -1, np.int32)
 
     def agreement(k: int) -> tuple[Array, Array]:
@@ -154,8 +166,10 @@ def sweep_patches(
     for k, (score, views) in enumerate(side_by_side(agreement, range(len(planes)))):
         progress(k / len(planes), "height range")
         better = score > best
-        best[better], winner[better], least[better] = score[better], k, by_chance(views[better])
-    return _largest_patches(winner, best, len(planes), least)
+        best[better], winner[better], shown[better] = score[better], k, views[better]
+    seen = shown[winner >= 0]
+    views_there = float(np.median(seen)) if seen.size else 0.0
+    return _largest_patches(winner, best, len(planes), by_chance(shown)), views_there
 
 
 def by_chance(views: Array) -> Array:
@@ -204,4 +218,12 @@ def _standard(gray: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray
     return np.asarray((smooth - np.float32(mean)) / np.float32(max(spread, 1e-6)))
 
 
-__all__ = ["HeightOptions", "by_chance", "estimate_height_range", "extend_range", "sweep_patches", "tie_point_range"]
+__all__ = [
+    "HeightOptions",
+    "by_chance",
+    "estimate_height_range",
+    "extend_range",
+    "least_patch",
+    "sweep_patches",
+    "tie_point_range",
+]

@@ -30,6 +30,9 @@ from sattools.views import (
 )
 
 REFERENCE_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
+LINEAR_TONE = 1 / 2.2  # exponent of the tone curve of linear images
+WHITE = 98  # per cent of an image that are darker than what counts as white
+MIDDLE = 0.5  # of white: as bright is the middle, at least, of images with a tone curve
 
 
 @dataclass(frozen=True)
@@ -135,42 +138,75 @@ def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return array[: shape[0], : shape[1]]
 
 
-def gamma_encode(images: np.ndarray, masks: np.ndarray, linear: bool, contrast: float | None = None) -> np.ndarray:
+def gamma_encode(
+    images: np.ndarray, masks: np.ndarray, linear: bool, contrast: float | None = None, tone: float | None = None
+) -> np.ndarray:
     """Grey images with a tone curve, scaled to a usual contrast, so that thresholds mean the same for every sensor.
-
-    Linear radiance hides the texture of shadows in a sliver of its range; 8-bit images bring their tone curve along.
-    ``contrast``: of all images before, where it is known; else that of these.
 
     Args:
         images: ``[V, H, W]`` radiance.
         masks: ``[V, H, W]`` 1 = valid.
         linear: whether they are linear radiance.
-        contrast: see above.
+        contrast: of all images, with their tone curve, where it is known; else that of these.
+        tone: the curve's exponent, where it is known; else see `tone_of`.
     """
-    curve = gamma_encoded(images, linear)
+    curve = toned(images, tone or tone_of(images, masks, linear))
     scale = REFERENCE_CONTRAST / (contrast or contrast_of(curve, masks))
     return np.multiply(curve, np.float32(scale), dtype=np.float32)
 
 
-def gamma_encoded(images: np.ndarray, linear: bool) -> np.ndarray:
-    """The images (radiance) with a tone curve, if they have none yet."""
-    return np.maximum(images, 0.0) ** (1 / 2.2) if linear else images
+def tone_of(images: np.ndarray, masks: np.ndarray, linear: bool) -> float:
+    """Exponent of the tone curve that images need to be matched.
+
+    Linear radiance hides the texture of shadows in a sliver of its range. Images of 8 bits mostly bring a tone curve
+    along, but they may be linear ones that a program has only scaled: these are dark. Theirs gets the middle half as
+    bright as white.
+
+    Args:
+        images: ``[V, H, W]`` radiance.
+        masks: ``[V, H, W]`` 1 = valid.
+        linear: whether they are linear radiance for sure.
+    """
+    if linear:
+        return LINEAR_TONE
+    middle, white = _levels(images, masks, (50, WHITE))
+    if not 0 < middle < MIDDLE * white:
+        return 1.0
+    return max(float(np.log(MIDDLE) / np.log(middle / white)), LINEAR_TONE)
+
+
+def toned(images: np.ndarray, tone: float) -> np.ndarray:
+    """The images (radiance) with a tone curve of that exponent."""
+    return np.asarray(np.maximum(images, 0.0) ** np.float32(tone)) if tone != 1 else images
 
 
 def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
     """From dark to bright (2 ... 98 %) of the radiance where the mask is 1."""
-    some, valid = images.ravel()[::7], masks.ravel()[::7] > 0
-    low, high = np.percentile(some[valid], [2, 98])
+    low, high = _levels(images, masks, (2, WHITE))
     return max(high - low, 1e-6)
 
 
-def common_balance(sources: list[Source], views: list[View]) -> list[RadiometricBalance]:
-    """How each view becomes grey as the others are, from all that they show; for parts of an area to agree on."""
+def _levels(images: np.ndarray, masks: np.ndarray, shares: tuple[float, float]) -> tuple[float, float]:
+    """Percentiles of the radiance where the mask is 1."""
+    some, valid = images.ravel()[::7], masks.ravel()[::7] > 0
+    low, high = np.percentile(some[valid], shares)
+    return float(low), float(high)
+
+
+def common_balance(sources: list[Source], views: list[View], tone: float | None = None) -> list[RadiometricBalance]:
+    """How each view becomes grey as the others are, from all that they show; for parts of an area to agree on.
+
+    Args:
+        sources: the images.
+        views: what they show.
+        tone: exponent of their tone curve, where it is known; else see `tone_of`.
+    """
     gain, offset = match_colours(views)
     grey = np.stack([_grey(v, a, b) for v, a, b in zip(views, gain, offset, strict=True)])
     masks = np.stack([view.mask for view in views])
-    contrast = float(contrast_of(gamma_encoded(grey, all(s.linear for s in sources)), masks))
-    return [RadiometricBalance(a.tolist(), b.tolist(), contrast) for a, b in zip(gain, offset, strict=True)]
+    tone = tone or tone_of(grey, masks, all(s.linear for s in sources))
+    contrast = contrast_of(toned(grey, tone), masks)
+    return [RadiometricBalance(a.tolist(), b.tolist(), contrast, tone) for a, b in zip(gain, offset, strict=True)]
 
 
 def _grey(view: View, gain: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -230,7 +266,8 @@ def make_frame(
     inside = slice(margin, -margin or None)
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
-    images = gamma_encode(images, masks, all(s.linear for s in sources), balances[0].contrast if balances else None)
+    known = (balances[0].contrast, balances[0].tone) if balances else (None, None)
+    images = gamma_encode(images, masks, all(s.linear for s in sources), *known)
     west, south, east, north = grid.bounds
     lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
     pixels = tuple(ground_sample_distance(source.rpc, lon, lat, z_ref) for source in sources)

@@ -154,18 +154,19 @@ def _balances(
 ) -> dict[str, RadiometricBalance]:
     """How every image becomes grey as the others are, by its id; with the contrast that it has in tiles."""
 
-    def of(own: list[Source], grid: Grid) -> list[RadiometricBalance]:
+    def of(own: list[Source], grid: Grid, tone: float | None = None) -> list[RadiometricBalance]:
         _, views = make_frame(own, grid, scene.require_height_range(), options.window)
-        return common_balance(own, views)
+        return common_balance(own, views, tone)
 
+    found = of(sources, coarse)
+    tone = found[0].tone
     complete = [tile for tile in tiles if not unseen[tile.name]] or list(tiles)
     some = [complete[round(k)] for k in np.linspace(0, len(complete) - 1, min(SAMPLES, len(complete)))]
     contrast = [
-        of(_sources(scene, [item for item in scene.items if item.id in shown], tile.grid), tile.grid)[0].contrast
+        of(_sources(scene, [item for item in scene.items if item.id in shown], tile.grid), tile.grid, tone)[0].contrast
         for tile in some
         if len(shown := {source.id for source in sources} - unseen[tile.name]) >= 2
     ]
-    found = of(sources, coarse)
     if contrast:
         found = [replace(balance, contrast=float(np.mean(contrast))) for balance in found]
     return {source.id: balance for source, balance in zip(sources, found, strict=True)}

@@ -74,7 +74,12 @@ PROPERTIES: Mapping[str, Any] = {
     "sattools:view_direction": Maybe(_VECTOR),
     "sattools:radiometric_balance": Maybe(
         Table(
-            {"gain": Items(Number(), 1), "offset": Items(Number(), 1), "contrast": Number(1e-9, 1e9)},
+            {
+                "gain": Items(Number(), 1),
+                "offset": Items(Number(), 1),
+                "contrast": Number(1e-9, 1e9),
+                "tone": Number(0, 1),
+            },
             ("gain", "offset", "contrast"),
             None,
         )

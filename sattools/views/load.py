@@ -34,13 +34,14 @@ _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about wh
 class RadiometricBalance:
     """How an image becomes comparable with the others of a large area.
 
-    Gain and offset per band, and the contrast of all images; the property ``sattools:radiometric_balance`` of the
-    images of a tile, which shows too little of it.
+    Gain and offset per band, and the contrast and tone of all images; the property ``sattools:radiometric_balance`` of
+    the images of a tile, which shows too little of it. A tone of 0 is not known.
     """
 
     gain: list[float]
     offset: list[float]
     contrast: float
+    tone: float = 0.0
 
 
 @dataclass(frozen=True)

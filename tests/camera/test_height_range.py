@@ -7,7 +7,14 @@ import pytest
 from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
 
 from sattools.camera.ground import from_geographic
-from sattools.camera.heights import by_chance, estimate_height_range, extend_range, sweep_patches, tie_point_range
+from sattools.camera.heights import (
+    by_chance,
+    estimate_height_range,
+    extend_range,
+    least_patch,
+    sweep_patches,
+    tie_point_range,
+)
 from sattools.errors import InputError
 
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.15, 0.3), (-0.3, -0.1)]
@@ -38,16 +45,23 @@ def test_the_range_is_widened_to_planes_with_a_patch_that_clearly_agrees_only() 
     planes = np.arange(0.0, 100.0, 2.0)
     patches = np.full(50, 25)  # one window of the correlation
     patches[5:15] = 500
-    assert extend_range(10.0, 28.0, planes, patches) == (10.0, 28.0)
-    patches[40] = 60
-    assert extend_range(10.0, 28.0, planes, patches) == (10.0, 80.0)
+    assert extend_range(10.0, 28.0, planes, patches, 40.0) == (10.0, 28.0)
+    patches[40] = 41
+    assert extend_range(10.0, 28.0, planes, patches, 40.0) == (10.0, 80.0)
+
+
+def test_the_more_views_agree_the_smaller_a_roof_may_be() -> None:
+    """Patches of chance had up to 47, 32 and 28 cells with 3, 6 and 12 views; tops of towers had 41 and 44 with 12."""
+    assert [least_patch(views) for views in (2, 3, 6, 12)] == [60.0, 50.0, 40.0, 35.0]
+    assert least_patch(0.0) == 90.0
 
 
 def test_the_sweep_peaks_at_the_height_of_a_plain() -> None:
     ground = texture()
     images = [render(ground, r, height=lambda e, n: 0 * e + 12.0) for r in RUNS]
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
-    patches = sweep_patches(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    patches, views = sweep_patches(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    assert views == len(RUNS)
     assert planes[patches.argmax()] == pytest.approx(ALT0 + 12.0, abs=2.0)
     assert patches.max() > 4000  # of 8000 cells
     assert patches[np.abs(planes - ALT0 - 12) > 6].max() < 50
@@ -65,7 +79,8 @@ def test_places_that_two_unrelated_views_alone_show_have_no_height() -> None:
     for image in images[2:]:
         image[:] = np.nan
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
-    patches = sweep_patches(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    patches, views = sweep_patches(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    assert views == 2
     assert patches.max() < 25  # 38 where as little is asked of two views as of five
 
 

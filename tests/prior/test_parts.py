@@ -9,7 +9,7 @@ import pytest
 
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
-from sattools.prior.matched import gamma_encode
+from sattools.prior.matched import gamma_encode, tone_of, toned
 from sattools.prior.matching.match import Match, for_hills, margin_for, plane_distance
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
 from sattools.prior.matching.penalties import penalties, scarcity
@@ -169,6 +169,32 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast() -> None:
     dark = gamma_encode(images, masks, linear=True)[0].ravel()
     straight = gamma_encode(images, masks, linear=False)[0].ravel()
     assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])
+
+
+def test_dark_images_of_eight_bits_get_a_tone_curve_as_linear_ones_have() -> None:
+    """Most programs scale 11 bits down without one, and shadows are then a few numbers."""
+    masks = np.ones((1, 80, 100), np.uint8)
+    toned_already = np.linspace(0.0, 1.0, masks.size, dtype=np.float32).reshape(masks.shape)
+    scaled = toned_already**2.2
+    assert tone_of(toned_already, masks, linear=False) == 1.0
+    # the middle is 0.5 of white, 0.98, after the curve
+    exponent = tone_of(scaled, masks, linear=False)
+    low, high = np.percentile(toned(scaled, exponent), [50, 98])
+    assert low / high == pytest.approx(0.5, abs=0.01)
+    assert 1 / 2.2 <= exponent < 0.5
+    assert tone_of(scaled**2, masks, linear=False) == tone_of(scaled, masks, linear=True) == pytest.approx(1 / 2.2)
+    dark, straight = (gamma_encode(scaled, masks, linear=False, tone=t)[0].ravel() for t in (None, 1.0))
+    assert dark[800] - dark[0] > 5 * (straight[800] - straight[0])
+
+
+def test_what_is_masked_or_black_does_not_decide_the_tone_curve() -> None:
+    images = np.full((1, 80, 100), 0.6, np.float32)
+    images[:, :60] = 0.01
+    masks = np.ones(images.shape, np.uint8)
+    masks[:, :60] = 0
+    assert tone_of(images, masks, linear=False) == 1.0
+    assert tone_of(np.zeros_like(images), masks, linear=False) == 1.0
+    assert tone_of(-images, masks, linear=False) == 1.0
 
 
 def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sattools.compare import compare_dsm, read_reference
-from sattools.prior import PriorOptions, tiled
+from sattools.prior import PriorOptions, matched, tiled
 from sattools.prior import stage as priors
 from sattools.prior.stage import prior
 from sattools.scene import Grid, stored
@@ -47,6 +47,22 @@ def test_tiles_find_the_surface_that_the_whole_has(make_town: Any, request: pyte
         array, grid = read_raster(scene.path(scene.products[name]))
         assert grid == scene.require_grid()
         assert np.isfinite(array).all()
+
+
+@pytest.mark.usefixtures("small_tiles")
+def test_tiles_agree_on_the_tone_curve(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    tones = []
+    encode = matched.gamma_encode
+
+    def spy(images: Any, masks: Any, linear: bool, contrast: Any = None, tone: Any = None) -> Any:
+        if contrast is not None:
+            tones.append(tone)
+        return encode(images, masks, linear, contrast, tone)
+
+    monkeypatch.setattr(matched, "gamma_encode", spy)
+    prior(make_town(), PriorOptions())
+    assert len(tones) > 1
+    assert set(tones) == {1 / 2.2}
 
 
 @pytest.mark.usefixtures("small_tiles")

@@ -327,13 +327,14 @@ class Plan:
         from sattools.prior.matched import common_balance, make_frame
         from sattools.prior.options import PriorOptions
 
-        def balances(scene: Scene, own: list[Source]) -> list[RadiometricBalance]:
+        def balances(scene: Scene, own: list[Source], tone: float | None = None) -> list[RadiometricBalance]:
             _, views = make_frame(own, scene.require_grid(), scene.require_height_range(), PriorOptions().window)
-            return common_balance(own, views)
+            return common_balance(own, views, tone)
 
         whole = balances(coarse, sources)
         if pilots:
-            fine = [balances(one, load_sources(one, one.train_items()))[0].contrast for one in pilots]
+            shown = [(one, load_sources(one, one.train_items()), whole[0].tone) for one in pilots]
+            fine = [balances(*one)[0].contrast for one in shown]
             whole = [replace(balance, contrast=sum(fine) / len(fine)) for balance in whole]
         return dict(zip((s.id for s in sources), whole, strict=True))
 
