@@ -15,7 +15,7 @@ from sattools.errors import InputError
 from sattools.processors import side_by_side
 from sattools.progress import Progress, silent
 
-PATCH = 30, 60  # cells by which patches agree by more than chance: so many, and so many over the views that show them
+PATCH = {7: 50, 12: 35}  # cells, by views that show a place: smaller patches agree by chance; between them a line
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,10 @@ def estimate_height_range(
 def least_patch(views: float) -> float:
     """Cells that a patch needs to be no chance, where so many views show a place.
 
-    Windows of 5 x 5 cells make patches of chance, of up to 47 cells with three views, 32 with six and 28 with twelve
-    (14 simulated downtowns); the roof of a tower may have 40.
+    Windows of 5 x 5 cells make patches of chance, of up to 47 cells with three views, 40 with seven and 28 with twelve
+    (14 simulated downtowns and JAX_068); the roof of a tower may have 40.
     """
-    return PATCH[0] + PATCH[1] / max(views, 1.0)
+    return float(np.interp(views, list(PATCH), list(PATCH.values())))
 
 
 def extend_range(low: float, high: float, planes: Array, patches: NDArray[Any], least: float) -> tuple[float, float]:
