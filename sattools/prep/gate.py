@@ -336,7 +336,7 @@ def check_pixel_sizes(sizes: Sequence[float], ups: Sequence[float]) -> list[str]
         return []
     return [
         f"{coarse.sum()} of {len(sizes)} images have pixels of {np.median(known[coarse]):.2g} m, the others of "
-        f"{np.median(known[~coarse]):.2g} m: the coarse ones blur the surface, which is better without them"
+        f"{np.median(known[~coarse]):.2g} m: the coarse ones count little in the matching, and may be left out"
     ]
 
 
