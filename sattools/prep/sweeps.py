@@ -28,6 +28,7 @@ from sattools.prep.layout import (
 from sattools.progress import Progress
 from sattools.scene.blocks import Blocks
 
+ENOUGH = 4  # images with known cameras, without which the others are looked at, too
 HIDDEN = 0.95  # share of what an image shows of the area, from which on clouds leave nothing of use
 
 
@@ -41,7 +42,8 @@ def height_range(
 ) -> tuple[float, float]:
     """Lowest and highest height of the surface [m]: the user's, or what the images tell.
 
-    Images much coarser than the others do not show the roofs of towers, and outvote those that do.
+    Images much coarser than the others do not show the roofs of towers, nor do those of unknown cameras where they are,
+    and they outvote those that do.
 
     Args:
         given: heights that the user gave.
@@ -62,8 +64,10 @@ def height_range(
         bounds = with_surroundings(asked) if asked else common_bounds(_polygons(whole, cameras, middle, crs))
         if bounds is None:
             raise InputError("images: found no ground that two of them show, expected images that overlap")
-        fine = ~much_coarser(*pixels_on_ground(cameras, [gray.shape[:2] for gray in whole.grays], middle))
-        grays, cameras = list(compress(whole.grays, fine)), list(compress(cameras, fine))
+        good = ~much_coarser(*pixels_on_ground(cameras, [gray.shape[:2] for gray in whole.grays], middle))
+        sure = good & [not view.weak for view in result.views]
+        good = sure if sure.sum() >= ENOUGH else good
+        grays, cameras = list(compress(whole.grays, good)), list(compress(cameras, good))
         estimate = estimate_height_range(heights, grays, cameras, crs, bounds, progress=progress)
         low, high = (estimate[0] if low is None else low), (estimate[1] if high is None else high)
     return round(float(low), 2), round(float(high), 2)

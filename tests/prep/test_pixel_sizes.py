@@ -37,12 +37,20 @@ def test_heights_of_towers_are_looked_for_without_them(monkeypatch: pytest.Monke
             return self
 
     monkeypatch.setattr(sweeps, "estimate_height_range", estimate)
-    monkeypatch.setattr(sweeps, "pixels_on_ground", lambda *_: ([0.5, 0.5, 2.0, 0.5, 0.5], [1.0] * 5))
-    result: Any = SimpleNamespace(heights=lambda: np.array([0.0, 20.0]), rpcs=[Camera(name) for name in "abcde"])
-    images = GrayImages([np.zeros((8, 8 + k), np.float32) for k in range(5)], [1] * 5)
-    asked = (0.0, 0.0, 64.0, 64.0)
-    assert sweeps.height_range((None, None), result, images, "EPSG:32617", asked, lambda *_: None) == (-10.0, 90.0)
-    assert looked_at == [(["a", "b", "d", "e"], [(8, 8), (8, 9), (8, 11), (8, 12)])]
+    monkeypatch.setattr(sweeps, "pixels_on_ground", lambda *_: ([0.5, 0.5, 2.0, 0.5, 0.5, 0.5], [1.0] * 6))
+    images = GrayImages([np.zeros((8, 8 + k), np.float32) for k in range(6)], [1] * 6)
+
+    def of(weak: str) -> Any:
+        views = [SimpleNamespace(weak=name in weak) for name in "abcdef"]
+        cameras = [Camera(name) for name in "abcdef"]
+        result: Any = SimpleNamespace(heights=lambda: np.array([0.0, 20.0]), rpcs=cameras, views=views)
+        asked = (0.0, 0.0, 64.0, 64.0)
+        return sweeps.height_range((None, None), result, images, "EPSG:32617", asked, lambda *_: None)
+
+    assert of(weak="f") == (-10.0, 90.0)
+    assert looked_at.pop() == (["a", "b", "d", "e"], [(8, 8), (8, 9), (8, 11), (8, 12)])
+    of(weak="ef")  # too few would be left without the images whose cameras are not known
+    assert looked_at.pop()[0] == ["a", "b", "d", "e", "f"]
 
 
 def test_images_are_too_coarse_beside_four_others() -> None:
