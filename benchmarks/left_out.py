@@ -57,7 +57,8 @@ def without(frame: Frame, left: int) -> Frame:
     """All views but one."""
     keep = [v for v in range(len(frame.images)) if v != left]
     images, masks, parallax = frame.images[keep], frame.masks[keep], frame.parallax[keep]
-    return replace(frame, images=images, masks=masks, parallax=parallax, suns=tuple(frame.suns[v] for v in keep))
+    suns, pixels = (tuple(own[v] for v in keep) for own in (frame.suns, frame.pixels))
+    return replace(frame, images=images, masks=masks, parallax=parallax, suns=suns, pixels=pixels)
 
 
 def scores(scene: Scene, changed: dict[str, Any], lefts: list[int]) -> np.ndarray:

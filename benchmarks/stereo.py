@@ -37,9 +37,10 @@ from sattools.compare import compare_dsm, read_reference
 from sattools.compare.holes import fill_holes
 from sattools.compare.truth import Truth, read_dfc2019
 from sattools.prior import PriorOptions
-from sattools.prior.matched import crop, gamma_encode, make_frame
+from sattools.prior.matched import crop, make_frame
 from sattools.prior.matching.match import match
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
+from sattools.prior.tones import gamma_encode
 from sattools.scene import Grid, Scene
 from sattools.views import Source, line_of_sight, load_sources, read_at
 

@@ -21,6 +21,7 @@ class Frame:
         suns: per view, unit vector (east, north, up) to the sun; None = unknown, then nothing counts as shaded.
         pixels: per view, edge of the image's pixels on the ground [m]; empty = unknown.
         shares: per view, how much it counts beside the others (0 to 1); empty = all alike.
+        tone: exponent of the tone curve that the images have got.
     """
 
     images: np.ndarray
@@ -32,6 +33,7 @@ class Frame:
     suns: tuple[tuple[float, float, float] | None, ...]
     pixels: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
+    tone: float = 1.0
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -15,12 +15,12 @@ from sattools.prior.matching.match import Match, margin_for, match
 from sattools.prior.matching.pairs import choose_pairs
 from sattools.prior.neighbours import STEP_M, means_of_cells, relief
 from sattools.prior.options import PriorOptions
+from sattools.prior.tones import grey, toned_views, with_contrast
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.regrid import nearest_cells, resize_map
 from sattools.views import (
     GROUND_SHARE,
-    RadiometricBalance,
     Source,
     View,
     check_seen,
@@ -28,11 +28,6 @@ from sattools.views import (
     match_colours,
     views_on,
 )
-
-REFERENCE_CONTRAST = 0.8322  # from dark to bright (2 ... 98 %) in an 8-bit image of a city
-LINEAR_TONE = 1 / 2.2  # exponent of the tone curve of linear images
-WHITE = 98  # per cent of an image that are darker than what counts as white
-MIDDLE = 0.5  # of white: as bright is the middle, at least, of images with a tone curve
 
 
 @dataclass(frozen=True)
@@ -138,83 +133,6 @@ def crop(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return array[: shape[0], : shape[1]]
 
 
-def gamma_encode(
-    images: np.ndarray, masks: np.ndarray, linear: bool, contrast: float | None = None, tone: float | None = None
-) -> np.ndarray:
-    """Grey images with a tone curve, scaled to a usual contrast, so that thresholds mean the same for every sensor.
-
-    Args:
-        images: ``[V, H, W]`` radiance.
-        masks: ``[V, H, W]`` 1 = valid.
-        linear: whether they are linear radiance.
-        contrast: of all images, with their tone curve, where it is known; else that of these.
-        tone: the curve's exponent, where it is known; else see `tone_of`.
-    """
-    curve = toned(images, tone or tone_of(images, masks, linear))
-    scale = REFERENCE_CONTRAST / (contrast or contrast_of(curve, masks))
-    return np.multiply(curve, np.float32(scale), dtype=np.float32)
-
-
-def tone_of(images: np.ndarray, masks: np.ndarray, linear: bool) -> float:
-    """Exponent of the tone curve that images need to be matched.
-
-    Linear radiance hides the texture of shadows in a sliver of its range. Images of 8 bits mostly bring a tone curve
-    along, but they may be linear ones that a program has only scaled: these are dark. Theirs gets the middle half as
-    bright as white.
-
-    Args:
-        images: ``[V, H, W]`` radiance.
-        masks: ``[V, H, W]`` 1 = valid.
-        linear: whether they are linear radiance for sure.
-    """
-    if linear:
-        return LINEAR_TONE
-    middle, white = _levels(images, masks, (50, WHITE))
-    if not 0 < middle < MIDDLE * white:
-        return 1.0
-    return max(float(np.log(MIDDLE) / np.log(middle / white)), LINEAR_TONE)
-
-
-def toned(images: np.ndarray, tone: float) -> np.ndarray:
-    """The images (radiance) with a tone curve of that exponent."""
-    return np.asarray(np.maximum(images, 0.0) ** np.float32(tone)) if tone != 1 else images
-
-
-def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
-    """From dark to bright (2 ... 98 %) of the radiance where the mask is 1."""
-    low, high = _levels(images, masks, (2, WHITE))
-    return max(high - low, 1e-6)
-
-
-def _levels(images: np.ndarray, masks: np.ndarray, shares: tuple[float, float]) -> tuple[float, float]:
-    """Percentiles of the radiance where the mask is 1."""
-    some, valid = images.ravel()[::7], masks.ravel()[::7] > 0
-    low, high = np.percentile(some[valid], shares)
-    return float(low), float(high)
-
-
-def common_balance(sources: list[Source], views: list[View], tone: float | None = None) -> list[RadiometricBalance]:
-    """How each view becomes grey as the others are, from all that they show; for parts of an area to agree on.
-
-    Args:
-        sources: the images.
-        views: what they show.
-        tone: exponent of their tone curve, where it is known; else see `tone_of`.
-    """
-    gain, offset = match_colours(views)
-    grey = np.stack([_grey(v, a, b) for v, a, b in zip(views, gain, offset, strict=True)])
-    masks = np.stack([view.mask for view in views])
-    tone = tone or tone_of(grey, masks, all(s.linear for s in sources))
-    contrast = contrast_of(toned(grey, tone), masks)
-    return [RadiometricBalance(a.tolist(), b.tolist(), contrast, tone) for a, b in zip(gain, offset, strict=True)]
-
-
-def _grey(view: View, gain: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Mean of a view's bands as the first view shows them, ``[H, W]`` float32."""
-    weight = (1 / (len(gain) * gain)).astype(np.float32)
-    return view.target @ weight - np.float32(offset @ weight)
-
-
 def matching_height(z_range: tuple[float, float]) -> float:
     """Height at which the images are laid over the grid to be matched [m].
 
@@ -225,17 +143,18 @@ def matching_height(z_range: tuple[float, float]) -> float:
 
 
 def make_frame(
-    sources: list[Source], grid: Grid, z_range: tuple[float, float], window: int
+    sources: list[Source], grid: Grid, z_range: tuple[float, float], window: int, tone: float | None = None
 ) -> tuple[Frame, list[View]]:
     """Resample all images to the grid and a margin around it, so that high and low points at its border are seen too.
 
-    Rows and columns are made even, as matching halves them.
+    Rows and columns are made even, as matching halves them. The views have the tone curve of the frame.
 
     Args:
         sources: the images.
         grid: ground grid.
         z_range: lowest and highest height [m].
         window: half width of the matching window [cells].
+        tone: exponent of the tone curve, where it is known; else see `tone_of`.
     """
     z_ref = matching_height(z_range)
     cell = grid.cell_size
@@ -253,27 +172,30 @@ def make_frame(
     )
     views = views_on([source.complete() for source in sources], wide, z_ref, z_range)
     parallax = np.array([view.slope.parallax(cell) for view in views])
-    balances = [s.balance for s in sources if s.balance]
+    balances = [s.balance for s in sources if s.balance and s.balance.tone]
+    contrast = None
     if len(balances) == len(sources):
+        contrast, tone = balances[0].contrast, balances[0].tone
+    views, tone = toned_views(sources, views, tone)
+    if contrast:
         gain, offset = (
             np.array([t.gain for t in balances], np.float32),
             np.array([t.offset for t in balances], np.float32),
         )
     else:
         gain, offset = match_colours(views)
-    images = np.stack([_grey(v, a, b) for v, a, b in zip(views, gain, offset, strict=True)])
-    masks = np.stack([view.mask for view in views])
+    images, masks = grey(views, gain, offset), np.stack([view.mask for view in views])
     inside = slice(margin, -margin or None)
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
-    known = (balances[0].contrast, balances[0].tone) if balances else (None, None)
-    images = gamma_encode(images, masks, all(s.linear for s in sources), *known)
+    images = with_contrast(images, masks, contrast)
     west, south, east, north = grid.bounds
     lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
     pixels = tuple(ground_sample_distance(source.rpc, lon, lat, z_ref) for source in sources)
-    return Frame(images, masks, parallax, z_ref, cell, margin, tuple(v.sun for v in views), pixels), views
+    suns = tuple(view.sun for view in views)
+    return Frame(images, masks, parallax, z_ref, cell, margin, suns, pixels, tone=tone), views
 
 
 __all__ = [
-    "Matched", "common_balance", "crop", "gamma_encode", "make_frame", "match_area", "match_sources", "matching_height",
+    "Matched", "crop", "make_frame", "match_area", "match_sources", "matching_height",
 ]  # fmt: skip

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sattools.prior.matched import Matched, common_balance, make_frame, match_area, matching_height
+from sattools.prior.matched import Matched, make_frame, match_area, matching_height
 from sattools.prior.options import PriorOptions
+from sattools.prior.tones import common_balance
 from sattools.progress import Progress, subprogress
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.regrid import sample_map
@@ -155,8 +156,7 @@ def _balances(
     """How every image becomes grey as the others are, by its id; with the contrast that it has in tiles."""
 
     def of(own: list[Source], grid: Grid, tone: float | None = None) -> list[RadiometricBalance]:
-        _, views = make_frame(own, grid, scene.require_height_range(), options.window)
-        return common_balance(own, views, tone)
+        return common_balance(*make_frame(own, grid, scene.require_height_range(), options.window, tone))
 
     found = of(sources, coarse)
     tone = found[0].tone

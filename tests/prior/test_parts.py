@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,15 @@ import pytest
 
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
-from sattools.prior.matched import gamma_encode, tone_of, toned
 from sattools.prior.matching.match import Match, for_hills, margin_for, plane_distance
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
 from sattools.prior.matching.penalties import penalties, scarcity
 from sattools.prior.matching.sweep import narrow, planes
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
+from sattools.prior.tones import gamma_encode, tone_of, toned, toned_views, with_contrast
 from sattools.prior.visibility.occlusion import disk
+from sattools.views.resample import View
 
 
 def lean(angle: Any) -> Any:
@@ -167,7 +169,7 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast() -> None:
         low, high = np.percentile(eye, [2, 98])
         assert high - low == pytest.approx(0.83, abs=0.01)
     dark = gamma_encode(images, masks, linear=True)[0].ravel()
-    straight = gamma_encode(images, masks, linear=False)[0].ravel()
+    straight = with_contrast(images, masks)[0].ravel()
     assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])
 
 
@@ -183,8 +185,25 @@ def test_dark_images_of_eight_bits_get_a_tone_curve_as_linear_ones_have() -> Non
     assert low / high == pytest.approx(0.5, abs=0.01)
     assert 1 / 2.2 <= exponent < 0.5
     assert tone_of(scaled**2, masks, linear=False) == tone_of(scaled, masks, linear=True) == pytest.approx(1 / 2.2)
-    dark, straight = (gamma_encode(scaled, masks, linear=False, tone=t)[0].ravel() for t in (None, 1.0))
+    dark, straight = gamma_encode(scaled, masks, linear=False)[0].ravel(), with_contrast(scaled, masks)[0].ravel()
     assert dark[800] - dark[0] > 5 * (straight[800] - straight[0])
+
+
+def test_bands_get_their_tone_curve_one_by_one() -> None:
+    """In the mean of linear bands the brightest one decides."""
+    target = np.full((20, 30, 2), 0.04, np.float32)
+    target[:, 15:, 0] = 0.16  # one band of two shows the edge, four times as bright; the other is white
+    target[..., 1] = 1.0
+    view: Any = View("a", target, np.ones((20, 30), np.uint8), None, 0.0, None, 0.0)
+    source: Any = SimpleNamespace(linear=True)
+    (seen,), tone = toned_views([source], [view], None)
+    assert tone == pytest.approx(1 / 2.2)
+    dark, bright = seen.target[0, 0], seen.target[0, 20]
+    assert bright[0] / dark[0] == pytest.approx(4 ** (1 / 2.2), rel=1e-5)
+    assert dark[1] == bright[1] == 1.0
+    (same,), tone = toned_views([source], [view], 1.0)
+    assert tone == 1.0
+    assert same.target is target
 
 
 def test_what_is_masked_or_black_does_not_decide_the_tone_curve() -> None:

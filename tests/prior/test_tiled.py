@@ -52,14 +52,14 @@ def test_tiles_find_the_surface_that_the_whole_has(make_town: Any, request: pyte
 @pytest.mark.usefixtures("small_tiles")
 def test_tiles_agree_on_the_tone_curve(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     tones = []
-    encode = matched.gamma_encode
+    tone_curve = matched.toned_views
 
-    def spy(images: Any, masks: Any, linear: bool, contrast: Any = None, tone: Any = None) -> Any:
-        if contrast is not None:
+    def spy(sources: Any, views: Any, tone: Any) -> Any:
+        if sources[0].balance is not None:
             tones.append(tone)
-        return encode(images, masks, linear, contrast, tone)
+        return tone_curve(sources, views, tone)
 
-    monkeypatch.setattr(matched, "gamma_encode", spy)
+    monkeypatch.setattr(matched, "toned_views", spy)
     prior(make_town(), PriorOptions())
     assert len(tones) > 1
     assert set(tones) == {1 / 2.2}

@@ -324,12 +324,13 @@ class Plan:
 
     def _balances(self, coarse: Scene, sources: list[Source], pilots: list[Scene]) -> dict[str, RadiometricBalance]:
         """How the images are matched for the priors of the tiles, by item; contrast as it is in tiles."""
-        from sattools.prior.matched import common_balance, make_frame
+        from sattools.prior.matched import make_frame
         from sattools.prior.options import PriorOptions
+        from sattools.prior.tones import common_balance
 
         def balances(scene: Scene, own: list[Source], tone: float | None = None) -> list[RadiometricBalance]:
-            _, views = make_frame(own, scene.require_grid(), scene.require_height_range(), PriorOptions().window)
-            return common_balance(own, views, tone)
+            area = scene.require_grid(), scene.require_height_range()
+            return common_balance(*make_frame(own, *area, PriorOptions().window, tone))
 
         whole = balances(coarse, sources)
         if pilots:
