@@ -4,8 +4,8 @@
 
 Every town is simulated with linear images of 11 bits; copies have 8 bits: scaled (0 to the 99.8th percentile of every
 image), stretched (2nd to 98th percentile, what is darker or brighter is cut off) and with a tone curve (exponent 1 /
-2.2). All go through `prep --bounds` of the truth, `fit`, `export` and `compare --protocol dfc2019`. Columns: mean
-absolute error; about the median; each error at most 5 m.
+2.2). All go through `prep --bounds` of the truth, `prior`, `fit`, `export` and `compare --protocol dfc2019`. Columns:
+mean absolute error; about the median; each error at most 5 m.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from clouds import errors, prepared, sattools, simulated
+from blurred import row
+from clouds import simulated
 
 WAYS = ("scaled", "stretched", "toned")
 
@@ -44,21 +45,13 @@ def copied(town: Path, way: str) -> Path:
     return new
 
 
-def row(name: str, town: Path, out: Path) -> None:
-    """Print a row of the table."""
-    text, _ = prepared(town, out)
-    text, _ = sattools("fit", "--overwrite", text=text)
-    figures = errors(text, town, out)
-    print(f"{name:32s} {figures['mae']:7.3f} {figures['mae_centred']:7.3f} {figures['mae_capped_5m']:7.3f}", flush=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("stretched"))
     parser.add_argument("--terrain", choices=["city", "downtown"], default="downtown")
     parser.add_argument("--seeds", type=int, nargs="+", default=[2050, 2051])
     options = parser.parse_args()
-    print(f"{'town, images':32s} {'MAE':>7s} {'median':>7s} {'at 5 m':>7s}")
+    print(f"{'town, images':40s} {'MAE':>7s} {'median':>7s} {'at 5 m':>7s}")
     for seed in options.seeds:
         town = simulated(options.out, options.terrain, seed, 0.0)
         row(f"{options.terrain} {seed}, 11 bits", town, options.out / "linear")
