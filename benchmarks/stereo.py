@@ -40,7 +40,7 @@ from sattools.prior import PriorOptions
 from sattools.prior.matched import crop, make_frame
 from sattools.prior.matching.match import match
 from sattools.prior.matching.pairs import angle_deg, choose_pairs
-from sattools.prior.tones import gamma_encode
+from sattools.prior.tones import LINEAR_TONE, tone_of, toned, with_contrast
 from sattools.scene import Grid, Scene
 from sattools.views import Source, line_of_sight, load_sources, read_at
 
@@ -123,7 +123,9 @@ def rectify(sources: list[Source], grid: Grid, z_range: tuple[float, float], pix
     for k in order:
         col, row = project(sources[k].rpc, grid.crs, x.ravel(), y.ravel(), np.full(x.size, z_ref))
         bands, mask = read_at(sources[k].radiance, col.reshape(x.shape), row.reshape(x.shape))
-        images.append(gamma_encode(bands.mean(axis=-1)[None], mask[None], sources[k].linear)[0])
+        one, shown = bands.mean(axis=-1)[None], mask[None]
+        tone = LINEAR_TONE if sources[k].linear else tone_of(one, shown)
+        images.append(with_contrast(toned(one, tone), shown)[0])
         masks.append(mask)
     origin = np.array([x[0, 0], y[0, 0]])
     return Rectified(np.stack(images), np.stack(masks), origin, u, v, pixel, moves, z_ref, (-limit, limit))

@@ -31,12 +31,12 @@ def toned_views(sources: Sequence[Source], views: Sequence[View], tone: float | 
         tone = LINEAR_TONE
         if not all(source.linear for source in sources):
             images, masks = [view.target.mean(axis=-1) for view in views], [view.mask for view in views]
-            tone = tone_of(np.stack(images), np.stack(masks), linear=False)
+            tone = tone_of(np.stack(images), np.stack(masks))
     return [replace(view, target=toned(view.target, tone)) for view in views], tone
 
 
-def tone_of(images: np.ndarray, masks: np.ndarray, linear: bool) -> float:
-    """Exponent of the tone curve that images need to be matched.
+def tone_of(images: np.ndarray, masks: np.ndarray) -> float:
+    """Exponent of the tone curve that images need to be matched which may have one.
 
     Linear radiance hides the texture of shadows in a sliver of its range. Images of 8 bits mostly bring a tone curve
     along, but they may be linear ones that a program has only scaled: these are dark. Theirs gets the middle half as
@@ -45,10 +45,7 @@ def tone_of(images: np.ndarray, masks: np.ndarray, linear: bool) -> float:
     Args:
         images: ``[V, H, W]`` radiance.
         masks: ``[V, H, W]`` 1 = valid.
-        linear: whether they are linear radiance for sure.
     """
-    if linear:
-        return LINEAR_TONE
     middle, white = _levels(images, masks, (50, WHITE))
     if not 0 < middle < MIDDLE * white:
         return 1.0
@@ -88,17 +85,6 @@ def with_contrast(images: np.ndarray, masks: np.ndarray, contrast: float | None 
     return np.multiply(images, np.float32(scale), dtype=np.float32)
 
 
-def gamma_encode(images: np.ndarray, masks: np.ndarray, linear: bool) -> np.ndarray:
-    """Grey images (radiance) with a tone curve and a usual contrast.
-
-    Args:
-        images: ``[V, H, W]`` radiance.
-        masks: ``[V, H, W]`` 1 = valid.
-        linear: whether they are linear radiance for sure.
-    """
-    return with_contrast(toned(images, tone_of(images, masks, linear)), masks)
-
-
 def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
     """From dark to bright (2 ... 98 %) where the mask is 1."""
     low, high = _levels(images, masks, (2, WHITE))
@@ -125,7 +111,4 @@ def common_balance(frame: Frame, views: Sequence[View]) -> list[RadiometricBalan
     return [RadiometricBalance(a.tolist(), b.tolist(), contrast, tone) for a, b in zip(gain, offset, strict=True)]
 
 
-__all__ = [
-    "LINEAR_TONE", "common_balance", "contrast_of", "gamma_encode", "grey", "tone_of", "toned", "toned_views",
-    "with_contrast",
-]  # fmt: skip
+__all__ = ["LINEAR_TONE", "common_balance", "contrast_of", "grey", "tone_of", "toned", "toned_views", "with_contrast"]

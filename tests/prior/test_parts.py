@@ -16,7 +16,7 @@ from sattools.prior.matching.penalties import penalties, scarcity
 from sattools.prior.matching.sweep import narrow, planes
 from sattools.prior.normals import normals
 from sattools.prior.options import PriorOptions
-from sattools.prior.tones import gamma_encode, tone_of, toned, toned_views, with_contrast
+from sattools.prior.tones import LINEAR_TONE, tone_of, toned, toned_views, with_contrast
 from sattools.prior.visibility.occlusion import disk
 from sattools.views.resample import View
 
@@ -165,10 +165,10 @@ def test_linear_images_get_a_tone_curve_and_all_the_same_contrast() -> None:
     images = np.linspace(0.01, 0.5, 7 * 1000, dtype=np.float32).reshape(1, 70, 100)
     masks = np.ones(images.shape, np.uint8)
     for scale in (1.0, 0.1):
-        eye = gamma_encode(images * scale, masks, linear=True)
+        eye = with_contrast(toned(images * scale, LINEAR_TONE), masks)
         low, high = np.percentile(eye, [2, 98])
         assert high - low == pytest.approx(0.83, abs=0.01)
-    dark = gamma_encode(images, masks, linear=True)[0].ravel()
+    dark = with_contrast(toned(images, LINEAR_TONE), masks)[0].ravel()
     straight = with_contrast(images, masks)[0].ravel()
     assert dark[700] - dark[0] > 1.5 * (straight[700] - straight[0])
 
@@ -178,14 +178,14 @@ def test_dark_images_of_eight_bits_get_a_tone_curve_as_linear_ones_have() -> Non
     masks = np.ones((1, 80, 100), np.uint8)
     toned_already = np.linspace(0.0, 1.0, masks.size, dtype=np.float32).reshape(masks.shape)
     scaled = toned_already**2.2
-    assert tone_of(toned_already, masks, linear=False) == 1.0
+    assert tone_of(toned_already, masks) == 1.0
     # the middle is 0.5 of white, 0.98, after the curve
-    exponent = tone_of(scaled, masks, linear=False)
+    exponent = tone_of(scaled, masks)
     low, high = np.percentile(toned(scaled, exponent), [50, 98])
     assert low / high == pytest.approx(0.5, abs=0.01)
     assert 1 / 2.2 <= exponent < 0.5
-    assert tone_of(scaled**2, masks, linear=False) == tone_of(scaled, masks, linear=True) == pytest.approx(1 / 2.2)
-    dark, straight = gamma_encode(scaled, masks, linear=False)[0].ravel(), with_contrast(scaled, masks)[0].ravel()
+    assert tone_of(scaled**2, masks) == LINEAR_TONE == pytest.approx(1 / 2.2)
+    dark, straight = with_contrast(toned(scaled, exponent), masks)[0].ravel(), with_contrast(scaled, masks)[0].ravel()
     assert dark[800] - dark[0] > 5 * (straight[800] - straight[0])
 
 
@@ -211,9 +211,9 @@ def test_what_is_masked_or_black_does_not_decide_the_tone_curve() -> None:
     images[:, :60] = 0.01
     masks = np.ones(images.shape, np.uint8)
     masks[:, :60] = 0
-    assert tone_of(images, masks, linear=False) == 1.0
-    assert tone_of(np.zeros_like(images), masks, linear=False) == 1.0
-    assert tone_of(-images, masks, linear=False) == 1.0
+    assert tone_of(images, masks) == 1.0
+    assert tone_of(np.zeros_like(images), masks) == 1.0
+    assert tone_of(-images, masks) == 1.0
 
 
 def test_height_jumps_cost_more_with_fewer_pairs_whose_agreement_is_noisier() -> None:
