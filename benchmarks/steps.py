@@ -34,15 +34,17 @@ from sattools.compare.facades import wall_figures, wall_offsets
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
-from sattools.prior.matched import match_sources
+from sattools.prior.files import write_surroundings
+from sattools.prior.matched import match_sources, matching_height
 from sattools.prior.matching.match import Match, _prepared
 from sattools.prior.stage import write_maps
+from sattools.prior.surroundings import with_surroundings
 from sattools.scene import Grid, Scene
 from sattools.scene.copies import absolute_copy
 from sattools.scene.files import write_text
 from sattools.scene.raster import read_raster
 from sattools.scene.regrid import reproject_map
-from sattools.views import load_sources
+from sattools.views import load_sources, open_images
 
 WALLS_M = (3.0, 15.0, 50.0, np.inf)
 # parts of the prior that no option switches off: `--variant 'NAME: PART=0'`
@@ -99,13 +101,32 @@ def is_contest(path: Path) -> bool:
 
 def matched(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
     """What `sattools prior` finds, its grid, CPU seconds of the matching."""
+    found, wide, seconds = matched_widely(scene, options)
+    grid = scene.require_grid().resized(wide.cell_size)
+    return area_of(found, wide, grid), grid, seconds
+
+
+def matched_widely(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
+    """The same with the surroundings of the area that are matched with it."""
     whole, z_range = scene.require_grid(), scene.require_height_range()
-    grid = whole.resized(options.resolution or whole.cell_size)
-    sources = load_sources(scene, scene.train_items())
+    items = scene.train_items()
+    images = open_images(scene, items)
+    shapes = [image.shape for image in images.parts]
+    grid = with_surroundings(
+        whole.resized(options.resolution or whole.cell_size), images.cameras, shapes, matching_height(z_range)
+    )
+    sources = load_sources(replace(scene, grid=grid), items, images)
     start = time.process_time()
     found = match_sources(sources, grid, z_range, options)
     assert found is not None, f"{scene.id}: all images from one direction"
     return found[0], grid, time.process_time() - start
+
+
+def area_of(found: Match, wide: Grid, grid: Grid) -> Match:
+    """What was found of an area, without its surroundings."""
+    inside = wide.window(grid)
+    maps = {name: array[inside] for name, array in vars(found).items() if isinstance(array, np.ndarray)}
+    return replace(found, **maps)
 
 
 def averaged(height: np.ndarray, grid: Grid, cell: float) -> tuple[np.ndarray, Grid]:
@@ -116,7 +137,7 @@ def averaged(height: np.ndarray, grid: Grid, cell: float) -> tuple[np.ndarray, G
     return mean.astype(np.float32), Grid(grid.crs, grid.left, grid.top, grid.cell_size * n, cols, rows)
 
 
-def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, np.ndarray, Grid]:
+def fitted(scene: Scene, found: Match, wide: Grid, grid: Grid) -> tuple[np.ndarray, np.ndarray, Grid]:
     """The surface that `sattools fit` makes of this prior, with its defaults, and its standard deviation [m]."""
     from sattools.export.options import ExportOptions
     from sattools.export.stage import export
@@ -125,7 +146,10 @@ def fitted(scene: Scene, found: Match, grid: Grid) -> tuple[np.ndarray, np.ndarr
 
     with TemporaryDirectory() as folder:
         copy = absolute_copy(scene, Path(folder))
-        write_maps(copy, found.height, match_confidence(found), grid)
+        copy.products, copy.history = {}, []  # the scene may have been fitted already
+        area = area_of(found, wide, grid)
+        write_maps(copy, area.height, match_confidence(area), grid)
+        write_surroundings(copy, found.height, wide if wide != grid else None)
         fit(copy, FitOptions())
         export(copy, ExportOptions())
         height, own = read_raster(copy.path(copy.products["dsm"]))
@@ -199,12 +223,14 @@ def main() -> None:
         rows = table.setdefault(scene.id, [])
         for name, changed in variants:
             with switched(changed) as prior_options:
-                found, grid, seconds = matched(scene, prior_options)
-            rows.append(row(f"  {name}", found.height, grid, truth, seconds, more=options.detail))
+                found, wide, seconds = matched_widely(scene, prior_options)
+            grid = scene.require_grid().resized(wide.cell_size)
+            height = area_of(found, wide, grid).height
+            rows.append(row(f"  {name}", height, grid, truth, seconds, more=options.detail))
             if options.average:
-                rows.append(row("    averaged", *averaged(found.height, grid, options.average), truth))
+                rows.append(row("    averaged", *averaged(height, grid, options.average), truth))
             if options.fit:
-                height, std, own = fitted(scene, found, grid)
+                height, std, own = fitted(scene, found, wide, grid)
                 rows.append(row("    fitted", height, own, truth, more=options.detail, std=std))
     if options.out:
         write_text(options.out, json.dumps(table, indent=1) + "\n")
