@@ -33,8 +33,8 @@ from sattools.compare import Truth, compare_dsm, read_reference
 from sattools.compare.facades import wall_figures, wall_offsets
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
-from sattools.prior.frame import Frame
 from sattools.prior.files import write_surroundings
+from sattools.prior.frame import Frame
 from sattools.prior.matched import match_sources, matching_height
 from sattools.prior.matching.match import Match, _prepared
 from sattools.prior.stage import write_maps
