@@ -36,6 +36,7 @@ from sattools.prior.visibility.occlusion import (
     measure_dark,
     mostly_shaded,
 )
+from sattools.prior.visibility.torn import pieces_of_roofs
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene.regrid import split_cells
 
@@ -131,7 +132,11 @@ def match(
     stands = supported(standing(agreeing, views, beyond_images), height, agreeing, frame.cell, shaded)
     if len(pairs) >= ROBUST_PAIRS and shaded is not None and task.hills == 0:
         stands |= stands_alone(height, agreeing, views, frame.cell) & ~shaded
-    height = filled(height, stands, frame.cell)
+    lowered = filled(height, stands, frame.cell)
+    if task.robust and task.hills == 0:
+        whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
+        lowered[whole] = height[whole]
+    height = lowered
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt, blur = None, 1.0
     if task.options.edges and task.hills < 1:
