@@ -130,10 +130,11 @@ def match(
     beyond_images = np.asarray(~at_surface(frame, everything_seen, height, tolerance)[1].any(axis=0))
     shaded = mostly_shaded(frame, visibility, height, tolerance) if task.robust else None
     stands = supported(standing(agreeing, views, beyond_images), height, agreeing, frame.cell, shaded)
-    if len(pairs) >= ROBUST_PAIRS and shaded is not None and task.hills == 0:
+    many_in_town = len(pairs) >= ROBUST_PAIRS and task.hills == 0
+    if many_in_town and shaded is not None:
         stands |= stands_alone(height, agreeing, views, frame.cell) & ~shaded
     lowered = filled(height, stands, frame.cell)
-    if task.robust and task.hills == 0:
+    if many_in_town:
         whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
         lowered[whole] = height[whole]
     height = lowered
