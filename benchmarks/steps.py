@@ -5,11 +5,11 @@
 
 Scenes come from `sattools prep`; a reference is anything that `sattools compare --dsm` takes, `X_CLS.tif` beside
 `X_DSM.tif` is its class map. Variants are options of `sattools prior`, such as `--variant 'flat: rough_passes=0'`, or
-parts that no option switches off (means over neighbours, suns, courtyards, torn roofs, consistency), such as `--variant
-'raw: means=0'`; the defaults are always the first. Columns: mean absolute error by the protocol; the same about the
-median; each at most 5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median; CPU
-seconds of matching (--detail adds the errors by class and the walls' mean place outward, and what 90 % keep, by height;
-NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
+parts that no option switches off (means over neighbours, suns, courtyards, torn roofs, pits, consistency), such as
+`--variant 'raw: means=0'`; the defaults are always the first. Columns: mean absolute error by the protocol; the same
+about the median; each at most 5 m; beside steps of more than 3 m signed and absolute; away from them absolute; median;
+CPU seconds of matching (--detail adds the errors by class and the walls' mean place outward, and what 90 % keep, by
+height; NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 holds it to a thread; the first scene's include compiling).
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ PARTS: dict[str, tuple[str, Any]] = {
     "suns": ("sattools.prior.matching.match._prepared", lambda frame, *rest: _prepared(sunless(frame), *rest)),
     "courtyards": ("sattools.prior.matching.match.open_courtyards", lambda task, surface: surface),
     "torn": ("sattools.prior.matching.match.pieces_of_roofs", lambda height, *_: np.zeros(height.shape, bool)),
+    "pits": ("sattools.prior.matching.match.close_pits", lambda task, visibility, height: height),
     "consistency": ("sattools.prior.matching.match.filled", lambda height, sure, cell: height),
 }
 HEADER = f"{'':34s} {'MAE':>6s} {'cent.':>6s} {'capped':>6s} {'near':>6s} {'|near|':>6s} {'|away|':>6s} {'median':>6s}"

@@ -36,6 +36,7 @@ from sattools.prior.visibility.occlusion import (
     measure_dark,
     mostly_shaded,
 )
+from sattools.prior.visibility.pits import close_pits
 from sattools.prior.visibility.torn import pieces_of_roofs
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene.regrid import split_cells
@@ -137,6 +138,7 @@ def match(
     if many_in_town:
         whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
         lowered[whole] = height[whole]
+        lowered = close_pits(task, visibility, lowered)
     height = lowered
     height = median_filter(refine_subplane(task, visibility, height), SMOOTH, mode="nearest")
     doubt, blur = None, 1.0
