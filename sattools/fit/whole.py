@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from sattools.errors import SceneError
+from sattools.fit.around import casting
 from sattools.fit.combinations import check_combination, check_step
 from sattools.fit.depth_prior import DepthPrior, certainty, reference_height
 from sattools.fit.described import COLOURS, Radiance
@@ -30,6 +31,7 @@ from sattools.fit.rays.start import Beginning
 from sattools.fit.resume import check_checkpoint
 from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
+from sattools.fit.surface.recolour import Held, recoloured
 from sattools.fit.surface.schedule import own_cell, schedule
 from sattools.fit.surface.trainer import StageSettings
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
@@ -225,8 +227,6 @@ def _fit_surface(
     surface, finest, more = job.run(progress)
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
-    for name in ("albedo", "offset") if plain else ():
-        tensors[name] = tensors[name] / exposure
     assert options.brdf != "auto"  # it has been chosen
     suns = [v.sun for v in job.views]
     maps = job.illumination.maps(suns)
@@ -258,6 +258,11 @@ def _fit_surface(
     # who asks for a cell size gets it; reflectances are found with the normals of the fit's own cells
     if prior and options.resolution is None and options.brdf == "lambert" and prior.grid.cell_size < finest.cell_size:
         model = with_detail(model, prior)
+    if options.brdf == "lambert":
+        held: Held = "all" if job.coarse is not None else "nothing" if radiance == "relative" else "scale"
+        white = exposure if radiance == "relative" else None
+        model = recoloured(model, sources, casting(job.around), white, held=held, seed=options.seed)
+    model = replace(model, albedo=model.albedo / exposure, offset=model.offset / exposure)
     return Fitted(model, job.trace, notes + more)
 
 
