@@ -19,6 +19,7 @@ from rasterio.warp import transform as transform_points
 from sattools.align.estimate import ControlPoint
 from sattools.align.means import LEAST_PARTS
 from sattools.camera.ground import from_geographic
+from sattools.compare.doubts import check_heights
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
 from sattools.scene.datums import horizontal
@@ -36,7 +37,7 @@ SPARE_CELLS = 4  # of the reference around what is asked for
 
 
 def check_reference(path: Path, crs: str) -> None:
-    """Raise InputError where a reference can be told to be none without a look at its heights.
+    """Raise InputError where a reference can be told to be none without a look for its place.
 
     Args:
         path: raster of heights, or control points.
@@ -47,6 +48,7 @@ def check_reference(path: Path, crs: str) -> None:
         return
     with opened(path) as data:
         _crs_of(data, path)
+    check_heights(path, one_band=False)
 
 
 def _crs_of(data: DatasetReader, path: Path) -> CRS:

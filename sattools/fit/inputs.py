@@ -209,7 +209,9 @@ def check_prior(scene: Scene, options: FitOptions) -> None:
 
 
 def check_reference(scene: Scene, reference: str | None) -> None:
-    """Raise InputError where a reference lies elsewhere than the scene, or nowhere: a fit would end with it later.
+    """Raise InputError where a reference lies elsewhere than the scene, or nowhere, or has no heights.
+
+    A fit would end with it later, or be watched by nonsense.
 
     Args:
         scene: of the fit.
@@ -218,7 +220,10 @@ def check_reference(scene: Scene, reference: str | None) -> None:
     if reference is None:
         return
     grid = scene.require_grid()
+    from sattools.compare.doubts import check_heights
+
     path = Path(reference)
+    check_heights(path, one_band=False)
     with opened(path) as data:
         if data.crs is None and path.with_suffix(".txt").exists():  # a tile of the contest, whose place is in that
             return

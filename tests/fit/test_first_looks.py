@@ -41,6 +41,19 @@ def test_a_reference_without_a_place_is_refused_before_anything_is_done(make_tow
     assert not list(scene.root.glob("prior/*"))
 
 
+def test_a_class_map_is_no_reference(make_town: Any, tmp_path: Path) -> None:
+    """A fit was watched by the codes of ground, trees and buildings as if they were metres."""
+    scene = make_town()
+    own = scene.require_grid()
+    codes = np.full(own.shape, 2, np.uint8)
+    codes[:20, :20], codes[40:, :20] = 5, 6
+    write_cog(tmp_path / "classes.tif", codes, own, nodata=None)
+    for begin in (check_start, fit):
+        with pytest.raises(InputError, match=r"classes.tif: found class codes \(2, 5, 6\), expected heights"):
+            begin(scene, replace(QUICK, reference=str(tmp_path / "classes.tif")))
+    assert not list(scene.root.glob("prior/*"))
+
+
 @pytest.mark.parametrize("crs", ["EPSG:32617", "EPSG:4326"])
 def test_a_reference_of_a_part_of_the_area_is_watched(make_town: Any, tmp_path: Path, crs: str) -> None:
     scene = make_town()
