@@ -27,6 +27,8 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
+from sattools.scene.placement import place_at
+from sattools.scene.regrid import bounds_in
 from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
 
@@ -89,8 +91,8 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
                 around, method = Grid.from_bounds(grid.crs, around.bounds, cell), Resampling.average
             check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
             with WarpedVRT(
-                data, src_crs=crs, crs=around.crs, transform=around.transform, width=around.width,
-                height=around.height, resampling=method,
+                data, src_crs=crs, src_transform=place_at(data, bounds_in(crs, around)), crs=around.crs,
+                transform=around.transform, width=around.width, height=around.height, resampling=method,
                 src_nodata=unknown, nodata=np.nan, dtype="float32",
             ) as warped:  # fmt: skip
                 factor, offset = scale_of(data)

@@ -78,6 +78,17 @@ def test_a_reference_at_the_date_line_is_taken(tmp_path: Path, west: float) -> N
     check_reference(Scene("FIJI", tmp_path, grid=zone), str(tmp_path / "fiji.tif"))
 
 
+@pytest.mark.parametrize(("left", "there"), [(278.335, True), (278.345, False)])
+def test_longitudes_of_a_reference_may_run_from_0_to_360(tmp_path: Path, left: float, there: bool) -> None:
+    scene = Scene("JAX", tmp_path, grid=Grid("EPSG:32617", 436000.0, 3357800.0, 1.0, 80, 60))  # 81.666 degrees west
+    write_cog(tmp_path / "lidar.tif", np.zeros((90, 90), np.float32), Grid("EPSG:4326", left, 30.351, 1e-5, 90, 90))
+    if there:
+        check_reference(scene, str(tmp_path / "lidar.tif"))
+    else:
+        with pytest.raises(InputError, match="found no ground of scene JAX"):
+            check_reference(scene, str(tmp_path / "lidar.tif"))
+
+
 @pytest.mark.parametrize(("given", "found"), [(["1"], "1"), (["1", "0.5", "0.25"], "1 0.5 0.25")])
 def test_softness_is_given_twice(given: list[str], found: str) -> None:
     result = CliRunner().invoke(main, ["fit", *(f"--softness={length}" for length in given)])
