@@ -17,6 +17,7 @@ from sattools.camera.ground import check_ground_crs, check_scale, utm_crs
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
+from sattools.prep.blank import check_contents
 from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
 from sattools.prep.gate import (
     check_cells,
@@ -107,6 +108,8 @@ def prepare(
     seen_at = ground, heights[0] + GROUND_SHARE * (heights[1] - heights[0])
     roles |= _outside(scene.grid, seen_at, sources, result, whole.edges(), notes)
     _check_left(roles, "show the area")
+    used = [name for name, role in roles.items() if role == "train"]
+    check_contents(sources, result.rpcs, whole, (scene.grid, ground), used)
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
     write_images(scene, sources, result, last, crop=asked is not None, copy=options.copy)
