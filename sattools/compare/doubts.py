@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from rasterio.enums import ColorInterp
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
 
 from sattools.compare.registration import Registration, shifted
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
-from sattools.scene.raster import read_some_pixels
+from sattools.scene.raster import read_window
 from sattools.scene.stored import pieces
 from sattools.scene.values import is_length, says_metres, scale_of
 
@@ -38,17 +40,28 @@ def check_heights(path: Path, one_band: bool) -> None:
         unit, whole = data.units[0], np.issubdtype(np.dtype(data.dtypes[0]), np.integer)
         coloured = data.colorinterp[0] == ColorInterp.palette
         bare = scale_of(data) == (1.0, 0.0) and not says_metres(unit)
+        codes = _class_codes(_middle_of(data, path)) if whole and bare and is_length(unit) else []
     if one_band and count > 1:
         raise InputError(f"{path}: found {count} bands, expected one of heights [m]")
     if not is_length(unit):
         raise InputError(f"{path}: found numbers in the unit {unit[:40]!r}, expected heights in metres or feet")
     if coloured:
         raise InputError(f"{path}: found a palette (numbers of colours or classes), expected heights [m]")
-    if whole and bare and (codes := _class_codes(read_some_pixels(path, SAMPLED)[0])):
+    if codes:
         raise InputError(
             f"{path}: found class codes ({', '.join(map(str, codes))}), expected heights [m] (or a file that says its "
             "unit: gdal_edit.py -units m)"
         )
+
+
+def _middle_of(data: DatasetReader, path: Path) -> np.ndarray:
+    """Numbers ``[h, w]`` of the first band in the middle of an open file, which may be one of the Earth; NaN = none."""
+    edge = math.isqrt(SAMPLED)
+    height, width = min(data.height, edge), min(data.width, edge)
+    window = Window((data.width - width) // 2, (data.height - height) // 2, width, height)
+    numbers = read_window(data, path, window)[0].astype(np.float32)
+    # of bytes a number for no data is left as a code
+    return np.where(numbers == data.nodata, np.nan, numbers) if data.nodata is not None else numbers
 
 
 def _class_codes(numbers: np.ndarray) -> list[int]:

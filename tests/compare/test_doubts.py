@@ -93,6 +93,15 @@ def test_a_class_map_is_no_surface(tmp_path: Path, kind: Any) -> None:
     assert in_metres.exit_code == 0, in_metres.stderr
 
 
+def test_a_class_map_whose_margin_is_no_data_is_no_surface(tmp_path: Path) -> None:
+    codes = classes()
+    codes[:, :10] = 255
+    write_cog(tmp_path / "found.tif", town(), GRID)
+    write_cog(tmp_path / "truth.tif", codes, GRID, nodata=255)
+    files = ("--predicted", str(tmp_path / "found.tif"), "--dsm", str(tmp_path / "truth.tif"))
+    refused(CliRunner().invoke(main, ["compare", *files]), "truth.tif: found class codes (2, 5, 6, 65), expected")
+
+
 @pytest.mark.parametrize("steep", [4.0, 1.0])
 def test_whole_metres_are_no_classes(tmp_path: Path, steep: float) -> None:
     """A slope that rises by one cell after the other, or in terraces of 1 m, and a hut without a height between."""
