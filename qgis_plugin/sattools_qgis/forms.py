@@ -94,7 +94,8 @@ def kind_of(option: Any, name: Any) -> Any:
         return KINDS[name]
     if option["multiple"] or option["values"] != 1:
         return "list"
-    return "text" if option["kind"] == "str" else option["kind"]
+    # a field for numbers takes no word such as auto
+    return "text" if option["kind"] == "str" or option.get("words") else option["kind"]
 
 
 def fields(name: Any, command: Any) -> Any:

@@ -19,6 +19,7 @@ from rasterio.warp import transform as transform_points
 from sattools.align.estimate import ControlPoint
 from sattools.align.means import LEAST_PARTS
 from sattools.camera.ground import from_geographic
+from sattools.compare.doubts import check_heights
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
 from sattools.scene.datums import horizontal
@@ -26,6 +27,8 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
+from sattools.scene.placement import place_at
+from sattools.scene.regrid import bounds_in
 from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
 
@@ -36,7 +39,7 @@ SPARE_CELLS = 4  # of the reference around what is asked for
 
 
 def check_reference(path: Path, crs: str) -> None:
-    """Raise InputError where a reference can be told to be none without a look at its heights.
+    """Raise InputError where a reference can be told to be none without a look for its place.
 
     Args:
         path: raster of heights, or control points.
@@ -47,6 +50,7 @@ def check_reference(path: Path, crs: str) -> None:
         return
     with opened(path) as data:
         _crs_of(data, path)
+    check_heights(path, one_band=False)
 
 
 def _crs_of(data: DatasetReader, path: Path) -> CRS:
@@ -87,8 +91,8 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
                 around, method = Grid.from_bounds(grid.crs, around.bounds, cell), Resampling.average
             check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
             with WarpedVRT(
-                data, src_crs=crs, crs=around.crs, transform=around.transform, width=around.width,
-                height=around.height, resampling=method,
+                data, src_crs=crs, src_transform=place_at(data, bounds_in(crs, around)), crs=around.crs,
+                transform=around.transform, width=around.width, height=around.height, resampling=method,
                 src_nodata=unknown, nodata=np.nan, dtype="float32",
             ) as warped:  # fmt: skip
                 factor, offset = scale_of(data)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sattools.errors import InputError
-from sattools.scene.dependencies import current_entry
+from sattools.scene.dependencies import PRIOR_SECONDS, current_entry
 from sattools.scene.document import Scene
 from sattools.scene.files import write_bytes, write_text
 from sattools.scene.jsonio import read_text
@@ -26,7 +26,7 @@ COLUMNS = (
     *("scene", "configuration", "status"),
     *("mae_m", "median_m", "rmse_m", "nmad_m", "completeness", "within_1m", "within_2_5m", "mae_filled_m"),
     *(f"{name}_mae_m" for name in CLASSES),
-    *("seconds", *(f"{name}_s" for name in TIMED), "peak_memory_mb", "cells", "protocol"),
+    *("seconds", *(f"{name}_s" for name in TIMED), "fit_prior_s", "peak_memory_mb", "cells", "protocol"),
     *("sattools", "python", "numpy", "torch", "rasterio", "error"),
 )
 TEXTS = ("scene", "configuration", "status", "protocol", "sattools", "python", "numpy", "torch", "rasterio", "error")
@@ -65,6 +65,8 @@ def make_row(scene: str, configuration: str, path: Path) -> Row:
     parts = [entry["parts"] for entry in steps.values() if "parts" in entry]
     row |= {f"{n}_s": round(e["seconds"] + e.get("parts", {}).get("seconds", 0), 3) for n, e in steps.items()}
     row["seconds"] = round(sum(row[f"{name}_s"] for name in steps), 3)
+    if "fit" in steps:  # of its seconds, where no `prior` went before it
+        row["fit_prior_s"] = steps["fit"].get(PRIOR_SECONDS) or steps["fit"].get("parts", {}).get(PRIOR_SECONDS)
     row["peak_memory_mb"] = max((entry["peak_memory_mb"] for entry in [*steps.values(), *parts]), default=None)
     for entry in steps.values():
         row |= entry["versions"]

@@ -12,6 +12,7 @@ from sattools.errors import InputError
 from sattools.scene import jsonio
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath, location
+from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 Fields = dict[str, Any]
 
@@ -66,31 +67,6 @@ def read_rpc_fields(path: Path) -> Fields:
 def read_text(path: Path) -> str:
     """Text of a metadata file: UTF-8 or UTF-16 with or without byte order mark, else Latin-1; any line ends."""
     return jsonio.read_text(path, strict=False)
-
-
-def parse_xml(path: Path) -> Any:
-    """Root element of an XML file without entity expansion. Raises InputError when it is malformed."""
-    import defusedxml.ElementTree as ElementTree
-    from defusedxml import DefusedXmlException
-
-    data = jsonio.read_bytes(path)
-    try:
-        # Bytes, so that the declared encoding is obeyed; the reader knows a byte order mark.
-        return ElementTree.fromstring(data if data.startswith(_WIDE) else data.strip())
-    except (ElementTree.ParseError, DefusedXmlException, ValueError, LookupError) as error:
-        raise InputError(f"{path}: found unreadable XML ({error}), expected DIMAP or DigitalGlobe metadata") from None
-    except RecursionError:
-        raise InputError(f"{path}: found XML nested too deeply, expected DIMAP or DigitalGlobe metadata") from None
-
-
-def local_name(element: Any) -> str:
-    """Tag of an XML element without its namespace."""
-    return str(element.tag).rsplit("}", 1)[-1]
-
-
-def find_all(element: Any, name: str) -> list[Any]:
-    """All descendants of that name, whatever their namespace."""
-    return [e for e in element.iter() if local_name(e) == name]
 
 
 def _from_xml(path: Path) -> Fields:

@@ -26,6 +26,12 @@ if TYPE_CHECKING:
 
 # options that say how a command runs, not what comes out of it
 _HOUSEKEEPING = {"scenes", "images", "overwrite", "dry_run", "print_config", "out", "dfc2019"}
+# what a table may not ask for, and what does it instead: the command would do no work, or other work
+_ELSEWHERE = {
+    "print-config": "`sattools {} --config {} --print-config`",
+    "dry-run": "`sattools batch --dry-run`",
+    "dfc2019": "`sattools batch --dfc2019 ROOT --aoi AREA` (scenes that are given are prepared already)",
+}
 
 
 @click.command("batch")
@@ -121,6 +127,11 @@ def configuration(path: Path | None) -> Configuration:
     if wrong:
         expected = ", ".join(f"[{name}]" for name in COMMANDS)
         raise click.BadParameter(f"{path}: found {wrong[0]!r}, expected the tables {expected}", param_hint="--config")
+    for name, table in tables.items():
+        for key in (key for key, value in table.items() if value is not False):
+            if (instead := _ELSEWHERE.get(key.replace("_", "-"))) is not None:
+                expected = instead.format(name, path)
+                raise click.BadParameter(f"{path}: [{name}] found {key!r}, expected {expected}", param_hint="--config")
     resolved = {}
     parent = click.get_current_context().find_root()
     for name in COMMANDS:

@@ -33,17 +33,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     --out DIR` fits of one place are scored side by side: tables and figures, also for `sattools report DIR`.
     """
     options = build(CompareOptions, values)
-    if options.predicted is not None and options.fit:
-        raise click.UsageError("found both --predicted and --fit, expected one of them")
-    if options.predicted is not None and (unused := _unused(options, scenes)):
-        raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
-    if options.fit and scenes:
-        name = "SCENE" if scenes[0] == "-" else scenes[0]
-        raise click.UsageError(f"found {scenes[0]} beside --fit, expected it as --fit NAME={name}, too, or not")
-    if options.fit and options.out is None:
-        raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
-    if options.out is not None and options.predicted is None and not options.fit:
-        raise click.UsageError("found --out with a scene, whose results go into its own folder: expected it without")
+    _check_usage(options, scenes)
     tell_idle("aoi", bool(options.truth), "--truth beside it")
     tell_idle("lpips_weights", options.views, "--views beside it")
     if options.predicted is not None:
@@ -122,6 +112,33 @@ def _left_out(scene: Scene) -> str | None:
 
     reason = stale(scene, "export") if "dsm" in scene.products else "no DSM of the last fit"
     return reason if "model" in scene.products else None
+
+
+def _check_usage(options: CompareOptions, scenes: tuple[str, ...]) -> None:
+    """Raise where options contradict each other or lack one, whatever the scenes and files hold."""
+    if options.predicted is not None:
+        _check_usage_of_file(options, scenes)
+    elif options.out is not None and not options.fit:
+        raise click.UsageError("found --out with a scene, whose results go into its own folder: expected it without")
+    if options.fit and scenes:
+        name = "SCENE" if scenes[0] == "-" else scenes[0]
+        raise click.UsageError(f"found {scenes[0]} beside --fit, expected it as --fit NAME={name}, too, or not")
+    if options.fit and options.out is None:
+        raise click.UsageError("found --fit without --out, expected a folder for the tables and figures")
+    if options.truth and options.dsm:
+        raise click.UsageError("found both --truth and --dsm, expected one of them")
+
+
+def _check_usage_of_file(options: CompareOptions, scenes: tuple[str, ...]) -> None:
+    """The same of --predicted, beside which no scene brings a reference."""
+    if options.fit:
+        raise click.UsageError("found both --predicted and --fit, expected one of them")
+    if unused := _unused(options, scenes):
+        raise click.UsageError(f"found {unused} beside --predicted, which scores that file alone: expected one of them")
+    if not (options.truth or options.dsm):
+        raise click.UsageError("found no reference beside --predicted, expected --dsm FILE or --truth DIR --aoi NAME")
+    if options.truth and options.aoi is None:
+        raise click.UsageError("found --truth without a scene, expected --aoi NAME as well")
 
 
 def _unused(options: CompareOptions, scenes: tuple[str, ...]) -> str | None:

@@ -18,8 +18,8 @@ def usage(group: click.Group) -> str:
     """JSON with `version` and `commands`: name -> {help, arguments, options}.
 
     Every option has `name` (its flag), `off` (the flag that switches it off, or null), `kind` (bool, int, float or
-    str), `choices`, `minimum`, `maximum`, `default`, `multiple`, `values` (how many values follow the flag), `help` and
-    `group` (its title in the command's help, or null).
+    str), `choices`, `words` (what a number may be instead, such as auto), `minimum`, `maximum`, `default`, `multiple`,
+    `values` (how many values follow the flag), `help` and `group` (its title in the command's help, or null).
     """
     context = click.Context(group, info_name="sattools")
     commands: dict[str, Any] = {}
@@ -48,6 +48,7 @@ def _option(option: click.Option, group: str | None) -> dict[str, Any]:
         "off": option.secondary_opts[0] if option.secondary_opts else None,
         "kind": next((text for cls, text in names.items() if isinstance(kind, cls)), "str"),
         "choices": list(kind.choices) if isinstance(kind, click.Choice) else None,
+        "words": list(getattr(kind, "words", ())),
         "minimum": low,
         "maximum": high,
         "default": list(default) if isinstance(default, tuple) else default,

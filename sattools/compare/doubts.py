@@ -8,19 +8,23 @@ from pathlib import Path
 
 import numpy as np
 from rasterio.enums import ColorInterp
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
 
 from sattools.compare.registration import Registration, shifted
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
+from sattools.scene.raster import read_window
 from sattools.scene.stored import pieces
-from sattools.scene.values import is_length
+from sattools.scene.values import is_length, says_metres, scale_of
 
 FEET = 1 / 0.3048  # in a metre
 ALIKE, AS_LARGE = 0.9, 1.15  # correlation of two surfaces, and by what factor their ratio may be another than feet's
 RELIEF_M = 0.5  # standard deviation of a surface from which that can be told
 SAMPLED = 1_000_000  # cells that are looked at
 WORSE, LEAST_WORSE_M = 1.05, 0.01  # times what is left without a registration, and so much more: not chance
+CLASS_CODES = (*range(19), 65)  # of ASPRS, and of the contest for what nobody has looked at
 FAR_M, FAR_SHARE = 10.0, 0.25  # metres, share of the smaller side: no camera of a delivered image is off like that
 
 
@@ -33,11 +37,52 @@ def check_heights(path: Path, one_band: bool) -> None:
     """
     with opened(path) as data:
         count = sum(kind != ColorInterp.alpha for kind in data.colorinterp)
-        unit = data.units[0]
+        unit, whole = data.units[0], np.issubdtype(np.dtype(data.dtypes[0]), np.integer)
+        coloured = data.colorinterp[0] == ColorInterp.palette
+        bare = scale_of(data) == (1.0, 0.0) and not says_metres(unit)
+        codes = _class_codes(_middle_of(data, path)) if whole and bare and is_length(unit) else []
     if one_band and count > 1:
         raise InputError(f"{path}: found {count} bands, expected one of heights [m]")
     if not is_length(unit):
         raise InputError(f"{path}: found numbers in the unit {unit[:40]!r}, expected heights in metres or feet")
+    if coloured:
+        raise InputError(f"{path}: found a palette (numbers of colours or classes), expected heights [m]")
+    if codes:
+        raise InputError(
+            f"{path}: found class codes ({', '.join(map(str, codes))}), expected heights [m] (or a file that says its "
+            "unit: gdal_edit.py -units m)"
+        )
+
+
+def _middle_of(data: DatasetReader, path: Path) -> np.ndarray:
+    """Numbers ``[h, w]`` of the first band in the middle of an open file, which may be one of the Earth; NaN = none."""
+    edge = math.isqrt(SAMPLED)
+    height, width = min(data.height, edge), min(data.width, edge)
+    window = Window((data.width - width) // 2, (data.height - height) // 2, width, height)
+    numbers = read_window(data, path, window)[0].astype(np.float32)
+    # of bytes a number for no data is left as a code
+    return np.where(numbers == data.nodata, np.nan, numbers) if data.nodata is not None else numbers
+
+
+def _class_codes(numbers: np.ndarray) -> list[int]:
+    """The codes of a class map ``[H, W]``; none where its whole numbers may be heights.
+
+    Heights in whole metres that lie side by side seldom leave out a number that is nowhere else either; most borders
+    between classes do.
+    """
+    codes = np.unique(numbers[np.isfinite(numbers)])
+    if len(codes) < 2 or not np.isin(codes, CLASS_CODES).all():
+        return []
+    rank = np.full(int(codes[-1]) + 1, np.nan)
+    rank[codes.astype(int)] = np.arange(len(codes))
+    jumps = borders = 0
+    for axis in (0, 1):
+        apart = np.abs(np.diff(numbers, axis=axis))
+        ranks = np.where(np.isfinite(numbers), rank[np.nan_to_num(numbers).astype(int)], np.nan)
+        between = np.abs(np.diff(ranks, axis=axis))
+        borders += int((apart > 0).sum())
+        jumps += int((apart > between).sum())
+    return [int(code) for code in codes] if jumps > borders / 2 else []
 
 
 def in_feet(

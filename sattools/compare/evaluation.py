@@ -20,14 +20,14 @@ from sattools.compare.stage import check_scene, score
 from sattools.compare.text import to_json
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
-from sattools.scene.dependencies import files_of
+from sattools.scene.dependencies import PRIOR_SECONDS, files_of
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_figure, write_text
 from sattools.scene.jsonio import JsonObject
 
 log = logging.getLogger(__name__)
 EVALUATION, TABLES = "evaluation.json", ("views.csv", "maps.csv", "points.csv")
-VIEW_COLUMNS = ("fit", *FIGURES, "dsm_mae_m", "dsm_median_m", "fit_seconds")
+VIEW_COLUMNS = ("fit", *FIGURES, "dsm_mae_m", "dsm_median_m", "fit_seconds", "fit_prior_seconds")
 MAP_COLUMNS = ("fit", "map", "product", "nrmse", "nrmse_constant", "nrmse_scaled", "correlation", "rmse", "n")
 POINT_COLUMNS = ("fit", "point", "value", "map", "sample", "difference", "nrmse")
 TRUTH = "truth"
@@ -154,7 +154,9 @@ def _scored(
             if (product := product_of(scene, name)) is not None
         }
         figures["points"] = compare_points(list(points), own_maps, (east, north))
-    figures["fit_seconds"] = next((e.get("seconds") for e in reversed(scene.history) if e["command"] == "fit"), None)
+    done: JsonObject = next((e for e in reversed(scene.history) if e["command"] == "fit"), {})
+    # all of the command, and those of them in which it made the prior that nobody had made before
+    figures |= {"fit_seconds": done.get("seconds"), "fit_prior_seconds": done.get(PRIOR_SECONDS)}
     return figures
 
 
@@ -251,7 +253,7 @@ def view_rows(result: JsonObject) -> list[dict[str, Any]]:
     """Rows of the table of images and surfaces, columns `VIEW_COLUMNS`; None where there is nothing."""
     return [
         {"fit": name, **{key: figures.get(key) for key in FIGURES}, "dsm_mae_m": figures["mae"],
-         "dsm_median_m": figures["median"], "fit_seconds": figures.get("fit_seconds")}
+         "dsm_median_m": figures["median"], **{key: figures.get(key) for key in ("fit_seconds", "fit_prior_seconds")}}
         for name, figures in result["fits"].items()
     ]  # fmt: skip
 

@@ -43,7 +43,7 @@ def filed(path: Path) -> Values:
 
 
 def read_points(path: Path, *, values_needed: bool = True) -> list[Point]:
-    """Samples from a CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf.
+    """Samples from a CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf (KML has no numbers beside its places).
 
     A CSV has the columns ``name`` and ``x``, ``y`` (in the CRS of the maps) or ``lon``, ``lat`` (WGS84); all other
     columns with numbers are values. Of a vector file the point geometries and the attributes are taken.

@@ -8,7 +8,8 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sattools.errors import SceneError
+from sattools.camera.rpc import RPC
+from sattools.errors import SattoolsError, SceneError
 from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.tiles.state import begun
@@ -99,9 +100,12 @@ def foresee(scene: Scene, options: FitOptions) -> Foresight:
         area = cells * grid.cell_size**2 / 1e6
         return Foresight(area, cells, images, 1, None, 1, memory, None, _training(options))
     tiles, piece, work = _cut(grid, tile, options.overlap)
-    seconds = work * _seconds_per_cell(scene, options)
+    # of a tile the overlap is the most of what stands around it
+    around = _with_surroundings(scene) if tiles == 1 else 1.0
+    seconds = work * _seconds_per_cell(scene, options, around)
     area = cells * grid.cell_size**2 / 1e6
-    each = max(_bytes(piece, images, _finer(grid.cell_size, options)), _matching_bytes(scene, options, piece))
+    finer = _finer(grid.cell_size, options)
+    each = max(_bytes(piece, images, finer), _matching_bytes(scene, options, piece * around))
     beside = 1
     if tiles > 1:
         beside = side_by_side(scene, options, tiles)
@@ -133,11 +137,12 @@ def _cut(grid: Grid, tile: float | None, overlap: float) -> tuple[int, float, fl
     return along[0] * along[1], piece, work
 
 
-def _seconds_per_cell(scene: Scene, options: FitOptions) -> float:
+def _seconds_per_cell(scene: Scene, options: FitOptions, matched: float = 1.0) -> float:
+    """CPU seconds per cell of the grid, where the matching of a prior has so many times as many."""
     images, cell = len(scene.train_items()), scene.require_grid().cell_size
     seconds = (FIT_S + FITTED_S * _finer(cell, options)) * images
     if options.prior_weight > 0 and "prior_dsm" not in scene.products:
-        seconds += _matching_s(scene)
+        seconds += matched * _matching_s(scene)
     return seconds
 
 
@@ -151,10 +156,27 @@ def _matching_s(scene: Scene) -> float:
     return each * (grid.cell_size / fine.cell_size) ** 2
 
 
-def _matching_bytes(scene: Scene, options: FitOptions, cells: float) -> float:
-    """Bytes that making the prior takes for a part of so many cells, beyond what a fit of them takes; 0 if it is there.
+def _with_surroundings(scene: Scene) -> float:
+    """Cells that are matched, what stands around the area included, per cell of the area; 1 where that is not known."""
+    from sattools.prior.matched import matching_height  # late: it is slow to import
+    from sattools.prior.surroundings import with_surroundings
 
-    Only where they are matched on finer cells is that more.
+    grid, items = scene.require_grid(), scene.train_items()
+    shapes = [tuple(item.properties.get("proj:shape") or ()) for item in items]
+    if not all(shapes):
+        return 1.0
+    try:
+        cameras = [RPC.from_file(scene.path(item.assets["rpc"].href)) for item in items]
+    except (SattoolsError, KeyError):  # which the command will tell
+        return 1.0
+    wide = with_surroundings(grid, cameras, shapes, matching_height(scene.require_height_range()))
+    return wide.width * wide.height / (grid.width * grid.height)
+
+
+def _matching_bytes(scene: Scene, options: FitOptions, cells: float) -> float:
+    """Bytes that making the prior takes for a part of so many cells; 0 if it is there.
+
+    That is more than what a fit of them takes where they are matched on finer cells, or much beyond their border.
     """
     if options.prior_weight == 0 or "prior_dsm" in scene.products:
         return 0.0
@@ -175,10 +197,10 @@ def matching(scene: Scene, limit_mb: float) -> tuple[float, float]:
     """
     items = scene.train_items()
     grid, fine = grids(scene, items, PriorOptions())
-    cells = grid.width * grid.height
-    at_once = max(cells, min(fine.width * fine.height, AT_ONCE))
+    cells, around = grid.width * grid.height, _with_surroundings(scene)
+    at_once = max(cells * around, min(fine.width * fine.height * around, AT_ONCE))
     memory = min(_bytes(at_once, len(items), 0.0), limit_mb * 1e6 + 0.2e9)
-    return memory, START_S + cells * _matching_s(scene)
+    return memory, START_S + cells * around * _matching_s(scene)
 
 
 def chosen_tile(scene: Scene, options: FitOptions) -> float | None:

@@ -32,7 +32,7 @@ from sattools.scene.document import FIT_ROLE, PARTS
 from sattools.scene.files import check_outputs, digest, written
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.opening import opened
-from sattools.scene.placement import crs_of
+from sattools.scene.placement import crs_of, place_at
 from sattools.scene.raster import raster_grid
 from sattools.scene.regrid import bounds_in
 from sattools.views import Source
@@ -209,7 +209,9 @@ def check_prior(scene: Scene, options: FitOptions) -> None:
 
 
 def check_reference(scene: Scene, reference: str | None) -> None:
-    """Raise InputError where a reference lies elsewhere than the scene, or nowhere: a fit would end with it later.
+    """Raise InputError where a reference lies elsewhere than the scene, or nowhere, or has no heights.
+
+    A fit would end with it later, or be watched by nonsense.
 
     Args:
         scene: of the fit.
@@ -218,12 +220,17 @@ def check_reference(scene: Scene, reference: str | None) -> None:
     if reference is None:
         return
     grid = scene.require_grid()
+    from sattools.compare.doubts import check_heights
+
     path = Path(reference)
+    check_heights(path, one_band=False)
     with opened(path) as data:
         if data.crs is None and path.with_suffix(".txt").exists():  # a tile of the contest, whose place is in that
             return
-        west, south, east, north = bounds_in(crs_of(data, path), grid.widened(max(grid.shape)))
+        west, south, east, north = bounds = bounds_in(crs_of(data, path), grid.widened(max(grid.shape)))
         left, bottom, right, top = data.bounds
+        turned = place_at(data, bounds).c - data.transform.c
+        left, right = left + turned, right + turned
     across = (min(left, right) < east and west < max(left, right)) or west > east  # at 180 degrees nobody can tell
     if not (across and min(bottom, top) < north and south < max(bottom, top)):
         raise InputError(f"{path}: found no ground of scene {scene.id}, expected a --reference of its area")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sattools.errors import InputError
 from sattools.fit.checkpoint import KEY, VERSION, Put, save_in_pieces, verify
 from sattools.fit.described import (
     CELL_MAPS,
@@ -139,11 +141,9 @@ class StoredModel:
 
     def colours(self) -> dict[str, np.ndarray]:
         """What it holds per image beside maps, ``[V, C]`` or ``[V, 2]`` by name."""
-        from safetensors import safe_open
-
         if self.old is not None:
             return {name: getattr(self.old, name).numpy() for name in COLOURS}
-        with safe_open(self.path, framework="np") as file:
+        with _content(self.path) as file:
             return {name: file.get_tensor(name) for name in COLOURS if name in self.shapes}
 
     def maps(self, rows: slice, cols: slice) -> CellMaps:
@@ -169,9 +169,7 @@ class StoredModel:
         return [slice(k, min(k + count, self.grid.height)) for k in range(0, self.grid.height, count)]
 
     def _read(self, rows: slice, cols: slice) -> CellMaps:
-        from safetensors import safe_open
-
-        with safe_open(self.path, framework="np") as file:
+        with _content(self.path) as file:
             height, std, albedo = (file.get_slice(name)[rows, cols] for name in CELL_MAPS)
             images = {name: file.get_slice(name)[:, rows, cols] for name in self.image_maps}
         return CellMaps(height, std, albedo, images)
@@ -187,11 +185,24 @@ class StoredModel:
         check_height_limits(self.path, lowest, highest)
 
 
+@contextmanager
+def _content(path: Path) -> Iterator[Any]:
+    """A file that was whole when the model was opened; InputError where it has gone since."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            yield file
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file any more, expected it there until the end") from None
+    except (SafetensorError, OSError) as error:
+        text = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read any more ({text}), expected it there until the end") from None
+
+
 def _shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Shapes of what a file holds."""
-    from safetensors import safe_open
-
-    with safe_open(path, framework="np") as file:
+    with _content(path) as file:
         return {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
 
 

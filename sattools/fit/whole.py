@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -41,7 +42,7 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.radiometry.bands import chosen_bands
 from sattools.render.around import read_around
 from sattools.scene import Item, Scene
-from sattools.scene.dependencies import begin, seen
+from sattools.scene.dependencies import PRIOR_SECONDS, begin, seen
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, with_bands
 
@@ -133,7 +134,10 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             end(scene.root)  # else an interruption of this fit would go on in the tiles of one before
         read = seen(scene, "fit", setup.items)
         sources = load_sources(scene, setup.items, setup.images)
+        began = time.perf_counter()
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
+        # of the command's seconds, those that `prior` would have taken before it
+        matching = {PRIOR_SECONDS: round(time.perf_counter() - began, 3)} if made else {}
         sources = with_bands(sources, setup.items, options.bands)  # the prior matches whatever the images show
         told = subprogress(progress, 0.2 if prior else 0.0, 1.0)
         if options.field == "surface":
@@ -150,7 +154,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             if setup.options.brdf != "lambert":
                 fitted.notes[:0] = start.notes if start else [UNKNOWN]
         fitted.notes[:0] = setup.notes
-        return save_fit(scene, fitted, made, read)
+        return save_fit(scene, fitted, made, read) | matching
 
 
 def starts_from_surface(options: FitOptions) -> bool:

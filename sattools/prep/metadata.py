@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from sattools.camera import RPC
-from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
+from sattools.camera.rpc_formats import read_text
 from sattools.errors import InputError
 from sattools.prep.tiles import Tiles, tiles_of_dimap, tiles_of_isd, tiles_of_til
 from sattools.prep.times import middle_time, parse_time, time_in_file
 from sattools.scene.jsonio import read_json
 from sattools.scene.schema import Maybe, Number, NumberText, Table, Text, meant
+from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 PLATFORMS = {
     "WV01": "WorldView-1",

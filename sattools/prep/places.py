@@ -12,7 +12,8 @@ from sattools.camera import RPC
 from sattools.camera.ground import crop_window
 from sattools.errors import InputError
 from sattools.prep.images import SourceImage
-from sattools.prep.layout import Bounds, ground_polygon, groups, outline
+from sattools.prep.layout import Bounds, ground_polygon, groups, outline, with_surroundings
+from sattools.prep.outputs import MARGIN_PX
 from sattools.scene.globe import near_longitude
 from sattools.scene.members import HEIGHT_LIMITS_M
 
@@ -153,6 +154,23 @@ def cropped_to_area(
     return kept
 
 
+def sizes_read(sources: list[SourceImage], crs: str, asked: Bounds | None, given: Given) -> list[tuple[int, int]]:
+    """Rows and columns that are read of images: all, or of an area the windows, or what is kept around it if larger.
+
+    Args:
+        sources: the images, with windows.
+        crs: projected ground CRS [m].
+        asked: the area (west, south, east, north) [m]; None = all that they show.
+        given: heights that the user gave.
+    """
+    windows = [s.window for s in sources]
+    if asked is None:
+        return [(rows, columns) for _, _, columns, rows in windows]
+    around = with_surroundings(asked)
+    kept = [crop_window(s.rpc, crs, around, ground_heights(s.rpc, given), s.size, MARGIN_PX) for s in sources]
+    return [(max(a[3], b[3]), max(a[2], b[2])) for a, b in zip(windows, kept, strict=True)]
+
+
 __all__ = [
     "SearchHeights",
     "check_places",
@@ -160,4 +178,5 @@ __all__ = [
     "ground_heights",
     "middle_of",
     "search_heights",
+    "sizes_read",
 ]

@@ -17,6 +17,7 @@ from sattools.camera.ground import check_ground_crs, check_scale, utm_crs
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
+from sattools.prep.blank import check_contents
 from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
 from sattools.prep.gate import (
     check_cells,
@@ -45,7 +46,7 @@ from sattools.prep.names import check_ids, common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, clouds_href, write_images, write_reports
 from sattools.prep.pairs import IN_HISTORY, pair_table
-from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights
+from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights, sizes_read
 from sattools.prep.sweeps import height_range, mask_clouds
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
@@ -107,6 +108,8 @@ def prepare(
     seen_at = ground, heights[0] + GROUND_SHARE * (heights[1] - heights[0])
     roles |= _outside(scene.grid, seen_at, sources, result, whole.edges(), notes)
     _check_left(roles, "show the area")
+    used = [name for name, role in roles.items() if role == "train"]
+    check_contents(sources, result.rpcs, whole, (scene.grid, ground), used)
     last = subprogress(progress, 0.85, 1.0)
     cameras = [rpc.cropped(-s.window[0], -s.window[1]) for rpc, s in zip(result.rpcs, sources, strict=True)]
     write_images(scene, sources, result, last, crop=asked is not None, copy=options.copy)
@@ -164,14 +167,14 @@ def _adjusted(
 
 
 def check_inputs(images: Sequence[Path], options: PrepOptions, overwrite: bool = False) -> list[tuple[int, int]]:
-    """All checks of `prepare` that need no pixels; raises what it would raise. Rows and columns of the images."""
+    """All checks of `prepare` that need no pixels; raises what it would raise. Rows and columns that are read."""
     images, ids, scene = _named(images, options)
     may_begin(scene, "prep", _outputs(ids, options), overwrite, _inputs(images, options))
-    sources, crs, _ = survey(images, ids, options, [])
+    sources, crs, asked = survey(images, ids, options, [])
     _wanted(options, crs)
     if options.colours:
         load_colours(options.colours, _folder(options.metadata), sources)
-    return [source.size for source in sources]
+    return sizes_read(sources, crs, asked, (options.min_height, options.max_height))
 
 
 def _named(images: Sequence[Path], options: PrepOptions) -> tuple[list[Path], list[str], Scene]:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from sattools.camera import RPC
-from sattools.camera.rpc_formats import find_all
 from sattools.errors import InputError
 from sattools.scene.sidecars import tile_of
+from sattools.scene.xmlio import find_all
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.camera.rpc_formats import find_all, local_name, parse_xml, read_text
+from sattools.camera.rpc_formats import read_text
 from sattools.errors import InputError
+from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 # Mean solar irradiance outside the atmosphere [W / m^2 / um] at 1 astronomical unit (Thuillier et al. 2003), from
 # "Radiometric Use of WorldView-3 Imagery" (Kuester 2016) and its counterpart for WorldView-2

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.rpc_formats import find_all, local_name, parse_xml
 from sattools.errors import InputError, SceneError
 from sattools.scene.jsonio import read_json
 from sattools.scene.opening import opened
 from sattools.scene.schema import Anything, Items, Maybe, Number, Table, Text
+from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 _LEAST_SCALE = 1e-12  # and its inverse the largest: what is beyond turns numbers into zeros or overflows
 _SCALED = Table({"scale": Number(), "offset": Number(), "raster:scale": Number(), "raster:offset": Number()})

@@ -7,7 +7,7 @@ from typing import Any
 from sattools.report.figures import error_over_time, errors_by
 from sattools.report.page import Picture, Section, Table
 from sattools.report.parts import number, product, trace_rows
-from sattools.scene.dependencies import in_force
+from sattools.scene.dependencies import PRIOR_SECONDS, in_force
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.schema import Items, Maybe, Number, Text
@@ -99,7 +99,7 @@ def _over_time(scene: Scene, figures: JsonObject) -> Picture:
     spent, start = 0.0, 0.0
     for entry in in_force(scene.history):
         if entry["command"] == "fit":
-            start = spent
+            start = spent + float(entry.get(PRIOR_SECONDS) or 0.0)  # which is made before the first pass
         if entry["command"] in ("prep", "normalise", "prior", "fit", "export"):
             spent += float(entry.get("seconds") or 0.0)
     points = [("passes of the fit", start + r["seconds"], r["mae_m"]) for r in trace_rows(scene) if "mae_m" in r]

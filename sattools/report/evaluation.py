@@ -65,7 +65,8 @@ def _views(result: JsonObject) -> Section:
     caption = (
         "Held-out views (PSNR in dB; avg = (10^(-PSNR/10) + sqrt(1 - SSIM) + LPIPS) / 3 as papers print it, "
         "avg_geometric the geometric mean of the same three terms) and the surface against the reference [m]. Empty: "
-        "not asked for, or no weights of LPIPS."
+        "not asked for, or no weights of LPIPS. fit_seconds: of the command `fit`; fit_prior_seconds: those of them in "
+        "which it made the prior, where no `prior` went before it."
     )
     return Section("Views and surface", _table(VIEW_COLUMNS, view_rows(result), caption))
 

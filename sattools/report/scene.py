@@ -16,7 +16,7 @@ from sattools.report.errors import errors_section
 from sattools.report.links import products_section
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.report.parts import number, product, trace_rows
-from sattools.scene.dependencies import drop, in_force, stale
+from sattools.scene.dependencies import PRIOR_SECONDS, drop, in_force, stale
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import raster_grid, read_overview, read_some_pixels
@@ -260,6 +260,9 @@ def _history(scene: Scene) -> Section:
     section.parts.append(Code(pipeline(scene.history), text))
     # what is shown is of the last one of a command, and `align` has a section of its own
     told = {entry["command"]: entry for entry in in_force(scene.history) if entry["command"] != "align"}
+    matching = told.get("fit", {}).get(PRIOR_SECONDS)
+    if matching is not None:
+        section.parts.append(f"fit: {number(matching, 1)} s of its time made the prior, which no command had made.")
     notes = [f"{command}: {note}" for command, entry in told.items() for note in entry.get("notes", [])]
     section.parts.extend(notes)
     return section

@@ -74,6 +74,7 @@ STAGES: dict[str, Stage] = {
 ORDER = list(STAGES)
 Seen = Mapping[str, list[Any]]  # image -> digests of its files, and its properties
 MADE = "made"  # member of a history entry: stage -> record
+PRIOR_SECONDS = "prior_seconds"  # likewise, of `fit`: those of its seconds in which it made the prior itself
 # who began a history entry that makes all others out of date
 SOURCES = ("prep", "simulate")
 
@@ -334,6 +335,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "MADE", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of", "in_force", "latest",
-    "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
+    "MADE", "PRIOR_SECONDS", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of",
+    "in_force", "latest", "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
 ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from affine import Affine
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
@@ -47,6 +48,24 @@ def has_grid(path: Path) -> bool:
         return _is_square(data)
 
 
+def place_at(data: DatasetReader, bounds: tuple[float, float, float, float]) -> Affine:
+    """From (column, row) of an open file's corners to its CRS, in degrees by whole turns so that it lies on the bounds.
+
+    Longitudes of some elevation models run from 0 to 360, and those of a place in the west are beyond 180 there.
+
+    Args:
+        data: the file.
+        bounds: (west, south, east, north) of something in its CRS.
+    """
+    place = data.transform
+    if not data.crs.is_geographic:
+        return place
+    west, _, east, _ = bounds
+    edges = [place.c + place.a * col + place.b * row for col in (0, data.width) for row in (0, data.height)]
+    turns = (turn for turn in (0, -360, 360) if min(edges) + turn < east and west < max(edges) + turn)
+    return Affine(place.a, place.b, place.c + next(turns, 0), place.d, place.e, place.f)
+
+
 def is_south_up(data: DatasetReader) -> bool:
     """Whether the first row that is stored is the southernmost one."""
     return bool(data.transform.e > 0)
@@ -65,4 +84,4 @@ def _is_square(data: DatasetReader) -> bool:
     return abs(to.b) <= 1e-9 and abs(to.d) <= 1e-9 and to.a > 0 and abs(to.a - abs(to.e)) <= 1e-6 * to.a
 
 
-__all__ = ["crs_of", "grid_of", "has_grid", "is_south_up", "stored_window"]
+__all__ = ["crs_of", "grid_of", "has_grid", "is_south_up", "place_at", "stored_window"]

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.scene.jsonio import read_json, reason
+from sattools.scene.kml import is_kml, read_kml
 
 log = logging.getLogger(__name__)
-FORMATS = "GeoPackage, GeoJSON, shapefile or FlatGeobuf"
+FORMATS = "GeoPackage, GeoJSON, shapefile, FlatGeobuf or KML"
 _MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
 _LONGEST = 200  # characters of what GDAL says, which repeats coordinates by the page
 
@@ -55,11 +56,11 @@ def is_geojson(path: Path) -> bool:
 
 def is_vector(path: Path) -> bool:
     """Whether a file begins as one of `FORMATS`. Raises InputError where it cannot be read."""
-    return is_geojson(path) or _head(path).startswith(_MAGIC)
+    return is_geojson(path) or is_kml(_head(path)) or _head(path).startswith(_MAGIC)
 
 
 def read_features(path: Path, expected: str) -> Features:
-    """The features of a file's first layer.
+    """The features of a file's first layer; of KML, whose folders are none, all.
 
     Only files that begin as one of `FORMATS`: GDAL opens by content, and a VRT or WFS description under another name
     would make it read other files and hosts.
@@ -71,6 +72,9 @@ def read_features(path: Path, expected: str) -> Features:
     Raises:
         InputError: missing, of another format, or damaged.
     """
+    if is_kml(_head(path)):
+        shapes, names = read_kml(path)
+        return Features(shapes, {"name": np.array(names, object)}, "EPSG:4326")
     if is_geojson(path):
         read_json(path, "GeoJSON")  # its depth and numbers
     elif not _head(path).startswith(_MAGIC):
@@ -123,7 +127,7 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
     """The polygons of a vector file, in a CRS.
 
     Args:
-        path: GeoPackage, GeoJSON, shapefile or FlatGeobuf; its first layer is read.
+        path: one of `FORMATS`; of those with layers the first is read.
         crs: projected ground CRS [m].
 
     Returns:

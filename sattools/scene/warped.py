@@ -13,7 +13,7 @@ from rasterio.windows import Window
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
-from sattools.scene.placement import crs_of
+from sattools.scene.placement import crs_of, place_at
 from sattools.scene.raster import read_window
 from sattools.scene.regrid import bounds_in, bounds_of, warp_map
 
@@ -40,7 +40,8 @@ def read_warped(
     with opened(path) as data:
         crs = crs_of(data, path)
         west, south, east, north = bounds_in(crs, target.widened(_SPARE_CELLS))
-        corners = [_mapped(~data.transform, x, y) for x in (west, east) for y in (south, north)]
+        place = place_at(data, (west, south, east, north))
+        corners = [_mapped(~place, x, y) for x in (west, east) for y in (south, north)]
         cols, rows = zip(*corners, strict=True)
         window = None
         if all(math.isfinite(number) for number in (*cols, *rows)):
@@ -52,7 +53,6 @@ def read_warped(
             return np.full((data.count, *target.shape), np.nan, np.float32)
         array = read_window(data, path, window)
         array = array.astype(np.float32) if known is None else known(array)
-        place = data.transform
         first = _mapped(place, left, top)
         transform = Affine(place.a, place.b, first[0], place.d, place.e, first[1])
         return warp_map(array, crs, transform, target, nearest=nearest)

@@ -15,8 +15,8 @@ PAINTS = np.array([[0.8, 0.8, 0.78], [0.5, 0.5, 0.52], [0.04, 0.04, 0.045], [0.4
 TRIES = 60
 
 
-def with_cars(world: World, count: int, half_size_m: float, rng: np.random.Generator) -> World:
-    """The world with `count` cars along its streets, within `half_size_m` of its middle where there is room.
+def with_cars(world: World, count: int, half_size_m: float, rng: np.random.Generator) -> tuple[World, int]:
+    """The world with `count` cars along its streets, within `half_size_m` of its middle; and how many found room.
 
     Raises InputError where there are no streets.
 
@@ -56,9 +56,10 @@ def with_cars(world: World, count: int, half_size_m: float, rng: np.random.Gener
         windows[area] = 0
         free[area] = False
         parked += 1
-    return replace(
+    with_them = replace(
         world, height=height, albedo=albedo, wall_albedo=wall, slope_x=slope_x, slope_y=slope_y, windows=windows
     )
+    return with_them, parked
 
 
 def _open(free: np.ndarray, row: int, column: int, axis: int, length: int) -> bool:

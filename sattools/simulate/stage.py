@@ -83,10 +83,17 @@ def _simulate_town(scene: Scene, options: SimulateOptions, progress: Progress) -
 
     sky = sky_share(world, SKY_STRIDE)
 
+    parked: list[int] = []
+
     def take(number: int, view: SimulatedView, seed: np.random.SeedSequence) -> Item:
-        return _take(scene, options, _on_the_day(options, world, number, view), sky, view, seed)
+        today, cars = _on_the_day(options, world, number, view)
+        parked.append(cars)
+        return _take(scene, options, today, sky, view, seed)
 
     take_all(scene, views, seeds[2], take, progress)
+    if min(parked) < options.cars:
+        room = " to ".join(map(str, sorted({min(parked), max(parked)})))
+        log.warning("--cars: found room for %s of %d in each image, which show no more", room, options.cars)
     return scene
 
 
@@ -226,12 +233,12 @@ def _given(options: SimulateOptions) -> tuple[GivenSurface, np.ndarray | None]:
     return surface, read_classes(options.classes, options.dsm, surface)
 
 
-def _on_the_day(options: SimulateOptions, world: World, number: int, view: SimulatedView) -> World:
-    """The world with the cars and the season of one image."""
+def _on_the_day(options: SimulateOptions, world: World, number: int, view: SimulatedView) -> tuple[World, int]:
+    """The world with the cars and the season of one image, and how many cars these are."""
     if isinstance(world, DetailedWorld):
         world = world.on_day(leaves_on(view.time, view.rpc.lat_offset))
     if not options.cars:
-        return world
+        return world, 0
     # a seed of their own: neither cameras nor noise change when cars do
     rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(CAR_KEY, number)))
     return with_cars(world, options.cars, options.size / 2, rng)

@@ -38,11 +38,31 @@ def test_a_row_adds_up_what_the_steps_of_this_run_took(tmp_path: Path) -> None:
     assert (row["status"], row["mae_m"], row["completeness"], row["cells"]) == ("done", 1.25, 0.5, 40)
     assert (row["trees_mae_m"], row["buildings_mae_m"], row["protocol"]) == (2.5, None, "p")
     assert (row["sattools"], row["torch"]) == ("1", "export")
+    assert row["fit_prior_s"] is None
     # a fit that has come after them is all that counts of the surface, and there is no score of it
     done("fit", 4.0, 50.0)
     scene.write()
     again = make_row("A", "fast", tmp_path / "scene.json")
     assert (again["seconds"], again["peak_memory_mb"], again["mae_m"]) == (5.5, 100.0, None)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"seconds": 10.0, "prior_seconds": 6.5},
+        {"seconds": 2.0, "parts": {"seconds": 8.0, "prior_seconds": 6.5, "peak_memory_mb": 1.0}},
+    ],
+)
+def test_a_row_says_how_much_of_a_fit_went_into_its_prior(tmp_path: Path, entry: dict[str, Any]) -> None:
+    """Beside a configuration whose `prior` went before, `fit_s` of one that makes its own is no measure of the fit."""
+    scene = Scene("A", tmp_path)
+    about = {"peak_memory_mb": 1.0, "versions": {}}
+    scene.history = [{"command": "prep", "seconds": 1.0, **about}, {"command": "fit", **about, **entry}]
+    scene.write()
+    row = make_row("A", "fast", tmp_path / "scene.json")
+    assert (row.get("prior_s"), row["fit_s"], row["fit_prior_s"]) == (None, 10.0, 6.5)
+    assert row["seconds"] == 11.0
+    assert "prior_s,fit_s,export_s,fit_prior_s,peak_memory_mb" in to_csv([row])
 
 
 def written(out: Path, *rows: dict[str, Any]) -> None:

@@ -15,6 +15,7 @@ scale = "1/10000"
 [fit]
 preset = "satnerf"
 tile = 200
+dry-run = false
 [export]
 products = ["laz,dtm", "mesh"]
 [align]
@@ -36,6 +37,10 @@ region = "west"
         ('[compare]\npredicted = "a.tif"\ndsm = "b.tif"', "c.toml: [compare] found a scene beside --predicted, which"),
         ('[compare]\nfit = ["A=a.json"]\nout = "o"', "c.toml: [compare] found SCENE beside --fit, expected it as"),
         ("[align]\ntilt = true", "c.toml: [align] found no 'to', expected a reference"),
+        ("[fit]\nprint-config = true", "c.toml: [fit] found 'print-config', expected `sattools fit --config"),
+        ("[export]\ndry_run = true", "c.toml: [export] found 'dry_run', expected `sattools batch --dry-run`"),
+        ('[prep]\ndfc2019 = "data"', "c.toml: [prep] found 'dfc2019', expected `sattools batch --dfc2019 ROOT --aoi"),
+        ('[prep]\ndfc2019 = "data"\naoi = "JAX_004"', "ROOT --aoi AREA` (scenes that are given are prepared already)"),
         ('[normalise]\nscale = "1/3"', "c.toml: [normalise] --scale: found --quantity auto, expected"),
     ],
 )
@@ -58,5 +63,5 @@ def test_a_configuration_of_values_that_go_together_is_taken(make_town: Any, tmp
     (tmp_path / "c.toml").write_text(GOOD)
     with main.make_context("sattools", ["info"]) as context, context.scope():
         found = configuration(tmp_path / "c.toml")
-    assert found.tables["fit"] == {"preset": "satnerf", "tile": 200}
+    assert found.tables["fit"] == {"preset": "satnerf", "tile": 200, "dry-run": False}
     assert found.resolved["export"]["products"] == ("laz,dtm", "mesh")

@@ -167,6 +167,12 @@ def test_memory_for_nothing_is_wrong_usage() -> None:
         (["export", "--sun", "120", "-40"], "--sun: found azimuth 120 and elevation -40"),
         (["fit", "--views", "foo"], "--views: found 'foo', expected all or nearest-nadir:N"),
         (["compare", "--region", "foo"], "--region: found 'foo', expected west, east, north, south or four numbers"),
+        (
+            ["compare", "--predicted", "a.tif"],
+            "found no reference beside --predicted, expected --dsm FILE",
+        ),
+        (["compare", "--predicted", "a.tif", "--truth", "t"], "found --truth without a scene, expected --aoi NAME"),
+        (["compare", "--dsm", "a.tif", "--truth", "t"], "found both --truth and --dsm, expected one of them"),
         (["compare", "--map", "x"], "--map: found 'x', expected NAME=FILE"),
         (["prep", "--crs", "foo", "a.tif"], "CRS 'foo': found none that is known"),
         (["normalise", "--scale", "abc"], "--scale: found 'abc', expected a positive number or a fraction"),

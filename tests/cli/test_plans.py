@@ -9,6 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from sattools.cli import main, plans
+from sattools.prep.options import PrepOptions
+from sattools.prep.stage import check_inputs, prepare
 from sattools.processors import cores, takes
 from sattools.scene import Grid, Scene
 
@@ -55,6 +57,26 @@ def test_prep_says_it_of_its_images(make_town: Callable[[], Scene], tmp_path: Pa
     assert " megapixels: about 0.4 GiB of memory and " in said
     assert said.endswith(f"; writes {tmp_path}/new/X/\n")
     assert not (tmp_path / "new").exists()
+
+
+def test_prep_of_an_area_says_it_of_what_is_read_of_its_images(
+    make_town: Callable[[], Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of whole images of thousands of megapixels little may be read; what is kept around the area is part of it."""
+    monkeypatch.setattr("sattools.prep.places._BIAS_MARGIN_PX", 25)  # these images are small
+    town = make_town()
+    images = [town.path(item.assets["image"].href) for item in town.items]
+    west, south, east, north = town.require_grid().bounds
+    area = [west + 28, south + 28, east - 28, north - 28]
+    low, high = town.require_height_range()
+    options = PrepOptions(out=str(tmp_path), id="X", crs=town.require_grid().crs, bounds=area)
+    options = replace(options, min_height=low, max_height=high)
+    told = check_inputs(images, options)
+    kept = [item.properties["proj:shape"] for item in prepare(images, options)[0].items]
+    for (rows, columns), (kept_rows, kept_columns), item in zip(told, kept, town.items, strict=True):
+        whole = item.properties["proj:shape"]
+        assert kept_rows <= rows < whole[0]
+        assert kept_columns <= columns < whole[1]
 
 
 def test_simulate_says_it_of_its_rays(tmp_path: Path) -> None:

@@ -98,6 +98,24 @@ def test_a_reference_in_degrees_comes_onto_the_scenes_crs(tmp_path: Path, oblong
     assert set(np.unique(truth.classes)) <= {2, 6, 65, 255}
 
 
+def test_longitudes_of_a_reference_may_run_from_0_to_360(tmp_path: Path) -> None:
+    write_cog(tmp_path / "dsm.tif", SLOPE, GRID)
+    reference, classes = in_degrees(tmp_path / "degrees.tif", SLOPE), in_degrees(tmp_path / "classes.tif", CLASSES)
+    for path in (reference, classes):
+        with rasterio.open(path, "r+") as data:
+            place = data.transform
+            data.transform = rasterio.Affine(place.a, place.b, place.c + 360.0, place.d, place.e, place.f)
+            assert data.bounds.left == pytest.approx(278.335, abs=1e-3)
+    figures = compared(
+        "--predicted", tmp_path / "dsm.tif", "--dsm", reference, "--classes", classes, "--register", "none"
+    )
+    assert figures["mae"] < 0.05  # resampled twice
+    assert figures["completeness"] == pytest.approx(1.0, abs=0.03)
+    assert figures["classes"]["buildings"]["n"] == pytest.approx(
+        2400 / 1.064, abs=100
+    )  # half of the cells, of 1.064 m2
+
+
 @pytest.mark.parametrize("moved", [0.0, 3.0])
 def test_a_reference_of_a_map_may_be_in_degrees(tmp_path: Path, moved: float) -> None:
     write_cog(tmp_path / "w.tif", SLOPE, GRID)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from click.testing import CliRunner
 
 from sattools.cli import main
@@ -74,6 +75,53 @@ def test_what_says_that_it_is_no_height_is_refused(tmp_path: Path) -> None:
         assert (
             compared(tmp_path, matched(), town(), "--register", "none", unit_found=unit, unit_truth=unit).exit_code == 0
         )
+
+
+def classes() -> np.ndarray:
+    """Ground, trees and buildings as in a class map of ASPRS codes."""
+    codes = np.full(GRID.shape, 2, np.uint8)
+    codes[20:60, 20:60], codes[20:60, 60:90], codes[100:, 100:] = 6, 5, 65
+    return codes
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16])
+def test_a_class_map_is_no_surface(tmp_path: Path, kind: Any) -> None:
+    told = "found class codes (2, 5, 6, 65), expected heights [m] (or a file that says its unit: gdal_edit.py -units m)"
+    refused(compared(tmp_path, town(), classes().astype(kind)), f"truth.tif: {told}")
+    refused(compared(tmp_path, classes().astype(kind), town()), f"found.tif: {told}")
+    in_metres = compared(tmp_path, town(), classes().astype(kind), "--register", "none", unit_truth="m")
+    assert in_metres.exit_code == 0, in_metres.stderr
+
+
+def test_a_class_map_whose_margin_is_no_data_is_no_surface(tmp_path: Path) -> None:
+    codes = classes()
+    codes[:, :10] = 255
+    write_cog(tmp_path / "found.tif", town(), GRID)
+    write_cog(tmp_path / "truth.tif", codes, GRID, nodata=255)
+    files = ("--predicted", str(tmp_path / "found.tif"), "--dsm", str(tmp_path / "truth.tif"))
+    refused(CliRunner().invoke(main, ["compare", *files]), "truth.tif: found class codes (2, 5, 6, 65), expected")
+
+
+@pytest.mark.parametrize("steep", [4.0, 1.0])
+def test_whole_metres_are_no_classes(tmp_path: Path, steep: float) -> None:
+    """A slope that rises by one cell after the other, or in terraces of 1 m, and a hut without a height between."""
+    heights = (np.arange(160.0) / 160.0 * 4.0 * steep).astype(np.int16) * np.ones((160, 1), np.int16)
+    heights[50:60, 20:30] = 18
+    result = compared(tmp_path, heights.astype(np.float32), heights, "--register", "none")
+    assert result.exit_code == 0, result.stderr
+
+
+def test_a_palette_is_no_surface(tmp_path: Path) -> None:
+    write_cog(tmp_path / "found.tif", town(), GRID)
+    about: Any = {"width": 160, "height": 160, "count": 1, "dtype": "uint8", "crs": GRID.crs}
+    with rasterio.open(tmp_path / "truth.tif", "w", driver="GTiff", transform=GRID.transform, **about) as data:
+        data.write(classes(), 1)
+        data.write_colormap(1, {2: (200, 150, 100), 5: (0, 120, 0)})
+    files = ("--predicted", str(tmp_path / "found.tif"), "--dsm", str(tmp_path / "truth.tif"))
+    refused(
+        CliRunner().invoke(main, ["compare", *files]),
+        "truth.tif: found a palette (numbers of colours or classes), expected heights [m]",
+    )
 
 
 def test_a_reference_without_a_height_is_named(tmp_path: Path) -> None:

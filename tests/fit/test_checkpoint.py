@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -9,6 +10,9 @@ from safetensors.torch import save_file
 
 from sattools.errors import InputError
 from sattools.fit import checkpoint
+from sattools.fit.options import FitOptions
+from sattools.fit.stage import fit
+from sattools.fit.stored import StoredModel
 
 
 def test_a_model_survives_its_file(tmp_path: Path) -> None:
@@ -65,3 +69,18 @@ def test_a_damaged_model_is_found_without_holding_it(tmp_path: Path) -> None:
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(InputError, match=r"m\.safetensors: found no sattools model \(truncated\)"):
         checkpoint.verify(path)
+
+
+def test_a_model_that_goes_away_while_it_is_read_is_named(make_town: Any) -> None:
+    """A scene's folder that was moved while `export` ran ended it with an "internal error"."""
+    scene = make_town()
+    fit(scene, FitOptions(resolution=4.0, epochs=[1], prior_weight=0.0))
+    path = scene.path(scene.products["model"])
+    stored = StoredModel.open(path, in_memory=0)
+    whole = slice(0, 2), slice(0, 2)
+    assert stored.part(*whole).height.shape == (2, 2)
+    scene.root.rename(scene.root.with_name("MOVED"))
+    for read in (stored.colours, lambda: stored.part(*whole), lambda: stored.maps(*whole)):
+        with pytest.raises(InputError) as error:
+            read()
+        assert str(error.value) == f"{path}: no such file any more, expected it there until the end"

@@ -41,6 +41,19 @@ def test_a_reference_without_a_place_is_refused_before_anything_is_done(make_tow
     assert not list(scene.root.glob("prior/*"))
 
 
+def test_a_class_map_is_no_reference(make_town: Any, tmp_path: Path) -> None:
+    """A fit was watched by the codes of ground, trees and buildings as if they were metres."""
+    scene = make_town()
+    own = scene.require_grid()
+    codes = np.full(own.shape, 2, np.uint8)
+    codes[:20, :20], codes[40:, :20] = 5, 6
+    write_cog(tmp_path / "classes.tif", codes, own, nodata=None)
+    for begin in (check_start, fit):
+        with pytest.raises(InputError, match=r"classes.tif: found class codes \(2, 5, 6\), expected heights"):
+            begin(scene, replace(QUICK, reference=str(tmp_path / "classes.tif")))
+    assert not list(scene.root.glob("prior/*"))
+
+
 @pytest.mark.parametrize("crs", ["EPSG:32617", "EPSG:4326"])
 def test_a_reference_of_a_part_of_the_area_is_watched(make_town: Any, tmp_path: Path, crs: str) -> None:
     scene = make_town()
@@ -63,6 +76,17 @@ def test_a_reference_at_the_date_line_is_taken(tmp_path: Path, west: float) -> N
     zone = Grid("EPSG:32701", 180172.0, 8140199.0, 1.0, 100, 100)  # of 179.9999 degrees west, 16.8 south
     write_cog(tmp_path / "fiji.tif", np.zeros((50, 200), np.float32), Grid("EPSG:4326", west, -16.7999, 1e-5, 200, 50))
     check_reference(Scene("FIJI", tmp_path, grid=zone), str(tmp_path / "fiji.tif"))
+
+
+@pytest.mark.parametrize(("left", "there"), [(278.335, True), (278.345, False)])
+def test_longitudes_of_a_reference_may_run_from_0_to_360(tmp_path: Path, left: float, there: bool) -> None:
+    scene = Scene("JAX", tmp_path, grid=Grid("EPSG:32617", 436000.0, 3357800.0, 1.0, 80, 60))  # 81.666 degrees west
+    write_cog(tmp_path / "lidar.tif", np.zeros((90, 90), np.float32), Grid("EPSG:4326", left, 30.351, 1e-5, 90, 90))
+    if there:
+        check_reference(scene, str(tmp_path / "lidar.tif"))
+    else:
+        with pytest.raises(InputError, match="found no ground of scene JAX"):
+            check_reference(scene, str(tmp_path / "lidar.tif"))
 
 
 @pytest.mark.parametrize(("given", "found"), [(["1"], "1"), (["1", "0.5", "0.25"], "1 0.5 0.25")])

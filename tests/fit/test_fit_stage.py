@@ -93,6 +93,14 @@ def test_a_budget_stops_the_fit_and_keeps_what_it_has(make_town: Any) -> None:
     assert torch.isfinite(height(scene)).all()
 
 
+def test_a_fit_says_how_long_its_own_prior_took(make_town: Any) -> None:
+    scene, given = make_town("OWN"), make_town("GIVEN")
+    assert fit(scene, QUICK)["prior_seconds"] > 0
+    prior(given, PriorOptions())
+    for other in (given, scene):  # which has one now
+        assert "prior_seconds" not in fit(other, QUICK)
+
+
 def test_an_existing_model_needs_overwrite(make_town: Any) -> None:
     scene = make_town()
     fit(scene, replace(QUICK, epochs=[1]))

@@ -183,6 +183,19 @@ def test_wide_cells_take_as_long_to_match_as_the_finer_ones_they_are_means_of(to
     assert foresee(town, AUTO).memory < made
 
 
+def test_what_is_matched_beyond_an_area_is_counted(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """16 m around 16 m of ground in the middle of what the images show: nine times the cells."""
+    west, _, _, north = town.require_grid().bounds
+    town.grid = Grid(town.require_grid().crs, west + 24.0, north - 24.0, 0.5, 32, 32)
+    (memory_b, seconds), fitted = foresight.matching(town, 1000), foresee(town, AUTO)
+    for item in town.items:  # of which nothing is known yet
+        del item.properties["proj:shape"]
+    (memory_alone_b, seconds_alone), alone = foresight.matching(town, 1000), foresee(town, AUTO)
+    assert seconds - foresight.START_S == pytest.approx(9 * (seconds_alone - foresight.START_S))
+    assert memory_b - memory_alone_b == pytest.approx(8 * 32 * 32 * (1000 + 6 * 250))
+    assert (fitted.memory, fitted.cpu_s) > (alone.memory, alone.cpu_s)
+
+
 def test_what_the_user_grants_is_what_tiles_go_by(town: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available", lambda: 64 * GIB)
     assert chosen_tile(of_size(town, 3000), AUTO) == 1024.0

@@ -18,7 +18,7 @@ from sattools.export.stage import export
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.fit.tiles import crew, plan
-from sattools.prep.area import wanted_area
+from sattools.prep.area import bounds_from_file, wanted_area
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
 from sattools.scene.area import wanted_cells, write_area
@@ -43,6 +43,51 @@ def test_the_wanted_area_is_the_polygon_without_the_masks(tmp_path: Path) -> Non
     assert wanted_area(aoi, [], UTM33)(BOX).area == pytest.approx(5000.0)
     assert wanted_area(aoi, [lake], UTM33)(BOX).area == pytest.approx(4800.0)
     assert wanted_area(None, [lake], UTM33)(BOX).area == pytest.approx(9800.0)
+
+
+KML = """<?xml version="1.0" encoding="UTF-8"?>
+<kml xmlns="http://www.opengis.net/kml/2.2"><Document><name>areas</name>
+<Folder><name>A</name><Placemark><name>field</name><Style/><Polygon>
+<outerBoundaryIs><LinearRing><coordinates>{outer}</coordinates></LinearRing></outerBoundaryIs>
+<innerBoundaryIs><LinearRing><coordinates>{inner}</coordinates></LinearRing></innerBoundaryIs>
+</Polygon></Placemark></Folder>
+<Folder><name>B</name><Placemark><name>yards</name><MultiGeometry>
+<Polygon><outerBoundaryIs><LinearRing><coordinates>{yard}</coordinates></LinearRing></outerBoundaryIs></Polygon>
+</MultiGeometry></Placemark><Placemark><name>tree</name><Point><coordinates>15,46</coordinates></Point></Placemark>
+</Folder></Document></kml>
+"""
+
+
+def kml_ring(west: float, south: float, east: float, north: float) -> str:
+    lon, lat = to_geographic(UTM33, *np.array(box(X + west, Y + south, X + east, Y + north).exterior.coords).T)
+    return "\n  ".join(f"{a:.10f},{b:.10f},0" for a, b in zip(lon, lat, strict=True))
+
+
+def test_the_polygons_of_all_folders_of_a_kml_count(tmp_path: Path) -> None:
+    rings = {"outer": (0, 0, 40, 40), "inner": (10, 10, 20, 20), "yard": (60, 60, 80, 70)}
+    path = tmp_path / "areas.kml"
+    path.write_text(KML.format(**{name: kml_ring(*ring) for name, ring in rings.items()}))
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1600 - 100 + 200, abs=0.1)
+    assert wanted_area(None, [path], UTM33)(BOX).area == pytest.approx(10_000 - 1700, abs=0.1)
+    assert bounds_from_file(path, UTM33) == pytest.approx((X, Y, X + 80, Y + 70), abs=0.01)
+    assert list(numbered_polygons(path, UTM33)) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("<kml><Placemark><Polygon>", r"areas.kml: found unreadable XML \(.*\), expected KML"),
+        ("<a><!-- <kml> --></a>", "areas.kml: found XML with root <a>, expected KML"),
+        (KML.format(outer="15 46 15", inner="", yard=""), "areas.kml: found the place '15', expected longitude,lat"),
+        (KML.format(outer="15,46 15,47", inner="", yard=""), "areas.kml: found a Polygon that is none"),
+        ("<kml><Placemark><Point><coordinates>15,46</coordinates></Point></Placemark></kml>", "found no polygon"),
+        ("PK\x03\x04 doc.kml", "expected polygons: GeoPackage, GeoJSON, shapefile, FlatGeobuf or KML"),
+    ],
+)
+def test_a_kml_without_an_area_is_told(tmp_path: Path, content: str, told: str) -> None:
+    (tmp_path / "areas.kml").write_text(content)
+    with pytest.raises(InputError, match=told):
+        wanted_area(tmp_path / "areas.kml", [], UTM33)
 
 
 def test_rings_that_cross_lose_no_part(tmp_path: Path) -> None:

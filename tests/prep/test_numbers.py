@@ -79,3 +79,35 @@ def test_shares_are_written_as_people_write_them(negative: int, said: str) -> No
     numbers = Numbers(1)
     numbers.low[:], numbers.seen, numbers.negative = -300.0, 1000, negative
     assert numbers.doubts()[0].startswith(f"{said} of its pixels are negative")
+
+
+def white(edge: int) -> Any:
+    """All pixels but those within so many of the image's edge are saturated."""
+
+    def change(values: Any) -> Any:
+        inside = slice(edge, -edge or None)
+        values[:, inside, inside] = 65535
+        return values
+
+    return change
+
+
+def test_a_white_image_is_refused(town: Any) -> None:
+    town.pixels(2, white(0))
+    result = prep(town)
+    assert result.exit_code == 1
+    assert "TOWN_002.tif: found band 1 to be 65535 everywhere, expected an image" in result.stderr
+
+
+def test_images_that_are_white_in_the_area_only_are_refused(town: Any, town_source: Scene) -> None:
+    """What is around tied them, and a surface was made of nothing."""
+    for number in range(1, 5):
+        town.pixels(number, white(50))
+    west, south, east, north = town_source.require_grid().bounds
+    middle = (west + east) / 2, (south + north) / 2
+    bounds = [middle[0] - 6, middle[1] - 6, middle[0] + 6, middle[1] + 6]
+    result = prep(town, "--crs", town_source.require_grid().crs, "--bounds", *(str(edge) for edge in bounds))
+    assert result.exit_code == 1
+    told = "TOWN_001.tif: found 65535 everywhere in the area, expected an image of it (leave it out)"
+    assert told in result.stderr.splitlines()[-1]
+    assert not list(town.folder.glob("**/scene.json"))

@@ -59,6 +59,15 @@ def test_values_become_arguments() -> None:
     assert sorted(given.split(" --")[1:]) == ["epochs 2", "epochs 4", "loss raw-log", "no-pose", "seed 7"]
 
 
+@pytest.mark.parametrize("value", ["auto", "512"])
+def test_a_number_that_may_be_a_word_is_asked_for_as_text(value: str) -> None:
+    (tile,) = [field for field in forms.fields("fit", USAGE["commands"]["fit"]) if field["key"] == "TILE"]
+    assert (tile["type"], tile["default"]) == ("text", None)
+    assert "auto = as the free memory asks for" in tile["help"]
+    assert forms.arguments([tile], {"TILE": value}) == ["--tile", value]
+    assert forms.arguments([tile], {"TILE": ""}) == []
+
+
 def test_an_option_of_several_values_is_given_once() -> None:
     fields = forms.fields("prep", USAGE["commands"]["prep"])
     bounds = [f for f in fields if f["key"] == "BOUNDS"]

@@ -1,6 +1,8 @@
 """Simulated extremes of light, and cars that are elsewhere in every image."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,7 +69,7 @@ def test_cars_are_in_the_images_but_not_in_the_truth(scenes: Any) -> None:
 
 def test_every_image_has_its_cars_elsewhere_on_the_streets() -> None:
     world = build_city((0.0, 0.0), 60.0, 0.25, 0.0, np.random.default_rng(0))
-    first, second = (with_cars(world, 15, 30.0, np.random.default_rng(k)) for k in range(2))
+    first, second = (with_cars(world, 15, 30.0, np.random.default_rng(k))[0] for k in range(2))
     places = [np.abs(w.height - world.height) > 1.0 for w in (first, second)]
     for place in places:
         area = place.sum() * 0.25**2
@@ -75,6 +77,19 @@ def test_every_image_has_its_cars_elsewhere_on_the_streets() -> None:
         assert world.streets[place].all()
     assert (places[0] & places[1]).sum() < 0.5 * places[0].sum()
     assert np.array_equal(first.classes, world.classes)
+
+
+@pytest.mark.parametrize(("cars", "told"), [("3", False), ("2000", True)])
+def test_cars_that_found_no_room_are_told(tmp_path: Path, cars: str, told: bool) -> None:
+    given = ["--id", "C", "--size", "48", "--views", "2", "--dates", "1", "--test-views", "0", "--seed", "5"]
+    result = CliRunner().invoke(main, ["simulate", "--cars", cars, *given, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.stderr
+    words = r"--cars: found room for (\d+)(?: to (\d+))? of 2000 in each image, which show no more\n"
+    found = re.search(words, result.stderr)
+    assert (found is not None) == told
+    if found:
+        low, high = int(found[1]), int(found[2] or found[1])
+        assert 10 < low <= high < 290  # on 48 x 48 m, of which a car takes 8 m2
 
 
 def test_terrain_without_streets_has_no_cars() -> None:
@@ -87,13 +102,15 @@ def test_a_window_beside_the_streets_has_no_cars() -> None:
     world = build_city((0.0, 0.0), 40.0, 0.5, 0.0, np.random.default_rng(0))
     streets = np.zeros_like(world.streets)
     streets[0, 0] = True
-    same = with_cars(replace(world, streets=streets), 3, 10.0, np.random.default_rng(0))
+    same, parked = with_cars(replace(world, streets=streets), 3, 10.0, np.random.default_rng(0))
+    assert parked == 0
     np.testing.assert_array_equal(same.height, world.height)
 
 
 def test_cars_smaller_than_a_cell_take_one() -> None:
     world = build_city((0.0, 0.0), 60.0, 4.0, 0.0, np.random.default_rng(0))
-    same = with_cars(world, 3, 30.0, np.random.default_rng(0))
+    same, parked = with_cars(world, 3, 30.0, np.random.default_rng(0))
+    assert parked == 3
     assert 1 <= (same.height != world.height).sum() <= 3
 
 

@@ -34,6 +34,7 @@ from sattools.radiometry.saturated import NOTED
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.copies import href_of_part, part_copy
+from sattools.scene.dependencies import PRIOR_SECONDS
 from sattools.scene.document import PARTS
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
@@ -197,7 +198,7 @@ class Plan:
         self._write_state(names, [], pilots=names)
 
     def spent(self) -> JsonObject:
-        """Seconds of `split` and of the tiles, and the most memory one of them took.
+        """Seconds of `split` and of the tiles, those of them in which priors were made, and the most memory one took.
 
         Empty where they were not fitted by commands of their own.
         """
@@ -206,9 +207,11 @@ class Plan:
         if not entries:
             return {}
         split = float((read_state(self.scene.root) or {}).get("seconds", 0.0))
+        matching = sum(entry.get(PRIOR_SECONDS, 0.0) for entry in entries)
         return {
             "tiles": len(self.names()),
             "seconds": round(split + sum(entry["seconds"] for entry in entries), 3),
+            **({PRIOR_SECONDS: round(matching, 3)} if matching else {}),
             "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
         }
 

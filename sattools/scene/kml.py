@@ -1,0 +1,88 @@
+"""Geometries of KML files, of all their folders.
+
+They are read without GDAL: not every build of it has a driver, and those that do take folders for layers, of which one
+would be read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sattools.errors import InputError
+from sattools.scene.xmlio import find_all, local_name, parse_xml
+
+_DEPTH = 8  # of geometries within geometries
+
+
+def is_kml(head: bytes) -> bool:
+    """Whether a file that begins so is KML."""
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<") and b"<kml" in head
+
+
+def read_kml(path: Path) -> tuple[list[Any], list[str]]:
+    """Shapely geometries of all placemarks in degrees, WGS84, None = one without; and their names.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: malformed, or places that are none.
+    """
+    root = parse_xml(path, "KML")
+    if local_name(root) != "kml":
+        raise InputError(f"{path}: found XML with root <{local_name(root)}>, expected KML")
+    marks = find_all(root, "Placemark")
+    names = [next(((e.text or "").strip() for e in mark if local_name(e) == "name"), "") for mark in marks]
+    return [_joined([shape for child in mark for shape in _shapes(path, child, 0)]) for mark in marks], names
+
+
+def _shapes(path: Path, element: Any, depth: int) -> Iterator[Any]:
+    import shapely
+
+    kind = local_name(element)
+    if kind == "MultiGeometry" and depth < _DEPTH:
+        for child in element:
+            yield from _shapes(path, child, depth + 1)
+    elif kind == "Polygon":
+        outer = [_places(path, ring) for ring in find_all(element, "outerBoundaryIs")]
+        inner = [_places(path, ring) for ring in find_all(element, "innerBoundaryIs")]
+        if outer:
+            yield _made(path, shapely.Polygon, outer[0], [hole for hole in inner if hole])
+    elif kind in ("Point", "LineString", "LinearRing"):
+        yield _made(path, shapely.Point if kind == "Point" else shapely.LineString, _places(path, element))
+
+
+def _places(path: Path, element: Any) -> list[tuple[float, ...]]:
+    """Longitudes and latitudes of all coordinates of an element, which separates places by blanks."""
+    places: list[tuple[float, ...]] = []
+    for text in " ".join(e.text or "" for e in find_all(element, "coordinates")).split():
+        try:
+            lon, lat = (float(number) for number in text.split(",")[:2])
+        except ValueError:
+            raise InputError(f"{path}: found the place {text[:40]!r}, expected longitude,latitude as in KML") from None
+        places.append((lon, lat))
+    return places
+
+
+def _made(path: Path, kind: Any, *parts: Any) -> Any:
+    try:
+        return kind(*parts)
+    except Exception as error:  # shapely's and GEOS's own kinds, for rings of two places
+        text = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: found a {kind.__name__} that is none ({text}), expected KML") from None
+
+
+def _joined(shapes: list[Any]) -> Any:
+    """All geometries of a placemark as one; None where it has none."""
+    import shapely
+
+    if len(shapes) < 2:
+        return shapes[0] if shapes else None
+    if all(isinstance(shape, shapely.Polygon) for shape in shapes):
+        return shapely.MultiPolygon(shapes)
+    return shapely.GeometryCollection(shapes)
+
+
+__all__ = ["is_kml", "read_kml"]

@@ -1,0 +1,35 @@
+"""What `align` is given to move a scene onto: rasters of heights as others deliver them, and nothing else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from align_ground import CRS, GRID
+
+from sattools.align.reference import check_reference, heights_around
+from sattools.errors import InputError
+from sattools.scene.grid import Grid
+from sattools.scene.raster import write_cog
+
+
+def test_a_class_map_is_no_reference(tmp_path: Path) -> None:
+    """As `compare --dsm` says it: a surface was moved onto the codes of ground, trees and buildings."""
+    codes = np.full(GRID.shape, 2, np.uint8)
+    codes[:100, :100], codes[200:, :100] = 5, 6
+    write_cog(tmp_path / "classes.tif", codes, GRID, nodata=None)
+    with pytest.raises(InputError, match=r"classes.tif: found class codes \(2, 5, 6\), expected heights \[m\]"):
+        check_reference(tmp_path / "classes.tif", CRS)
+
+
+@pytest.mark.parametrize(
+    ("left", "width"), [(-82.0, 80), (278.0, 80), (0.0, 36000), (-180.0, 36000)], ids=["part", "part-360", "360", "180"]
+)
+def test_longitudes_may_run_from_0_to_360(tmp_path: Path, left: float, width: int) -> None:
+    """Heights that rise by 1 m every 0.01 degrees to the east from 82 degrees west, where the ground is at 81.664."""
+    lon = left + 0.01 * (np.arange(width) + 0.5)
+    heights = np.tile(100 * ((lon + 82.0) % 360.0), (80, 1)).astype(np.float32)
+    write_cog(tmp_path / "degrees.tif", heights, Grid("EPSG:4326", left, 30.8, 0.01, width, 80))
+    found, around = heights_around(tmp_path / "degrees.tif", GRID, 20.0)
+    assert around.crs == CRS
+    assert np.isfinite(found).all()
+    assert float(found.mean()) == pytest.approx(33.6, abs=0.6)  # of cells of a kilometre
