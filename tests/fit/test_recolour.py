@@ -81,7 +81,7 @@ def test_shade_that_shows_noise_alone_has_an_albedo_near_the_middle_one() -> Non
     shade = Seen(np.full((4, 1, 2), 0.2, np.float32), np.ones((4, 1), np.float32), np.zeros((4, 1), np.float32))
     dark = Colours(np.ones((4, 2)), np.zeros((4, 2)), np.full((4, 2), 0.02))
     # light of 0.02 in four images, spread 0.1 over half of 0.3: (4 x 0.02 x 0.2 + 0.44 x 0.3) / (4 x 0.02^2 + 0.44)
-    found = solve_albedo(shade, dark, Usual(np.array([0.1, 0.1]), np.array([0.3, 0.3])))
+    found = solve_albedo(shade, dark, Usual(np.array([0.1, 0.1]), np.array([0.3, 0.3]), np.array([0.15, 0.15])))
     assert found[0].tolist() == pytest.approx([0.32, 0.32], abs=0.01)
 
 
@@ -110,6 +110,34 @@ def test_clipped_pixels_count_where_nothing_else_is_seen_alone(seen: Seen, albed
     assert np.abs(found[:100] - (0.1 - OFFSET[:2].mean(axis=0)) / GAIN[:2].mean(axis=0)).mean() < 0.05
 
 
+def test_land_beside_much_water_keeps_its_albedo(albedo: np.ndarray) -> None:
+    mostly_water = np.where(np.arange(len(albedo))[:, None] < 3000, 0.01, albedo).astype(np.float32)
+    water = shown(mostly_water, TRUE)
+    noise = np.random.default_rng(3).normal(0.0, 0.02, water.radiance.shape).astype(np.float32)
+    _, found = solved(replace(water, radiance=water.radiance + noise), TRUE, mostly_water)
+    shows = (water.weight * water.lit).sum(axis=0) >= 2
+    land = shows & (np.arange(len(albedo)) >= 3000)
+    # noise of 0.02 in two images or more; drawn to the water's 0.01, land of 0.33 in the mean would be far below that
+    assert abs((found[land] - albedo[land]).mean()) < 0.01
+
+
+def test_what_one_image_alone_shows_has_the_albedo_that_it_shows(seen: Seen, albedo: np.ndarray) -> None:
+    alone = np.zeros_like(seen.weight)
+    alone[np.arange(len(albedo)) % 4, np.arange(len(albedo))] = 1.0
+    lit = Seen(shown(albedo, TRUE).radiance, alone, seen.lit)
+    some = sample(lit, albedo, 0)
+    assert some[0].weight.shape[1] == 4000
+    found = solve_albedo(lit, TRUE, usual(some[0], TRUE))
+    np.testing.assert_allclose(found, albedo, atol=0.02)
+
+
+def test_of_nothing_seen_nothing_is_found(seen: Seen) -> None:
+    blind = replace(seen, weight=np.zeros_like(seen.weight))
+    colours, found = solved(blind, TRUE)
+    np.testing.assert_array_equal(colours.gain, GAIN)
+    assert np.isfinite(found).all()
+
+
 def test_calibrated_images_keep_gain_and_offset(albedo: np.ndarray) -> None:
     known = Colours(GAIN, np.zeros_like(OFFSET), AMBIENT)
     start = Colours(GAIN, np.zeros_like(OFFSET), np.full_like(AMBIENT, 0.6))
@@ -129,14 +157,14 @@ def test_an_image_that_shows_next_to_nothing_keeps_its_colours(seen: Seen, albed
 
 
 def test_cells_do_not_depend_on_what_else_is_solved_with_them(seen: Seen) -> None:
-    known = Usual(np.array([0.01, 0.02]), np.array([0.3, 0.3]))
+    known = Usual(np.array([0.01, 0.02]), np.array([0.3, 0.3]), np.array([0.15, 0.15]))
     whole = solve_albedo(seen, TRUE, known)
     np.testing.assert_array_equal(solve_albedo(seen.at(slice(1000, 1100)), TRUE, known), whole[1000:1100])
 
 
 def test_black_ground_is_not_darker_than_black(seen: Seen) -> None:
     dark = replace(seen, radiance=seen.radiance - 1.0)
-    assert solve_albedo(dark, TRUE, Usual(np.array([0.01, 0.01]), np.array([0.3, 0.3]))).min() == 0.0
+    assert solve_albedo(dark, TRUE, Usual(*np.array([[0.01, 0.01], [0.3, 0.3], [0.15, 0.15]]))).min() == 0.0
 
 
 def relative_error(scene: Scene, options: FitOptions) -> float:

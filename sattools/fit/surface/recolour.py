@@ -22,14 +22,14 @@ from sattools.views.resample import read_at
 
 Held = Literal["nothing", "scale", "all"]
 ROUNDS = 12
-SAMPLE = 20_000  # cells that tell the images' colours
+SAMPLE = 4000  # cells that tell the images' colours; with 20,000 albedos are the same to 1 %
 REWEIGHTINGS = 4
 KNEE = 2.0  # robust standard deviations from which an image counts less: glare, seasons, what has moved
 VISIBLE = 0.95  # share of a cell's line of sight that has to be free
 WHITE = 0.98  # share of full scale from which a pixel may be clipped
 CLIPPED_WEIGHT = 1e-3  # such a pixel counts where nothing else is seen
 AMBIENT_SPREAD = 0.1  # standard deviation of an image's light in shade about the mean of all
-ALBEDO_SPREAD = 0.5  # of a cell's albedo about the middle one, as share of it
+LEAST_WIDTH = 0.5  # albedos are so far from the middle one, as share of it, or further
 ALIKE = 25.0  # cells whose errors are one: of a wrong height, of a crown that lets light through
 LEAST_CELLS = 50  # fewer say nothing about an image's colours
 AMBIENT = (0.02, 1.0)
@@ -59,15 +59,22 @@ class Seen:
 
 @dataclass(frozen=True)
 class Usual:
-    """Per band ``[C]``: how far radiances are from what albedo and light explain, and the middle albedo."""
+    """What is usual in each band ``[C]``.
+
+    Attributes:
+        spread: how far radiances are from what albedo and light explain (robust standard deviation).
+        albedo: the middle one.
+        width: how far albedos are from it; 0 = unknown.
+    """
 
     spread: np.ndarray
     albedo: np.ndarray
+    width: np.ndarray
 
 
 @dataclass(frozen=True)
 class Colours:
-    """Gain, offset and ambient ``[V, C]`` of images; what of them is `held` is not solved for."""
+    """Gain, offset and ambient ``[V, C]`` of images, see `SurfaceScene`."""
 
     gain: np.ndarray
     offset: np.ndarray
@@ -149,8 +156,9 @@ def _lit(model: FittedModel, j: int, cast: Cast) -> np.ndarray:
 
 
 def sample(seen: Seen, albedo: np.ndarray, seed: int) -> tuple[Seen, np.ndarray]:
-    """Some of the cells that two images or more show, and their albedo ``[n, C]``."""
-    shown = np.flatnonzero((seen.weight > CLIPPED_WEIGHT).sum(axis=0) >= 2)
+    """Some of the cells that two images or more show (or one, where that is all), and their albedo ``[n, C]``."""
+    count = (seen.weight > CLIPPED_WEIGHT).sum(axis=0)
+    shown = np.flatnonzero(count >= min(2, int(count.max(initial=0))))
     if len(shown) > SAMPLE:
         shown = np.sort(np.random.default_rng(seed).choice(shown, SAMPLE, replace=False))
     return seen.at(shown), albedo[shown]
@@ -222,7 +230,9 @@ def usual(seen: Seen, colours: Colours) -> Usual:
     for band in range(seen.radiance.shape[-1]):
         rho = _solve_band(seen, colours, band)
         spread = _spread(_residual(seen, colours, band, rho)[1], seen.weight)
-        found.append((spread, float(np.median(rho)) if rho.size else 0.0))
+        middle = float(np.median(rho)) if rho.size else 0.0
+        width = max(LEAST_WIDTH * middle, float(np.abs(rho - middle).mean())) if rho.size else 0.0
+        found.append((spread, middle, width))
     return Usual(*np.array(found).T)
 
 
@@ -230,7 +240,7 @@ def solve_albedo(seen: Seen, colours: Colours, known: Usual) -> np.ndarray:
     """Albedo ``[N, C]`` of cells, 0 or more: robust least squares over the images that show them.
 
     Deep shade shows hardly any light, so that noise and heights a little off would give any albedo: the middle one
-    counts as an observation, too, within half of it. Clipped pixels count where there are no others.
+    counts as an observation, too, within `Usual.width`. Clipped pixels count where there are no others.
 
     Args:
         seen: what the images show.
@@ -250,8 +260,8 @@ def _solve_band(seen: Seen, colours: Colours, band: int, known: Usual | None = N
     bright, square = light * value, light * light
     spread, middle, pull = None, 0.0, 1e-12
     if known is not None:
-        spread, middle = float(known.spread[band]), float(known.albedo[band])
-        pull += (spread / max(ALBEDO_SPREAD * middle, 1e-6)) ** 2
+        spread, middle, width = (float(each[band]) for each in (known.spread, known.albedo, known.width))
+        pull += (spread / width) ** 2 if width > 0 else 0.0
     robust = seen.weight
     for turn in range(REWEIGHTINGS):
         rho = ((robust * bright).sum(axis=0) + pull * middle) / ((robust * square).sum(axis=0) + pull)
