@@ -13,6 +13,7 @@ from sattools.camera.view_direction import ViewDirection
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.around import of_the_area
+from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.prior import PriorOptions, tiled
@@ -45,8 +46,14 @@ def shadows(scene: Any) -> np.ndarray:
     return np.stack([read_raster(scene.path(item.assets["shadow"].href))[0][0] for item in scene.train_items()])
 
 
+def light_in_shade(scene: Any) -> float:
+    """Mean over images and bands, as share of the light in the sun."""
+    return float(FittedModel.load(scene.path(scene.products["model"])).ambient.mean())
+
+
 def test_a_wall_around_the_area_throws_its_shadow_into_maps_and_pictures(middle: Any) -> None:
     plain = shadows(middle)
+    dark = light_in_shade(middle)
     without, _ = read_raster(middle.path(middle.products["albedo"]))
     path = middle.path(middle.products["prior_surroundings"])
     height, grid = read_raster(path)
@@ -63,6 +70,7 @@ def test_a_wall_around_the_area_throws_its_shadow_into_maps_and_pictures(middle:
     found, _ = read_raster(middle.path(middle.products["albedo"]))
     there = (walled.mean(axis=0) > plain.mean(axis=0) + 0.3) & (walled.mean(axis=0) < 1)
     assert there.any()
+    assert light_in_shade(middle) > dark + 0.1
     assert np.median(found[:, there]) > 1.04 * np.median(without[:, there])
     under = ExportOptions(sun=(180.0, 30.0))
     export(middle, under)
