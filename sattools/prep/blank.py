@@ -15,6 +15,7 @@ from sattools.prep.large import GrayImages
 from sattools.scene.grid import Grid
 
 SAMPLED = 250_000  # cells that are looked at
+LEAST = 100  # of them that an image has to show; so few others may be alike by chance
 
 
 def check_contents(
@@ -43,7 +44,7 @@ def check_contents(
         inside = (col >= 0) & (col < gray.shape[1]) & (row >= 0) & (row < gray.shape[0])
         shown = gray[row[inside].astype(int), col[inside].astype(int)]
         known = shown[np.isfinite(shown)]
-        if known.size and known.min() == known.max():
+        if known.size >= LEAST and known.min() == known.max():
             raise InputError(
                 f"{source.path}: found {known[0]:g} everywhere in the area, expected an image of it (leave it out)"
             )
