@@ -6,7 +6,8 @@ SIMULATED is the folder of a scene of `sattools simulate` (cities; its truth has
 and `export` made of its images. Albedos of images of unknown scale are known up to a factor per band: that of the
 medians where the sun reaches a cell in four images of five and the height is right to half a metre. Printed: the mean
 absolute difference over the mean albedo (mean of the bands) of all cells but water, of those whose height is right to
-half a metre, and of these by how many of the images have the sun on them.
+half a metre, and of these by how many of the images have the sun on them. The truth is shifted by whole cells, up to
+three, to where its heights are nearest, as `compare` registers surfaces.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from sattools.scene.regrid import sample_map
 
 RIGHT_M = 0.5
 WATER = 9
+REACH = 3  # cells
 
 
 def main() -> None:
@@ -41,8 +43,10 @@ def errors(scene: Scene, simulated: Path) -> list[float]:
     height = read_raster(scene.path(scene.products["dsm"]))[0][0]
     shaded = [read_raster(scene.path(item.assets["shadow"].href))[0][0] for item in scene.train_items()]
     lit = 1 - np.mean(shaded, axis=0)
-    true = [_on(simulated, name, grid) for name in ("ALBEDO", "DSM", "CLS")]
-    albedo, apart, classes = true[0], height - true[1][0], true[2][0]
+    true = np.concatenate([_on(simulated, name, grid) for name in ("DSM", "CLS", "ALBEDO")])
+    shifts = [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1)]
+    true = min((np.roll(true, shift, (1, 2)) for shift in shifts), key=lambda moved: _apart(height - moved[0]))
+    apart, classes, albedo = height - true[0], true[1], true[2:]
     known = np.isfinite(found).all(axis=0) & np.isfinite(albedo).all(axis=0) & np.isfinite(apart) & (classes != WATER)
     right = known & (np.abs(apart - np.median(apart[known])) < RIGHT_M)
     plain = right & (lit >= 0.8)
@@ -50,6 +54,12 @@ def errors(scene: Scene, simulated: Path) -> list[float]:
     wrong, mean = np.abs(found * factor[:, None, None] - albedo).mean(axis=0), albedo.mean(axis=0)
     parts = [known, right, plain, right & (lit > 0.2) & (lit < 0.8), right & (lit <= 0.2)]
     return [float(wrong[part].sum() / mean[part].sum()) for part in parts]
+
+
+def _apart(errors: np.ndarray) -> float:
+    """Mean absolute deviation from the median error [m], each at most 5 m."""
+    known = errors[np.isfinite(errors)]
+    return float(np.minimum(np.abs(known - np.median(known)), 5.0).mean())
 
 
 def _on(simulated: Path, name: str, grid: Grid) -> np.ndarray:
