@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sattools.fit.model import FittedModel
 from sattools.fit.stored import StreamedModel
@@ -21,11 +21,12 @@ MODEL, TRACE, CHECKPOINT = "fit/model.safetensors", "fit/trace.csv", "fit/checkp
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit has come to: the model, what happened on the way, and notes for the history."""
+    """What a fit has come to: the model, what happened on the way, and notes and seconds of steps for the history."""
 
     model: FittedModel | StreamedModel
     trace: Trace
     notes: list[str]
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None, read: Seen | None = None) -> JsonObject:
@@ -48,6 +49,7 @@ def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None, read:
     made = {**(made or {}), **record(scene, "fit", used, read)}
     return {
         "notes": fitted.notes,
+        **fitted.seconds,
         "fit": {"loss": trace.rows[-1]["loss"], "epochs": len(trace.rows)},
         MADE: made,
     }

@@ -42,11 +42,12 @@ from sattools.progress import Progress, silent, subprogress
 from sattools.radiometry.bands import chosen_bands
 from sattools.render.around import read_around
 from sattools.scene import Item, Scene
-from sattools.scene.dependencies import PRIOR_SECONDS, begin, seen
+from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS, begin, seen
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, with_bands
 
 log = logging.getLogger(__name__)
+DESCENT = 0.8  # share of a fit at which heights stand, and their albedo is solved for
 UNKNOWN = "no uncertainty of the reflectance's parameters is known: the network started from no surface fit"
 SURFACE_DEVICE = torch.device("cpu")  # compiled kernels: plain torch on an H200 took about three times as long
 
@@ -228,7 +229,7 @@ def _fit_surface(
         job.stages = stages_of(options)
     if prior is not None and radiance == "relative" and options.brdf == "lambert":
         options = job.options = replace(options, prior_weight=options.prior_weight * certainty(prior))
-    surface, finest, more = job.run(progress)
+    surface, finest, more = job.run(subprogress(progress, 0.0, DESCENT) if options.brdf == "lambert" else progress)
     options = job.resolved
     tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
     assert options.brdf != "auto"  # it has been chosen
@@ -262,12 +263,17 @@ def _fit_surface(
     # who asks for a cell size gets it; reflectances are found with the normals of the fit's own cells
     if prior and options.resolution is None and options.brdf == "lambert" and prior.grid.cell_size < finest.cell_size:
         model = with_detail(model, prior)
+    seconds: dict[str, float] = {}
     if options.brdf == "lambert":
+        began = time.perf_counter()
         held: Held = "all" if job.coarse is not None else "nothing" if radiance == "relative" else "scale"
         white = exposure if radiance == "relative" else None
-        model = recoloured(model, sources, casting(job.around), white, held=held, seed=options.seed)
+        told = subprogress(progress, DESCENT, 1.0)
+        model = recoloured(model, sources, casting(job.around), white, held=held, seed=options.seed, progress=told)
+        seconds[ALBEDO_SECONDS] = round(time.perf_counter() - began, 3)
     model = replace(model, albedo=model.albedo / exposure, offset=model.offset / exposure)
-    return Fitted(model, job.trace, notes + more)
+    progress(1.0, "fitted")
+    return Fitted(model, job.trace, notes + more, seconds)
 
 
 def choose_device(name: str) -> torch.device:

@@ -16,7 +16,7 @@ from sattools.report.errors import errors_section
 from sattools.report.links import products_section
 from sattools.report.page import Code, Picture, Section, Table, render
 from sattools.report.parts import number, product, trace_rows
-from sattools.scene.dependencies import PRIOR_SECONDS, drop, in_force, stale
+from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS, drop, in_force, stale
 from sattools.scene.document import Scene
 from sattools.scene.jsonio import JsonObject, read_json
 from sattools.scene.raster import raster_grid, read_overview, read_some_pixels
@@ -263,6 +263,9 @@ def _history(scene: Scene) -> Section:
     matching = told.get("fit", {}).get(PRIOR_SECONDS)
     if matching is not None:
         section.parts.append(f"fit: {number(matching, 1)} s of its time made the prior, which no command had made.")
+    albedo = told.get("fit", {}).get(ALBEDO_SECONDS)
+    if albedo is not None:
+        section.parts.append(f"fit: {number(albedo, 1)} s of its time solved for the albedo once the heights stood.")
     notes = [f"{command}: {note}" for command, entry in told.items() for note in entry.get("notes", [])]
     section.parts.extend(notes)
     return section

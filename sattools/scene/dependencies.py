@@ -75,6 +75,7 @@ ORDER = list(STAGES)
 Seen = Mapping[str, list[Any]]  # image -> digests of its files, and its properties
 MADE = "made"  # member of a history entry: stage -> record
 PRIOR_SECONDS = "prior_seconds"  # likewise, of `fit`: those of its seconds in which it made the prior itself
+ALBEDO_SECONDS = "albedo_seconds"  # and those in which it solved for the albedo of a surface whose heights stand
 # who began a history entry that makes all others out of date
 SOURCES = ("prep", "simulate")
 
@@ -335,6 +336,6 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "MADE", "PRIOR_SECONDS", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop", "files_of",
-    "in_force", "latest", "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
+    "ALBEDO_SECONDS", "MADE", "PRIOR_SECONDS", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop",
+    "files_of", "in_force", "latest", "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
 ]  # fmt: skip

@@ -142,11 +142,17 @@ _ENTRY = Table(
         "options": Table(),
         "seconds": Number(0),
         "prior_seconds": Number(0),
+        "albedo_seconds": Number(0),
         "peak_memory_mb": Number(0),
         "versions": Table(other=Text()),
         "notes": Items(Text(empty=True, longest=100_000)),
         "parts": Table(
-            {"seconds": Number(0), "prior_seconds": Number(0), "peak_memory_mb": Number(0)},
+            {
+                "seconds": Number(0),
+                "prior_seconds": Number(0),
+                "albedo_seconds": Number(0),
+                "peak_memory_mb": Number(0),
+            },
             ("seconds", "peak_memory_mb"),
         ),
         "errors": Table({"classes": Table(other=Table())}),

@@ -101,6 +101,25 @@ def test_a_fit_says_how_long_its_own_prior_took(make_town: Any) -> None:
         assert "prior_seconds" not in fit(other, QUICK)
 
 
+def test_a_fit_tells_that_it_solves_for_albedo_and_how_long_that_took(make_town: Any) -> None:
+    told: list[tuple[float, str]] = []
+    figures = fit(make_town(), QUICK, lambda share, message: told.append((round(share, 3), message)))
+    # 0.2 of the whole made the prior, 0.8 of the rest found heights
+    assert told[-10:] == [
+        (0.84, told[-10][1]),
+        *((round(0.84 + 0.08 * k / 6, 3), f"albedo: image {k + 1}/6") for k in range(6)),
+        (0.92, "albedo: colours of the images"),
+        (0.936, "albedo: cells"),
+        (1.0, "fitted"),
+    ]
+    assert told[-10][1].startswith("2 m, epoch 5/5, loss ")
+    assert figures["albedo_seconds"] > 0
+
+
+def test_a_reflectance_model_has_its_albedo_from_the_descent(make_town: Any) -> None:
+    assert "albedo_seconds" not in fit(make_town(), replace(QUICK, brdf="rpv", epochs=[1]))
+
+
 def test_an_existing_model_needs_overwrite(make_town: Any) -> None:
     scene = make_town()
     fit(scene, replace(QUICK, epochs=[1]))

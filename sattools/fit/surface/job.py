@@ -95,7 +95,6 @@ class SurfaceJob:
         self.height_std = trainer.height_std()
         if isinstance(surface, ReflectiveScene):
             notes += self._finish(surface, trainer, grid)
-        progress(1.0, "fitted")
         return surface, grid, notes
 
     def _begin_stage(

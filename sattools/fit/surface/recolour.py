@@ -16,6 +16,7 @@ import torch
 
 from sattools.camera.cells import project_cells
 from sattools.fit.model import FittedModel
+from sattools.progress import Progress, silent, subprogress
 from sattools.render.visibility import Cast
 from sattools.views import Source
 from sattools.views.resample import read_at
@@ -86,7 +87,14 @@ class Colours:
 
 
 def recoloured(
-    model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, *, held: Held, seed: int = 0
+    model: FittedModel,
+    sources: Sequence[Source],
+    cast: Cast,
+    full_scale: float | None,
+    *,
+    held: Held,
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> FittedModel:
     """A surface without reflectance model, with the albedo and the colours that explain the images best.
 
@@ -98,16 +106,19 @@ def recoloured(
         held: what stays as it is: ``"nothing"`` but the first image's gain and offset, the ``"scale"`` (all gains and
             offsets, of calibrated images), or ``"all"`` colours.
         seed: of the cells that tell the colours.
+        progress: told the share done and what is being done.
     """
-    seen = observe(model, sources, cast, full_scale)
+    seen = observe(model, sources, cast, full_scale, subprogress(progress, 0.0, 0.5))
     colours = Colours(*(getattr(model, name).double().numpy() for name in ("gain", "offset", "ambient")))
     start = model.albedo.reshape(-1, model.albedo.shape[-1]).numpy()
     some = sample(seen, start, seed)
+    progress(0.5, "albedo: colours of the images")
     if held != "all":
         colours = solve_colours(some, colours, scale_held=held == "scale")
     known = usual(some[0], colours)
     albedo = start.copy()
     for first in range(0, len(albedo), AT_ONCE):
+        progress(0.6 + 0.4 * first / len(albedo), "albedo: cells")
         part = slice(first, first + AT_ONCE)
         shown = np.max(seen.weight[:, part], axis=0) > 0
         albedo[part] = np.where(shown[:, None], solve_albedo(seen.at(part), colours, known), albedo[part])
@@ -118,7 +129,9 @@ def recoloured(
     return replace(model, albedo=shaped, gain=gain, offset=offset, ambient=ambient)
 
 
-def observe(model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None) -> Seen:
+def observe(
+    model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, progress: Progress = silent
+) -> Seen:
     """What the images show at a surface's cells, read at the pixels where these lie; hidden cells do not count.
 
     Args:
@@ -126,12 +139,14 @@ def observe(model: FittedModel, sources: Sequence[Source], cast: Cast, full_scal
         sources: the images, in the model's order.
         cast: visibility of heights on cells in a direction.
         full_scale: radiance at which pixels are clipped; None = they are not.
+        progress: told the share done and what is being done.
     """
     height, cell = model.height, model.grid.cell_size
     images, cells = len(sources), height.numel()
     radiance = np.empty((images, cells, model.albedo.shape[-1]), np.float32)
     weights, lit = (np.empty((images, cells), np.float32) for _ in range(2))
     for j, source in enumerate(sources):
+        progress(j / images, f"albedo: image {j + 1}/{images}")
         east, north = (-float(shift) for shift in model.pose[j])
         col, row = project_cells(source.rpc, model.grid.moved(east, north), height.numpy())
         picture, mask = read_at(source.radiance, col, row)

@@ -34,7 +34,7 @@ from sattools.radiometry.saturated import NOTED
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.area import wanted_cells
 from sattools.scene.copies import href_of_part, part_copy
-from sattools.scene.dependencies import PRIOR_SECONDS
+from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS
 from sattools.scene.document import PARTS
 from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
@@ -198,7 +198,7 @@ class Plan:
         self._write_state(names, [], pilots=names)
 
     def spent(self) -> JsonObject:
-        """Seconds of `split` and of the tiles, those of them in which priors were made, and the most memory one took.
+        """Seconds of `split` and of the tiles, those of them for priors and for albedo, and the most memory one took.
 
         Empty where they were not fitted by commands of their own.
         """
@@ -207,11 +207,11 @@ class Plan:
         if not entries:
             return {}
         split = float((read_state(self.scene.root) or {}).get("seconds", 0.0))
-        matching = sum(entry.get(PRIOR_SECONDS, 0.0) for entry in entries)
+        steps = {name: sum(e.get(name, 0.0) for e in entries) for name in (PRIOR_SECONDS, ALBEDO_SECONDS)}
         return {
             "tiles": len(self.names()),
             "seconds": round(split + sum(entry["seconds"] for entry in entries), 3),
-            **({PRIOR_SECONDS: round(matching, 3)} if matching else {}),
+            **{name: round(seconds, 3) for name, seconds in steps.items() if seconds},
             "peak_memory_mb": max(entry["peak_memory_mb"] for entry in entries),
         }
 
