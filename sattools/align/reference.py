@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from affine import Affine
 from rasterio.crs import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
@@ -90,8 +91,9 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
                 cell = step * max(around.cell_size, grid.cell_size)
                 around, method = Grid.from_bounds(grid.crs, around.bounds, cell), Resampling.average
             check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
+            place = place_at(data, bounds_in(crs, around))
             with WarpedVRT(
-                data, src_crs=crs, src_transform=place_at(data, bounds_in(crs, around)), crs=around.crs,
+                data, src_crs=_running_on(data, crs, place), src_transform=place, crs=around.crs,
                 transform=around.transform, width=around.width, height=around.height, resampling=method,
                 src_nodata=unknown, nodata=np.nan, dtype="float32",
             ) as warped:  # fmt: skip
@@ -143,6 +145,14 @@ def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, boo
     rows = [round((transform.f - side) / transform.a) for side in (box[3], box[1])]
     whole = Grid(crs, transform.c, transform.f, transform.a, 1, 1)
     return whole.part(slice(*rows), slice(*columns)), True
+
+
+def _running_on(data: DatasetReader, crs: str, place: Affine) -> str:
+    """The CRS of an open file, which finds longitudes beyond 180 degrees where they lie on it, not a turn away."""
+    west, east = place.c, place.c + place.a * data.width
+    if not data.crs.is_geographic or (west >= -180.0 and east <= 180.0):
+        return crs
+    return f"{CRS.from_user_input(crs).to_proj4()} +lon_wrap={(west + east) / 2:.9f}"
 
 
 def _csv_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:

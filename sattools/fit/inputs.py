@@ -231,7 +231,7 @@ def check_reference(scene: Scene, reference: str | None) -> None:
         left, bottom, right, top = data.bounds
         turned = place_at(data, bounds).c - data.transform.c
         left, right = left + turned, right + turned
-    across = (min(left, right) < east and west < max(left, right)) or west > east  # at 180 degrees nobody can tell
+    across = min(left, right) < east and west < max(left, right)
     if not (across and min(bottom, top) < north and south < max(bottom, top)):
         raise InputError(f"{path}: found no ground of scene {scene.id}, expected a --reference of its area")
 

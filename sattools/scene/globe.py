@@ -19,6 +19,19 @@ def near_longitude(lon: float, other: float) -> float:
     return float(lon) - 360.0 * round((lon - other) / 360.0)
 
 
+def whole_turn(span: tuple[float, float], onto: tuple[float, float]) -> float:
+    """What to add to longitudes so that they lie on others: 0, -360 or 360; 0 where none of these does.
+
+    Longitudes of some elevation models run from 0 to 360, and those of places at the antimeridian beyond 180 or -180.
+
+    Args:
+        span: the westernmost and the easternmost one [degrees].
+        onto: those of the others.
+    """
+    (west, east), (left, right) = span, onto
+    return next((turn for turn in (0.0, -360.0, 360.0) if west + turn < right and left < east + turn), 0.0)
+
+
 def outline_on_globe(ring: Sequence[Sequence[float]]) -> tuple[JsonObject, Box]:
     """GeoJSON geometry of a closed ring, and its box; cut in two at the antimeridian where it crosses that.
 
@@ -75,4 +88,4 @@ def _wrapped(lon: float) -> float:
     return lon if -180.0 <= lon <= 180.0 else (lon + 180.0) % 360.0 - 180.0
 
 
-__all__ = ["box_of_all", "near_longitude", "outline_on_globe"]
+__all__ = ["box_of_all", "near_longitude", "outline_on_globe", "whole_turn"]

@@ -10,6 +10,7 @@ from rasterio.windows import Window
 
 from sattools.errors import InputError
 from sattools.scene.datums import horizontal
+from sattools.scene.globe import whole_turn
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
 
@@ -51,19 +52,17 @@ def has_grid(path: Path) -> bool:
 def place_at(data: DatasetReader, bounds: tuple[float, float, float, float]) -> Affine:
     """From (column, row) of an open file's corners to its CRS, in degrees by whole turns so that it lies on the bounds.
 
-    Longitudes of some elevation models run from 0 to 360, and those of a place in the west are beyond 180 there.
-
     Args:
         data: the file.
-        bounds: (west, south, east, north) of something in its CRS.
+        bounds: (west, south, east, north) of something in its CRS, as `sattools.scene.regrid.bounds_of` gives them.
     """
     place = data.transform
     if not data.crs.is_geographic:
         return place
     west, _, east, _ = bounds
     edges = [place.c + place.a * col + place.b * row for col in (0, data.width) for row in (0, data.height)]
-    turns = (turn for turn in (0, -360, 360) if min(edges) + turn < east and west < max(edges) + turn)
-    return Affine(place.a, place.b, place.c + next(turns, 0), place.d, place.e, place.f)
+    turn = whole_turn((min(edges), max(edges)), (west, east))
+    return Affine(place.a, place.b, place.c + turn, place.d, place.e, place.f)
 
 
 def is_south_up(data: DatasetReader) -> bool:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 
 import numpy as np
 from affine import Affine
 
 from sattools.errors import SceneError
+from sattools.scene.globe import whole_turn
 from sattools.scene.grid import Grid
 
 _SPARE_CELLS = 4  # around a part, in which interpolation looks
@@ -108,14 +110,14 @@ def bounds_in(crs: str, grid: Grid) -> tuple[float, float, float, float]:
 
 
 def bounds_of(crs: str, own: str, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """`bounds_in` of (west, south, east, north) in a CRS of their own."""
+    """`bounds_in` of (west, south, east, north) in a CRS of their own; in degrees, east goes on beyond 180."""
     if own == crs:
         return bounds
     from rasterio.warp import transform_bounds
 
     with _ways(own, crs):
         west, south, east, north = transform_bounds(own, crs, *bounds)
-    return west, south, east, north
+    return west, south, east + (360.0 if east < west else 0.0), north  # which is how PROJ tells of the antimeridian
 
 
 def window_around(grid: Grid, target: Grid) -> tuple[slice, slice] | None:
@@ -129,6 +131,9 @@ def window_around(grid: Grid, target: Grid) -> tuple[slice, slice] | None:
         SceneError: no transformation between the two CRS is known.
     """
     west, south, east, north = bounds_in(grid.crs, target)
+    if _in_degrees(grid.crs):
+        turn = whole_turn((west, east), (grid.bounds[0], grid.bounds[2]))
+        west, east = west + turn, east + turn
     # cells of a CRS in degrees are no lengths of the other's
     spare = _SPARE_CELLS * max(grid.cell_size, (east - west) / target.width)
     box = (west - spare, south - spare, east + spare, north + spare)
@@ -138,6 +143,13 @@ def window_around(grid: Grid, target: Grid) -> tuple[slice, slice] | None:
         return grid.window(Grid.from_bounds(grid.crs, box, grid.cell_size))
     except SceneError:
         return None
+
+
+@lru_cache(maxsize=32)
+def _in_degrees(crs: str) -> bool:
+    from rasterio.crs import CRS
+
+    return bool(CRS.from_user_input(crs).is_geographic)
 
 
 def resize_map(array: np.ndarray, source: Grid, target: Grid) -> np.ndarray:

@@ -72,10 +72,14 @@ def test_a_reference_of_a_part_of_the_area_is_watched(make_town: Any, tmp_path: 
 
 @pytest.mark.parametrize("west", [179.9995, -180.0003])
 def test_a_reference_at_the_date_line_is_taken(tmp_path: Path, west: float) -> None:
-    """West of it a degree is 180, east of it -180: boxes of these cannot be compared."""
+    """West of it a degree is 180, east of it -180."""
     zone = Grid("EPSG:32701", 180172.0, 8140199.0, 1.0, 100, 100)  # of 179.9999 degrees west, 16.8 south
-    write_cog(tmp_path / "fiji.tif", np.zeros((50, 200), np.float32), Grid("EPSG:4326", west, -16.7999, 1e-5, 200, 50))
-    check_reference(Scene("FIJI", tmp_path, grid=zone), str(tmp_path / "fiji.tif"))
+    there, beside = tmp_path / "fiji.tif", tmp_path / "beside.tif"
+    write_cog(there, np.zeros((50, 200), np.float32), Grid("EPSG:4326", west, -16.7999, 1e-5, 200, 50))
+    write_cog(beside, np.zeros((50, 200), np.float32), Grid("EPSG:4326", west + 0.01, -16.7999, 1e-5, 200, 50))
+    check_reference(Scene("FIJI", tmp_path, grid=zone), str(there))
+    with pytest.raises(InputError, match=r"beside\.tif: found no ground of scene FIJI"):
+        check_reference(Scene("FIJI", tmp_path, grid=zone), str(beside))
 
 
 @pytest.mark.parametrize(("left", "there"), [(278.335, True), (278.345, False)])
