@@ -71,6 +71,18 @@ def _tell_idle(options: FitOptions) -> None:
         log.warning("--%s does nothing here: %s", name.replace("_", "-"), why)
 
 
+def _refuse_overlap(options: FitOptions, tile: float) -> None:
+    """Raise BadParameter, unless no other overlap would help: the fit says what it is that does not go with tiles."""
+    from sattools.fit.foresight import why_at_once
+
+    if not why_at_once(options):
+        raise click.BadParameter(
+            f"found {options.overlap:g} m, expected less than half of --tile {tile:g} m (a smaller --overlap, or tiles "
+            f"of more than {2 * options.overlap:g} m)",
+            param_hint="--overlap",
+        )
+
+
 @click.command("fit", cls=FitCommand)
 @scene_argument
 @dataclass_options(FitOptions)
@@ -86,9 +98,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     if options.tile == "auto" and options.part != "all":
         raise click.BadParameter(f"found auto with --part {options.part}, expected metres", param_hint="--tile")
     if options.tile and options.tile != "auto" and 2 * options.overlap >= options.tile:
-        raise click.BadParameter(
-            f"found {options.overlap:g} m, expected less than half of --tile {options.tile:g} m", param_hint="--overlap"
-        )
+        _refuse_overlap(options, options.tile)
     if options.part != "all" and not options.tile:
         raise click.BadParameter(f"found {options.part}, expected --tile beside it", param_hint="--part")
 

@@ -12,6 +12,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import SattoolsError, SceneError
 from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
+from sattools.fit.presets import with_preset
 from sattools.fit.tiles.state import begun
 from sattools.prior.gate import grids
 from sattools.prior.options import PriorOptions
@@ -262,11 +263,21 @@ def side_by_side(scene: Scene, options: FitOptions, tiles: int) -> int:
 
 def check_tiled(options: FitOptions) -> None:
     """Raise SceneError for options that do not go with tiles."""
+    if why := why_at_once(options):
+        raise SceneError(f"--tile: {why} (without --tile all is fitted at once)")
+
+
+def why_at_once(options: FitOptions) -> str | None:
+    """What of the options does not go with tiles, and why; None where all does."""
     for name, wanted, why in IN_TILES:
         given = getattr(options, name)
         if given != wanted:
+            found = f"--{name} {given}"
+            if with_preset(options.preset, options.start, options.field).get(name) == given:
+                found += f" of --preset {options.preset}"
             expected = "none" if wanted is None else f"--{name} {wanted}"
-            raise SceneError(f"--tile: found --{name} {given}, expected {expected}: {why}")
+            return f"found {found}, expected {expected}: {why}"
+    return None
 
 
 def _begun_tile(scene: Scene, options: FitOptions) -> float | None:
@@ -304,4 +315,7 @@ def _bytes(cells: float, images: int, finer: float) -> float:
     return BASE_BYTES + cells * (BYTES_PER_CELL + per_image * images)
 
 
-__all__ = ["Foresight", "check_tiled", "chosen_tile", "foresee", "matching", "plan_of", "side_by_side", "with_tile"]
+__all__ = [
+    "Foresight", "check_tiled", "chosen_tile", "foresee", "matching", "plan_of", "side_by_side", "why_at_once",
+    "with_tile",
+]  # fmt: skip
