@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.option(
     "--aoi",
     type=PathText("file"),
-    help="Vector file (GeoJSON, GeoPackage, shapefile, FlatGeobuf, KML) of the area of interest; "
+    help="Vector file (GeoJSON, GeoPackage, shapefile, FlatGeobuf, KML, KMZ) of the area of interest; "
     "with --dfc2019 the name of an area such as JAX_068.",
 )
 @click.option(

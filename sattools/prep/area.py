@@ -19,7 +19,7 @@ _SAME_M = 1.0
 
 
 def bounds_from_file(path: Path, crs: str) -> Bounds:
-    """Bounds in `crs` [m] of all polygons of a GeoPackage, GeoJSON, shapefile, FlatGeobuf or KML."""
+    """Bounds in `crs` [m] of all polygons of a GeoPackage, GeoJSON, shapefile, FlatGeobuf, KML or KMZ."""
     if isinstance(path, RemotePath) or is_geojson(path):
         return bounds_from_geojson(path, crs)
     boxes = np.array([shape.bounds for shape in read_polygons(path, crs)], dtype=np.float64)

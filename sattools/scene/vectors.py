@@ -18,7 +18,7 @@ from sattools.scene.jsonio import read_json, reason
 from sattools.scene.kml import is_kml, read_kml
 
 log = logging.getLogger(__name__)
-FORMATS = "GeoPackage, GeoJSON, shapefile, FlatGeobuf or KML"
+FORMATS = "GeoPackage, GeoJSON, shapefile, FlatGeobuf, KML or KMZ"
 _MAGIC = (b"SQLite format 3\0", b"\0\0\x27\x0a", b"fgb\x03")  # GeoPackage, shapefile, FlatGeobuf
 _LONGEST = 200  # characters of what GDAL says, which repeats coordinates by the page
 

@@ -12,11 +12,17 @@ _WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16
 
 
 def parse_xml(path: Path, expected: str = "DIMAP or DigitalGlobe metadata") -> Any:
-    """Root element of an XML file without entity expansion.
+    """`xml_root` of a file."""
+    return xml_root(read_bytes(path), path, expected)
+
+
+def xml_root(data: bytes, path: Path, expected: str) -> Any:
+    """Root element of XML without entity expansion.
 
     Args:
-        path: the file.
-        expected: what it should be, for messages.
+        data: the text as it is stored.
+        path: where, for messages.
+        expected: what it should be, likewise.
 
     Raises:
         InputError: it is malformed.
@@ -24,7 +30,6 @@ def parse_xml(path: Path, expected: str = "DIMAP or DigitalGlobe metadata") -> A
     import defusedxml.ElementTree as ElementTree
     from defusedxml import DefusedXmlException
 
-    data = read_bytes(path)
     try:
         # Bytes, so that the declared encoding is obeyed; the reader knows a byte order mark.
         return ElementTree.fromstring(data if data.startswith(_WIDE) else data.strip())
@@ -44,4 +49,4 @@ def find_all(element: Any, name: str) -> list[Any]:
     return [e for e in element.iter() if local_name(e) == name]
 
 
-__all__ = ["find_all", "local_name", "parse_xml"]
+__all__ = ["find_all", "local_name", "parse_xml", "xml_root"]

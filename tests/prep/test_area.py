@@ -1,6 +1,7 @@
 """An area of interest is its polygon, not its box, and masks are cut out of it."""
 
 import json
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from sattools.prep.stage import prepare
 from sattools.scene.area import wanted_cells, write_area
 from sattools.scene.raster import read_raster
 from sattools.scene.validity import UNWANTED
-from sattools.scene.vectors import numbered_polygons
+from sattools.scene.vectors import is_vector, numbered_polygons
 
 UTM33 = "EPSG:32633"
 X, Y = 500_000.0, 5_094_000.0
@@ -81,13 +82,46 @@ def test_the_polygons_of_all_folders_of_a_kml_count(tmp_path: Path) -> None:
         (KML.format(outer="15 46 15", inner="", yard=""), "areas.kml: found the place '15', expected longitude,lat"),
         (KML.format(outer="15,46 15,47", inner="", yard=""), "areas.kml: found a Polygon that is none"),
         ("<kml><Placemark><Point><coordinates>15,46</coordinates></Point></Placemark></kml>", "found no polygon"),
-        ("PK\x03\x04 doc.kml", "expected polygons: GeoPackage, GeoJSON, shapefile, FlatGeobuf or KML"),
+        ("PK\x03\x04 doc.kml", r"areas.kml: found an archive that cannot be unpacked \(.*\), expected KMZ"),
     ],
 )
 def test_a_kml_without_an_area_is_told(tmp_path: Path, content: str, told: str) -> None:
     (tmp_path / "areas.kml").write_text(content)
     with pytest.raises(InputError, match=told):
         wanted_area(tmp_path / "areas.kml", [], UTM33)
+
+
+def kmz(path: Path, **files: str) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(f"{name}.kml", text)
+        archive.writestr("files/icon.png", b"\x89PNG")
+    return path
+
+
+@pytest.mark.parametrize("others", [{}, {"another": "<kml></kml>"}])
+def test_a_kmz_is_the_kml_in_it(tmp_path: Path, others: dict[str, str]) -> None:
+    rings = {"outer": (0, 0, 40, 40), "inner": (10, 10, 20, 20), "yard": (60, 60, 80, 70)}
+    text = KML.format(**{name: kml_ring(*ring) for name, ring in rings.items()})
+    path = kmz(tmp_path / "areas.kmz", **others, doc=text)
+    assert is_vector(path)
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1600 - 100 + 200, abs=0.1)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["areas.kmz"]
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ({}, r"areas\.kmz: found a ZIP archive without KML, expected KMZ \(or unpack it\)"),
+        ({"a": "<kml/>", "b": "<kml/>"}, "found a.kml, b.kml, expected one KML file, or one of them to be doc.kml"),
+        ({"doc": "<kml>" + " " * (64 << 20)}, "found KML of more than 64 MiB, expected less"),
+        ({"doc": '<!DOCTYPE k [<!ENTITY e "e">]><kml>&e;</kml>'}, r"found unreadable XML \(EntitiesForbidden"),
+    ],
+    ids=["none", "two", "bomb", "entity"],
+)
+def test_a_kmz_without_an_area_is_told(tmp_path: Path, files: dict[str, str], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        wanted_area(kmz(tmp_path / "areas.kmz", **files), [], UTM33)
 
 
 def test_rings_that_cross_lose_no_part(tmp_path: Path) -> None:
