@@ -44,7 +44,7 @@ from sattools.render.around import read_around
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS, begin, seen
 from sattools.scene.jsonio import JsonObject
-from sattools.views import Opened, Source, load_sources, open_images, with_bands
+from sattools.views import Opened, Source, load_sources, open_images, warn_of_blank, with_bands
 
 log = logging.getLogger(__name__)
 DESCENT = 0.8  # share of a fit at which heights stand, and their albedo is solved for
@@ -135,6 +135,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             end(scene.root)  # else an interruption of this fit would go on in the tiles of one before
         read = seen(scene, "fit", setup.items)
         sources = load_sources(scene, setup.items, setup.images)
+        blank = [] if scene.is_part else warn_of_blank(sources)
         began = time.perf_counter()
         prior, made = load_prior(scene, setup.options, subprogress(progress, 0.0, 0.2), may, sources)
         # of the command's seconds, those that `prior` would have taken before it
@@ -154,7 +155,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
             fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace, basis=setup.basis)
             if setup.options.brdf != "lambert":
                 fitted.notes[:0] = start.notes if start else [UNKNOWN]
-        fitted.notes[:0] = setup.notes
+        fitted.notes[:0] = [*setup.notes, *blank]
         return save_fit(scene, fitted, made, read) | matching
 
 

@@ -31,7 +31,7 @@ from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.regrid import resize_map
 from sattools.scene.stored import map_like, pieces
-from sattools.views import Opened, Source, load_sources, open_images
+from sattools.views import Opened, Source, load_sources, open_images, warn_of_blank
 from sattools.views.check import check_extent
 
 COUNTS = 0.9  # of what the others do: an image that counts less is named
@@ -84,6 +84,7 @@ def prior(
     else:
         check_extent(grid)
         sources = load_sources(replace(scene, grid=wide), items, images) if sources is None else sources
+        notes += [] if implicit else warn_of_blank(sources)  # the stage that asks for it tells of its images itself
         found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")

@@ -10,6 +10,7 @@ from sattools.views.load import (
     load_sources,
     open_images,
     views_on,
+    warn_of_blank,
     with_bands,
 )
 from sattools.views.resample import View, line_of_sight, make_view, match_colours, read_at, shown_on
@@ -30,5 +31,6 @@ __all__ = [
     "read_at",
     "shown_on",
     "views_on",
+    "warn_of_blank",
     "with_bands",
 ]

@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 BALANCE_PROPERTY = "sattools:radiometric_balance"
 GROUND_SHARE = 0.3  # of the height range, below where images are laid over the grid: most of a scene is near the ground
 AT_ONCE = 4  # images that are read or resampled at a time: each needs its memory
+_FEWEST_PIXELS = 100  # so many are not alike by chance
 _SPARE_CELLS = 40  # around what is looked at: windows of the matching reach over the border
 _PIXELS_PER_CELL = 1.5  # that are kept where an image is read reduced: about what `prep` chooses a cell by
 
@@ -166,6 +167,23 @@ def load_sources(scene: Scene, items: Sequence[Item], opened: Opened | None = No
     return sources
 
 
+def warn_of_blank(sources: Sequence[Source]) -> list[str]:
+    """Warn of images that show one number all over the area; what was said, for the history.
+
+    `prep` refuses such images, so that their files have been replaced since.
+
+    Args:
+        sources: of the whole area; a part of it may look so.
+    """
+    notes = []
+    for source in sources:
+        shown = [band[np.isfinite(band)] for band in source.radiance]
+        if all(len(numbers) >= _FEWEST_PIXELS and numbers.min() == numbers.max() for numbers in shown):
+            notes.append(f"{source.id}: shows one number all over the area, in which nothing is seen: leave it out")
+            log.warning("%s", notes[-1])
+    return notes
+
+
 def _surroundings(scene: Scene, cameras: Sequence[RPC]) -> Grid | None:
     """The scene's grid, wider by what points of the height range are displaced in any image.
 
@@ -249,5 +267,6 @@ __all__ = [
     "load_sources",
     "open_images",
     "views_on",
+    "warn_of_blank",
     "with_bands",
 ]
