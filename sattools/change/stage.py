@@ -120,8 +120,9 @@ def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> 
 def _noise_alone(surface: Surface) -> str:
     """What p-values of a surface are worth that does not say where it was matched surely."""
     return (
-        f"{surface.layers['height']}: found heights without the confidence of their matching, so where matching failed "
-        "looks like a change, and p-values are about noise alone (the document of a scene with a prior brings it along)"
+        f"{surface.layers['height']}: found heights without the confidence of their matching, so where matching "
+        "failed, along the rim of what the images show above all, looks like a change, and p-values are about noise "
+        "alone (the document of a scene with a prior brings it along)"
     )
 
 

@@ -26,6 +26,9 @@ def command(before: str, after: str, overwrite: bool, dry_run: bool, print_confi
 
     Writes maps of the change of height (and albedo), its significance, and polygons of what has risen or sunk with
     their volumes into --out; the table as JSON on stdout.
+
+    Some metres along the rim of what the images of a date show, its heights are worse, which the map of their change
+    shows. Regions of scenes are judged by the confidence of the matching, which is low there; rasters have none.
     """
     options = build(ChangeOptions, values)
     if print_config:

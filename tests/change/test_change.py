@@ -175,6 +175,9 @@ def test_the_command_writes_maps_polygons_and_a_table(tmp_path: Path) -> None:
     # rasters do not say where matching failed
     assert [note.split(":")[0] for note in table["notes"]] == [str(old), str(new)]
     assert all(f"{path}: found heights without the confidence" in result.stderr for path in (old, new))
+    assert (
+        "where matching failed, along the rim of what the images show above all, looks like a change" in result.stderr
+    )
     assert table["shift_m"][:2] == [-2.0, 0.0]
     assert table["shift_m"][2] == pytest.approx(-3.0, abs=0.1)
     assert sorted(np.sign(region["mean_m"]) for region in table["regions"]) == [-1, 1]
