@@ -180,6 +180,7 @@ GARBAGE = (20_000, 20, 100)
 def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
     gc.set_threshold(*GARBAGE)
+    os.environ.pop("MPLBACKEND", None)  # a notebook's, of no use here, and of a package that may not be installed
     prepare_streams()
     interrupts.listen()
     try:

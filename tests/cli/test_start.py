@@ -92,6 +92,17 @@ def test_gdal_keeps_no_share_of_the_machine_of_what_it_has_read() -> None:
         assert done.stdout.split()[-1] == str(kept)
 
 
+def test_a_notebook_whose_backend_is_not_installed_may_call_the_program() -> None:
+    code = (
+        "import sys; sys.argv = ['sattools', '--version']; from sattools.cli import entry\n"
+        "try: entry()\n"
+        "except SystemExit: import matplotlib; print(matplotlib.get_backend(auto_select=False))"
+    )
+    environment = {**os.environ, "MPLBACKEND": "not_installed"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == "None"
+
+
 def test_threads_are_settled_before_numerical_libraries_start() -> None:
     code = (
         "import os; from sattools.cli import set_threads; set_threads(1); "
