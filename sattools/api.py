@@ -39,7 +39,7 @@ from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec, specs
 from sattools.simulate.options import SimulateOptions
 
 T = TypeVar("T")
-SceneLike = Scene | str | Path
+SceneLike = Scene | str | PathLike[str]
 Told = Progress | bool | None
 
 
@@ -279,7 +279,11 @@ def _paths(images: Any) -> list[str]:
 
 
 def _scene(scene: SceneLike) -> Scene:
-    return scene if isinstance(scene, Scene) else Scene.from_file(scene)
+    if isinstance(scene, Scene):
+        return scene
+    if not isinstance(scene, str | PathLike):
+        raise InputError(f"found {type(scene).__name__}, expected a Scene or the path of a scene.json")
+    return Scene.from_file(str(scene))
 
 
 def _progress(told: Told, label: str) -> Progress:
@@ -294,6 +298,8 @@ def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
         return cls()
     known = {spec.name: spec for spec in specs(cls)}
     if not isinstance(given, Mapping):
+        if not isinstance(given, cls):
+            raise InputError(f"found {type(given).__name__}, expected {cls.__name__} or a dict of its options")
         for name, spec in known.items():
             _kind(spec).check(_plain(getattr(given, name)), f"{cls.__name__}: option {name!r}")
         return given

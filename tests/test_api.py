@@ -14,6 +14,7 @@ import torch
 
 import sattools
 from sattools.errors import InputError, OutputExistsError, SattoolsError, SceneError
+from sattools.export.options import ExportOptions
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS, resolve
 from sattools.reflectance import hapke, lambert, rpv
@@ -130,6 +131,22 @@ def test_a_value_that_an_option_does_not_take_is_named(options: Any, why: str) -
         sattools.fit("scene.json", options)
 
 
+@pytest.mark.parametrize(
+    ("scene", "options", "why"),
+    [
+        (None, None, "found NoneType, expected a Scene or the path of a scene.json"),
+        ([], None, "found list, expected a Scene or the path of a scene.json"),
+        (3, None, "found int, expected a Scene or the path of a scene.json"),  # no file descriptor, that it closes
+        ("scene.json", "fast", "found str, expected FitOptions or a dict of its options"),
+        ("scene.json", ExportOptions(), "found ExportOptions, expected FitOptions or a dict of its options"),
+    ],
+    ids=str,
+)
+def test_what_is_no_scene_and_no_options_is_named(scene: Any, options: Any, why: str) -> None:
+    with pytest.raises(InputError, match=f"^{why}$"):
+        sattools.fit(scene, options)
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_presets_are_options_that_are_taken(preset: str, tmp_path: Path) -> None:
     for options in (resolve(preset, {}), asdict(resolve(preset, {}))):
@@ -189,6 +206,29 @@ def test_the_scene_that_is_given_is_the_one_that_is_changed(make_town: Any) -> N
     town = make_town()
     assert sattools.export(sattools.fit(town, QUICK)) is town
     assert "dsm" in town.products
+    read = sattools.Scene.from_file(town.root / "scene.json")
+    assert sattools.fit(read, QUICK, overwrite=True) is read
+    assert "dsm" not in read.products  # of the fit before
+
+
+def test_what_a_program_changes_in_a_scene_that_it_has_read_counts(make_town: Any) -> None:
+    read = sattools.Scene.from_file(make_town().root / "scene.json")
+    read.items[0].properties["sattools:role"] = "test"
+    fitted = sattools.fit(read, QUICK)
+    assert [item.id for item in fitted.items if item.role == "test"] == [read.items[0].id]
+    assert len(fitted.history[-1]["made"]["fit"]["items"]) == 5
+
+
+def test_a_scene_that_was_read_before_another_command_worked_on_it_catches_up(make_town: Any) -> None:
+    path = make_town().root / "scene.json"
+    read = sattools.Scene.from_file(path)
+    sattools.fit(path, QUICK)
+    before = read.to_json()
+    with pytest.raises(InputError):
+        sattools.export(read, {"sun": (0.0, -5.0)})
+    assert read.to_json() == before
+    assert "dsm" in sattools.export(read).products
+    assert "model" in read.products
 
 
 def test_progress_is_a_bar_on_request(make_town: Any, capsys: pytest.CaptureFixture[str]) -> None:

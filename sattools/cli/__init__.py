@@ -172,6 +172,20 @@ def bound_cache() -> None:
     os.environ.setdefault("GDAL_CACHEMAX", "16")
 
 
+def forget_others() -> None:
+    """Drop what the environment says about other programs' libraries and would break ours.
+
+    A notebook names a backend for pictures that may not be installed here. Shells of conda, OSGeo4W and QGIS name the
+    data of their PROJ and GDAL, which others refuse; rasterio brings its own, but where conda has built it.
+    """
+    os.environ.pop("MPLBACKEND", None)
+    found = importlib.util.find_spec("rasterio")
+    homes = (found and found.submodule_search_locations) or ()
+    if any(os.path.isdir(os.path.join(home, "proj_data")) for home in homes):
+        for name in ("PROJ_DATA", "PROJ_LIB", "GDAL_DATA"):
+            os.environ.pop(name, None)
+
+
 # Libraries make hundreds of thousands of objects that stay, and Python would go through all of them again and again
 # while they are imported, and once more at the end: half a second of each command that needs PyTorch.
 GARBAGE = (20_000, 20, 100)
@@ -180,6 +194,7 @@ GARBAGE = (20_000, 20, 100)
 def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
     gc.set_threshold(*GARBAGE)
+    forget_others()
     prepare_streams()
     interrupts.listen()
     try:

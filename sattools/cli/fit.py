@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
+from sattools.cli import interrupts
 from sattools.cli.help import GroupedCommand
 from sattools.cli.options import build, common_options, dataclass_options, scene_argument
 from sattools.cli.pipe import Run, run_scenes
@@ -108,8 +109,9 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
         began = time.time()
         try:
             return fit(scene, options, progress, overwrite)
-        except (KeyboardInterrupt, SystemExit):  # see `sattools.cli.interrupts`
-            _say_how_to_go_on(scene, options, began)
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt | SystemExit) or interrupts.status():
+                _say_how_to_go_on(scene, options, began)
             raise
 
     def check(scene: Scene) -> None:

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
+from sattools.cli import interrupts
 from sattools.cli.commands import WORK
-from sattools.cli.interrupts import checked
 from sattools.cli.options import WHOLE_DOCUMENT, print_config
 from sattools.cli.safety import complain, quiet_stdout
 from sattools.cli.streams import portable
@@ -244,7 +244,9 @@ def run_source(
 
 
 def report_error(command: str, error: SattoolsError) -> None:
-    """One line on stderr."""
+    """One line on stderr, but where the error is what an interrupt became on its way through other people's code."""
+    if status := interrupts.status():
+        sys.exit(status)
     complain(f"sattools {command}: error: {error}")
 
 
@@ -271,7 +273,7 @@ def progress_of(command: str, label: str) -> Progress:
     """Progress as `--progress` asks for it, that notices interrupts."""
     context = click.get_current_context(silent=True)
     mode = (context.find_root().obj or {}).get("progress", "none") if context else "none"
-    return checked(make_progress(mode, f"{command} {label}"))
+    return interrupts.checked(make_progress(mode, f"{command} {label}"))
 
 
 def documents(scenes: tuple[str, ...]) -> Iterator[tuple[str, str | None]]:

@@ -28,6 +28,7 @@ from sattools.radiometry.bands import BANDS_MEMBER
 from sattools.render import ParallelRays
 from sattools.scene import Asset, Grid, Item, Scene
 from sattools.scene.cog import CogWriter
+from sattools.scene.datums import ELLIPSOID
 from sattools.scene.document import GEOTIFF_TYPE
 from sattools.scene.sensor_files import write_sensor_maps
 from sattools.views import View, line_of_sight, load_sources, with_bands
@@ -234,6 +235,8 @@ def write_view(exported: Shown, item_id: str, sun_angles: tuple[float, float] | 
         if shown:
             words, own = band_names(scene, exported.parts.head, "radiance", len(maps))
             own |= tags
+        elif name == "rendered_height":
+            own["VERTICAL_DATUM"] = ELLIPSOID  # the model's, whatever --vertical says of the DSM
         write_sensor_maps(scene.output(href), maps, picture.rpc.to_tags(), own, words)
         item.assets[name] = Asset(href, GEOTIFF_TYPE, extra={BANDS_MEMBER: bands} if shown and bands else {})
 

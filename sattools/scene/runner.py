@@ -63,17 +63,17 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
     """
     if not scene.root.is_dir():
         raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
-    with locked(scene.root), _log_of(step) as log:
+    with locked(scene.root), _log_of(step) as log, unchanged_unless_done(scene):
         log.place(scene.root)
         if scene.origin is not None:
-            scene = Scene.from_file(scene.origin)
+            _catch_up(scene, Scene.from_file(scene.origin))
         there = document_of(scene, step.overwrite)
         later: list[str] = []  # commands that the scene in hand has not been through
         if there is not None and there.history[: len(scene.history)] == scene.history:
             later = [entry.get("command", "") for entry in there.history[len(scene.history) :]]
             scene.history = there.history
         start = _Clock.now()
-        with unchanged_unless_done(scene), _last_things(), all_or_nothing():
+        with _last_things(), all_or_nothing():
             with _told_of(scene, later, anew=there is not None and _made_anew(there, scene)) as notes:
                 extra = work(scene, log.told(step.progress)) or {}
             if notes:
@@ -82,6 +82,17 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         log.done(entry)
         scene.origin = None  # from here on the scene knows more than that file
         return scene, entry
+
+
+def _catch_up(scene: Scene, now: Scene) -> None:
+    """Make of a scene what its file is now, where a command has been at that since; else a program may have changed it.
+
+    Args:
+        scene: as it was read, or as a program has made it since.
+        now: its file.
+    """
+    if now.history != scene.history:
+        vars(scene).update(vars(now))
 
 
 def run_first(

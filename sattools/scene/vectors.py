@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -157,12 +157,14 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
 
 
 def _polygons(shape: Any) -> Any:
-    """A polygon or multipolygon whose rings do not cross, with all parts of one whose rings do; None of others.
+    """The polygons in a geometry, as one whose rings do not cross, with all parts of those that do; None without any.
 
     Parts whose places a CRS does not know, as that of a zone does not on the other side of the Earth, are left out.
     """
     import shapely
 
+    if shape is not None and shape.geom_type == "GeometryCollection":  # a polygon with a label's point, of KML say
+        shape = shapely.MultiPolygon(list(_collected(shape)))
     if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
         return None
     all_parts = shapely.get_parts(shape)
@@ -177,6 +179,17 @@ def _polygons(shape: Any) -> Any:
         if not part.is_empty
     ]
     return shapely.union_all(parts)
+
+
+def _collected(shape: Any) -> Iterator[Any]:
+    """All polygons in a geometry of any kind, whose parts may have parts."""
+    import shapely
+
+    if shape.geom_type == "Polygon":
+        yield shape
+    elif shape.geom_type in ("MultiPolygon", "GeometryCollection"):
+        for part in shapely.get_parts(shape):
+            yield from _collected(part)
 
 
 def _within(ring: Any) -> Any:

@@ -8,13 +8,26 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from patience import HANGING_S
 
+from sattools.cli import main
 from sattools.cli.interrupts import checked, listening
+from sattools.errors import SceneError
+from sattools.fit.tiles.state import STATE
 from sattools.progress import silent
+
+
+@pytest.fixture(autouse=True)
+def _forgotten() -> Iterator[None]:
+    """A signal counts for one test."""
+    yield
+    with listening():
+        pass
 
 
 @pytest.fixture
@@ -110,14 +123,35 @@ def test_with_vv_their_tracebacks_are_shown(monkeypatch: pytest.MonkeyPatch, cap
     assert [told.exc_type for told in told] == [ZeroDivisionError]
 
 
-def test_an_interrupt_that_became_an_import_error_ends_with_its_own_status() -> None:
+@pytest.mark.parametrize(
+    "error", ["ImportError('initialization failed')", "sattools.errors.SceneError('grid: no GDAL environment exists')"]
+)
+def test_an_interrupt_that_became_an_error_ends_with_its_own_status(error: str) -> None:
     code = (
         "import os, signal, sys; sys.argv = ['sattools', 'fit', 'scene.json']; import sattools.scene as scene\n"
         "def broken(*_):\n"
         "  try:\n    os.kill(os.getpid(), signal.SIGTERM)\n"
-        "  except SystemExit: raise ImportError('initialization failed') from None\n"
+        f"  except SystemExit: raise {error} from None\n"
         "scene.Scene.from_file = broken\n"
         "from sattools.cli import entry; entry()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (143, "", "")
+
+
+def test_an_interrupt_that_became_an_error_leaves_the_word_how_to_go_on(
+    make_town: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    town = make_town()
+
+    def interrupted(*_: Any) -> None:
+        town.path(STATE).parent.mkdir(parents=True)
+        town.path(STATE).write_text("{}")
+        with suppress(SystemExit):
+            os.kill(os.getpid(), signal.SIGINT)
+        raise SceneError("grid: no GDAL environment exists")
+
+    monkeypatch.setattr("sattools.fit.stage.fit", interrupted)
+    result = CliRunner().invoke(main, ["fit", "--resume", str(town.root / "scene.json")])
+    assert result.exit_code == 130
+    assert caplog.messages[-1].startswith("interrupted: `sattools fit --resume` with the same options goes on")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rasterio
 from click.testing import CliRunner
 
 from sattools.cli import COMMANDS, main
@@ -90,6 +91,27 @@ def test_gdal_keeps_no_share_of_the_machine_of_what_it_has_read() -> None:
             [sys.executable, "-c", code], env=environment | given, capture_output=True, text=True, check=True
         )
         assert done.stdout.split()[-1] == str(kept)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("MPLBACKEND", "matplotlib.get_backend(auto_select=False)"),
+        ("PROJ_DATA", "rasterio.crs.CRS.from_epsg(32617).is_projected"),
+        ("PROJ_LIB", "rasterio.crs.CRS.from_epsg(32617).is_projected"),
+    ],
+)
+def test_what_other_programs_want_of_their_libraries_does_not_count(name: str, shown: str, tmp_path: Path) -> None:
+    if not (Path(rasterio.__file__).parent / "proj_data").is_dir():
+        pytest.skip("rasterio has no PROJ of its own")
+    code = (
+        "import sys; sys.argv = ['sattools', '--version']; from sattools.cli import entry\n"
+        "try: entry()\n"
+        f"except SystemExit: import matplotlib, rasterio.crs; print({shown})"
+    )
+    environment = {**os.environ, name: str(tmp_path)}  # no backend, and no folder with PROJ's database
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] in ("None", "True")
 
 
 def test_threads_are_settled_before_numerical_libraries_start() -> None:

@@ -167,6 +167,15 @@ def test_heights_above_a_geoid_give_the_same_photo(
     assert read_raster(files[0])[0] == pytest.approx(photo_of(exported)[0], abs=1e-4, nan_ok=True)
 
 
+def test_a_band_without_any_albedo_counts_as_albedo_itself() -> None:
+    rng = np.random.default_rng(0)
+    albedo = np.stack([rng.uniform(0.1, 0.5, 1000), np.zeros(1000)])  # water in red and in infrared
+    radiance = np.stack([2 * albedo[0] + 0.01, np.full(1000, 0.02)])
+    found = balance_of(np.concatenate([radiance, albedo, np.ones((1, 1000))]), 2)
+    assert found.gain == pytest.approx([2.0, 1.0])
+    assert found.offset == pytest.approx([0.01, 0.0])
+
+
 def test_images_that_differ_in_gain_and_haze_are_balanced_and_their_shadows_lifted() -> None:
     albedo = np.random.default_rng(0).uniform(0.05, 0.5, (1, 2000))
     lit = np.r_[np.ones(1000), np.zeros(1000)]

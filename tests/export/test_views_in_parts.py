@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 from sattools.errors import SceneError
 from sattools.export import parts
@@ -50,6 +51,8 @@ def test_parts_show_what_the_whole_shows(fitted: Any, request: pytest.FixtureReq
     request.getfixturevalue("small_parts")
     in_parts = shown(fitted, ids)
     assert whole.keys() == in_parts.keys()
+    with rasterio.open(fitted.path(fitted.items[0].assets["rendered_height"].href)) as data:
+        assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
     for name, expected in whole.items():
         found = in_parts[name]
         known = np.isfinite(expected) & np.isfinite(found)

@@ -156,6 +156,16 @@ def test_an_image_that_shows_next_to_nothing_keeps_its_colours(seen: Seen, albed
     np.testing.assert_allclose(colours.gain[3], [0.77, 0.88], rtol=1e-3)  # the first image's gain stays 1
 
 
+def test_an_image_all_in_shade_does_not_tell_how_bright_the_sun_is(albedo: np.ndarray) -> None:
+    lit = (np.random.default_rng(1).uniform(size=(4, len(albedo))) > 1 / 3).astype(np.float32)
+    lit[0] = 0.0
+    light = np.stack([TRUE.light(lit, band) for band in range(2)], axis=-1)
+    dark = Seen((light * albedo + OFFSET[:, None]).astype(np.float32), np.ones(lit.shape, np.float32), lit)
+    colours, found = solved(dark, TRUE, albedo)
+    np.testing.assert_allclose(colours.gain, GAIN, atol=0.05)
+    np.testing.assert_allclose(found, albedo, atol=0.02)
+
+
 def test_cells_do_not_depend_on_what_else_is_solved_with_them(seen: Seen) -> None:
     known = Usual(np.array([0.01, 0.02]), np.array([0.3, 0.3]), np.array([0.15, 0.15]))
     whole = solve_albedo(seen, TRUE, known)

@@ -10,7 +10,7 @@ import geopandas
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import Point, Polygon, box
+from shapely.geometry import GeometryCollection, MultiPolygon, Point, Polygon, box
 
 from sattools.camera.ground import to_geographic
 from sattools.errors import InputError
@@ -72,6 +72,22 @@ def test_the_polygons_of_all_folders_of_a_kml_count(tmp_path: Path) -> None:
     assert wanted_area(None, [path], UTM33)(BOX).area == pytest.approx(10_000 - 1700, abs=0.1)
     assert bounds_from_file(path, UTM33) == pytest.approx((X, Y, X + 80, Y + 70), abs=0.01)
     assert list(numbered_polygons(path, UTM33)) == [0, 1]
+
+
+def test_a_polygon_with_a_label_beside_it_is_a_polygon(tmp_path: Path) -> None:
+    label = "<MultiGeometry><Point><coordinates>15,46</coordinates></Point>"
+    rings = {"outer": (0, 0, 40, 40), "inner": (10, 10, 20, 20), "yard": (60, 60, 80, 70)}
+    kml = tmp_path / "areas.kml"
+    kml.write_text(KML.format(**{k: kml_ring(*ring) for k, ring in rings.items()}).replace("<MultiGeometry>", label))
+    assert wanted_area(kml, [], UTM33)(BOX).area == pytest.approx(1600 - 100 + 200, abs=0.1)
+    triangle, yard = Polygon([(X, Y), (X + 100, Y), (X, Y + 100)]), box(X + 90, Y + 90, X + 100, Y + 100)
+    nested = GeometryCollection([Point(X, Y), GeometryCollection([triangle]), MultiPolygon([yard])])
+    for name in ("nested.gpkg", "nested.geojson"):
+        path = tmp_path / name
+        geopandas.GeoDataFrame(geometry=[nested], crs=UTM33).to_crs(UTM33 if "gpkg" in name else "EPSG:4326").to_file(
+            path
+        )
+        assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(5100.0, abs=0.1)
 
 
 @pytest.mark.parametrize(

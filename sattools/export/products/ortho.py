@@ -343,6 +343,8 @@ def _lines(samples: np.ndarray, bands: int, darkest: np.ndarray) -> tuple[np.nda
         value, albedo = samples[b], samples[bands + b]
         kept = np.ones(len(value), bool)
         for _ in range(3):
+            if np.ptp(albedo[kept]) == 0:  # as over water in infrared, where all of it is 0
+                break
             gain[b], offset[b] = np.polyfit(albedo[kept], value[kept], 1)
             left = np.abs(value - gain[b] * albedo - offset[b])
             kept = left <= max(3.0 * 1.4826 * float(np.median(left)), 1e-6)

@@ -214,6 +214,8 @@ def _solve_image(
     bright, shaded = rho * lit, rho * (1 - lit)
     value, weight = seen.radiance[j, :, band].astype(np.float64), seen.weight[j].astype(np.float64)
     gain, offset = colours.gain[j, band], colours.offset[j, band]
+    in_sun = (seen.weight[j] > CLIPPED_WEIGHT) & (seen.lit[j] > 0)
+    scale_held = scale_held or int(in_sun.sum()) < LEAST_CELLS  # shade alone does not tell the sun's light
     columns = [shaded] if scale_held else [shaded, bright] if gauge else [shaded, bright, np.ones_like(rho)]
     rest = value - (gain * bright if scale_held else 0.0) - (offset if scale_held or gauge else 0.0)
     design = np.stack(columns, axis=1)
