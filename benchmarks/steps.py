@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import time
 from collections.abc import Iterator
@@ -197,7 +198,8 @@ def row(
     near, away = figures["near_steps"], figures["away_from_steps"]
     values = [figures["mae"], figures["mae_centred"], figures["mae_capped_5m"]]
     text = " ".join(f"{value:6.3f}" for value in values)
-    text += f" {near['signed']:+6.2f} {near['absolute']:6.3f} {away['absolute']:6.3f} {figures['median']:6.3f}"
+    signed, beside = (math.nan if value is None else value for value in (near["signed"], near["absolute"]))  # no step
+    text += f" {signed:+6.2f} {beside:6.3f} {away['absolute']:6.3f} {figures['median']:6.3f}"
     print(f"{name:34s} {text}" + (f" {seconds:6.1f} s" if seconds is not None else ""), flush=True)
     if more:
         print(detail(figures, truth.heights + compared.difference, truth), flush=True)

@@ -87,8 +87,8 @@ class PriorOptions:
     )
     erode: float = option(
         2.0,
-        "Radius by which the surface is eroded before its occlusions are computed [m]; half as much again with "
-        "fewer than 12 pairs, on hills 30, at least a cell of the rough passes; 0 = not at all.",
+        "Radius by which the surface is eroded before its occlusions are computed [m], at least a cell of the rough "
+        "passes; 0 = not at all.",
         minimum=0,
         maximum=50.0,
     )

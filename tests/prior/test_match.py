@@ -56,15 +56,14 @@ def test_hidden_ground_is_seen_by_fewer_views(house: Any) -> None:
     assert found.views[5:10, 5:15].min() == 5
 
 
-@pytest.mark.parametrize(("many", "hides"), [(True, True), (False, False)])
-def test_a_wing_of_five_metres_hides_what_is_behind_it_if_many_pairs_know_it(many: bool, hides: bool) -> None:
+@pytest.mark.parametrize("times", [1, 3])  # 10 or 30 pairs
+def test_a_wing_of_five_metres_hides_what_is_behind_it_in_few_images_and_in_many(times: int) -> None:
     height = np.zeros((84, 60))
-    height[20:30, 14:46] = 9.0  # 10 cells of half a metre wide: eroded by 3 m nothing of it is left
+    height[20:30, 14:46] = 9.0  # 10 cells of half a metre wide: eroded by 2 m a ridge is left
     frame = views_of(height, [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.4, -0.3), (0.3, -0.5)])
-    pairs = np.concatenate([ALL] * 3) if many else ALL  # 30 or 10
-    _, surface = _rough_passes(_prepared(frame, pairs, RANGE, PriorOptions()), silent)
+    _, surface = _rough_passes(_prepared(frame, np.concatenate([ALL] * times), RANGE, PriorOptions()), silent)
     assert surface.height[12:13, 10:20].mean() == pytest.approx(9.0, abs=0.5)  # its ridge, on cells of a metre
-    assert (surface.visibility.first_hit_height.max() > 8) == hides
+    assert surface.visibility.first_hit_height.max() > 8
 
 
 def test_on_wide_cells_the_surface_is_eroded_by_one_of_them(house: Any) -> None:

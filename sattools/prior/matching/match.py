@@ -44,7 +44,6 @@ from sattools.scene.regrid import split_cells
 SURE = 0.5  # agreement above which a cell of the first pass says where the surface lies
 CONVERGED = 0.002  # share of cells that may still change when the rough passes stop
 LEAST_ERODED = 1.0  # cells by which the surface is eroded where `erode` is less
-FEW_ERODE = 1.5  # factor of `erode` where too few pairs made the surface to be robust
 OPENING_PASSES = 1  # rough passes after which roofs of courtyards are looked for
 SMOOTH = 3  # cells of the median filter that ends it all
 SLOPES_DEG = (8.0, 50.0)  # steeper than what is built level, less steep than walls
@@ -236,8 +235,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             height = median_filter(filled(found, stands, frame.cell), 3, mode="nearest")
         if k == 0:
             rough = _known_ground(rough, found, height, score > SURE)
-        radius = options.erode * (1.0 if rough.robust else FEW_ERODE) / frame.cell
-        eroded = erode(height, max(radius, LEAST_ERODED) if options.erode else 0.0)
+        eroded = erode(height, max(options.erode / frame.cell, LEAST_ERODED) if options.erode else 0.0)
         visibility = compute_visibility(frame, eroded, rough.z_range, options.tolerance, visibility.dark)
         if k == 0:
             light = equally_bright(frame, visibility, height, score > SURE, options.tolerance)
