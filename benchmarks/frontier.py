@@ -91,11 +91,8 @@ def main() -> None:
         for setting in SETTINGS:
             if setting.images < len(area.images):
                 rows += medians(area, setting, [once(area, setting, truth) for _ in range(options.runs)])
-    with open(options.out / "frontier.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    draw(options.out / "frontier.png", rows)
+        write(options.out / "frontier.csv", rows)
+        draw(options.out / "frontier.png", rows)
 
 
 def once(area: Area, setting: Setting, truth: Truth) -> dict[str, dict[str, float]]:
@@ -146,6 +143,14 @@ def medians(area: Area, setting: Setting, runs: list[dict[str, dict[str, float]]
         row = {**about, "surface": surface, **{name: round(value, 3) for name, value in figures.items()}}
         print("".join(f"{row[name]!s:>12s}" for name in COLUMNS), flush=True)
         yield row
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    """All rows as CSV."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
