@@ -6,13 +6,15 @@ IMAGES and METADATA are folders, REFERENCE anything that `sattools compare --dsm
 is its class map); with --inside `prep` gets the bounds of the reference. Every way runs `prep | prior | fit | export`
 on one thread in processes of their own and counts their CPU seconds, start-up included; the surface of `prior` counts
 with the seconds of `prep` and `prior` alone, its means over cells of 1 m with the same. The first way is run once
-more before, as it compiles. Prints a table (medians of the runs); FOLDER gets frontier.csv and frontier.png.
+more before, as it compiles. Prints a table (medians of the runs); FOLDER gets frontier.csv and frontier.png. Without
+any scene the picture is drawn anew from the table.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import math
 import statistics
 import tempfile
 from collections.abc import Iterator
@@ -76,11 +78,14 @@ SETTINGS = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("areas", nargs="+", metavar="NAME=IMAGES:METADATA:REFERENCE")
+    parser.add_argument("areas", nargs="*", metavar="NAME=IMAGES:METADATA:REFERENCE")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--inside", nargs="*", default=[], metavar="NAME")
     parser.add_argument("--runs", type=int, default=1)
     options = parser.parse_args()
+    if not options.areas:
+        draw(options.out / "frontier.png", read(options.out / "frontier.csv"))
+        return
     options.out.mkdir(parents=True, exist_ok=True)
     areas = [Area.of(text, options.inside) for text in options.areas]
     once(areas[0], SETTINGS[0], reference(str(areas[0].reference)))
@@ -153,32 +158,47 @@ def write(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
+def read(path: Path) -> list[dict[str, Any]]:
+    """Rows of such a file."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return [{k: v if k in COLUMNS[:4] else float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     """One panel a scene: a line for the settings of all images, one for the numbers of images."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    figure = Figure(figsize=(4.2 * len(scenes), 3.8), layout="constrained")
+    figure = Figure(figsize=(10, 3.6 * math.ceil(len(scenes) / 2)), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, scene in zip(figure.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
+    panels = figure.subplots(math.ceil(len(scenes) / 2), 2, squeeze=False).ravel()
+    for axes, scene in zip(panels, scenes, strict=False):
         own = [row for row in rows if row["scene"] == scene]
-        for surface, marker in (("prior", "o"), ("averaged", "x"), ("fit", "s")):
+        for surface, marker in zip(SURFACES, "oxs", strict=True):
             for kind, colour in (("detail", "tab:blue"), ("images", "tab:orange")):
                 line = [r for r in own if r["surface"] == surface and (kind in r["way"] or r["way"] == "default")]
                 line.sort(key=lambda r: r["seconds"])
-                shape = "-" if surface == "fit" else "none"
                 at = [r["seconds"] for r in line], [r["mae"] for r in line]
-                axes.plot(*at, color=colour, marker=marker, ls=shape, ms=6, mfc="none" if surface != "fit" else colour)
-                for r in line if surface == "fit" else []:
-                    axes.annotate(r["way"], (r["seconds"], r["mae"]), xytext=(5, 5), textcoords="offset points", size=7)
-        axes.set(title=scene, xlabel="CPU seconds", xscale="log", ylim=(0, 1.15 * max(r["mae"] for r in own)))
-        axes.grid(alpha=0.3, which="both")
-    figure.axes[0].set_ylabel("mean absolute error [m]")
+                full = surface == "fit"
+                axes.plot(*at, color=colour, marker=marker, ls="-" if full else "none", mfc=colour if full else "none")
+                side = (6, 4) if kind == "images" else (-2, -12)
+                for r in line if full else []:
+                    if kind in r["way"]:
+                        place = (r["seconds"], r["mae"])
+                        axes.annotate(r["way"], place, xytext=side, textcoords="offset points", size=8, color=colour)
+        axes.set(title=scene, xlabel="CPU seconds", xscale="log", ylabel="mean absolute error [m]")
+        axes.set_ylim(0, 1.1 * max(r["mae"] for r in own))
+        axes.set_xlim(0.9 * min(r["seconds"] for r in own), 1.35 * max(r["seconds"] for r in own))
+        ticks = [t for t in (5, 10, 20, 50, 100, 200) if axes.get_xlim()[0] < t < axes.get_xlim()[1]]
+        axes.xaxis.set(major_locator=FixedLocator(ticks), minor_locator=NullLocator(), minor_formatter=NullFormatter())
+        axes.set_xticks(ticks, [f"{t} s" for t in ticks])
+        axes.grid(alpha=0.3)
     for marker, name in zip("oxs", SURFACES.values(), strict=True):
-        figure.axes[0].plot([], [], marker, color="gray", mfc="gray" if marker == "s" else "none", label=name)
-    figure.axes[0].legend(fontsize=7, loc="lower left")
-    figure.savefig(path, dpi=100)
+        panels[0].plot([], [], marker, color="gray", mfc="gray" if marker == "s" else "none", label=name)
+    panels[0].legend(fontsize=8)
+    figure.savefig(path, dpi=90)
 
 
 if __name__ == "__main__":
