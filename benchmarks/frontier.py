@@ -112,7 +112,7 @@ def once(area: Area, setting: Setting, truth: Truth) -> dict[str, dict[str, floa
         given, prep = run(way, ["prep", *first], b"")
         given, prior = run(way, ["prior", *setting.prior], given)
         scene = Scene.from_json(given.decode())
-        height, grid = read_raster(scene.path("prior/dsm.tif"))
+        height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
         given, fit = run(way, ["fit"], given)
         given, export = run(way, ["export"], given)
         scene = Scene.from_json(given.decode())
@@ -130,7 +130,7 @@ def errors(height: np.ndarray, grid: Grid, truth: Truth) -> dict[str, float]:
     """What `compare` says of a surface [m]."""
     of = compare_dsm(height, truth, grid).figures
     near, away = of["near_steps"], of["away_from_steps"]
-    return {
+    found = {
         "mae": of["mae"],
         "centred": of["mae_centred"],
         "capped": of["mae_capped_5m"],
@@ -138,6 +138,7 @@ def errors(height: np.ndarray, grid: Grid, truth: Truth) -> dict[str, float]:
         "near": near["absolute"],
         "away": away["absolute"],
     }
+    return {name: math.nan if value is None else value for name, value in found.items()}  # ground without steps
 
 
 def medians(area: Area, setting: Setting, runs: list[dict[str, dict[str, float]]]) -> Iterator[dict[str, Any]]:
@@ -168,7 +169,6 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     """One panel a scene: a line for the settings of all images, one for the numbers of images."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     figure = Figure(figsize=(10, 3.6 * math.ceil(len(scenes) / 2)), layout="constrained")
@@ -192,8 +192,8 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
         axes.set_ylim(0, 1.1 * max(r["mae"] for r in own))
         axes.set_xlim(0.9 * min(r["seconds"] for r in own), 1.35 * max(r["seconds"] for r in own))
         ticks = [t for t in (5, 10, 20, 50, 100, 200) if axes.get_xlim()[0] < t < axes.get_xlim()[1]]
-        axes.xaxis.set(major_locator=FixedLocator(ticks), minor_locator=NullLocator(), minor_formatter=NullFormatter())
         axes.set_xticks(ticks, [f"{t} s" for t in ticks])
+        axes.set_xticks([], minor=True)
         axes.grid(alpha=0.3)
     for marker, name in zip("oxs", SURFACES.values(), strict=True):
         panels[0].plot([], [], marker, color="gray", mfc="gray" if marker == "s" else "none", label=name)
