@@ -150,6 +150,7 @@ def fit(
     from sattools.fit.stage import fit as stage
 
     if isinstance(options, Mapping):
+        _options(FitOptions, options)  # a preset that there is not is told like all else
         asked = (
             str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "surface"), ("field", ""))
         )
@@ -254,6 +255,10 @@ def change(
     from sattools.change.stage import change as stage
 
     own = _options(ChangeOptions, options)
+    for surface in (before, after):
+        if not isinstance(surface, Scene | str | PathLike):
+            expected = "expected a Scene, the path of a scene.json or that of a raster of heights"
+            raise InputError(f"change: found {type(surface).__name__}, {expected}")
     one, other = (str(s.path("scene.json") if isinstance(s, Scene) else s) for s in (before, after))
     return stage(one, other, own, _progress(progress, "change"), overwrite)
 
@@ -289,6 +294,8 @@ def _scene(scene: SceneLike) -> Scene:
 def _progress(told: Told, label: str) -> Progress:
     if told is None or told is False:
         return silent
+    if told is not True and not callable(told):
+        raise InputError(f"progress: found {told!r}, expected True, or a function of (share done, message)")
     return make_progress("bar", label) if told is True else told
 
 
@@ -303,7 +310,7 @@ def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
         for name, spec in known.items():
             _kind(spec).check(_plain(getattr(given, name)), f"{cls.__name__}: option {name!r}")
         return given
-    unknown = sorted(set(given) - known.keys() - set(cls.__dataclass_fields__))  # type: ignore[attr-defined]
+    unknown = sorted(set(given) - known.keys() - set(cls.__dataclass_fields__), key=str)  # type: ignore[attr-defined]
     if unknown:
         names = ", ".join(sorted(known.keys() | set(cls.__dataclass_fields__)))  # type: ignore[attr-defined]
         raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {names}")

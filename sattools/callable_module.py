@@ -20,6 +20,10 @@ class CallableModule(ModuleType):
         api = importlib.import_module("sattools.api")
         return getattr(api, self.__name__.rpartition(".")[2])(*arguments, **options)
 
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        """By its name, as a function is: pools of processes hand it on."""
+        return importlib.import_module, (self.__name__,)
+
 
 def make_callable(name: str) -> None:
     """Let the package ``name`` (its ``__name__``) be called."""

@@ -245,7 +245,7 @@ class Scene:
                 raise SceneError(f"{path}: found a folder, expected the scene document {inside}") from None
             raise SceneError(f"{error} with a scene document") from None
         scene = cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
-        scene.origin = Path(path)
+        scene.origin = Path(os.path.abspath(path))  # a program may go to another folder
         return scene
 
     def write(self) -> Path:
