@@ -133,12 +133,13 @@ def _part(transform: Any, crs: str, grid: Grid, reach: float) -> tuple[Grid, boo
     """The grid to read on, and whether it is on the raster's own cells, where these are square and of the same CRS."""
     west, south, east, north = grid.bounds
     (x,), (y,) = transform_points(grid.crs, crs, [(west + east) / 2], [(south + north) / 2])
-    xs, ys = transform_points(crs, grid.crs, [x, x + transform.a, x], [y, y, y + transform.e])
+    steps = ((0.0, 0.0), (transform.a, transform.d), (transform.b, transform.e))  # to the next column and row
+    xs, ys = transform_points(crs, grid.crs, *zip(*((x + east, y + north) for east, north in steps), strict=True))
     # the square of the area that a cell has there
     cell = float(np.sqrt(np.hypot(xs[1] - xs[0], ys[1] - ys[0]) * np.hypot(xs[2] - xs[0], ys[2] - ys[0])))
     reach += SPARE_CELLS * cell
     box = (west - reach, south - reach, east + reach, north + reach)
-    square = abs(transform.a + transform.e) <= 1e-6 * abs(transform.a) and transform.b == transform.d == 0
+    square = abs(transform.a + transform.e) <= 1e-6 * transform.a and transform.b == transform.d == 0
     if crs != grid.crs or not square:
         return Grid.from_bounds(grid.crs, box, cell), False
     columns = [round((side - transform.c) / transform.a) for side in (box[0], box[2])]

@@ -1,15 +1,19 @@
 """What `align` is given to move a scene onto: rasters of heights as others deliver them, and nothing else."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from align_ground import CRS, GRID
 
 from sattools.align.reference import check_reference, heights_around
 from sattools.errors import InputError
 from sattools.scene.grid import Grid
 from sattools.scene.raster import write_cog
+from sattools.scene.regrid import reproject_map
 
 
 def test_a_class_map_is_no_reference(tmp_path: Path) -> None:
@@ -33,3 +37,29 @@ def test_longitudes_may_run_from_0_to_360(tmp_path: Path, left: float, width: in
     assert around.crs == CRS
     assert np.isfinite(found).all()
     assert float(found.mean()) == pytest.approx(33.6, abs=0.6)  # of cells of a kilometre
+
+
+@pytest.mark.parametrize(
+    ("turn", "to"),
+    [
+        (lambda a: np.rot90(a), lambda n, m: Affine(0, -1, n, 1, 0, 0)),
+        (lambda a: a[::-1, ::-1], lambda n, m: Affine(-1, 0, n, 0, -1, m)),
+        (lambda a: a[:, ::-1], lambda n, m: Affine(-1, 0, n, 0, 1, 0)),
+    ],
+    ids=["quarter", "half", "mirrored"],
+)
+def test_turned_rasters_are_taken_as_they_lie(tmp_path: Path, turn: Any, to: Any) -> None:
+    """One turned by a quarter had cells without a size."""
+    heights = np.random.default_rng(0).uniform(0.0, 40.0, GRID.shape).astype(np.float32)
+    stored = np.ascontiguousarray(turn(heights))
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": CRS}
+    place = GRID.transform @ to(GRID.width, GRID.height)
+    rows, columns = stored.shape
+    with rasterio.open(tmp_path / "t.tif", "w", width=columns, height=rows, transform=place, **profile) as file:
+        file.write(stored, 1)
+    found, around = heights_around(tmp_path / "t.tif", GRID, 0.0)
+    assert around.cell_size == pytest.approx(GRID.cell_size)
+    there = reproject_map(found, around, GRID)
+    known = np.isfinite(there)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(there[known], heights[known], atol=0.05)
