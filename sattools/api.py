@@ -187,7 +187,8 @@ def compare(
 ) -> Scene:
     """Score a scene's surface, as `sattools compare` does; the figures are in ``scene.history[-1]["errors"]``.
 
-    Arguments as of `fit`.
+    Arguments as of `fit`. Files without a scene are scored by `sattools.compare.compare_file`, several fits side by
+    side by `sattools.compare.evaluation.evaluate`.
 
     Args:
         scene: a scene or the path of its document.
@@ -198,6 +199,10 @@ def compare(
     from sattools.compare.stage import compare as stage
 
     own = _options(CompareOptions, options)
+    aside = next((name for name in ("predicted", "fit", "out") if getattr(own, name)), None)
+    if aside is not None:
+        others = "`sattools.compare.compare_file` scores a file, `sattools.compare.evaluation.evaluate` several fits"
+        raise InputError(f"compare: found option {aside!r} beside a scene, expected it without ({others})")
     step = Step("compare", own, overwrite, _progress(progress, "compare"))
     return run_on(_scene(scene), step, lambda s, told: {"errors": stage(own, s, told, overwrite)})[0]
 

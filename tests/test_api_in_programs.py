@@ -58,3 +58,10 @@ def test_names_of_options_of_other_kinds_are_told(make_town: Any) -> None:
 def test_change_of_arrays_says_what_it_takes(surface: Any) -> None:
     with pytest.raises(InputError, match=r"change: found .*, expected a Scene, the path of"):
         sattools.change(surface, surface)
+
+
+@pytest.mark.parametrize(("name", "value"), [("predicted", "other.tif"), ("fit", "A=a.json"), ("out", "folder")])
+def test_compare_takes_no_option_that_it_would_not_heed(make_town: Any, name: str, value: str) -> None:
+    """The figures were those of the scene's own surface, whatever surface was asked about."""
+    with pytest.raises(InputError, match=f"found option '{name}' beside a scene"):
+        sattools.compare(make_town(), {name: value})
