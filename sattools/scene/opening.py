@@ -20,6 +20,7 @@ DRIVERS = (
     *("GTiff", "NITF", "JP2OpenJPEG", "JP2KAK", "JP2ECW", "JP2MrSID", "JPEG", "PNG"),
     *("HFA", "ENVI", "EHdr", "AAIGrid", "SRTMHGT"),
 )
+_FORMATS = "GeoTIFF, NITF, JPEG 2000, JPEG, PNG, HFA (.img), ENVI, EHdr, AAIGrid (.asc) or SRTM"
 # a sidecar (.aux.xml) may name overviews anywhere: nothing but what the user named is asked for
 _NO_NETWORK = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-", "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/"}
 _ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
@@ -93,7 +94,7 @@ def _gdal(error: Exception, path: Path) -> str:
     if "not recognized as" in text:  # which GDAL also says of what is missing in an archive
         if path.suffix.lower() == ".vrt":
             return "a VRT, which names other files: gdal_translate makes a GeoTIFF of it"
-        why = "not of a format that is read: GeoTIFF, NITF, JPEG 2000, JPEG, PNG"
+        why = f"not of a format that is read: {_FORMATS}"
         return f"not there, or {why}" if isinstance(path, RemotePath) else why
     return text[:200]
 

@@ -89,6 +89,13 @@ def test_what_is_no_image_is_refused(tmp_path: Path, name: Any, words: Any) -> N
         read_image(tmp_path / name)
 
 
+def test_all_formats_that_are_read_are_named(tmp_path: Path) -> None:
+    """Heights in .asc or .img are read, which who had them in another format was not told."""
+    (tmp_path / "heights.xyz").write_text("0 0 1\n1 0 1\n")
+    with pytest.raises(InputError, match=r"HFA \(\.img\), ENVI, EHdr, AAIGrid \(\.asc\) or SRTM\)"):
+        read_image(tmp_path / "heights.xyz")
+
+
 def test_a_truncated_image_is_refused(tmp_path: Path, heights: Any) -> None:
     path = tmp_path / "dsm.tif"
     write_cog(path, heights, GRID)
