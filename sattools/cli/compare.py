@@ -191,6 +191,6 @@ def _compare_fits(options: CompareOptions, overwrite: bool, dry_run: bool, show:
     except SattoolsError as error:
         report_error("compare", error)
         sys.exit(1)
-    click.echo(markdown(VIEW_COLUMNS, view_rows(result)), err=True)
-    click.echo(markdown(MAP_COLUMNS, map_rows(result)), err=True, nl=False)
+    tables = ((VIEW_COLUMNS, view_rows(result)), (MAP_COLUMNS, map_rows(result)))
+    click.echo("\n".join(markdown(*table) for table in tables if table[1]), err=True, nl=False)
     click.echo(to_json(result))

@@ -177,6 +177,16 @@ def test_wrong_use(call: Any, more: list[str], code: int, message: str) -> None:
     assert message in result.stderr
 
 
+def test_tables_without_rows_are_not_printed(tmp_path: Path) -> None:
+    path = scene_with(tmp_path / "a", {}, 0.01)
+    write_cog(tmp_path / "truth_dsm.tif", np.zeros(GRID.shape, np.float32), GRID)
+    given = ["--fit", f"A={path}", "--register", "none", "--dsm", str(tmp_path / "truth_dsm.tif")]
+    result = CliRunner().invoke(main, ["compare", *given, "--out", str(tmp_path / "eval")])
+    assert result.exit_code == 0, result.output
+    assert "| A |" in result.stderr
+    assert result.stderr.count("| fit |") == 1
+
+
 def test_fits_need_a_folder(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["compare", "--fit", "a=b"])
     assert result.exit_code == 2
