@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, is_dataclass
 from importlib import import_module
+from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -157,8 +158,8 @@ def check_place(scene: Scene) -> None:
     if own and not any((scene.root / href).exists() for href in own):
         if scene.origin is not None:
             raise SceneError(
-                f"scene {scene.id}: found none of its files in {scene.root}, where {scene.origin} lies, expected the "
-                "scene.json in the scene's folder (was that moved?)"
+                f"scene {scene.id}: found none of its files in {scene.root}, where {relpath(scene.origin)} lies, "
+                "expected the scene.json in the scene's folder (was that moved?)"
             )
         raise SceneError(
             f"scene {scene.id}: found none of its files in {scene.root}, the current folder, where a scene.json on a "
