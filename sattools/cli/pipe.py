@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, is_dataclass
 from importlib import import_module
-from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -157,8 +156,10 @@ def check_place(scene: Scene) -> None:
     own = [href for href in hrefs if not (is_remote(href) or Path(href).is_absolute())]
     if own and not any((scene.root / href).exists() for href in own):
         if scene.origin is not None:
+            here = Path.cwd()
+            shown = scene.origin.relative_to(here) if scene.origin.is_relative_to(here) else scene.origin
             raise SceneError(
-                f"scene {scene.id}: found none of its files in {scene.root}, where {relpath(scene.origin)} lies, "
+                f"scene {scene.id}: found none of its files in {scene.root}, where {shown} lies, "
                 "expected the scene.json in the scene's folder (was that moved?)"
             )
         raise SceneError(
