@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
 from sattools.scene.vectors import is_geojson, polygons_in, read_layer, read_polygons
 
+log = logging.getLogger(__name__)
 _SAME_M = 1.0
+_AREAS = ("Polygon", "MultiPolygon")
 
 
 def bounds_from_file(path: Path, crs: str) -> Bounds:
@@ -38,7 +41,7 @@ def bounds_from_geojson(path: Path, crs: str) -> Bounds:
     if isinstance(path, RemotePath):
         return _from_afar(path, crs)
     document = read_json(path, "GeoJSON with the area of interest")
-    places = _positions(document, ("Polygon", "MultiPolygon")) or _positions(document)
+    places = _positions(document, _AREAS) or _positions(document)
     points = np.array(places, dtype=np.float64).reshape(-1, 2)
     if len(points) < 3 or not np.isfinite(points).all():
         raise InputError(f"{path}: found no polygon, expected GeoJSON with the area of interest")
@@ -109,10 +112,12 @@ def _polygons_of(path: Path, crs: str) -> list[Any]:
         return []  # its bounds only
     try:
         return read_polygons(path, crs)
-    except InputError:
-        if is_geojson(path):  # lines and points have bounds, too
-            return []
-        raise
+    except InputError as error:
+        if not is_geojson(path):
+            raise
+        if _positions(read_json(path, "GeoJSON"), _AREAS):  # lines and points have bounds, too
+            log.warning("%s (the box of all its places is taken)", error)
+        return []
 
 
 def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | None) -> Bounds:

@@ -206,6 +206,17 @@ def test_points_and_lines_beside_polygons_are_left_out_and_told(
     assert said == f"{path}: 2 of its features left out, as points and lines beside its polygons"
 
 
+def test_a_ring_that_is_not_closed_asks_for_its_box_and_that_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "open.geojson"
+    path.write_text(json.dumps({"type": "Polygon", "coordinates": [[[15.0, 46.0], [15.1, 46.0], [15.0, 46.1]]]}))
+    assert wanted_area(path, [], UTM33)(BOX) is None
+    (said,) = [one.getMessage() for one in caplog.records]
+    assert said.startswith(f"{path}: cannot be read (")
+    assert said.endswith("(the box of all its places is taken)")
+
+
 def test_a_mask_over_everything_and_one_without_polygons_are_refused(tmp_path: Path) -> None:
     sea = written(tmp_path / "sea.gpkg", box(X - 1, Y - 1, X + 200, Y + 200))
     with pytest.raises(InputError, match=r"sea\.gpkg: found no ground that is left of the scene"):
