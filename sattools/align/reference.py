@@ -24,6 +24,7 @@ from sattools.compare.doubts import check_heights
 from sattools.compare.truth import known_heights
 from sattools.errors import InputError
 from sattools.scene.datums import horizontal
+from sattools.scene.globe import columns_of_turn
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.memory import check_memory
@@ -32,6 +33,7 @@ from sattools.scene.placement import place_at
 from sattools.scene.regrid import bounds_in
 from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
+from sattools.scene.warped import read_warped
 
 COLUMNS = ("z", "item", "column", "row")
 NUMBERS = ("x", "y", "lon", "lat", "z", "column", "row")
@@ -91,6 +93,8 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
                 cell = step * max(around.cell_size, grid.cell_size)
                 around, method = Grid.from_bounds(grid.crs, around.bounds, cell), Resampling.average
             check_memory(8.0 * around.width * around.height, f"{path}: {around.width} x {around.height} cells", "crop")
+            if data.crs.is_geographic and columns_of_turn(data.width, data.transform.a):
+                return _known(read_warped(path, around, lambda bands: known_heights(bands[:1]))[0], path, reach), around
             place = place_at(data, bounds_in(crs, around))
             with WarpedVRT(
                 data, src_crs=_running_on(data, crs, place), src_transform=place, crs=around.crs,
@@ -102,9 +106,13 @@ def heights_around(path: Path, grid: Grid, reach: float, step: int = 1) -> tuple
         except RasterioError as error:
             text = " ".join(str(error).split())[:120]
             raise InputError(f"{path}: cannot be read around the scene ({text}), expected heights there") from None
+    return _known(heights, path, reach), around
+
+
+def _known(heights: np.ndarray, path: Path, reach: float) -> np.ndarray:
     if not np.isfinite(heights).any():
         raise InputError(f"{path}: found no heights within {reach:g} m of the scene, expected a reference of its place")
-    return heights, around
+    return heights
 
 
 def read_control_points(path: Path, crs: str) -> list[ControlPoint]:

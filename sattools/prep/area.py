@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ from sattools.errors import InputError
 from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
-from sattools.scene.vectors import is_geojson, read_layer, read_polygons
+from sattools.scene.vectors import is_geojson, polygons_in, read_layer, read_polygons
 
+log = logging.getLogger(__name__)
 _SAME_M = 1.0
+_AREAS = ("Polygon", "MultiPolygon")
 
 
 def bounds_from_file(path: Path, crs: str) -> Bounds:
@@ -31,12 +34,15 @@ def bounds_from_file(path: Path, crs: str) -> Bounds:
 def bounds_from_geojson(path: Path, crs: str) -> Bounds:
     """Bounds in `crs` [m] of all polygons of a GeoJSON file; longitude and latitude unless the file names a CRS.
 
+    Points and lines count where there are no polygons.
+
     The file may be remote, then as any vector file that GDAL reads from there.
     """
     if isinstance(path, RemotePath):
         return _from_afar(path, crs)
     document = read_json(path, "GeoJSON with the area of interest")
-    points = np.array(list(_positions(document)), dtype=np.float64).reshape(-1, 2)
+    places = _positions(document, _AREAS) or _positions(document)
+    points = np.array(places, dtype=np.float64).reshape(-1, 2)
     if len(points) < 3 or not np.isfinite(points).all():
         raise InputError(f"{path}: found no polygon, expected GeoJSON with the area of interest")
     named = document.get("crs")
@@ -62,7 +68,8 @@ def _from_afar(path: RemotePath, crs: str) -> Bounds:
     shapes = [shape for shape in found.geometries if shape is not None and not shape.is_empty]
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected {wanted}")
-    west, south, east, north = (float(v) for v in shapely.total_bounds(shapes))
+    areas = [shape for shape in map(polygons_in, shapes) if shape is not None]
+    west, south, east, north = (float(v) for v in shapely.total_bounds(areas or shapes))
     corners = np.array([(west, south), (east, south), (east, north), (west, north)])
     return _bounds_of(corners, found.crs or "", crs, path)
 
@@ -105,10 +112,12 @@ def _polygons_of(path: Path, crs: str) -> list[Any]:
         return []  # its bounds only
     try:
         return read_polygons(path, crs)
-    except InputError:
-        if is_geojson(path):  # lines and points have bounds, too
-            return []
-        raise
+    except InputError as error:
+        if not is_geojson(path):
+            raise
+        if _positions(read_json(path, "GeoJSON"), _AREAS):  # lines and points have bounds, too
+            log.warning("%s (the box of all its places is taken)", error)
+        return []
 
 
 def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | None) -> Bounds:
@@ -153,13 +162,13 @@ def _box(x: np.ndarray, y: np.ndarray, source: str) -> Bounds:
     return float(np.min(x)), float(np.min(y)), float(np.max(x)), float(np.max(y))
 
 
-def _positions(node: Any) -> list[tuple[float, float]]:
-    """All positions of a GeoJSON object."""
+def _positions(node: Any, kinds: Sequence[str] = ()) -> list[tuple[float, float]]:
+    """All positions of a GeoJSON object, or those of geometries of some kinds."""
     if isinstance(node, dict):
         if "coordinates" in node:
-            return _positions(node["coordinates"])
+            return _positions(node["coordinates"]) if not kinds or node.get("type") in kinds else []
         parts = node.get("features") or node.get("geometries") or [node.get("geometry")]
-        return [p for part in parts for p in _positions(part)] if isinstance(parts, list) else []
+        return [p for part in parts for p in _positions(part, kinds)] if isinstance(parts, list) else []
     if isinstance(node, list) and node:
         if len(node) >= 2 and all(isinstance(v, int | float) and not isinstance(v, bool) for v in node[:2]):
             return [(float(node[0]), float(node[1]))]

@@ -21,6 +21,7 @@ from sattools.camera.ground import crop_window, ground_sample_distance
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
+from sattools.prep.grays import without_holes
 from sattools.prep.images import SourceImage, at_once, block_factor
 from sattools.prep.layout import Bounds, common_bounds, data_edge, ground_polygon
 from sattools.prep.pixels import read_gray
@@ -54,6 +55,10 @@ class GrayImages:
     def reduced(self) -> bool:
         """Whether any image is not seen as it is."""
         return max(self.factors) > 1
+
+    def without_holes(self) -> GrayImages:
+        """The images with their single missing pixels from their neighbours, where there are many."""
+        return replace(self, grays=[without_holes(gray) for gray in self.grays])
 
     def cameras(self, rpcs: Sequence[RPC]) -> list[RPC]:
         """Cameras of the grey images from those of the images."""
@@ -211,7 +216,7 @@ class _Search:
             if min(width, height) < _LEAST_PX:
                 continue
             part = replace(source, window=(source.window[0] + col, source.window[1] + row, width, height), notes=[])
-            gray = read_gray(part, whole=False)
+            gray = without_holes(read_gray(part, whole=False))
             if np.isfinite(gray).mean() < _LEAST_KNOWN:
                 continue
             views.append(TiePointImage(source.id, gray, rpc.cropped(col, row)))

@@ -43,6 +43,8 @@ def load_source(path: Path, name: str, metadata_dir: Path | None) -> SourceImage
         meanings = tuple(interpretation.name for interpretation in data.colorinterp)
         descriptions = tuple(data.descriptions)
         mask_like = "alpha" in meanings and _two_values(data, path, meanings.index("alpha") + 1)
+        if data.count and data.tags(1, ns="IMAGE_STRUCTURE").get("NBITS") == "1":
+            raise InputError(f"{path}: found pixels of 1 bit, as masks have, expected brightness")
         masked, stated, within = has_mask(data), georeference_of(data), data.subdatasets
     if not (np.issubdtype(np.dtype(dtype), np.integer) or np.issubdtype(np.dtype(dtype), np.floating)):
         raise InputError(f"{path}: found pixels of type {dtype}, expected integers or floating point numbers")

@@ -15,6 +15,7 @@ from sattools.errors import InputError
 
 MANY_ZEROS = 0.05  # of the pixels: more than a frame's corners
 MANY_NEGATIVE = 0.01  # of the pixels: atmospheric corrections leave some in deep shadow
+LEAST_NUMBER = 1e-15  # that the largest of an image is: squares of less are none in single precision
 LEAST_MARK = -1.0  # a negative number that fills pixels as a mark of no data does is a whole one
 
 
@@ -58,11 +59,17 @@ class Numbers:
         self.high[band - 1] = max(self.high[band - 1], float(known.max()))
 
     def check(self, path: Path) -> None:
-        """Raise InputError for a band without any data."""
+        """Raise InputError for a band without any data, and for numbers too small to calculate with."""
         for band, (low, high) in enumerate(zip(self.low, self.high, strict=True), 1):
             if low >= high:
                 what = f"{low:g} everywhere" if low == high else "no-data or NaN everywhere"
                 raise InputError(f"{path}: found band {band} to be {what}, expected an image")
+        largest = max(abs(number) for number in self.overall())
+        if largest < LEAST_NUMBER:
+            raise InputError(
+                f"{path}: found numbers of up to {largest:.2g}, expected digital numbers, radiance or reflectance "
+                f"above {LEAST_NUMBER:g} (multiply them)"
+            )
 
     def notes(self) -> list[str]:
         """What is masked without a no-data number."""

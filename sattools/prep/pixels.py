@@ -14,6 +14,7 @@ from rasterio.windows import Window
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
 from sattools.prep.frames import find_frames
+from sattools.prep.grays import of_size_one
 from sattools.prep.images import SourceImage
 from sattools.prep.numbers import Numbers, read_band
 from sattools.scene.files import write_with
@@ -67,7 +68,7 @@ def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray
 
 
 def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> NDArray[np.float32]:
-    """Mean of the bands over the source's window `[H, W]`, NaN where a band has no data.
+    """Mean of the bands over the source's window `[H, W]`, NaN where a band has no data; see `of_size_one`.
 
     Adds a note where pixels are not finite, and to the source the range of its values.
 
@@ -104,7 +105,7 @@ def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> ND
         if not np.isfinite(gray).any():
             raise InputError(f"{source.path}: found no pixel that is valid in all bands, expected an image")
         source.read_range = (source.window, ranges.overall())
-    return gray
+    return of_size_one(gray)
 
 
 def _gray_rows(

@@ -90,6 +90,7 @@ def prepare(
 
     whole = read_grays(sources, subprogress(progress, 0.02, 0.1))
     check_pixels(sources, whole.grays)
+    whole = whole.without_holes()
     result = _adjusted(sources, whole, crs, options, subprogress(progress, 0.1, 0.75))
     if options.correction == "none":
         notes.append("cameras were left as they are (correction none)")

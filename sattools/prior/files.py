@@ -90,6 +90,8 @@ class MapFiles:
         names = ["normal east", "normal north", "normal up"]
         slant: dict[str, Any] = {"units": "1", "tags": about, "descriptions": names}
         self.scene, self.grid = scene, grid
+        low, high = scene.require_height_range()
+        self._span = high - low
         self._stack = ExitStack()
         self._files = [
             CogWriter(scene.output(DSM), grid, **height),
@@ -121,7 +123,7 @@ class MapFiles:
         """
         cell, first = self.grid.cell_size, self.around(rows).start
         own = slice(rows.start - first, rows.stop - first)
-        maps = height, confidence, *height_doubt(height, confidence, cell), normals(height, cell)
+        maps = height, confidence, *height_doubt(height, confidence, cell, self._span), normals(height, cell)
         for file, values in zip(self._files, maps, strict=True):
             file.write(values[..., own, :], rows)
 

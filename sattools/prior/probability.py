@@ -98,7 +98,9 @@ def from_features(parts: np.ndarray, network: dict[str, Any] | None = None) -> t
     return np.where(guessed, np.minimum(probability, most), probability), *bounds
 
 
-def height_doubt(height: np.ndarray, confidence: np.ndarray, cell: float) -> tuple[np.ndarray, ...]:
+def height_doubt(
+    height: np.ndarray, confidence: np.ndarray, cell: float, span: float = math.inf
+) -> tuple[np.ndarray, ...]:
     """Probability that a height is less than 1 m off, and what 68 % and 95 % of such heights are less off by.
 
     The distribution of errors is no normal one: most heights are right to a decimetre and few are off by metres, so
@@ -108,11 +110,13 @@ def height_doubt(height: np.ndarray, confidence: np.ndarray, cell: float) -> tup
         height: ``[H, W]`` matched [m]; NaN = unknown.
         confidence: ``[H, W]`` of matching, 0 ... 1; NaN = unknown.
         cell: edge of a cell [m].
+        span: of the heights that were looked at, within which the right one lies, too: no height is further off [m].
 
     Returns:
         Probability, and both bounds [m], ``[H, W]`` float32 each; NaN where height or confidence are unknown.
     """
-    found = from_features(features(height, confidence, cell))
+    probability, *bounds = from_features(features(height, confidence, cell))
+    found = (probability, *(np.minimum(bound, np.float32(span)) for bound in bounds))
     unknown = ~(np.isfinite(height) & np.isfinite(confidence))
     return tuple(np.where(unknown, np.float32(np.nan), values.astype(np.float32)) for values in found)
 

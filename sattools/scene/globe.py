@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from sattools.scene.jsonio import JsonObject
 
 Box = list[float]
+_MEETING = 0.1  # of a cell that columns may be apart, or overlap, where a turn closes
 
 
 def near_longitude(lon: float, other: float) -> float:
@@ -30,6 +31,18 @@ def whole_turn(span: tuple[float, float], onto: tuple[float, float]) -> float:
     """
     (west, east), (left, right) = span, onto
     return next((turn for turn in (0.0, -360.0, 360.0) if west + turn < right and left < east + turn), 0.0)
+
+
+def columns_of_turn(width: int, cell: float) -> int | None:
+    """How many columns of a raster in degrees go around the globe; None where it does not, or they do not meet.
+
+    Args:
+        width: number of its columns; one more than a turn has, as rasters have whose cells' centres lie on both edges,
+            is the first one again.
+        cell: width of one [degrees].
+    """
+    count = round(360.0 / cell) if cell > 0 else 0
+    return count if 0 < count <= width and abs(count * cell - 360.0) <= _MEETING * cell else None
 
 
 def outline_on_globe(ring: Sequence[Sequence[float]]) -> tuple[JsonObject, Box]:
@@ -88,4 +101,4 @@ def _wrapped(lon: float) -> float:
     return lon if -180.0 <= lon <= 180.0 else (lon + 180.0) % 360.0 - 180.0
 
 
-__all__ = ["box_of_all", "near_longitude", "outline_on_globe", "whole_turn"]
+__all__ = ["box_of_all", "columns_of_turn", "near_longitude", "outline_on_globe", "whole_turn"]

@@ -22,7 +22,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
 from sattools.scene.placement import grid_of, is_south_up, stored_window
-from sattools.scene.regrid import reproject_map, window_around
+from sattools.scene.regrid import reproject_map, windows_around
 from sattools.scene.values import meant
 
 _STRIP_PIXELS = 2_000_000  # of an image that are held at a time where it is read reduced
@@ -197,6 +197,8 @@ def read_on(path: Path, target: Grid, nearest: bool = False) -> np.ndarray:
 def read_around(path: Path, target: Grid) -> tuple[np.ndarray, Grid] | None:
     """The part of a raster ``[B, h, w]`` that lies on another grid, and a little more; None where there is none.
 
+    Across the edges of one that goes around the globe, too.
+
     Args:
         path: the file.
         target: grid in any CRS.
@@ -205,8 +207,13 @@ def read_around(path: Path, target: Grid) -> tuple[np.ndarray, Grid] | None:
         InputError: as `read_raster`.
     """
     grid = raster_grid(path)
-    found = window_around(grid, target)
-    return None if found is None else read_raster(path, grid.part(*found))
+    found = windows_around(grid, target)
+    if not found:
+        return None
+    pieces = [read_raster(path, grid.part(*window))[0] for _, window in found]
+    turn, (rows, cols) = found[0]
+    array = pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=2)
+    return array, grid.moved(turn, 0.0).part(rows, slice(cols.start, cols.start + array.shape[2]))
 
 
 def raster_grid(path: Path) -> Grid:

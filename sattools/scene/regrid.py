@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from affine import Affine
 
 from sattools.errors import SceneError
-from sattools.scene.globe import whole_turn
+from sattools.scene.globe import columns_of_turn, whole_turn
 from sattools.scene.grid import Grid
 
 _SPARE_CELLS = 4  # around a part, in which interpolation looks
@@ -130,6 +131,37 @@ def window_around(grid: Grid, target: Grid) -> tuple[slice, slice] | None:
     Raises:
         SceneError: no transformation between the two CRS is known.
     """
+    box = _around(grid, target)
+    return None if box is None else _within(grid, box)
+
+
+def windows_around(grid: Grid, target: Grid) -> list[tuple[float, tuple[slice, slice]]]:
+    """`window_around` in pieces from west to east, which meet where a grid around the globe begins; none where none do.
+
+    Args:
+        grid: its cells are meant.
+        target: grid in any CRS.
+
+    Returns:
+        By how many degrees to move the grid, so that the pieces lie side by side, and rows and columns of it.
+
+    Raises:
+        SceneError: no transformation between the two CRS is known.
+    """
+    box = _around(grid, target)
+    if box is None:
+        return []
+    turn = columns_of_turn(grid.width, grid.cell_size) if _in_degrees(grid.crs) else None
+    if turn is None:
+        found = _within(grid, box)
+        return [] if found is None else [(0.0, found)]
+    once = replace(grid, width=turn)
+    pieces = [(by, _within(once.moved(by, 0.0), box)) for by in (-360.0, 0.0, 360.0)]
+    return [(by, found) for by, found in pieces if found is not None]
+
+
+def _around(grid: Grid, target: Grid) -> tuple[float, float, float, float] | None:
+    """The part of a grid's CRS that lies on another grid, and a little more; None where it is out of reach."""
     west, south, east, north = bounds_in(grid.crs, target)
     if _in_degrees(grid.crs):
         turn = whole_turn((west, east), (grid.bounds[0], grid.bounds[2]))
@@ -137,8 +169,10 @@ def window_around(grid: Grid, target: Grid) -> tuple[slice, slice] | None:
     # cells of a CRS in degrees are no lengths of the other's
     spare = _SPARE_CELLS * max(grid.cell_size, (east - west) / target.width)
     box = (west - spare, south - spare, east + spare, north + spare)
-    if not all(math.isfinite(edge) for edge in box):
-        return None
+    return box if all(math.isfinite(edge) for edge in box) else None
+
+
+def _within(grid: Grid, box: tuple[float, float, float, float]) -> tuple[slice, slice] | None:
     try:
         return grid.window(Grid.from_bounds(grid.crs, box, grid.cell_size))
     except SceneError:
@@ -261,4 +295,5 @@ __all__ = [
     "split_cells",
     "warp_map",
     "window_around",
+    "windows_around",
 ]

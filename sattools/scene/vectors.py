@@ -148,18 +148,27 @@ def numbered_polygons(path: Path, crs: str) -> dict[int, Any]:
         raise InputError(f"{path}: cannot be brought to {crs[:80]} ({text}), expected polygons there") from None
     if lost := sum(not np.isfinite(shapely.get_coordinates(shape)).all() for shape in places):
         _tell(f"{path}: {lost} of its features left out, as far as their places cannot be brought to {crs[:80]}")
-    shapes = {
-        number: shape for number, shape in enumerate(map(_polygons, places)) if shape is not None and not shape.is_empty
-    }
+    areas = enumerate(map(polygons_in, places))
+    shapes = {number: shape for number, shape in areas if shape is not None and not shape.is_empty}
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected some")
+    if others := sum(_is_other(shape) for shape in found.geometries):
+        _tell(f"{path}: {others} of its features left out, as points and lines beside its polygons")
     return shapes
 
 
-def _polygons(shape: Any) -> Any:
+def _is_other(shape: Any) -> bool:
+    """Whether a geometry is a point or a line."""
+    return shape is not None and not shape.is_empty and shape.geom_type.endswith(("Point", "LineString", "LinearRing"))
+
+
+def polygons_in(shape: Any) -> Any:
     """The polygons in a geometry, as one whose rings do not cross, with all parts of those that do; None without any.
 
     Parts whose places a CRS does not know, as that of a zone does not on the other side of the Earth, are left out.
+
+    Args:
+        shape: of shapely, or None.
     """
     import shapely
 
@@ -262,6 +271,7 @@ __all__ = [
     "is_geojson",
     "is_vector",
     "numbered_polygons",
+    "polygons_in",
     "read_features",
     "read_layer",
     "read_polygons",

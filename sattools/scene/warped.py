@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from affine import Affine
+from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from sattools.errors import InputError
+from sattools.scene.globe import columns_of_turn
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
 from sattools.scene.placement import crs_of, place_at
@@ -43,19 +45,46 @@ def read_warped(
         place = place_at(data, (west, south, east, north))
         corners = [_mapped(~place, x, y) for x in (west, east) for y in (south, north)]
         cols, rows = zip(*corners, strict=True)
-        window = None
+        left, top, bottom = 0, 0, 0
+        pieces: list[tuple[int, int]] = []
         if all(math.isfinite(number) for number in (*cols, *rows)):
-            left, top = max(0, math.floor(min(cols)) - _SPARE_CELLS), max(0, math.floor(min(rows)) - _SPARE_CELLS)
-            right = min(data.width, math.ceil(max(cols)) + _SPARE_CELLS)
+            top = max(0, math.floor(min(rows)) - _SPARE_CELLS)
             bottom = min(data.height, math.ceil(max(rows)) + _SPARE_CELLS)
-            window = Window(left, top, right - left, bottom - top) if left < right and top < bottom else None
-        if window is None:
+            wanted = math.floor(min(cols)) - _SPARE_CELLS, math.ceil(max(cols)) + _SPARE_CELLS
+            left, pieces = _columns(data, wanted)
+        if not pieces or top >= bottom:
             return np.full((data.count, *target.shape), np.nan, np.float32)
-        array = read_window(data, path, window)
+        windows = [Window(first, top, last - first, bottom - top) for first, last in pieces]
+        read = [read_window(data, path, window) for window in windows]
+        array = read[0] if len(read) == 1 else np.concatenate(read, axis=2)
         array = array.astype(np.float32) if known is None else known(array)
         first = _mapped(place, left, top)
         transform = Affine(place.a, place.b, first[0], place.d, place.e, first[1])
         return warp_map(array, crs, transform, target, nearest=nearest)
+
+
+def _columns(data: DatasetReader, wanted: tuple[int, int]) -> tuple[int, list[tuple[int, int]]]:
+    """The first of the columns wanted, and where a file has them: of one around the globe beyond its edges, too.
+
+    Args:
+        data: the file.
+        wanted: the first column and the one after the last; those of files around the globe go on beyond their edges.
+
+    Returns:
+        The number of the first, and pieces from west to east.
+    """
+    to = data.transform
+    turn = columns_of_turn(data.width, to.a) if data.crs.is_geographic and to.b == to.d == 0 else None
+    if turn is None:
+        left, right = max(0, wanted[0]), min(data.width, wanted[1])
+        return left, [(left, right)] if left < right else []
+    pieces, column, last = [], wanted[0], min(wanted[1], wanted[0] + turn)
+    while column < last:
+        first = column % turn
+        count = min(turn - first, last - column)
+        pieces.append((first, first + count))
+        column += count
+    return wanted[0], pieces
 
 
 def ground_grid(path: Path, crs_at: Callable[[float, float], str]) -> Grid:
@@ -72,6 +101,8 @@ def ground_grid(path: Path, crs_at: Callable[[float, float], str]) -> Grid:
     with opened(path) as data:
         own, shape = crs_of(data, path), data.shape
         corners = [_mapped(data.transform, col, row) for col in (0, data.width) for row in (0, data.height)]
+        if data.crs.is_geographic and columns_of_turn(data.width, data.transform.a):
+            raise InputError(f"{path}: found a raster around the globe, expected one of its place (crop it)")
     xs, ys = zip(*corners, strict=True)
     around = min(xs), min(ys), max(xs), max(ys)
     west, south, east, north = bounds_of("EPSG:4326", own, around)

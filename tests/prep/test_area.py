@@ -10,7 +10,7 @@ import geopandas
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import GeometryCollection, MultiPolygon, Point, Polygon, box
+from shapely.geometry import GeometryCollection, LineString, MultiPolygon, Point, Polygon, box
 
 from sattools.camera.ground import to_geographic
 from sattools.errors import InputError
@@ -191,6 +191,30 @@ def test_points_and_lines_ask_for_their_box(tmp_path: Path) -> None:
     path = tmp_path / "points.geojson"
     path.write_text(json.dumps({"type": "MultiPoint", "coordinates": [[15.0, 46.0], [15.1, 46.0], [15.0, 46.1]]}))
     assert wanted_area(path, [], UTM33)(BOX) is None
+
+
+@pytest.mark.parametrize("name", ["area.geojson", "area.gpkg"])
+def test_points_and_lines_beside_polygons_are_left_out_and_told(
+    name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, crs = tmp_path / name, "EPSG:4326" if name.endswith("geojson") else UTM33
+    shapes = [box(X, Y, X + 40, Y + 30), Point(X + 30_000, Y), LineString([(X, Y), (X, Y + 9000)])]
+    geopandas.GeoDataFrame(geometry=shapes, crs=UTM33).to_crs(crs).to_file(path)
+    assert bounds_from_file(path, UTM33) == pytest.approx((X, Y, X + 40, Y + 30), abs=0.01)
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1200.0, abs=0.1)
+    (said,) = [one.getMessage() for one in caplog.records]
+    assert said == f"{path}: 2 of its features left out, as points and lines beside its polygons"
+
+
+def test_a_ring_that_is_not_closed_asks_for_its_box_and_that_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "open.geojson"
+    path.write_text(json.dumps({"type": "Polygon", "coordinates": [[[15.0, 46.0], [15.1, 46.0], [15.0, 46.1]]]}))
+    assert wanted_area(path, [], UTM33)(BOX) is None
+    (said,) = [one.getMessage() for one in caplog.records]
+    assert said.startswith(f"{path}: cannot be read (")
+    assert said.endswith("(the box of all its places is taken)")
 
 
 def test_a_mask_over_everything_and_one_without_polygons_are_refused(tmp_path: Path) -> None:

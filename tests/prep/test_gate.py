@@ -225,6 +225,15 @@ def test_a_palette_is_no_brightness(town: Any) -> None:
     refused(town, "TOWN_001.tif: found a palette", "gdal_translate -expand rgb")
 
 
+def test_pixels_of_one_bit_are_no_brightness(town: Any) -> None:
+    with rasterio.open(town.image(1)) as data:
+        values = (data.read(1) > np.median(data.read(1))).astype(np.uint8)
+    profile = {"driver": "GTiff", "count": 1, "dtype": "uint8", "height": values.shape[0], "width": values.shape[1]}
+    with rasterio.open(town.image(1), "w", **profile, NBITS=1) as data:
+        data.write(values, 1)
+    refused(town, "TOWN_001.tif: found pixels of 1 bit, as masks have, expected brightness")
+
+
 def test_one_band_beside_three(town: Any) -> None:
     town.pixels(2, lambda values: values[:1])
     refused(town, "TOWN_002.tif: found 1 bands, expected 3 as most of the other images have")

@@ -94,6 +94,17 @@ def test_any_map_has_a_probability(shape: tuple[int, int], cell: float) -> None:
     assert (error95 >= std).all()
 
 
+def test_no_height_is_further_off_than_heights_were_looked_at() -> None:
+    height, confidence = a_town()
+    height[20:40, 20:40] += 300 * (np.indices((20, 20)).sum(0) % 2)  # a guess, whose bounds are hundreds of metres
+    confidence[20:40, 20:40] = 0
+    free, capped = height_doubt(height, confidence, 0.5), height_doubt(height, confidence, 0.5, 25.0)
+    assert free[2].max() > 100
+    np.testing.assert_array_equal(capped[0], free[0])
+    for bound, before in zip(capped[1:], free[1:], strict=True):
+        np.testing.assert_array_equal(bound, np.minimum(before, 25))
+
+
 def test_a_map_without_any_height_has_no_probability() -> None:
     assert all(np.isnan(v).all() for v in height_doubt(np.full_like(FLAT, np.nan), np.zeros_like(FLAT), 0.5))
 

@@ -17,6 +17,7 @@ from sattools.fit.inputs import load_prior
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.schedule import own_cell
 from sattools.prior import PriorOptions, stage
+from sattools.prior.files import MapFiles
 from sattools.prior.gate import check_start, grids
 from sattools.prior.stage import prior
 from sattools.progress import silent
@@ -52,6 +53,16 @@ def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     with rasterio.open(scene.path(scene.products["prior_dsm"])) as data:
         assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
         assert data.units == ("m",)
+
+
+def test_errors_are_no_larger_than_the_range_of_heights(make_town: Any) -> None:
+    scene = make_town()
+    scene.height_range_m = (-5.0, 3.0)
+    grid = scene.require_grid()
+    with MapFiles(scene, grid) as files:
+        files.write(np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32), slice(0, grid.height))
+    for name in ("prior_dsm_std", "prior_dsm_error95"):  # guesses are said to be 10 and 40 m off
+        assert product(scene, name)[0].max() == 8.0
 
 
 def test_planes_further_apart_than_the_heights_are_refused(make_town: Any) -> None:
