@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from sattools.errors import InputError
 from sattools.settings import option
@@ -56,6 +57,11 @@ class PriorOptions:
         "30.",
         minimum=0,
         maximum=1,
+    )
+    water: Literal["level", "keep"] = option(
+        "level",
+        "Wide water with waves, of which no two of many images show the same: laid level with its shore, without "
+        "confidence, or kept as it is matched, in lumps.",
     )
     mixed: float = option(
         0.1,

@@ -20,10 +20,12 @@ from sattools.prior.gate import (
     warn_of_window,
 )
 from sattools.prior.matched import Matched, match_area, matching_height
+from sattools.prior.matching.sweep import ROBUST_PAIRS
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
 from sattools.prior.surroundings import with_surroundings
 from sattools.prior.tiled import AT_ONCE, match_tiles
+from sattools.prior.water import level_water
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record, seen
@@ -34,6 +36,7 @@ from sattools.scene.stored import map_like, pieces
 from sattools.views import Opened, Source, load_sources, open_images, warn_of_blank
 from sattools.views.check import check_extent
 
+LEAST_TOLD = 0.005  # of the area, which is named
 COUNTS = 0.9  # of what the others do: an image that counts less is named
 
 log = logging.getLogger(__name__)
@@ -88,6 +91,8 @@ def prior(
         found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
+    many = len(found.pairs) >= ROBUST_PAIRS  # few agree as little about much that is no water
+    water = level_water(found.height, found.confidence, wide.cell_size) if many and options.water == "level" else 0.0
     around, everything = _wide_cells(grid, fine, wide, found.height)
     found = _within(fine, wide, found)
     if fine != grid:
@@ -101,7 +106,7 @@ def prior(
         _per_image(scene, items, images, grid, maps, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
     return {
-        "notes": notes + _notes(scene, found, len(items), grid),
+        "notes": notes + _notes(scene, found, len(items), grid, water),
         "prior": {
             "pairs": [list(pair) for pair in found.pairs],
             "seen_by_two": round(found.seen_by_two, 4),
@@ -219,7 +224,7 @@ def _per_image(
             item.assets[name] = Asset(href, GEOTIFF_TYPE)
 
 
-def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:
+def _notes(scene: Scene, found: Matched, images: int, grid: Grid, water: float) -> list[str]:
     notes = []
     name, bent = found.bent
     if bent > 0.5 * grid.cell_size:
@@ -229,6 +234,8 @@ def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:
     less = sorted(name for name, share in found.shares.items() if share < COUNTS)
     if less:
         notes.append(f"{', '.join(less)}: less weight in the matching, being less sharp than other images")
+    if water > LEAST_TOLD:
+        notes.append(f"{100 * water:.0f} % of the area looks like water with waves, laid level with its shore")
     if found.seen_by_two < 0.9:
         notes.append(f"{100 * (1 - found.seen_by_two):.0f} % of the area is seen by fewer than two images")
     for text in notes:
