@@ -17,7 +17,6 @@ from sattools.scene.xmlio import find_all, local_name, parse_xml
 Fields = dict[str, Any]
 
 _UNITS = {"", "pixel", "pixels", "degree", "degrees", "deg", "meter", "meters", "metre", "metres", "m"}
-_WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16
 _SATNERF = SCALARS | VECTORS  # its members are named as ours
 _RPB = {
     "LINE_OFF": "LINEOFFSET",
@@ -44,11 +43,9 @@ def read_rpc_fields(path: Path) -> Fields:
         return _from_raster(path)
     try:
         with open(path, "rb") as file:
-            head = file.read(512)
+            head = jsonio.as_utf8(file.read(512))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: found {jsonio.reason(error)}, expected a readable file") from None
-    if head.startswith(_WIDE):
-        head = head[: len(head) // 2 * 2].decode("utf-16", "ignore").encode()
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if start.startswith(b"<"):
         return _from_xml(path)

@@ -21,13 +21,13 @@ from sattools.camera.ground import crop_window, ground_sample_distance
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
-from sattools.prep.grays import without_holes
 from sattools.prep.images import SourceImage, at_once, block_factor
 from sattools.prep.layout import Bounds, common_bounds, data_edge, ground_polygon
 from sattools.prep.pixels import read_gray
 from sattools.prep.places import SearchHeights
 from sattools.processors import side_by_side
 from sattools.progress import Progress, subprogress
+from sattools.radiometry.holes import without_holes
 
 WINDOWS = 12  # squares of the ground
 WINDOW_PX = 1500  # edge of one, at most

@@ -18,6 +18,7 @@ TEXT_LIMIT = 64 << 20  # bytes; no document or metadata file of the suite is lar
 CONFIG_LIMIT = 1 << 20
 _DEPTH = 64  # of nesting; STAC, GeoJSON and vendors' metadata need 10
 _KEY_PARTS = 10_000  # of a dotted key of TOML
+_MARKS = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _BITS = 64  # of an integer; larger ones overflow where they become floating point numbers
 
 
@@ -41,6 +42,17 @@ def reason(error: BaseException) -> str:
     return getattr(error, "strerror", None) or " ".join(str(error).split()) or type(error).__name__
 
 
+def _marked(data: bytes) -> str | None:
+    """Encoding of text with a byte order mark of UTF-16 or UTF-32."""
+    return next((name for mark, name in _MARKS if data.startswith(mark)), None)
+
+
+def as_utf8(data: bytes) -> bytes:
+    """Bytes as they are, but text with a byte order mark of UTF-16 or UTF-32 in UTF-8, without what is no character."""
+    encoding = _marked(data)
+    return data if encoding is None else data.decode(encoding, "ignore").encode()
+
+
 def decode(data: bytes, source: str, *, strict: bool = True) -> str:
     """Text of UTF-8, with or without byte order mark, or of UTF-16 or UTF-32 with one; else InputError.
 
@@ -51,8 +63,7 @@ def decode(data: bytes, source: str, *, strict: bool = True) -> str:
         source: name for error messages.
         strict: refuse control characters.
     """
-    marks = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
-    encoding = next((name for mark, name in marks if data.startswith(mark)), "utf-8-sig")
+    encoding = _marked(data) or "utf-8-sig"
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
@@ -155,6 +166,7 @@ def _check_values(value: Any, source: str, kind: str) -> None:
 __all__ = [
     "CONFIG_LIMIT",
     "TEXT_LIMIT",
+    "as_utf8",
     "decode",
     "parse_json",
     "read_bytes",

@@ -21,6 +21,10 @@ DRIVERS = (
     *("HFA", "ENVI", "EHdr", "AAIGrid", "SRTMHGT"),
 )
 _FORMATS = "GeoTIFF, NITF, JPEG 2000, JPEG, PNG, HFA (.img), ENVI, EHdr, AAIGrid (.asc) or SRTM"
+_LISTS = {  # what names other files
+    ".vrt": "a VRT, which names other files: gdal_translate makes a GeoTIFF of it",
+    ".til": "a list of the tiles of an image: give the .TIF files that it names",
+}
 # a sidecar (.aux.xml) may name overviews anywhere: nothing but what the user named is asked for
 _NO_NETWORK = {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-", "CPL_VSIL_CURL_NON_CACHED": "/vsicurl/"}
 _ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
@@ -92,8 +96,8 @@ def _gdal(error: Exception, path: Path) -> str:
     """GDAL's reason in words of ours where they are known."""
     text = " ".join(str(error).split()).replace(f"{path}: ", "").replace(f"'{path}' ", "").replace(str(path), "it")
     if "not recognized as" in text:  # which GDAL also says of what is missing in an archive
-        if path.suffix.lower() == ".vrt":
-            return "a VRT, which names other files: gdal_translate makes a GeoTIFF of it"
+        if (ending := path.suffix.lower()) in _LISTS:
+            return _LISTS[ending]
         why = f"not of a format that is read: {_FORMATS}"
         return f"not there, or {why}" if isinstance(path, RemotePath) else why
     return text[:200]

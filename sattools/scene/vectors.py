@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sattools.errors import InputError
-from sattools.scene.jsonio import read_json, reason
+from sattools.scene.jsonio import as_utf8, read_bytes, read_json, reason
 from sattools.scene.kml import is_kml, read_kml
 
 log = logging.getLogger(__name__)
@@ -77,16 +77,19 @@ def read_features(path: Path, expected: str) -> Features:
         return Features(shapes, {"name": np.array(names, object)}, "EPSG:4326")
     if is_geojson(path):
         read_json(path, "GeoJSON")  # its depth and numbers
+        stored = read_bytes(path)
+        if (text := as_utf8(stored)) is not stored:  # GDAL knows UTF-8 only
+            return read_layer(text, f"{path}", f"{expected}: {FORMATS}")
     elif not _head(path).startswith(_MAGIC):
         raise InputError(f"{path}: found another format, expected {expected}: {FORMATS}")
     return read_layer(str(path), f"{path}", f"{expected}: {FORMATS}")
 
 
-def read_layer(name: str, path: str, expected: str) -> Features:
+def read_layer(name: str | bytes, path: str, expected: str) -> Features:
     """The features of the first layer of what GDAL calls by a name; see `read_features` for files.
 
     Args:
-        name: as GDAL understands it.
+        name: as GDAL understands it, or what the file holds.
         path: what people call it, for messages.
         expected: what it should hold, for messages.
 
@@ -258,7 +261,7 @@ def geopackage(features: Features, layer: str, kind: str) -> bytes:
 def _head(path: Path) -> bytes:
     try:
         with open(path, "rb") as file:
-            return file.read(512)
+            return as_utf8(file.read(512))
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise InputError(f"{path}: found {reason(error)}, expected a readable {FORMATS}") from None
 

@@ -15,6 +15,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError
 from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
+from sattools.radiometry.holes import without_holes
 from sattools.radiometry.linear import eight_bits, linear_radiance, shared_bits
 from sattools.radiometry.saturated import Saturated, conversion_of
 from sattools.scene import Grid, Item, Scene
@@ -61,8 +62,12 @@ class Source:
     saturated: Saturated | None = None
 
     def complete(self) -> Source:
-        """With saturated pixels as they are: no radiance to be explained, but structure to be matched."""
-        return replace(self, radiance=self.saturated.within(self.radiance)) if self.saturated else self
+        """With saturated pixels as they are: no radiance to be explained, but structure to be matched.
+
+        Single missing pixels get numbers from their neighbours where they are many; see `without_holes`.
+        """
+        radiance = self.saturated.within(self.radiance) if self.saturated else self.radiance
+        return replace(self, radiance=without_holes(radiance))
 
 
 def with_bands(sources: Sequence[Source], items: Sequence[Item], wanted: Sequence[str]) -> list[Source]:

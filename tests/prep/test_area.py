@@ -25,7 +25,7 @@ from sattools.prep.stage import prepare
 from sattools.scene.area import wanted_cells, write_area
 from sattools.scene.raster import read_raster
 from sattools.scene.validity import UNWANTED
-from sattools.scene.vectors import is_vector, numbered_polygons
+from sattools.scene.vectors import is_vector, numbered_polygons, read_features
 
 UTM33 = "EPSG:32633"
 X, Y = 500_000.0, 5_094_000.0
@@ -72,6 +72,24 @@ def test_the_polygons_of_all_folders_of_a_kml_count(tmp_path: Path) -> None:
     assert wanted_area(None, [path], UTM33)(BOX).area == pytest.approx(10_000 - 1700, abs=0.1)
     assert bounds_from_file(path, UTM33) == pytest.approx((X, Y, X + 80, Y + 70), abs=0.01)
     assert list(numbered_polygons(path, UTM33)) == [0, 1]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("ending", ["geojson", "kml"])
+def test_areas_and_masks_may_have_a_byte_order_mark(tmp_path: Path, ending: str, encoding: str) -> None:
+    path = tmp_path / f"area.{ending}"
+    if ending == "kml":
+        ring = kml_ring(0, 0, 40, 30)
+        text = KML.replace("UTF-8", encoding.removesuffix("-sig")).format(outer=ring, inner=ring, yard=ring)
+    else:
+        field = geopandas.GeoDataFrame({"name": ["Äcker"]}, geometry=[box(X, Y, X + 40, Y + 30)], crs=UTM33)
+        text = field.to_crs("EPSG:4326").to_json(ensure_ascii=False)
+    path.write_bytes(text.encode(encoding))
+    assert bounds_from_file(path, UTM33) == pytest.approx((X, Y, X + 40, Y + 30), abs=0.01)
+    assert wanted_area(path, [], UTM33)(BOX).area == pytest.approx(1200.0, abs=0.1)
+    assert wanted_area(None, [path], UTM33)(BOX).area == pytest.approx(8800.0, abs=0.1)
+    if ending == "geojson":
+        assert list(read_features(path, "areas").columns["name"]) == ["Äcker"]
 
 
 def test_a_polygon_with_a_label_beside_it_is_a_polygon(tmp_path: Path) -> None:

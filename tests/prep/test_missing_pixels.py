@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from spoilt import Town, prep
 
-from sattools.prep.grays import of_size_one, without_holes
+from sattools.prep.grays import of_size_one
+from sattools.radiometry.holes import without_holes
 from sattools.scene import Scene
 
 

@@ -10,6 +10,7 @@ from synthetic_views import cubic_rpc
 from sattools.errors import InputError
 from sattools.prep.loading import load_source
 from sattools.prep.metadata import read_sidecar
+from sattools.scene.opening import opened
 from sattools.scene.raster import write_sensor_image
 from sattools.scene.sidecars import sidecars
 
@@ -131,3 +132,11 @@ def test_a_til_file_without_corners_tells_nothing(tmp_path: Path) -> None:
     assert read_sidecar(tmp_path / "a.til").tiles is None
     (tmp_path / "a.xml").write_text('<Dimap_Document><NTILES_SIZE ncols="?" nrows="1"/></Dimap_Document>')
     assert read_sidecar(tmp_path / "a.xml").tiles is None
+
+
+def test_a_til_file_is_no_image_and_its_tiles_are_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "14OCT17-M1BS-012_01_P001.TIL"
+    path.write_text(TIL)
+    wanted = r"P001\.TIL: found no readable image \(a list of the tiles .*: give the \.TIF files that it names\)"
+    with pytest.raises(InputError, match=wanted), opened(path):
+        pass
