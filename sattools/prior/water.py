@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import binary_dilation, label, uniform_filter
+from scipy.ndimage import binary_dilation, find_objects, label, uniform_filter
 
 from sattools.scene.stored import pieces
 
@@ -81,20 +81,22 @@ def water_levels(blocks: np.ndarray, edge: float) -> np.ndarray:
     confidence, height, square, sure, found = blocks
     levels = np.full(height.shape, np.nan, np.float32)
     unmatched = uniform_filter(confidence, 5, mode="nearest") < CORE
-    regions, count = label(unmatched | (uniform_filter(confidence, 3, mode="nearest") < AROUND))
+    regions, _ = label(unmatched | (uniform_filter(confidence, 3, mode="nearest") < AROUND))
     mean = uniform_filter(height, 3, mode="nearest")
     spread = np.sqrt(np.maximum(uniform_filter(square, 3, mode="nearest") - mean * mean, 0.0))
-    for number in range(1, count + 1):
-        region = regions == number
-        if not (unmatched & region).any() or region.sum() * edge * edge < LEAST_M2:
+    for number, box in enumerate(find_objects(regions), 1):
+        # with the blocks around it, among which its shore is
+        wide = tuple(slice(max(0, part.start - RIM), part.stop + RIM) for part in box)
+        region = regions[wide] == number
+        if not (unmatched[wide] & region).any() or region.sum() * edge * edge < LEAST_M2:
             continue
-        beside = binary_dilation(region, iterations=RIM) & ~region & (sure > 0.5)
-        shore = found[beside] / sure[beside]
-        if len(shore) < FEWEST or spread[region].mean() < ROUGH_M:
+        beside = binary_dilation(region, iterations=RIM) & ~region & (sure[wide] > 0.5)
+        shore = found[wide][beside] / sure[wide][beside]
+        if len(shore) < FEWEST or spread[wide][region].mean() < ROUGH_M:
             continue
         level = np.percentile(shore, LOW)
         if np.mean(shore < level + LEVEL_M) >= LEVEL_SHARE:
-            levels[region] = level
+            levels[wide][region] = level
     return levels
 
 
