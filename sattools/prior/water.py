@@ -23,9 +23,9 @@ BESIDE_M = 2.0  # around what is sure: the walls of what stands at the water, of
 LEAST_M2 = 800.0  # of a region: a lake or a river, no courtyard
 ROUGH_M = 1.0  # mean standard deviation of its heights in squares of 3 blocks, at least
 RIM = 2  # blocks around a region that may be its shore
-FEWEST = 12  # sure blocks of a shore
+FEWEST = 20  # sure blocks of a shore
 LOW = 10  # per cent of these, which are at most as high as water
-LEVEL_M, LEVEL_SHARE = 3.0, 0.3  # so many of them at least lie so close above that: shores do, hillsides do not
+LEVEL_M, LEVEL_SHARE = 3.0, 0.5  # so many of them lie so close above that: 62 to 100 % of shores', 11 to 33 % of hills'
 
 
 def level_water(height: np.ndarray, confidence: np.ndarray, cell: float) -> float:

@@ -59,7 +59,7 @@ def unsure_but_smooth(height: np.ndarray, confidence: np.ndarray) -> None:
 
 
 def hillside(height: np.ndarray, confidence: np.ndarray) -> None:
-    height[:, 90:] = np.linspace(0.0, 400.0, SHAPE[0])[:, None]  # its rim is no shore
+    height[:, 90:] = np.linspace(0.0, 32.0, SHAPE[0])[:, None]  # of 15 degrees: its rim is no shore
 
 
 def small(height: np.ndarray, confidence: np.ndarray) -> None:
