@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from scipy.ndimage import gaussian_filter
-from steps import matched, reference
+from steps import matched_widely, reference
 
 from sattools.prior import PriorOptions
 from sattools.prior.confidence import match_confidence
@@ -90,14 +90,17 @@ def main() -> None:
     pairs = [tuple(map(Path, text.split("=", 1))) for text in options.scenes]
     for path, truth in [harbour(options.out, options.seed), *pairs]:
         scene = Scene.from_file(path)
-        found, grid, _ = matched(scene, replace(PriorOptions(), water="keep"))
+        found, wide, _ = matched_widely(scene, replace(PriorOptions(), water="keep"))
         level, confidence = found.height.copy(), match_confidence(found)
-        share = level_water(level, confidence, grid.cell_size)
+        level_water(level, confidence, wide.cell_size)
+        grid = scene.require_grid().resized(wide.cell_size)
+        heights = [height[wide.window(grid)] for height in (found.height, level)]
         known = reference(str(truth))
         assert known.classes is not None
         wet = known.classes == WATER
-        kept, laid = (reproject_map(height, grid, known.grid) - known.heights for height in (found.height, level))
+        kept, laid = (reproject_map(height, grid, known.grid) - known.heights for height in heights)
         middle = np.nanmedian(kept[~wet])
+        share = (heights[0] != heights[1]).mean()
         print(f"{scene.id}: {100 * share:.1f} % laid level; mean error (more than 5 m)")
         for name, where in (("water", wet), ("land", ~wet)):
             off = [np.abs(error - middle)[where & np.isfinite(error)] for error in (kept, laid)]
