@@ -91,7 +91,7 @@ def prior(
         found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
-    many = len(found.pairs) >= ROBUST_PAIRS  # few agree as little about much that is no water
+    many = len(found.pairs) >= ROBUST_PAIRS  # among few, much that is no water agrees as little
     water = level_water(found.height, found.confidence, wide.cell_size) if many and options.water == "level" else 0.0
     around, everything = _wide_cells(grid, fine, wide, found.height)
     found = _within(fine, wide, found)
