@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import sattools
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
+from sattools.scene.called import for_python
 
 STAGES = ("prepare", "normalise", "match", "fit", "export", "align", "compare", "change", "simulate")
 
@@ -65,3 +66,23 @@ def test_compare_takes_no_option_that_it_would_not_heed(make_town: Any, name: st
     """The figures were those of the scene's own surface, whatever surface was asked about."""
     with pytest.raises(InputError, match=f"found option '{name}' beside a scene"):
         sattools.compare(make_town(), {name: value})
+
+
+def test_errors_name_flags_as_python_gives_them(make_town: Any) -> None:
+    scene = sattools.normalise(make_town())
+    with pytest.raises(OutputExistsError, match=r": exists already; give overwrite=True to replace it$"):
+        sattools.normalise(scene)
+    assert sattools.normalise(scene, overwrite=True) is scene
+
+
+@pytest.mark.parametrize(
+    ("shell", "python"),
+    [
+        ("a.st: give --overwrite in place of --resume", "a.st: give overwrite=True in place of resume=True"),
+        ("run it again (--overwrite), with --prior", "run it again (overwrite=True), with --prior"),
+        ("`sattools prior --overwrite` after it", "`sattools prior --overwrite` after it"),
+        ("/data/a--overwrite.tif and --overwrite-all", "/data/a--overwrite.tif and --overwrite-all"),
+    ],
+)
+def test_only_flags_that_are_advised_are_named_otherwise(shell: str, python: str) -> None:
+    assert for_python(shell) == python
