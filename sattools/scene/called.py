@@ -14,13 +14,19 @@ _ADVICE = re.compile(r"(`[^`]*`)|(?<![^\s(])--(overwrite|resume)\b(?!-)")
 
 @contextmanager
 def by_a_program() -> Iterator[None]:
-    """Errors name flags as Python gives them.
+    """Errors name flags as Python gives them, and images without a place on the ground are not warned of.
+
+    That is so from the beginning of a call to its end, not only while a file is open: rasterio and others change the
+    filters of warnings for a while as well, and what they put back, with threads side by side, has to have ours.
 
     Raises:
         SattoolsError: what the suite raises inside.
     """
+    from sattools.scene.gdal import not_georeferenced
+
     try:
-        yield
+        with not_georeferenced:
+            yield
     except SattoolsError as error:
         error.args = tuple(for_python(part) if isinstance(part, str) else part for part in error.args)
         raise
