@@ -32,6 +32,7 @@ from sattools.prior.options import PriorOptions
 from sattools.progress import Progress, make_progress, silent
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Scene
+from sattools.scene.called import by_a_program
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
 from sattools.scene.schema import Flag, Items, Kind, Maybe, Number, Text
@@ -68,7 +69,8 @@ def prepare(
     own = _options(PrepOptions, options)
     paths = image_locations(_paths(images))
     step = Step("prep", own, overwrite, _progress(progress, "prep"))
-    return run_first(step, lambda told: stage(paths, own, told, overwrite), paths)
+    with by_a_program():
+        return run_first(step, lambda told: stage(paths, own, told, overwrite), paths)
 
 
 def simulate(
@@ -85,7 +87,8 @@ def simulate(
 
     own = _options(SimulateOptions, options)
     step = Step("simulate", own, overwrite, _progress(progress, "simulate"))
-    return run_first(step, lambda told: (stage(own, Path(own.out) / own.id, told, overwrite), None))
+    with by_a_program():
+        return run_first(step, lambda told: (stage(own, Path(own.out) / own.id, told, overwrite), None))
 
 
 def normalise(
@@ -204,7 +207,8 @@ def compare(
         others = "`sattools.compare.compare_file` scores a file, `sattools.compare.evaluation.evaluate` several fits"
         raise InputError(f"compare: found option {aside!r} beside a scene, expected it without ({others})")
     step = Step("compare", own, overwrite, _progress(progress, "compare"))
-    return run_on(_scene(scene), step, lambda s, told: {"errors": stage(own, s, told, overwrite)})[0]
+    with by_a_program():
+        return run_on(_scene(scene), step, lambda s, told: {"errors": stage(own, s, told, overwrite)})[0]
 
 
 def align(
@@ -265,7 +269,8 @@ def change(
             expected = "expected a Scene, the path of a scene.json or that of a raster of heights"
             raise InputError(f"change: found {type(surface).__name__}, {expected}")
     one, other = (str(s.path("scene.json") if isinstance(s, Scene) else s) for s in (before, after))
-    return stage(one, other, own, _progress(progress, "change"), overwrite)
+    with by_a_program():
+        return stage(one, other, own, _progress(progress, "change"), overwrite)
 
 
 def _run(
@@ -273,7 +278,8 @@ def _run(
 ) -> Scene:
     """A stage that changes a scene, as its command does it."""
     step = Step(command, options, overwrite, _progress(progress, command))
-    return run_on(_scene(scene), step, lambda s, told: stage(s, options, told, overwrite))[0]
+    with by_a_program():
+        return run_on(_scene(scene), step, lambda s, told: stage(s, options, told, overwrite))[0]
 
 
 def _paths(images: Any) -> list[str]:

@@ -3,14 +3,22 @@
 import copy
 import multiprocessing
 import pickle
+import threading
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
+from patience import HANGING_S
+from rasterio.errors import NotGeoreferencedWarning
 
 import sattools
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, OutputExistsError, SceneError
+from sattools.scene.called import for_python
+from sattools.scene.gdal import not_georeferenced
 
 STAGES = ("prepare", "normalise", "match", "fit", "export", "align", "compare", "change", "simulate")
 
@@ -65,3 +73,56 @@ def test_compare_takes_no_option_that_it_would_not_heed(make_town: Any, name: st
     """The figures were those of the scene's own surface, whatever surface was asked about."""
     with pytest.raises(InputError, match=f"found option '{name}' beside a scene"):
         sattools.compare(make_town(), {name: value})
+
+
+def test_errors_name_flags_as_python_gives_them(make_town: Any) -> None:
+    scene = sattools.normalise(make_town())
+    with pytest.raises(OutputExistsError, match=r": exists already; give overwrite=True to replace it$"):
+        sattools.normalise(scene)
+    assert sattools.normalise(scene, overwrite=True) is scene
+
+
+@pytest.mark.parametrize(
+    ("shell", "python"),
+    [
+        ("a.st: give --overwrite in place of --resume", "a.st: give overwrite=True in place of resume=True"),
+        ("run it again (--overwrite), with --prior", "run it again (overwrite=True), with --prior"),
+        ("`sattools prior --overwrite` after it", "`sattools prior --overwrite` after it"),
+        ("/data/a--overwrite.tif and --overwrite-all", "/data/a--overwrite.tif and --overwrite-all"),
+    ],
+)
+def test_only_flags_that_are_advised_are_named_otherwise(shell: str, python: str) -> None:
+    assert for_python(shell) == python
+
+
+def test_threads_side_by_side_hear_nothing_of_images_without_a_place(make_town: Any, tmp_path: Path) -> None:
+    """A library in one puts back the filters of warnings from before another began: that one's would be gone."""
+    plain = tmp_path / "plain.tif"
+    profile = {"driver": "GTiff", "width": 2, "height": 2, "count": 1, "dtype": "uint8"}
+    with not_georeferenced, rasterio.open(plain, "w", **profile):
+        pass
+    scenes = [make_town("A"), make_town("B")]
+    changed, back = threading.Event(), threading.Event()
+
+    def first(share: float, _: str) -> None:
+        if not changed.is_set():
+            with warnings.catch_warnings():
+                changed.set()
+                assert begun.wait(HANGING_S)
+            back.set()
+
+    def second(share: float, _: str) -> None:
+        begun.set()
+        assert back.wait(HANGING_S)
+        rasterio.open(plain).close()
+
+    begun = threading.Event()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NotGeoreferencedWarning)
+        before = list(warnings.filters)
+        with ThreadPoolExecutor(2) as threads:
+            one = threads.submit(sattools.normalise, scenes[0], progress=first)
+            assert changed.wait(HANGING_S)
+            other = threads.submit(sattools.normalise, scenes[1], progress=second)
+            assert [run.result(HANGING_S).id for run in (one, other)] == ["A", "B"]
+        assert warnings.filters == before

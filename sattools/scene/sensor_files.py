@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from sattools.scene.files import write_with
+from sattools.scene.gdal import not_georeferenced
 from sattools.scene.raster import sensor_profile
 
 TILE = 256  # pixels along an edge
@@ -99,8 +98,7 @@ def write_sensor_blocks(
                 if zlib.crc32(found.data) != expected:
                     raise OSError(5, "found other pixels than were written")
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with not_georeferenced:
         write_with(path, write, check)
 
 
