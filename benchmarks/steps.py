@@ -111,6 +111,11 @@ def matched(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
 
 def matched_widely(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float]:
     """The same with the surroundings of the area that are matched with it."""
+    return matched_of_pairs(scene, options)[:3]
+
+
+def matched_of_pairs(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, float, int]:
+    """The same, and the number of pairs of images that were matched."""
     whole, z_range = scene.require_grid(), scene.require_height_range()
     items = scene.train_items()
     images = open_images(scene, items)
@@ -122,7 +127,7 @@ def matched_widely(scene: Scene, options: PriorOptions) -> tuple[Match, Grid, fl
     start = time.process_time()
     found = match_sources(sources, grid, z_range, options)
     assert found is not None, f"{scene.id}: all images from one direction"
-    return found[0], grid, time.process_time() - start
+    return found[0], grid, time.process_time() - start, len(found[2])
 
 
 def area_of(found: Match, wide: Grid, grid: Grid) -> Match:

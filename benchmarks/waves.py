@@ -18,13 +18,15 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from scipy.ndimage import gaussian_filter
-from steps import matched_widely, reference
+from steps import matched_of_pairs, reference
 
 from sattools.prior import PriorOptions
+from sattools.prior.brightness import brightness_of_blocks
 from sattools.prior.confidence import match_confidence
 from sattools.prior.water import level_water
 from sattools.scene import Scene
 from sattools.scene.regrid import reproject_map
+from sattools.views import open_images
 
 WATER, GROUND = 9, 2
 BELOW_M = 2.0
@@ -90,9 +92,11 @@ def main() -> None:
     pairs = [tuple(map(Path, text.split("=", 1))) for text in options.scenes]
     for path, truth in [harbour(options.out, options.seed), *pairs]:
         scene = Scene.from_file(path)
-        found, wide, _ = matched_widely(scene, replace(PriorOptions(), water="keep"))
+        found, wide, _, pairs = matched_of_pairs(scene, replace(PriorOptions(), water="keep"))
         level, confidence = found.height.copy(), match_confidence(found)
-        level_water(level, confidence, wide.cell_size)
+        items = scene.train_items()
+        looks = brightness_of_blocks(scene, items, open_images(scene, items), wide)
+        level_water(level, confidence, wide.cell_size, looks, pairs)
         grid = scene.require_grid().resized(wide.cell_size)
         heights = [height[wide.window(grid)] for height in (found.height, level)]
         known = reference(str(truth))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sattools.errors import SceneError
+from sattools.prior.brightness import brightness_of_blocks
 from sattools.prior.files import CONFIDENCE, DATUM, DSM, MapFiles, write_sensor_map, write_surroundings
 from sattools.prior.gate import (
     NO_STEREO,
@@ -20,7 +21,6 @@ from sattools.prior.gate import (
     warn_of_window,
 )
 from sattools.prior.matched import Matched, match_area, matching_height
-from sattools.prior.matching.sweep import ROBUST_PAIRS
 from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
 from sattools.prior.surroundings import with_surroundings
@@ -91,8 +91,10 @@ def prior(
         found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
-    many = len(found.pairs) >= ROBUST_PAIRS  # among few, much that is no water agrees as little
-    water = level_water(found.height, found.confidence, wide.cell_size) if many and options.water == "level" else 0.0
+    water = 0.0
+    if options.water == "level":
+        looks = brightness_of_blocks(scene, items, images, wide)
+        water = level_water(found.height, found.confidence, wide.cell_size, looks, len(found.pairs))
     around, everything = _wide_cells(grid, fine, wide, found.height)
     found = _within(fine, wide, found)
     if fine != grid:
