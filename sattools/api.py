@@ -54,7 +54,8 @@ def prepare(
     """Images with RPC cameras become a scene with adjusted cameras, as `sattools prep` does.
 
     Args:
-        images: paths or addresses of images of one place; one that is a folder stands for the images in it.
+        images: paths or addresses of images of one place; one that is a folder stands for the images in it, JPEG and
+            PNG left out.
         options: see `sattools.prep.options.PrepOptions`.
         overwrite: replace outputs that are there; inputs are never replaced.
         progress: True = a bar, or a function of (share done, message).

@@ -70,6 +70,52 @@ def test_a_slurm_cluster_makes_what_one_machine_makes(make_town: Any, scheduler:
     assert "dsm" in json.loads((spread.root / "scene.json").read_text())["sattools"]["products"]
 
 
+@pytest.fixture
+def recorder(tmp_path: Path) -> Path:
+    """A stand-in for `sattools` that does nothing, and keeps its arguments, a line of JSON a call."""
+    program = tmp_path / "our own/sattools"
+    program.parent.mkdir()
+    program.write_text(
+        f"#!{sys.executable}\nimport json, sys\n"
+        f"print(json.dumps(sys.argv[1:]), file=open({str(tmp_path / 'did')!r}, 'a'))\n"
+    )
+    program.chmod(0o755)
+    return program
+
+
+def calls_of(recorder: Path) -> list[list[str]]:
+    return [json.loads(line) for line in (recorder.parents[1] / "did").read_text().splitlines()]
+
+
+def test_paths_with_blanks_and_quotes_reach_the_commands_as_they_are(
+    scheduler: Path, recorder: Path, tmp_path: Path
+) -> None:
+    scene = tmp_path / "Mary's area/scene.json"
+    tile = scene.parent / "fit/tiles/r000c000/scene.json"
+    tile.parent.mkdir(parents=True)
+    tile.touch()
+    options = ["--tile", "512", "--config", "our options.toml"]
+    more = {"PATH": f"{scheduler}:{os.environ['PATH']}", "SATTOOLS": str(recorder)}
+    done = run("slurm.sh", str(scene), *options, **more)
+    assert done.returncode == 0, done.stderr
+    assert [call[2:] if call[0] == "--threads" else call for call in calls_of(recorder)] == [
+        ["fit", *options, "--part", "split", str(scene)],
+        ["fit", *options, str(tile)],
+        ["fit", *options, "--part", "mosaic", str(scene)],
+        ["export", str(scene)],
+    ]
+
+
+def test_an_area_of_one_tile_needs_no_array_of_jobs(scheduler: Path, recorder: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "small/scene.json"
+    scene.parent.mkdir()
+    done = run("slurm.sh", str(scene), PATH=f"{scheduler}:{os.environ['PATH']}", SATTOOLS=str(recorder))
+    assert (done.returncode, done.stderr) == (0, "")
+    names = [line.split("\t")[-3] for line in (tmp_path / "calls").read_text().splitlines()]
+    assert names == ["--job-name=split", "--job-name=mosaic"]
+    assert [call[-1] for call in calls_of(recorder)] == [str(scene)] * 3
+
+
 def test_a_number_without_a_tile_and_an_unknown_part_are_refused(make_town: Any) -> None:
     path = str(make_town().root / "scene.json")
     done = run("tiles.sh", "tile", path, JOB_COMPLETION_INDEX="7")

@@ -19,7 +19,7 @@ case $part in
         exec "$sattools" --threads "$threads" fit "$@" $resume --part "$part" "$scene" > /dev/null
         ;;
     count)
-        ls "$tiles"/r*c*/scene.json | wc -l
+        ls "$tiles"/r*c*/scene.json 2> /dev/null | wc -l
         ;;
     tile)
         number=${SLURM_ARRAY_TASK_ID:-${JOB_COMPLETION_INDEX:?no number of a tile}}

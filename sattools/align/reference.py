@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,18 +24,17 @@ from sattools.errors import InputError
 from sattools.scene.datums import horizontal
 from sattools.scene.globe import columns_of_turn
 from sattools.scene.grid import Grid
-from sattools.scene.jsonio import read_text
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
 from sattools.scene.placement import place_at
 from sattools.scene.regrid import bounds_in
+from sattools.scene.tables import read_table
 from sattools.scene.values import scale_of
 from sattools.scene.vectors import in_crs, is_vector, read_features
 from sattools.scene.warped import read_warped
 
 COLUMNS = ("z", "item", "column", "row")
-NUMBERS = ("x", "y", "lon", "lat", "z", "column", "row")
-DELIMITERS = (",", ";", "\t")  # of tables; the first where a heading has none
+TEXTS = ("name", "item")
 SPARE_CELLS = 4  # of the reference around what is asked for
 
 
@@ -165,20 +162,7 @@ def _running_on(data: DatasetReader, crs: str, place: Affine) -> str:
 
 
 def _csv_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
-    text = read_text(path).lstrip("\r\n")
-    delimiter = max(DELIMITERS, key=text.split("\n", 1)[0].count)
-    try:
-        rows = list(csv.DictReader(io.StringIO(text), delimiter=delimiter, skipinitialspace=True))
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read ({error}), expected a CSV of control points") from None
-    named = [{str(k).strip().lower(): _bare(v) for k, v in row.items()} for row in rows]
-    if delimiter == ";":  # of languages whose decimals begin with a comma
-        named = [{k: v.replace(",", ".") if k in NUMBERS and v else v for k, v in row.items()} for row in named]
-    return [_on_ground(row, crs) for row in named]
-
-
-def _bare(value: Any) -> Any:
-    return value.strip() if isinstance(value, str) else value
+    return [_on_ground(row, crs) for row in read_table(path, "control points", TEXTS)]
 
 
 def _on_ground(row: Mapping[str, Any], crs: str) -> Mapping[str, Any]:
@@ -204,8 +188,14 @@ def _vector_rows(path: Path, crs: str) -> Sequence[Mapping[str, Any]]:
     places = in_crs(found.geometries, found.crs, crs)
     for own, place, values in zip(found.geometries, places, found.rows(), strict=True):
         height = {"z": own.z} if own.has_z else {}
-        rows.append({**height, **values, "x": place.x, "y": place.y})
+        told = {name.lower(): value for name, value in values.items() if not _empty(value)}
+        rows.append({**height, **told, "x": place.x, "y": place.y})
     return rows
+
+
+def _empty(value: Any) -> bool:
+    """Whether a cell of an attribute table has no value, in any of the ways that formats say so."""
+    return value is None or value == "" or (isinstance(value, float) and np.isnan(value))
 
 
 def _point(path: Path, number: int, row: Mapping[str, Any]) -> ControlPoint:

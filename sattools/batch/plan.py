@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sattools import __version__
-from sattools.errors import InputError
+from sattools.errors import InputError, SattoolsError
 from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
@@ -76,14 +76,22 @@ class Task:
         """Where the result is kept; what is done of a scene before its tiles shares the folder with the run."""
         return Path(self.folder) / (f"{self.kind}.json" if self.kind in ("coarse", "split") else "task.json")
 
+    @property
+    def document(self) -> Path:
+        """Where its scene's document is, once it has begun."""
+        return Path(self.folder) / ("scene.json" if self.source is not None else f"{self.scene}/scene.json")
+
     def result(self) -> JsonObject | None:
-        """What an earlier run of the very same task left, or None."""
+        """What an earlier run of the very same task left in this folder, or None; also where a file of it is gone."""
         try:
             record = read_json(self.record)
             _RECORD.check(record, str(self.record))
         except InputError:  # missing, or not what a batch has written: it is done again
             return None
-        return record if record["key"] == self.key and Path(record["scene_json"]).is_file() else None
+        if record["key"] != self.key or not _complete(self.document):
+            return None
+        # the record of a folder that was copied or moved names the document in the old one
+        return record | {"scene_json": str(self.document)}
 
     def start(self) -> Path:
         """Make the folder ready; the path of its scene.json. An earlier result is no longer valid from here on."""
@@ -93,8 +101,16 @@ class Task:
         self.record.unlink(missing_ok=True)
         write_text(folder / "config.toml", self.config)
         if self.source is not None:
-            return in_another_root(Path(self.source), folder)
-        return folder / self.scene / "scene.json"
+            in_another_root(Path(self.source), folder)
+        return self.document
+
+
+def _complete(document: Path) -> bool:
+    """Whether a scene's document is there and all files that it names are."""
+    try:
+        return all(path.is_file() for path in files_of(Scene.from_file(document)))
+    except SattoolsError:  # missing, or damaged
+        return False
 
 
 class Digests:

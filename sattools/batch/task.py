@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import threading
 import time
 from collections.abc import Callable
@@ -103,7 +104,7 @@ def _run(task: Task, command: list[str], means: _Means, step: Report) -> None:
             open(Path(task.folder) / "log.txt", "a", encoding="utf-8") as log,
             closing(means.launcher.run(call, means.threads, means.gpu, began)) as lines,
         ):
-            print("$ sattools", *call, file=log)
+            print("$", shlex.join(["sattools", *call]), file=log)
             for line in lines:
                 if isinstance(line, int):
                     status = line

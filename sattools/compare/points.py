@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +12,8 @@ import numpy as np
 from sattools.errors import InputError
 from sattools.scene.cells import FiledCells
 from sattools.scene.grid import Grid
-from sattools.scene.jsonio import JsonObject, read_text
+from sattools.scene.jsonio import JsonObject
+from sattools.scene.tables import read_table
 from sattools.scene.vectors import read_features
 
 TEXT = ("name",)
@@ -46,7 +45,8 @@ def read_points(path: Path, *, values_needed: bool = True) -> list[Point]:
     """Samples from a CSV, GeoPackage, GeoJSON, shapefile or FlatGeobuf (KML has no numbers beside its places).
 
     A CSV has the columns ``name`` and ``x``, ``y`` (in the CRS of the maps) or ``lon``, ``lat`` (WGS84); all other
-    columns with numbers are values. Of a vector file the point geometries and the attributes are taken.
+    columns with numbers are values. Of a vector file the point geometries and the attributes are taken. Capital letters
+    of columns are small ones here, as formats and spreadsheets change them.
 
     Args:
         path: the file.
@@ -64,16 +64,12 @@ def read_points(path: Path, *, values_needed: bool = True) -> list[Point]:
 
 
 def _read_csv(path: Path) -> list[Point]:
-    try:
-        rows = list(csv.DictReader(io.StringIO(read_text(path))))
-    except csv.Error as error:
-        raise InputError(f"{path}: cannot be read ({error}), expected a CSV of sample points") from error
     points = []
-    for number, row in enumerate(rows, 1):
+    for number, row in enumerate(read_table(path, "sample points", TEXT), 1):
         place = next((pair for pair in PLACES if row.get(pair[0]) and row.get(pair[1])), None)
         if place is None:
             raise InputError(f"{path}: found no x, y or lon, lat in row {number}, expected one of them")
-        numbers = {key: _number(value) for key, value in row.items() if isinstance(key, str) and key not in TEXT}
+        numbers = {key: _number(value) for key, value in row.items() if key not in TEXT}
         if numbers[place[0]] is None or numbers[place[1]] is None:
             raise InputError(f"{path}: found {row[place[0]]!r}, {row[place[1]]!r} in row {number}, expected numbers")
         values = {k: v for k, v in numbers.items() if v is not None and k not in {n for pair in PLACES for n in pair}}
@@ -100,13 +96,12 @@ def _read_vector(path: Path) -> list[Point]:
     if kinds - {"Point"}:
         raise InputError(f"{path}: found {sorted(kinds)}, expected points")
     numeric = found.numeric()
-    return [
-        Point(
-            str(row.get("name", number)), float(place.x), float(place.y), found.crs,
-            {c: float(row[c]) for c in numeric if np.isfinite(row[c])},
-        )
-        for number, (place, row) in enumerate(zip(found.geometries, found.rows(), strict=True), 1)
-    ]  # fmt: skip
+    points = []
+    for number, (place, row) in enumerate(zip(found.geometries, found.rows(), strict=True), 1):
+        name = next((value for key, value in row.items() if key.lower() in TEXT and value is not None), number)
+        values = {key.lower(): float(row[key]) for key in numeric if np.isfinite(row[key])}
+        points.append(Point(str(name), float(place.x), float(place.y), found.crs, values))
+    return points
 
 
 def compare_points(

@@ -23,6 +23,7 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
+from sattools.prep.numbers import LARGEST_NUMBER, too_large
 from sattools.radiometry.bands import named_bands
 from sattools.scene.grid import Grid, finer_pixel
 from sattools.scene.location import RemotePath
@@ -43,7 +44,6 @@ _LEAST_UP = 0.17  # sine of ten degrees: no satellite looks flatter
 _FIRST_YEAR = 1960  # before the first photographs from orbit
 _FEW_LEVELS = 8
 _LEFT_OUT = 0.05  # of the tie points below or above the heights given: more than false ones
-_LARGEST_NUMBER = 1e9
 _COARSER = 3.0  # times as wide as fine pixels, by more than how obliquely they look; twice as wide is no harm
 _ENOUGH_FINE = 4  # images, which see more without coarse ones; three leave more in doubt than those blur
 
@@ -266,11 +266,8 @@ def check_pixels(sources: Sequence[SourceImage], grays: Sequence[NDArray[np.floa
         if other is not source:
             raise InputError(f"{source.path}: found the same pixels as in {other.path}, expected another image")
         known = gray[np.isfinite(gray)]
-        if np.abs(known).max() > _LARGEST_NUMBER:
-            raise InputError(
-                f"{source.path}: found numbers of up to {np.abs(known).max():.2g}, expected digital numbers, radiance "
-                f"or reflectance below {_LARGEST_NUMBER:g}"
-            )
+        if np.abs(known).max() > LARGEST_NUMBER:
+            raise too_large(source.path, float(np.abs(known).max()))
         some = known[:: max(1, known.size // 100_000)]
         levels = np.unique(some).size
         if levels < _FEW_LEVELS:

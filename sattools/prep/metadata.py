@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import datetime
@@ -130,6 +131,20 @@ def find_platform(text: str) -> str | None:
     return None
 
 
+def platform_called(text: str) -> str:
+    """The platform that somebody spells in a way of their own (``worldview-3``, ``WV03``); others stay as they are."""
+    return _SPELLED.get(_spelling(text), text)
+
+
+def _spelling(text: str) -> str:
+    """Letters and digits of a name, small, without accents and zeros before a number."""
+    plain = unicodedata.normalize("NFKD", text).casefold()
+    return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[^a-z0-9]", "", plain))
+
+
+_SPELLED = {_spelling(spelled): name for code, name in PLATFORMS.items() for spelled in (code, name)}
+
+
 def read_sidecar(path: Path) -> Metadata:
     """All that one metadata file says. Raises InputError when it cannot be read."""
     suffix = path.suffix.lower()
@@ -177,7 +192,7 @@ def _from_json(path: Path) -> Metadata:
             ends = [time_in_file(properties.get(f"{end}_datetime"), path) for end in ("start", "end")]
             time = middle_time(*ends)
         sun = parse_sun(azimuth, elevation, str(path))
-        return Metadata(time=time, platform=properties.get("platform") or None, sun=sun)
+        return Metadata(time=time, platform=platform_called(properties.get("platform") or "") or None, sun=sun)
     _SATNERF_JSON.check(document, str(path))
     known = _SATNERF_JSON.members.keys()
     for name in document.keys() - known:

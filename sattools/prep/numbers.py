@@ -16,6 +16,8 @@ from sattools.errors import InputError
 MANY_ZEROS = 0.05  # of the pixels: more than a frame's corners
 MANY_NEGATIVE = 0.01  # of the pixels: atmospheric corrections leave some in deep shadow
 LEAST_NUMBER = 1e-15  # that the largest of an image is: squares of less are none in single precision
+LARGEST_NUMBER = 1e9  # of a pixel's mean over the bands
+MOST_NUMBER = 1e30  # of a band: sums of more are none in single precision
 LEAST_MARK = -1.0  # a negative number that fills pixels as a mark of no data does is a whole one
 
 
@@ -59,7 +61,7 @@ class Numbers:
         self.high[band - 1] = max(self.high[band - 1], float(known.max()))
 
     def check(self, path: Path) -> None:
-        """Raise InputError for a band without any data, and for numbers too small to calculate with."""
+        """Raise InputError for a band without any data, and for numbers too small or large to calculate with."""
         for band, (low, high) in enumerate(zip(self.low, self.high, strict=True), 1):
             if low >= high:
                 what = f"{low:g} everywhere" if low == high else "no-data or NaN everywhere"
@@ -70,6 +72,9 @@ class Numbers:
                 f"{path}: found numbers of up to {largest:.2g}, expected digital numbers, radiance or reflectance "
                 f"above {LEAST_NUMBER:g} (multiply them)"
             )
+
+        if largest > MOST_NUMBER:
+            raise too_large(path, largest)
 
     def notes(self) -> list[str]:
         """What is masked without a no-data number."""
@@ -106,6 +111,14 @@ class Numbers:
         return float(self.low.min()), float(self.high.max())
 
 
+def too_large(path: Path, largest: float) -> InputError:
+    """The error of an image with numbers that are no brightness."""
+    return InputError(
+        f"{path}: found numbers of up to {largest:.2g}, expected digital numbers, radiance or reflectance below "
+        f"{LARGEST_NUMBER:g}; declare those that mean no data (gdal_edit.py -a_nodata)"
+    )
+
+
 def read_band(data: DatasetReader, path: Path, band: int, window: Window) -> NDArray[np.generic]:
     """Numbers ``[H, W]`` of a band as stored.
 
@@ -126,4 +139,4 @@ def read_band(data: DatasetReader, path: Path, band: int, window: Window) -> NDA
         ) from None
 
 
-__all__ = ["Numbers", "read_band"]
+__all__ = ["LARGEST_NUMBER", "Numbers", "read_band", "too_large"]

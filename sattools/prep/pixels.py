@@ -132,7 +132,8 @@ def _gray_rows(
             negative |= np.less(values, 0) & good
         nonzero |= values != 0
         valid &= good
-        total += np.where(good, values, 0).astype(np.float32)
+        with np.errstate(over="ignore"):  # of numbers that `Numbers.check` refuses, or that are beyond the area
+            total += np.where(good, values, 0).astype(np.float32)
     ranges.zero += int((valid & ~nonzero).sum())
     ranges.negative += int(negative.sum())
     # what is black in all bands ties no images, whether it is ground or not

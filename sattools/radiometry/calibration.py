@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -75,8 +75,8 @@ def _digitalglobe(path: Path, groups: dict[str, dict[str, str]]) -> list[BandCal
     for name, values in groups.items():
         if "ABSCALFACTOR" not in values or "EFFECTIVEBANDWIDTH" not in values:
             continue
-        factor = _positive(path, f"absCalFactor of band {name}", values["ABSCALFACTOR"])
-        width = _positive(path, f"effectiveBandwidth of band {name}", values["EFFECTIVEBANDWIDTH"])
+        factor = number_of(path, f"absCalFactor of band {name}", values["ABSCALFACTOR"])
+        width = number_of(path, f"effectiveBandwidth of band {name}", values["EFFECTIVEBANDWIDTH"])
         rows.append(BandCalibration(name, factor / width))
     return rows
 
@@ -87,24 +87,45 @@ def _dimap(path: Path, root: object) -> list[BandCalibration]:
         return {row["BAND_ID"]: row for row in rows if "BAND_ID" in row and key in row}
 
     radiance, sun = table("Band_Radiance", "GAIN"), table("Band_Solar_Irradiance", "VALUE")
-    places = table("Raster_Index", "BAND_INDEX")
-    order = sorted(radiance, key=lambda b: int(places[b]["BAND_INDEX"])) if set(radiance) <= set(places) else radiance
+    places = {name: row["BAND_INDEX"] for name, row in table("Raster_Index", "BAND_INDEX").items()}
     entries = []
-    for name in order:
-        gain = _positive(path, f"GAIN of band {name}", radiance[name]["GAIN"])
-        bias = radiance[name].get("BIAS") or "0"
-        irradiance = _positive(path, f"solar irradiance of band {name}", sun[name]["VALUE"]) if name in sun else None
-        entries.append(BandCalibration(name, 1 / gain, float(bias), irradiance))
+    for name in in_order(radiance, places):
+        gain = number_of(path, f"GAIN of band {name}", radiance[name]["GAIN"])
+        bias = number_of(path, f"BIAS of band {name}", radiance[name].get("BIAS") or "0", False)
+        irradiance = number_of(path, f"solar irradiance of band {name}", sun[name]["VALUE"]) if name in sun else None
+        entries.append(BandCalibration(name, 1 / gain, bias, irradiance))
     return entries
 
 
-def _positive(path: Path, what: str, text: str) -> float:
+def in_order(names: Collection[str], places: Mapping[str, str]) -> list[str]:
+    """Bands of a DIMAP document by their numbers in the image; as they are listed where one has none.
+
+    Args:
+        names: of the bands, as listed.
+        places: name -> ``BAND_INDEX``.
+    """
+    numbered = set(names) <= set(places) and all(places[name].isdecimal() for name in names)
+    return sorted(names, key=lambda name: int(places[name])) if numbered else list(names)
+
+
+def number_of(path: Path, what: str, text: str, positive: bool = True) -> float:
+    """A number of a metadata file.
+
+    Args:
+        path: the file, for messages.
+        what: the number is, likewise.
+        text: of the file.
+        positive: it has to be.
+
+    Raises:
+        InputError: it is none, not finite, or not positive.
+    """
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"{path}: found {text!r} as {what}, expected a positive number")
+    if not math.isfinite(value) or (positive and value <= 0):
+        raise InputError(f"{path}: found {text[:40]!r} as {what}, expected a {'positive ' if positive else ''}number")
     return value
 
 
@@ -143,6 +164,8 @@ __all__ = [
     "SOLAR_IRRADIANCE",
     "BandCalibration",
     "earth_sun_distance",
+    "in_order",
+    "number_of",
     "read_calibration",
     "reflectance",
     "with_irradiance",

@@ -7,23 +7,26 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
 from sattools.errors import InputError, SceneError
+from sattools.radiometry.calibration import in_order, number_of
 from sattools.scene.jsonio import read_json
 from sattools.scene.opening import opened
 from sattools.scene.schema import Anything, Items, Maybe, Number, Table, Text
 from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 _LEAST_SCALE = 1e-12  # and its inverse the largest: what is beyond turns numbers into zeros or overflows
-_SCALED = Table({"scale": Number(), "offset": Number(), "raster:scale": Number(), "raster:offset": Number()})
+_OF_ALL = {"raster:scale": Number(), "raster:offset": Number()}  # of an asset, for the bands that have none
+_SCALED = Table({"scale": Number(), "offset": Number(), **_OF_ALL})
 _STAC = Table(
     {
         "assets": Maybe(
             Table(
                 other=Table(
-                    {"href": Text(empty=True), "raster:bands": Items(_SCALED), "bands": Items(_SCALED)},
+                    {"href": Text(empty=True), "raster:bands": Items(_SCALED), "bands": Items(_SCALED), **_OF_ALL},
                 )
             )
         ),
@@ -99,7 +102,7 @@ def read_declared(path: Path, image: Path) -> Declared | None:
     """What a metadata file says of numbers that are reflectance already; None where it says nothing of that.
 
     DIMAP products of the radiometric processing REFLECTANCE (DN / GAIN + BIAS), Planet's ``reflectanceCoefficient``,
-    and STAC items (``raster:bands`` or ``bands`` with scale and offset, whose quantity they do not tell).
+    and STAC items (``raster:bands``, ``bands`` or the asset with scale and offset, whose quantity they do not tell).
 
     Args:
         path: the metadata file.
@@ -142,10 +145,9 @@ def _dimap(path: Path, root: Any) -> Declared | None:
     places = {
         row.get("BAND_ID", ""): row.get("BAND_INDEX", "") for row in map(_members, find_all(root, "Raster_Index"))
     }
-    indexed = set(bands) <= set(places) and all(places[name].isdigit() for name in bands)
-    names = sorted(bands, key=lambda name: int(places[name])) if indexed else list(bands)
-    gain = _checked(path, [1 / _number(path, f"GAIN of band {n}", bands[n].get("GAIN", "")) for n in names])
-    offset = tuple(_number(path, f"BIAS of band {n}", bands[n].get("BIAS") or "0", False) for n in names)
+    names = in_order(bands, places)
+    gain = _checked(path, [1 / number_of(path, f"GAIN of band {n}", bands[n].get("GAIN", "")) for n in names])
+    offset = tuple(number_of(path, f"BIAS of band {n}", bands[n].get("BIAS") or "0", False) for n in names)
     return Declared("toa_reflectance", gain, offset, str(path), tuple(names))
 
 
@@ -157,7 +159,7 @@ def _planet(path: Path, root: Any) -> Declared | None:
     if all(row.get("bandNumber", "").isdigit() for row in rows):
         rows.sort(key=lambda row: int(row["bandNumber"]))
     gain = [
-        _number(path, f"reflectanceCoefficient of band {k + 1}", row["reflectanceCoefficient"])
+        number_of(path, f"reflectanceCoefficient of band {k + 1}", row["reflectanceCoefficient"])
         for k, row in enumerate(rows)
     ]
     return Declared("toa_reflectance", _checked(path, gain), (0.0,) * len(gain), str(path))
@@ -169,24 +171,21 @@ def _stac(path: Path, image: Path) -> Declared | None:
         return None
     _STAC.check(document, str(path))
     assets = document.get("assets") or {}
-    named = [a for a in assets.values() if Path(a.get("href", "")).name == image.name]
+    named = [a for a in assets.values() if image.name in _names(a.get("href", ""))]
     for asset in named or (list(assets.values()) if len(assets) == 1 else []):
-        bands = asset.get("raster:bands") or asset.get("bands") or []
-        gain = [float(b.get("scale", b.get("raster:scale", 1.0))) for b in bands]
-        offset = tuple(float(b.get("offset", b.get("raster:offset", 0.0))) for b in bands)
-        if bands and (set(gain) != {1.0} or set(offset) != {0.0}):
+        # what is the same in all bands may stand beside them (STAC 1.1)
+        scale, zero = asset.get("raster:scale", 1.0), asset.get("raster:offset", 0.0)
+        bands = asset.get("raster:bands") or asset.get("bands") or [{}]
+        gain = [float(b.get("scale", b.get("raster:scale", scale))) for b in bands]
+        offset = tuple(float(b.get("offset", b.get("raster:offset", zero))) for b in bands)
+        if set(gain) != {1.0} or set(offset) != {0.0}:
             return Declared(None, _checked(path, gain), offset, str(path))
     return None
 
 
-def _number(path: Path, what: str, text: str, positive: bool = True) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or (positive and value <= 0):
-        raise InputError(f"{path}: found {text[:40]!r} as {what}, expected a {'positive ' if positive else ''}number")
-    return value
+def _names(href: str) -> tuple[str, str]:
+    """What the file of an asset may be called: addresses may have a signature behind the name, and blanks as %20."""
+    return Path(href).name, Path(unquote(urlsplit(href).path)).name
 
 
 def _checked(path: Path, gain: list[float] | tuple[float, ...]) -> tuple[float, ...]:

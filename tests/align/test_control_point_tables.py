@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,20 @@ def test_decimals_may_begin_with_a_comma_where_semicolons_part_columns(tmp_path:
     path.write_text("\n" + "\n".join("; ".join(row).replace(".", ",") for row in ROWS))
     (point,) = read_control_points(path, "EPSG:32617")
     assert (point.x, point.y, point.z) == (436001.5, 3355002.0, 3.0)
+
+
+@pytest.mark.parametrize(("column", "row"), [("Column", "ROW"), ("column", "row")])
+def test_points_of_a_vector_file_have_their_own_height_where_the_table_has_none(
+    tmp_path: Path, column: str, row: str
+) -> None:
+    about = {"NAME": "corner", "Item": "TOWN_001", column: 4.0, row: 5.0, "z": None}
+    place = {"type": "Point", "coordinates": [-81.66, 30.32, 3.0]}
+    feature = {"type": "Feature", "properties": about, "geometry": place}
+    path = tmp_path / "points.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    (point,) = read_control_points(path, "EPSG:4326")
+    assert (point.name, point.x, point.y, point.z) == ("corner", -81.66, 30.32, 3.0)
+    assert (point.item, point.column, point.row) == ("TOWN_001", 4.0, 5.0)
 
 
 @pytest.mark.parametrize(

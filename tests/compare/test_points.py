@@ -32,6 +32,31 @@ def test_a_csv_of_points_is_compared_cell_by_cell_and_band_by_band(tmp_path: Pat
     assert far["values"]["theta"] == {"map": None, "sample": 3.0, "difference": None}
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeffName;X;Y;Theta;Reflectance_2\r\nbasalt 1,5;500005,0;5000037,0;20,5;40,5\r\n",
+        "\nName\tX\tY\tTHETA\treflectance_2\nbasalt 1,5\t500005\t5000037\t20,5\t4,05e1\n",
+        'name , x , y , theta , reflectance_2\n"basalt 1,5", 500005, 5000037, 20.5, 40.5\n',
+    ],
+    ids=["semicolons", "tabs", "blanks"],
+)
+def test_tables_of_samples_are_read_as_spreadsheets_write_them(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "samples.csv"
+    file.write_text(text, newline="")
+    values = {"theta": 20.5, "reflectance_2": 40.5}
+    assert read_points(file) == [Point("basalt 1,5", 500005.0, 5000037.0, None, values)]
+
+
+def test_columns_of_a_vector_file_may_have_capital_letters(tmp_path: Path) -> None:
+    file = tmp_path / "samples.shp"
+    frame = {"NAME": ["basalt", None], "THETA": [20.5, 3.0]}
+    places = [Place(500005.0, 5000037.0), Place(500001.0, 5000039.0)]
+    geopandas.GeoDataFrame(frame, geometry=places, crs="EPSG:32633").to_file(file)
+    found = [(point.name, point.values) for point in read_points(file)]
+    assert found == [("basalt", {"theta": 20.5}), ("2", {"theta": 3.0})]
+
+
 def test_a_registered_map_is_read_where_it_really_lies(tmp_path: Path) -> None:
     file = tmp_path / "samples.csv"
     file.write_text("name,x,y,theta\na,500005,5000037,20\n")

@@ -6,10 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from synthetic_views import parallel_rpc
 
+from sattools.cli import main
 from sattools.errors import InputError
 from sattools.prep.folders import images_with_cameras
+from sattools.scene.location import IMAGE_SUFFIXES
 from sattools.scene.raster import write_sensor_image
 
 TAGS = parallel_rpc().to_tags()
@@ -46,3 +49,15 @@ def test_a_folder_without_any_camera_is_not_empty(tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match="found a folder without images"):
         images_with_cameras([str(tmp_path / "none")], None)
+
+
+def test_jpeg_and_png_in_a_folder_are_quick_looks_and_images_where_they_are_named(tmp_path: Path) -> None:
+    taken = image(tmp_path, "a.tif", TAGS)
+    named = [tmp_path / "a.jpg", tmp_path / "b.png"]
+    for path in named:
+        path.with_name(f"{path.stem}_RPC.TXT").write_text("")
+        path.write_bytes(b"picture")
+    assert images_with_cameras([str(tmp_path)], None) == [taken]
+    assert images_with_cameras(list(map(str, named)), None) == named
+    said = " ".join(CliRunner().invoke(main, ["prep", "--help"]).output.split())
+    assert f"a folder stands for the images in it ({', '.join(IMAGE_SUFFIXES)}; JPEG and PNG are quick looks" in said

@@ -57,6 +57,30 @@ def test_numbers_too_small_to_calculate_with_are_told(town: Any) -> None:
     assert "expected digital numbers, radiance or reflectance above 1e-15 (multiply them)" in result.output
 
 
+def one_of(number: float) -> Any:
+    """A single pixel is a number in all bands, somewhere within the image."""
+
+    def change(values: Any) -> Any:
+        values = values.astype(np.float64)
+        values[:, 40, 50] = number
+        return values
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "largest"), [(times(1e300), "1."), (one_of(-1e308), "1e+308"), (one_of(1e20), "1e")]
+)
+def test_numbers_too_large_to_calculate_with_are_told(town: Any, change: Any, largest: str, recwarn: Any) -> None:
+    town.pixels(1, change)
+    result = prep(town)
+    assert result.exit_code == 1
+    assert f"TOWN_001.tif: found numbers of up to {largest}" in result.output
+    wanted = "expected digital numbers, radiance or reflectance below 1e+09; declare those that mean no data"
+    assert f"{wanted} (gdal_edit.py -a_nodata)" in result.output
+    assert [str(w.message) for w in recwarn if issubclass(w.category, RuntimeWarning)] == []
+
+
 def test_single_missing_pixels_are_filled_from_their_neighbours_and_frames_are_not() -> None:
     row, column = np.mgrid[:100, :120].astype(np.float32)
     whole = 10 + row + 2 * column

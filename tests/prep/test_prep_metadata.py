@@ -124,6 +124,23 @@ def test_satnerf_json(tmp_path: Path) -> None:
     assert found.time == datetime(2014, 12, 27, 16, 11, 9, tzinfo=UTC)
 
 
+@pytest.mark.parametrize(
+    ("said", "name"),
+    [
+        ("worldview-3", "WorldView-3"),
+        ("WV02", "WorldView-2"),
+        ("WorldView03", "WorldView-3"),
+        ("pleiades-1a", "Pleiades-1A"),
+        ("Pl\u00e9iades Neo 3", "Pleiades-Neo-3"),
+        ("landsat-8", "landsat-8"),
+        ("WorldView-30", "WorldView-30"),
+    ],
+)
+def test_a_platform_of_a_stac_item_is_known_in_any_spelling(tmp_path: Path, said: str, name: str) -> None:
+    (tmp_path / "a.json").write_text(json.dumps({"type": "Feature", "properties": {"platform": said}}))
+    assert read_sidecar(tmp_path / "a.json").platform == name
+
+
 def test_a_stac_item_gives_time_platform_and_sun(tmp_path: Path) -> None:
     properties = {"datetime": "2020-03-04T05:06:07Z", "platform": "X-1"}
     sun = {"view:sun_azimuth": 140.5, "view:sun_elevation": 41.0}

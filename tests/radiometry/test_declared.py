@@ -207,6 +207,22 @@ def test_a_stac_item_states_a_scale_but_not_of_what(tmp_path: Path, version: str
     np.testing.assert_allclose(values(scene)[:, 0], [0.0, 0.1], atol=1e-6)
 
 
+def test_a_stac_item_may_state_the_scale_of_all_bands_once(tmp_path: Path) -> None:
+    image, path = tmp_path / "a b.tif", tmp_path / "a b.json"
+    whole = {"href": "https://x.org/v/a%20b.tif?sig=1", "raster:scale": 0.0001, "raster:offset": -0.1}
+
+    def declared(**more: object) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        other = {"href": "other.tif", "raster:scale": 7.0}
+        path.write_text(json.dumps({"type": "Feature", "assets": {"other": other, "data": whole | more}}))
+        found = read_declared(path, image)
+        assert found is not None
+        return found.gain, found.offset
+
+    assert declared() == ((0.0001,), (-0.1,))
+    own = {"name": "nir", "raster:scale": 0.0002}
+    assert declared(bands=[{"name": "red"}, own]) == ((0.0001, 0.0002), (-0.1, -0.1))
+
+
 def test_so_does_a_geotiff_with_scales(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, two_bands(), scales=[1e-4, 2e-4], platform=None)
     assert normalise(scene, NormaliseOptions())["quantity"] == "relative"

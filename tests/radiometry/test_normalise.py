@@ -235,6 +235,16 @@ def test_dimap_calibration_in_the_order_of_the_raster(tmp_path: Path) -> None:
     path.write_text(DIMAP.replace("<GAIN>10<", "<GAIN>0<"))
     with pytest.raises(InputError, match=r"DIM_X.XML: found '0' as GAIN of band B0"):
         read_calibration(path)
+    for bias in ("n/a", "nan"):
+        path.write_text(DIMAP.replace("<BIAS>1<", f"<BIAS>{bias}<"))
+        with pytest.raises(InputError, match=rf"DIM_X.XML: found '{bias}' as BIAS of band B0, expected a number"):
+            read_calibration(path)
+
+
+def test_bands_of_a_dimap_without_numbers_are_in_the_order_of_the_list(tmp_path: Path) -> None:
+    path = tmp_path / "DIM_X.XML"
+    path.write_text(DIMAP.replace("<BAND_INDEX>1<", "<BAND_INDEX>first<"))
+    assert [band.name for band in read_calibration(path)] == ["B0", "B2"]
 
 
 def test_the_sun_is_nearest_in_january() -> None:

@@ -1,0 +1,75 @@
+"""What counts as finished in a folder of a batch, and what its log says."""
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from sattools.batch.options import BatchOptions
+from sattools.batch.plan import Configuration, Task
+from sattools.batch.stage import make_plan
+from sattools.batch.task import perform
+
+DEFAULT = Configuration("default")
+
+
+def finished(scene: Any, out: Path) -> Task:
+    """The run of a scene, with the record and the surface that it leaves."""
+    (job,) = make_plan(BatchOptions(out=str(out)), [scene], [DEFAULT]).jobs
+    document = job.task.start()
+    content = json.loads(document.read_text())
+    content["sattools"]["products"]["dsm"] = "export/dsm.tif"
+    document.write_text(json.dumps(content))
+    (document.parent / "export").mkdir()
+    (document.parent / "export/dsm.tif").write_bytes(b"heights")
+    done = {"key": job.task.key, "status": "done", "scene_json": str(document), "row": {"scene": "A"}}
+    job.task.record.write_text(json.dumps(done))
+    return job.task
+
+
+def test_a_copied_folder_has_results_of_its_own(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    finished(scene, tmp_path / "out")
+    shutil.copytree(tmp_path / "out", tmp_path / "copy")
+    for folder in ("copy", "out"):
+        plan = make_plan(BatchOptions(out=str(tmp_path / folder)), [scene], [DEFAULT])
+        assert plan.jobs == []
+        document = tmp_path / folder / "runs/default/A/scene.json"
+        assert plan.results["A", "default"]["scene_json"] == str(document)
+
+
+def test_a_folder_that_was_moved_keeps_its_results(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    finished(scene, tmp_path / "out")
+    (tmp_path / "out").rename(tmp_path / "moved")
+    plan = make_plan(BatchOptions(out=str(tmp_path / "moved")), [scene], [DEFAULT])
+    assert (plan.jobs, list(plan.results)) == ([], [("A", "default")])
+
+
+def test_a_result_of_which_a_file_is_gone_is_made_again(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    task = finished(scene, tmp_path / "out")
+    shutil.copytree(tmp_path / "out", tmp_path / "copy")
+    (tmp_path / "copy/runs/default/A/export/dsm.tif").unlink()
+    jobs = make_plan(BatchOptions(out=str(tmp_path / "copy")), [scene], [DEFAULT]).jobs
+    assert [job.task.key for job in jobs] == [task.key]
+
+
+def test_the_log_has_commands_that_a_shell_takes(make_town: Any, tmp_path: Path) -> None:
+    task = finished(make_town("A"), tmp_path / "many areas")
+    task.record.unlink()
+    calls = []
+
+    def run(call: list[str], *_: Any) -> Any:
+        calls.append(call)
+        yield 1  # the first one fails, at once
+
+    launcher: Any = SimpleNamespace(run=run)
+    assert perform(task, 1, None, lambda *_: None, launcher=launcher)["status"] == "failed"
+    assert [call[3:5] for call in calls] == [["1", "fit"]]
+    folder = tmp_path / "many areas/runs/default/A"
+    line = (
+        f"$ sattools --progress json --threads 1 fit '{folder}/scene.json' --overwrite --config '{folder}/config.toml'"
+    )
+    assert (folder / "log.txt").read_text() == f"{line}\n"
