@@ -60,6 +60,9 @@ def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, ne
     from rasterio.enums import Resampling
     from rasterio.warp import reproject
 
+    # of maps that are turned GDAL takes the box for the size, and would blur what has the target's cells
+    scales = _scales(array, crs, transform, target) if transform.b or transform.d else {}
+
     def warp(method: Resampling) -> np.ndarray:
         result = np.full((*array.shape[:-2], *target.shape), np.nan, dtype=np.float32)
         with _ways(crs, target.crs):
@@ -73,6 +76,7 @@ def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, ne
                 dst_crs=target.crs,
                 dst_nodata=np.nan,
                 resampling=method,
+                **scales,
             )
         return result
 
@@ -80,6 +84,20 @@ def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, ne
     if nearest:
         return near
     return np.where(np.isfinite(near), warp(Resampling.bilinear), np.float32(np.nan))
+
+
+def _scales(array: np.ndarray, crs: str, transform: Affine, target: Grid) -> dict[str, float]:
+    """What GDAL's warper is to take for a cell's width and height in the middle of a map, in cells of a grid."""
+    from rasterio.warp import transform as in_other
+
+    rows, cols = array.shape[-2] / 2, array.shape[-1] / 2
+    corners = [(cols, rows), (cols + 1, rows), (cols, rows + 1)]
+    xs = [transform.a * col + transform.b * row + transform.c for col, row in corners]
+    ys = [transform.d * col + transform.e * row + transform.f for col, row in corners]
+    with _ways(crs, target.crs):
+        xs, ys = in_other(crs, target.crs, xs, ys)
+    sizes = [math.hypot(xs[k] - xs[0], ys[k] - ys[0]) / target.cell_size for k in (1, 2)]
+    return {"XSCALE": sizes[0], "YSCALE": sizes[1]} if all(math.isfinite(size) for size in sizes) else {}
 
 
 @contextmanager
