@@ -66,7 +66,7 @@ class Surface:
         """
         path = self.layers[layer]
         if layer == "height" and not has_grid(path):  # a raster: a scene's has been found on a grid
-            return warped_heights(path, where)[None]
+            return warped_heights(path, where, means=True)[None]
         found = read_around(path, where)
         if found is None:
             return np.full((self.bands(layer), *where.shape), np.nan, np.float32)
@@ -75,7 +75,7 @@ class Surface:
             array = known_heights(array[:1])
             if self.validity is not None:
                 array = np.where(read_raster(self.validity, grid)[0][:1] == MEASURED, array, np.float32(np.nan))
-        return reproject_map(array.astype(np.float32), grid, where)
+        return reproject_map(array.astype(np.float32), grid, where, means=True)
 
     @property
     def height(self) -> np.ndarray:

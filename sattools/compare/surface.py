@@ -97,7 +97,7 @@ class FiledSurface:
     def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:
         """See `Surface`."""
         if self.validity is None and not has_grid(self.path):
-            return warped_heights(self.path, where), None
+            return warped_heights(self.path, where, means=True), None
         found = read_around(self.path, where)
         if found is None:
             return _nothing(where, self.validity is not None)
@@ -114,8 +114,11 @@ def _nothing(where: Grid, measured: bool) -> tuple[np.ndarray, np.ndarray | None
 def _both(
     heights: np.ndarray, grid: Grid, measured: np.ndarray | None, where: Grid
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    only = None if measured is None else reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, where)
-    return reproject_map(heights, grid, where), only
+    """Heights on a grid; over larger cells their means, or a DSM would be charged with the blur of a wide kernel."""
+    only = None
+    if measured is not None:
+        only = reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, where, means=True)
+    return reproject_map(heights, grid, where, means=True), only
 
 
 def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", folder: Path | None = None) -> Comparison:

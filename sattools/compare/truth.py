@@ -231,18 +231,19 @@ def _heights_on(dsm: Path, where: Grid, own: bool) -> np.ndarray:
     return warped_heights(dsm, where)
 
 
-def warped_heights(path: Path, where: Grid) -> np.ndarray:
+def warped_heights(path: Path, where: Grid, *, means: bool = False) -> np.ndarray:
     """Heights ``[h, w]`` [m] on a grid, NaN = none, of a raster of any cells, turned or oblong ones among them.
 
     Args:
         path: the file.
         where: grid in any CRS.
+        means: see `sattools.scene.regrid.reproject_map`.
 
     Raises:
         InputError: unreadable, or without a CRS.
         SceneError: no transformation between the two CRS is known.
     """
-    return read_warped(path, where, lambda array: known_heights(array[:1]))[0]
+    return read_warped(path, where, lambda array: known_heights(array[:1]), means=means)[0]
 
 
 def _has_classes(folder: Path, aoi: str) -> bool:

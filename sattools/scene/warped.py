@@ -23,7 +23,12 @@ _SPARE_CELLS = 4  # around a part, in which interpolation looks
 
 
 def read_warped(
-    path: Path, target: Grid, known: Callable[[np.ndarray], np.ndarray] | None = None, *, nearest: bool = False
+    path: Path,
+    target: Grid,
+    known: Callable[[np.ndarray], np.ndarray] | None = None,
+    *,
+    nearest: bool = False,
+    means: bool = False,
 ) -> np.ndarray:
     """A raster ``[B, h, w]`` float32 on a grid, of which only the part that lies there is read.
 
@@ -34,6 +39,7 @@ def read_warped(
         target: the grid; NaN where the raster is not.
         known: makes NaN of what are no numbers, before anything is interpolated.
         nearest: take the nearest cell instead of interpolating.
+        means: see `sattools.scene.regrid.reproject_map`.
 
     Raises:
         InputError: unreadable, or without a CRS.
@@ -60,7 +66,7 @@ def read_warped(
         array = array.astype(np.float32) if known is None else known(array)
         first = _mapped(place, left, top)
         transform = Affine(place.a, place.b, first[0], place.d, place.e, first[1])
-        return warp_map(array, crs, transform, target, nearest=nearest)
+        return warp_map(array, crs, transform, target, nearest=nearest, means=means)
 
 
 def _columns(data: DatasetReader, wanted: tuple[int, int]) -> tuple[int, list[tuple[int, int]]]:
