@@ -154,12 +154,7 @@ def check_scale(crs: str, lon: float, lat: float) -> None:
         lon: longitude [degrees].
         lat: latitude [degrees].
     """
-    east, north = metres_per_degree(lat)
-    step = 10.0
-    lons, lats = [lon, lon + step / east, lon], [lat, lat, lat + step / north]
-    x, y = from_geographic(crs, lons, lats)
-    with np.errstate(invalid="ignore"):
-        scale = math.hypot(x[1] - x[0], y[1] - y[0]) / step, math.hypot(x[2] - x[0], y[2] - y[0]) / step
+    scale = [math.hypot(*step) for step in _steps(crs, lon, lat)]
     worst = max(scale, key=lambda s: abs(s - 1) if math.isfinite(s) else math.inf)
     if not abs(worst - 1) <= _SCALE_TOLERANCE:
         symptom = f"{worst:.3g} m in it are 1 m on the ground" if math.isfinite(worst) else "it does not reach there"
@@ -167,6 +162,43 @@ def check_scale(crs: str, lon: float, lat: float) -> None:
             f"CRS {crs}: found that at {lat:.3f} N {lon:.3f} E {symptom}, expected a CRS of this region such as "
             f"{utm_crs(lon, lat)}"
         )
+
+
+def _steps(crs: str, lon: float, lat: float) -> Array:
+    """Where one metre on the ground eastwards and one northwards lead on the map: rows ``[2, 2]`` of (x, y) [m].
+
+    Measured on the ellipsoid; the factors that PROJ gives for web maps are those of their sphere. Numbers that are not
+    finite where the map does not reach.
+    """
+    if not (math.isfinite(lon) and math.isfinite(lat)):  # of coordinates that are none of the map's
+        raise InputError(f"CRS {crs}: found coordinates where it does not reach, expected some of its region")
+    east, north = metres_per_degree(lat)
+    step = 10.0
+    x, y = from_geographic(crs, [lon, lon + step / east, lon], [lat, lat, lat + step / north])
+    with np.errstate(invalid="ignore"):
+        return np.array([[x[1] - x[0], y[1] - y[0]], [x[2] - x[0], y[2] - y[0]]]) / step
+
+
+def ground_area(crs: str, bounds: tuple[float, float, float, float]) -> float:
+    """Square metres on the ellipsoid of one square metre of a map, in the middle of a part of it.
+
+    In the middle of a UTM zone they are 1.0008, at its edge 0.9980 near the equator; over 50 km they change by less
+    than 0.001.
+
+    Args:
+        crs: projected ground CRS [m].
+        bounds: west, south, east, north of the part, in that CRS [m].
+
+    Raises:
+        InputError: the map does not reach there.
+    """
+    west, south, east, north = bounds
+    lon, lat = (float(v) for v in to_geographic(crs, (west + east) / 2, (south + north) / 2))
+    (a, b), (c, d) = _steps(crs, lon, lat).tolist()
+    area = abs(a * d - b * c)
+    if not (math.isfinite(area) and area > 0):
+        raise InputError(f"CRS {crs}: found coordinates where it does not reach, expected some of its region")
+    return float(1.0 / area)
 
 
 def check_metres(name: str, crs: str, bounds: tuple[float, float, float, float]) -> None:
@@ -331,6 +363,7 @@ __all__ = [
     "foreshortening",
     "from_geographic",
     "grid_direction",
+    "ground_area",
     "ground_rays",
     "ground_sample_distance",
     "localize",

@@ -26,9 +26,11 @@ class HeightChange:
     Attributes:
         difference: ``[H, W]`` later minus earlier [m]; NaN = unknown.
         sigma: ``[H, W]`` its standard deviation [m].
-        cell_size: edge of a cell [m].
+        cell_size: edge of a cell on the map [m]. Widths of regions are measured by it: whole cells that a map's scale
+            makes a little larger or smaller are to count alike.
         correlation: distance over which errors go together [m].
         confidence: ``[H, W]`` of the less sure date's matching, 0 to 1; None = unknown.
+        ground_area: square metres on the ground of one of the map (`sattools.camera.ground.ground_area`).
     """
 
     difference: np.ndarray
@@ -36,12 +38,18 @@ class HeightChange:
     cell_size: float
     correlation: float
     confidence: np.ndarray | None = None
+    ground_area: float = 1.0
+
+    @property
+    def cell_area(self) -> float:
+        """Area of a cell on the ground [m2]."""
+        return self.cell_size**2 * self.ground_area
 
     @property
     def area_m2(self) -> float:
         """Area where both surfaces are known."""
         known = sum(int(np.isfinite(self.difference[rows]).sum()) for rows in pieces(self.shape))
-        return float(known) * self.cell_size**2
+        return float(known) * self.cell_area
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -126,7 +134,7 @@ def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndar
     sure = _confidence(heights, options, labels, found)
     for number in found.regions():
         region = _region(
-            found.sums(number, heights.cell_size, heights.correlation),
+            found.sums(number, heights.cell_area, heights.correlation),
             heights,
             options,
             (len(regions) + 1, sure.get(number), known),
@@ -170,7 +178,7 @@ def _confidence(heights: HeightChange, options: ChangeOptions, labels: np.ndarra
     if heights.confidence is None:
         return {}
     wanted = {
-        n for n in found.regions() if _large_enough(found.sums(n, heights.cell_size, heights.correlation), options)
+        n for n in found.regions() if _large_enough(found.sums(n, heights.cell_area, heights.correlation), options)
     }
     root = found.roots()
     values: dict[int, list[np.ndarray]] = {number: [] for number in wanted}
@@ -218,7 +226,7 @@ def sums(where: np.ndarray, heights: HeightChange, part: tuple[slice, slice] = (
         int(where.sum()),
         float(difference[where].sum(dtype=np.float64)),
         float(square.sum()),
-        heights.cell_size,
+        heights.cell_area,
         heights.correlation,
     )
 

@@ -25,20 +25,20 @@ class Sums:
     volume_std_m3: float
 
 
-def sums_of(count: int, total: float, square: float, cell_size: float, correlation: float) -> Sums:
+def sums_of(count: int, total: float, square: float, cell_area: float, correlation: float) -> Sums:
     """Area, mean change and volume of so many cells.
 
     Args:
         count: of the cells.
         total: sum of their changes [m].
         square: sum of their variances [m2].
-        cell_size: edge of a cell [m].
+        cell_area: of a cell, on the ground [m2].
         correlation: distance over which errors go together [m].
     """
     if not count:
         return Sums(0.0, math.nan, math.nan, 0.0, 0.0)
-    area = count * cell_size**2
-    independent = max(1.0, area / max(correlation, cell_size) ** 2)
+    area = count * cell_area
+    independent = max(1.0, area / max(correlation**2, cell_area))
     mean, std = total / count, math.sqrt(square / count / independent)
     return Sums(area, mean, std, mean * area, std * area)
 
@@ -122,16 +122,16 @@ class Joined:
         """The region's number ``[N + 1]`` of every part; 0 of 0."""
         return np.array([self._root(number) for number in range(self.count + 1)], np.int32)
 
-    def sums(self, number: int, cell_size: float, correlation: float) -> Sums:
+    def sums(self, number: int, cell_area: float, correlation: float) -> Sums:
         """Area, mean change and volume of a region.
 
         Args:
             number: of the region.
-            cell_size: edge of a cell [m].
+            cell_area: of a cell, on the ground [m2].
             correlation: distance over which errors go together [m].
         """
         cells, total, square = self._sums[number].tolist()
-        return sums_of(round(cells), total, square, cell_size, correlation)
+        return sums_of(round(cells), total, square, cell_area, correlation)
 
     def box(self, number: int) -> tuple[int, int, int, int]:
         """Rows and columns (first, last + 1 each) that a region lies in."""

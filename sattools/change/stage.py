@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.ground import check_metres
+from sattools.camera.ground import check_metres, ground_area
 from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
 from sattools.change.options import ChangeOptions
@@ -63,7 +63,7 @@ def change(
     found = register_dates(old, new, options.register, folder)
     heights = HeightChange(
         found.difference, cell_sigma(found.difference, found.together("std", np.hypot)), old.grid.cell_size,
-        options.correlation, found.together("confidence", np.fmin),
+        options.correlation, found.together("confidence", np.fmin), ground_area(old.grid.crs, old.grid.bounds),
     )  # fmt: skip
     progress(0.6, "regions")
     labels, regions = find_regions(heights, options)
@@ -154,7 +154,7 @@ def _other_bands(old: Surface, new: Surface) -> list[str]:
 def _table(heights: HeightChange, regions: list[Region], options: ChangeOptions) -> JsonObject:
     height, width = heights.shape
     return {
-        "common_share": round(heights.area_m2 / heights.cell_size**2 / (height * width), 4),
+        "common_share": round(heights.area_m2 / heights.cell_area / (height * width), 4),
         "nmad_m": round(scatter_of(heights.difference), 4),
         "confidence": options.confidence,
         "regions": [_row(_figures(region)) for region in regions],

@@ -9,16 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from sattools.compare.doubts import check_heights
-from sattools.compare.truth import known_heights
+from sattools.compare.truth import known_heights, warped_heights
 from sattools.errors import InputError
 from sattools.radiometry.bands import COMMON_NAMES
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import check_current
 from sattools.scene.location import location
 from sattools.scene.opening import opened
+from sattools.scene.placement import crs_of, has_grid
 from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map
 from sattools.scene.validity import MEASURED
+from sattools.scene.warped import ground_grid
 
 LAYERS = {"height": "dsm", "std": "dsm_std", "albedo": "albedo", "confidence": "prior_confidence"}  # -> product
 
@@ -62,7 +64,10 @@ class Surface:
         Raises:
             InputError: a file that cannot be read.
         """
-        found = read_around(self.layers[layer], where)
+        path = self.layers[layer]
+        if layer == "height" and not has_grid(path):  # a raster: a scene's has been found on a grid
+            return warped_heights(path, where, means=True)[None]
+        found = read_around(path, where)
         if found is None:
             return np.full((self.bands(layer), *where.shape), np.nan, np.float32)
         array, grid = found
@@ -70,7 +75,7 @@ class Surface:
             array = known_heights(array[:1])
             if self.validity is not None:
                 array = np.where(read_raster(self.validity, grid)[0][:1] == MEASURED, array, np.float32(np.nan))
-        return reproject_map(array.astype(np.float32), grid, where)
+        return reproject_map(array.astype(np.float32), grid, where, means=True)
 
     @property
     def height(self) -> np.ndarray:
@@ -107,7 +112,7 @@ def read_surface(source: str) -> Surface:
     path = location(source)
     if path.suffix.lower() != ".json" and not path.is_dir():
         check_heights(path, one_band=True)
-        return Surface(path.stem, {"height": path}, None, raster_grid(path), (path,))
+        return Surface(path.stem, {"height": path}, None, _grid_of(path), (path,))
     scene = Scene.from_file(path)
     if "dsm" not in scene.products:
         raise InputError(f"{path}: found no product 'dsm', expected a scene after `sattools export`")
@@ -120,6 +125,15 @@ def read_surface(source: str) -> Surface:
             raise InputError(f"{file}: found another grid than the DSM's, expected one export")
     used = [*layers.values(), *([] if validity is None else [validity])]
     return Surface(scene.id, layers, validity, grid, (path, *used))
+
+
+def _grid_of(path: Path) -> Grid:
+    """The grid of a raster's cells; where they are turned or oblong, square ones of their area in the same CRS."""
+    if has_grid(path):
+        return raster_grid(path)
+    with opened(path) as data:
+        crs = crs_of(data, path)
+    return ground_grid(path, lambda *_: crs)
 
 
 __all__ = ["Surface", "order_of_bands", "read_surface"]

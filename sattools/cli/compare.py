@@ -29,7 +29,8 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """Score the scene's DSM against a reference: JSON on stdout, a table on stderr, a difference map in the scene.
 
     Either `--truth DIR` (contest layout), or `--dsm REF` with `--classes CLS`; a simulated scene brings its own truth.
-    With `--predicted DSM` a file is scored and no scene is read. With `--fit Lam=a/scene.json --fit Hpk=b/scene.json
+    With `--predicted DSM` a file is scored and no scene is read. Of finer cells than the reference's the means over
+    those are scored. With `--fit Lam=a/scene.json --fit Hpk=b/scene.json
     --out DIR` fits of one place are scored side by side: tables and figures, also for `sattools report DIR`.
     """
     options = build(CompareOptions, values)

@@ -12,9 +12,10 @@ from sattools.compare.doubts import check_heights, in_feet, of_registration
 from sattools.compare.heights import Rows, errors_of
 from sattools.compare.holes import fill_holes
 from sattools.compare.registration import Registration, register, search_margin, shifted
-from sattools.compare.truth import Truth, known_heights
+from sattools.compare.truth import Truth, known_heights, warped_heights
 from sattools.errors import InputError, SceneError
 from sattools.scene.grid import Grid
+from sattools.scene.placement import has_grid
 from sattools.scene.raster import raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map, window_around
 from sattools.scene.stored import cut, new_map, pieces
@@ -86,14 +87,17 @@ class FiledSurface:
         return str(self.path)
 
     def check(self) -> None:
-        """Raises InputError where a file is no raster of heights, or the two are on different grids."""
+        """Raises InputError where a file is no raster of heights on Earth, or the two are on different grids."""
         check_heights(self.path, one_band=True)
-        grid = raster_grid(self.path)
-        if self.validity is not None and raster_grid(self.validity) != grid:
+        if self.validity is None:
+            has_grid(self.path)  # turned and oblong cells are warped, but they have to lie somewhere
+        elif raster_grid(self.validity) != raster_grid(self.path):
             raise InputError(f"{self.validity}: found another grid than the DSM's, expected the same")
 
     def on(self, where: Grid) -> tuple[np.ndarray, np.ndarray | None]:
         """See `Surface`."""
+        if self.validity is None and not has_grid(self.path):
+            return warped_heights(self.path, where, means=True), None
         found = read_around(self.path, where)
         if found is None:
             return _nothing(where, self.validity is not None)
@@ -110,8 +114,11 @@ def _nothing(where: Grid, measured: bool) -> tuple[np.ndarray, np.ndarray | None
 def _both(
     heights: np.ndarray, grid: Grid, measured: np.ndarray | None, where: Grid
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    only = None if measured is None else reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, where)
-    return reproject_map(heights, grid, where), only
+    """Heights on a grid; over larger cells their means, or a DSM would be charged with the blur of a wide kernel."""
+    only = None
+    if measured is not None:
+        only = reproject_map(np.where(measured, heights, np.float32(np.nan)), grid, where, means=True)
+    return reproject_map(heights, grid, where, means=True), only
 
 
 def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", folder: Path | None = None) -> Comparison:

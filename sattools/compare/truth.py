@@ -16,7 +16,7 @@ from sattools.scene.datums import horizontal
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import read_text
 from sattools.scene.opening import opened
-from sattools.scene.placement import crs_of, has_grid
+from sattools.scene.placement import bounds_of_file, crs_of, has_grid
 from sattools.scene.raster import raster_grid, read_image, read_raster
 from sattools.scene.stored import cut, map_like, new_map, pieces
 from sattools.scene.warped import ground_grid, read_warped
@@ -216,7 +216,7 @@ def crs_on_ground(path: Path) -> str | None:
         InputError: without a georeference, or unreadable.
     """
     with opened(path) as data:
-        crs, bounds = crs_of(data, path), data.bounds
+        crs, bounds = crs_of(data, path), bounds_of_file(data)
     try:
         check_metres(str(path), crs, bounds)
     except InputError:
@@ -228,7 +228,22 @@ def _heights_on(dsm: Path, where: Grid, own: bool) -> np.ndarray:
     """Heights ``[h, w]`` [m] of a reference on a part of its `grid_on_ground`."""
     if own:
         return known_heights(read_raster(dsm, where)[0][0])
-    return read_warped(dsm, where, lambda array: known_heights(array[:1]))[0]
+    return warped_heights(dsm, where)
+
+
+def warped_heights(path: Path, where: Grid, *, means: bool = False) -> np.ndarray:
+    """Heights ``[h, w]`` [m] on a grid, NaN = none, of a raster of any cells, turned or oblong ones among them.
+
+    Args:
+        path: the file.
+        where: grid in any CRS.
+        means: see `sattools.scene.regrid.reproject_map`.
+
+    Raises:
+        InputError: unreadable, or without a CRS.
+        SceneError: no transformation between the two CRS is known.
+    """
+    return read_warped(path, where, lambda array: known_heights(array[:1]), means=means)[0]
 
 
 def _has_classes(folder: Path, aoi: str) -> bool:

@@ -49,6 +49,19 @@ def has_grid(path: Path) -> bool:
         return _is_square(data)
 
 
+def bounds_of_file(data: DatasetReader) -> tuple[float, float, float, float]:
+    """(west, south, east, north) of an open file in its CRS, however its cells are turned.
+
+    Args:
+        data: the file.
+    """
+    to = data.transform
+    corners = [(col, row) for col in (0, data.width) for row in (0, data.height)]
+    xs = [to.a * col + to.b * row + to.c for col, row in corners]
+    ys = [to.d * col + to.e * row + to.f for col, row in corners]
+    return min(xs), min(ys), max(xs), max(ys)
+
+
 def place_at(data: DatasetReader, bounds: tuple[float, float, float, float]) -> Affine:
     """From (column, row) of an open file's corners to its CRS, in degrees by whole turns so that it lies on the bounds.
 
@@ -59,9 +72,8 @@ def place_at(data: DatasetReader, bounds: tuple[float, float, float, float]) -> 
     place = data.transform
     if not data.crs.is_geographic:
         return place
-    west, _, east, _ = bounds
-    edges = [place.c + place.a * col + place.b * row for col in (0, data.width) for row in (0, data.height)]
-    turn = whole_turn((min(edges), max(edges)), (west, east))
+    own = bounds_of_file(data)
+    turn = whole_turn((own[0], own[2]), (bounds[0], bounds[2]))
     return Affine(place.a, place.b, place.c + turn, place.d, place.e, place.f)
 
 
@@ -83,4 +95,4 @@ def _is_square(data: DatasetReader) -> bool:
     return abs(to.b) <= 1e-9 and abs(to.d) <= 1e-9 and to.a > 0 and abs(to.a - abs(to.e)) <= 1e-6 * to.a
 
 
-__all__ = ["crs_of", "grid_of", "has_grid", "is_south_up", "place_at", "stored_window"]
+__all__ = ["bounds_of_file", "crs_of", "grid_of", "has_grid", "is_south_up", "place_at", "stored_window"]

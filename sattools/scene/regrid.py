@@ -16,19 +16,24 @@ from sattools.scene.globe import columns_of_turn, whole_turn
 from sattools.scene.grid import Grid
 
 _SPARE_CELLS = 4  # around a part, in which interpolation looks
+_FINER = 0.95  # times as wide as a target's cells, below which GDAL widens its bilinear kernel
 
 
-def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: bool = False) -> np.ndarray:
+def reproject_map(
+    array: np.ndarray, source: Grid, target: Grid, *, nearest: bool = False, means: bool = False
+) -> np.ndarray:
     """A map on a grid of any CRS and lattice; NaN = no value, also outside.
 
-    Bilinear (averaging where ``target`` is coarser). A cell is NaN where the nearest source cell is, so that
-    interpolation neither shrinks holes nor grows them.
+    Bilinear; onto larger cells by GDAL's widened kernel, which reaches over the neighbouring ones, too. A cell is NaN
+    where the nearest source cell is, so that interpolation neither shrinks holes nor grows them.
 
     Args:
         array: ``[H, W]`` or ``[B, H, W]``.
         source: its grid.
         target: grid to resample to.
         nearest: take the nearest cell instead of interpolating.
+        means: take the mean over each of ``target``'s cells where they are larger. That is what a bilinear value is
+            over cells of one size, and leaves walls where they are.
 
     Returns:
         ``[h, w]`` or ``[B, h, w]`` float32.
@@ -38,10 +43,12 @@ def reproject_map(array: np.ndarray, source: Grid, target: Grid, *, nearest: boo
     """
     if source == target:
         return array.astype(np.float32)
-    return warp_map(array, source.crs, source.transform, target, nearest=nearest)
+    return warp_map(array, source.crs, source.transform, target, nearest=nearest, means=means)
 
 
-def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, nearest: bool = False) -> np.ndarray:
+def warp_map(
+    array: np.ndarray, crs: str, transform: Affine, target: Grid, *, nearest: bool = False, means: bool = False
+) -> np.ndarray:
     """`reproject_map` of a map with cells of any shape.
 
     Args:
@@ -50,6 +57,8 @@ def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, ne
         transform: from (column, row) of cells' corners to that CRS.
         target: grid to resample to.
         nearest: take the nearest cell instead of interpolating.
+        means: take the mean over each of ``target``'s cells where they are larger. That is what a bilinear value is
+            over cells of one size, and leaves walls where they are.
 
     Returns:
         ``[h, w]`` or ``[B, h, w]`` float32.
@@ -59,6 +68,11 @@ def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, ne
     """
     from rasterio.enums import Resampling
     from rasterio.warp import reproject
+
+    turned = bool(transform.b or transform.d)
+    wide, high = _cell_on(array, crs, transform, target) if turned or means else (1.0, 1.0)
+    # of maps that are turned GDAL takes the box for the size, and would blur what has the target's cells
+    scales = {"XSCALE": wide, "YSCALE": high} if turned else {}
 
     def warp(method: Resampling) -> np.ndarray:
         result = np.full((*array.shape[:-2], *target.shape), np.nan, dtype=np.float32)
@@ -73,13 +87,29 @@ def warp_map(array: np.ndarray, crs: str, transform: Affine, target: Grid, *, ne
                 dst_crs=target.crs,
                 dst_nodata=np.nan,
                 resampling=method,
+                **scales,
             )
         return result
 
     near = warp(Resampling.nearest)
     if nearest:
         return near
-    return np.where(np.isfinite(near), warp(Resampling.bilinear), np.float32(np.nan))
+    smooth = Resampling.average if means and max(wide, high) < _FINER else Resampling.bilinear
+    return np.where(np.isfinite(near), warp(smooth), np.float32(np.nan))
+
+
+def _cell_on(array: np.ndarray, crs: str, transform: Affine, target: Grid) -> tuple[float, float]:
+    """Width and height of a cell in the middle of a map, in cells of a grid; 1 where the grid's CRS does not reach."""
+    from rasterio.warp import transform as in_other
+
+    rows, cols = array.shape[-2] / 2, array.shape[-1] / 2
+    corners = [(cols, rows), (cols + 1, rows), (cols, rows + 1)]
+    xs = [transform.a * col + transform.b * row + transform.c for col, row in corners]
+    ys = [transform.d * col + transform.e * row + transform.f for col, row in corners]
+    with _ways(crs, target.crs):
+        xs, ys = in_other(crs, target.crs, xs, ys)
+    wide, high = (math.hypot(xs[k] - xs[0], ys[k] - ys[0]) / target.cell_size for k in (1, 2))
+    return (wide, high) if math.isfinite(wide + high) else (1.0, 1.0)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from sattools.errors import InputError
 from sattools.scene.globe import columns_of_turn
 from sattools.scene.grid import Grid
 from sattools.scene.opening import opened
-from sattools.scene.placement import crs_of, place_at
+from sattools.scene.placement import bounds_of_file, crs_of, place_at
 from sattools.scene.raster import read_window
 from sattools.scene.regrid import bounds_in, bounds_of, warp_map
 
@@ -23,7 +23,12 @@ _SPARE_CELLS = 4  # around a part, in which interpolation looks
 
 
 def read_warped(
-    path: Path, target: Grid, known: Callable[[np.ndarray], np.ndarray] | None = None, *, nearest: bool = False
+    path: Path,
+    target: Grid,
+    known: Callable[[np.ndarray], np.ndarray] | None = None,
+    *,
+    nearest: bool = False,
+    means: bool = False,
 ) -> np.ndarray:
     """A raster ``[B, h, w]`` float32 on a grid, of which only the part that lies there is read.
 
@@ -34,6 +39,7 @@ def read_warped(
         target: the grid; NaN where the raster is not.
         known: makes NaN of what are no numbers, before anything is interpolated.
         nearest: take the nearest cell instead of interpolating.
+        means: see `sattools.scene.regrid.reproject_map`.
 
     Raises:
         InputError: unreadable, or without a CRS.
@@ -60,7 +66,7 @@ def read_warped(
         array = array.astype(np.float32) if known is None else known(array)
         first = _mapped(place, left, top)
         transform = Affine(place.a, place.b, first[0], place.d, place.e, first[1])
-        return warp_map(array, crs, transform, target, nearest=nearest)
+        return warp_map(array, crs, transform, target, nearest=nearest, means=means)
 
 
 def _columns(data: DatasetReader, wanted: tuple[int, int]) -> tuple[int, list[tuple[int, int]]]:
@@ -88,7 +94,7 @@ def _columns(data: DatasetReader, wanted: tuple[int, int]) -> tuple[int, list[tu
 
 
 def ground_grid(path: Path, crs_at: Callable[[float, float], str]) -> Grid:
-    """A grid of square cells over all of a raster, about as large as its own.
+    """A grid of square cells over all of a raster, which have about the area of its own.
 
     Args:
         path: the file.
@@ -99,18 +105,22 @@ def ground_grid(path: Path, crs_at: Callable[[float, float], str]) -> Grid:
         SceneError: no transformation between the two CRS is known.
     """
     with opened(path) as data:
-        own, shape = crs_of(data, path), data.shape
-        corners = [_mapped(data.transform, col, row) for col in (0, data.width) for row in (0, data.height)]
+        own, around, shape = crs_of(data, path), bounds_of_file(data), data.shape
+        cell_area = abs(data.transform.determinant)
         if data.crs.is_geographic and columns_of_turn(data.width, data.transform.a):
             raise InputError(f"{path}: found a raster around the globe, expected one of its place (crop it)")
-    xs, ys = zip(*corners, strict=True)
-    around = min(xs), min(ys), max(xs), max(ys)
     west, south, east, north = bounds_of("EPSG:4326", own, around)
     crs = crs_at((west + east) / 2, (south + north) / 2)
     box = bounds_of(crs, own, around)
     if not (all(math.isfinite(edge) for edge in box) and box[0] < box[2] and box[1] < box[3]):
         raise InputError(f"{path}: found a raster that does not lie within {crs}, expected one of its place")
-    cell = math.sqrt((box[2] - box[0]) * (box[3] - box[1]) / (shape[0] * shape[1]))
+    covered = (box[2] - box[0]) * (box[3] - box[1])
+    own_box = (around[2] - around[0]) * (around[3] - around[1])
+    # a raster that is turned leaves the corners of its box empty
+    share = cell_area * shape[0] * shape[1] / own_box
+    if share < 1 - 1e-6:
+        covered *= share
+    cell = math.sqrt(covered / (shape[0] * shape[1]))
     return Grid.from_bounds(crs, box, cell)
 
 

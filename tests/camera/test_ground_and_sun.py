@@ -20,6 +20,7 @@ from sattools.camera.ground import (
     foreshortening,
     from_geographic,
     grid_direction,
+    ground_area,
     ground_rays,
     ground_sample_distance,
     project,
@@ -90,6 +91,22 @@ def test_a_crs_of_another_region_is_refused_where_its_metres_are_none() -> None:
         check_scale(UTM33, 33.0, 0.0)  # UTM: 0.9996 cosh(18 degrees) eastwards
     with pytest.raises(InputError, match=r"at 46\.000 N 15\.000 E .* expected a CRS of this region"):
         check_scale("EPSG:3577", 15.0, 46.0)  # Australia's
+
+
+@pytest.mark.parametrize(
+    ("crs", "lon", "lat", "area"),
+    [
+        (UTM33, 15.0, 46.0, 1 / 0.9996**2),  # on the central meridian
+        ("EPSG:3857", 10.0, 0.0, 0.993306),  # a sphere of the equator's radius, so 1 - e^2 northwards
+        ("EPSG:3857", 10.0, 60.0, 0.250839),  # and not the sphere's 1/4
+        ("EPSG:3035", 30.0, 60.0, 1.0),  # of equal areas
+    ],
+)
+def test_a_square_metre_of_a_map_is_so_large_on_the_ground(crs: str, lon: float, lat: float, area: float) -> None:
+    x, y = from_geographic(crs, lon, lat)
+    assert ground_area(crs, (x - 50, y - 50, x + 50, y + 50)) == pytest.approx(area, abs=1e-6)
+    with pytest.raises(InputError, match="does not reach"):
+        ground_area(crs, (9e8, 9e8, 9.1e8, 9.1e8))
 
 
 @pytest.mark.parametrize(("run", "tangent"), [((0.0, 0.0), 0.0), ((0.6, 0.0), 0.6), ((0.3, -0.4), 0.5)])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from pyproj import Geod, Transformer
 
 from sattools.cli import main
 from sattools.scene.grid import Grid
@@ -30,6 +31,7 @@ def run(*arguments: str) -> Any:
         ("EPSG:2236", 452_000.0, 2_190_000.0, 3.0, "not projected in metres"),  # feet: volumes 11 times too large
         ("EPSG:4326", -81.66, 30.35, 1e-5, "not projected in metres"),
         ("EPSG:3857", -9_090_000.0, 3_548_000.0, 1.0, "1.16 m in it are 1 m on the ground"),
+        ("EPSG:32617", 9e8, 9e8, 1.0, "found coordinates where it does not reach"),
     ],
 )
 def test_changes_are_measured_on_maps_of_metres(
@@ -43,6 +45,32 @@ def test_changes_are_measured_on_maps_of_metres(
     assert why in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("crs", "lon", "lat"),
+    [
+        ("EPSG:32617", -87.0, 30.0),  # an edge of the zone and another zone away
+        ("EPSG:32617", -81.0, 30.0),  # the middle of the zone
+        ("EPSG:3395", 10.0, 5.0),  # Mercator near the equator
+        ("EPSG:3035", 30.0, 60.0),  # of equal areas, though not of equal lengths
+    ],
+)
+def test_areas_and_volumes_are_those_on_the_ground_not_those_of_the_map(
+    tmp_path: Path, crs: str, lon: float, lat: float
+) -> None:
+    to_map = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    left, top = (round(v) for v in to_map.transform(lon, lat))
+    before, after = (surface(tmp_path / f"{k}.tif", crs, left, top, 2.0, rise=k * 8.0) for k in (0, 1))
+    done = run("change", before, after, "--out", str(tmp_path / "out"), "--register", "none")
+    assert done.exit_code == 0, done.stderr
+    (region,) = json.loads(done.stdout)["regions"]
+    # 10 x 10 cells of 2 m that have risen, along the ellipsoid
+    x, y = np.array([20.0, 40, 40, 20]) + left, top - np.array([20.0, 20, 40, 40])
+    on_ground = abs(Geod(ellps="WGS84").polygon_area_perimeter(*to_map.transform(x, y, direction="INVERSE"))[0])
+    assert region["area_m2"] == pytest.approx(on_ground, rel=2e-4)  # 4 digits are told
+    assert region["volume_m3"] == pytest.approx(8.0 * on_ground, rel=2e-4)
+    assert region["mean_m"] == 8.0
 
 
 def test_a_surface_in_feet_east_and_north_is_scored_on_cells_in_metres(tmp_path: Path) -> None:
