@@ -17,6 +17,7 @@ from sattools.scene.dependencies import files_of
 from sattools.scene.document import Scene, check_id
 from sattools.scene.files import remove_orphans, write_text
 from sattools.scene.jsonio import JsonObject, read_json
+from sattools.scene.location import RemotePath
 from sattools.scene.schema import Anything, Items, Table, Text
 
 log = logging.getLogger(__name__)
@@ -106,9 +107,9 @@ class Task:
 
 
 def _complete(document: Path) -> bool:
-    """Whether a scene's document is there and all files that it names are."""
+    """Whether a scene's document is there and all files that it names are; those elsewhere are believed to be."""
     try:
-        return all(path.is_file() for path in files_of(Scene.from_file(document)))
+        return all(isinstance(path, RemotePath) or path.is_file() for path in files_of(Scene.from_file(document)))
     except SattoolsError:  # missing, or damaged
         return False
 

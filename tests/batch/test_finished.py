@@ -10,6 +10,7 @@ from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration, Task
 from sattools.batch.stage import make_plan
 from sattools.batch.task import perform
+from sattools.scene.location import remote_allowed
 
 DEFAULT = Configuration("default")
 
@@ -54,6 +55,16 @@ def test_a_result_of_which_a_file_is_gone_is_made_again(make_town: Any, tmp_path
     (tmp_path / "copy/runs/default/A/export/dsm.tif").unlink()
     jobs = make_plan(BatchOptions(out=str(tmp_path / "copy")), [scene], [DEFAULT]).jobs
     assert [job.task.key for job in jobs] == [task.key]
+
+
+def test_files_on_other_machines_are_not_asked_for(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    task = finished(scene, tmp_path / "out")
+    content = json.loads(task.document.read_text())
+    content["features"][0]["assets"]["thumbnail"] = {"href": "https://example.invalid/A.png"}
+    task.document.write_text(json.dumps(content))
+    with remote_allowed():
+        assert make_plan(BatchOptions(out=str(tmp_path / "out")), [scene], [DEFAULT]).jobs == []
 
 
 def test_the_log_has_commands_that_a_shell_takes(make_town: Any, tmp_path: Path) -> None:
