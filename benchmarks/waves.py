@@ -1,10 +1,12 @@
 """A harbour with waves: errors of the prior on water and on land, with water laid level with its shore and kept.
 
-    python benchmarks/waves.py --out FOLDER [--seed 932] [SCENE/scene.json=REFERENCE.tif ...]
+    python benchmarks/waves.py --out FOLDER [--seeds 932 ...] [--images 12 ...] [--one-pass] [SCENE=REFERENCE.tif ...]
 
 The western three fifths of a simulated downtown become water 2 m below its ground, and every image gets waves and
-glints of its own there, as no two images of water show the same. More scenes (from `sattools prep`) whose reference
-has a class map with water (9) beside it can be given. Errors are about the median of those on land.
+glints of its own there, as no two images of water show the same. So many of its twelve images of many dates are
+matched; with `--one-pass` it is seen by three images of one pass instead, 20 degrees off nadir. More scenes
+(`SCENE/scene.json`, from `sattools prep`) whose reference has a class map with water (9) beside it can be given; with
+an empty `--seeds` nothing is simulated. Errors are about the median of those on land.
 """
 
 from __future__ import annotations
@@ -68,29 +70,42 @@ def add_waves(image: Path, heights: Path, level: float, seed: int) -> None:
         file.write(np.clip(pixels, 1, 2047).astype(file.dtypes[0]))
 
 
-def harbour(out: Path, seed: int) -> tuple[Path, Path]:
-    """A prepared scene, and its reference."""
+def harbour(out: Path, seed: int, counts: list[int], one_pass: bool) -> list[tuple[Path, Path]]:
+    """Prepared scenes of so many images each, and their reference."""
     sattools("simulate", "--terrain", "downtown", "--seed", str(seed), "--id", "town", "--out", str(out))
     level = with_water(out / "town/truth/town", out / "harbour")
     given = ["--dsm", f"{out}/harbour_DSM.tif", "--classes", f"{out}/harbour_CLS.tif", "--bias-px", "2", "--seed", "5"]
+    given += ["--views", "3", "--dates", "1", "--off-nadir", "20"] if one_pass else []
     sattools("simulate", "--terrain", "downtown", *given, "--id", "harbour", "--out", str(out))
     images = sorted((out / "harbour/images").glob("*.tif"))
     for k, image in enumerate(images):
         add_waves(image, out / f"harbour/truth/views/{image.stem}_HEIGHT.tif", level, k + 1)
-    names = [str(image) for image in images]
-    sattools("prep", *names, "--metadata", f"{out}/harbour/metadata", "--id", "waves", "--out", str(out))
-    return out / "waves/scene.json", out / "harbour/truth/harbour_DSM.tif"
+    scenes = []
+    for count in [len(images)] if one_pass else counts:
+        names = [str(images[round(k)]) for k in np.linspace(0, len(images) - 1, count)]
+        scene = f"{seed}_{count}"
+        sattools("prep", *names, "--metadata", f"{out}/harbour/metadata", "--id", scene, "--out", str(out))
+        scenes.append((out / scene / "scene.json", out / "harbour/truth/harbour_DSM.tif"))
+    return scenes
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="*", metavar="SCENE=REFERENCE")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--seed", type=int, default=932)
+    parser.add_argument("--seeds", type=int, nargs="*", default=[932])
+    parser.add_argument("--images", type=int, nargs="+", default=[12])
+    parser.add_argument("--one-pass", action="store_true")
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    pairs = [tuple(map(Path, text.split("=", 1))) for text in options.scenes]
-    for path, truth in [harbour(options.out, options.seed), *pairs]:
+    pairs: list[tuple[Path, Path]] = []
+    for seed in options.seeds:
+        folder = options.out / str(seed)
+        folder.mkdir(parents=True, exist_ok=True)
+        pairs += harbour(folder, seed, options.images, options.one_pass)
+    for text in options.scenes:
+        scene, _, truth = text.partition("=")
+        pairs.append((Path(scene), Path(truth)))
+    for path, truth in pairs:
         scene = Scene.from_file(path)
         found, wide, _, pairs = matched_of_pairs(scene, replace(PriorOptions(), water="keep"))
         level, confidence = found.height.copy(), match_confidence(found)

@@ -60,8 +60,8 @@ class PriorOptions:
     )
     water: Literal["level", "keep"] = option(
         "level",
-        "Wide water with waves, of which no two of many images show the same: laid level with its shore, without "
-        "confidence, or kept as it is matched, in lumps.",
+        "Wide water with waves, of which no two images show the same: laid level with its shore, without confidence, "
+        "or kept as it is matched, in lumps.",
     )
     mixed: float = option(
         0.1,

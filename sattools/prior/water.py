@@ -18,7 +18,9 @@ from sattools.scene.stored import pieces
 BLOCK_M = 4.0  # edge of the blocks that are looked at
 CORE = 0.08  # mean confidence of a square of 5 blocks, up to which nothing of it has been matched
 UNMATCHED = 0.3  # of what looks like water, at least, is so
-FEW_PAIRS, FEW_CORE, FEW_UNMATCHED = 12, 0.04, 0.5  # the same with fewer pairs of images, which are sure of less
+SHOWN = 0.5  # of the images show it, more than that share
+FEW_PAIRS = 12  # with fewer pairs of images, which are sure of less, the same three are:
+FEW_CORE, FEW_UNMATCHED, FEW_SHOWN = 0.04, 0.5, 0.49  # two of four, where glare is masked in the others
 AROUND = 2.0  # times that, of a square of 3 blocks, up to which it belongs to such a place beside it
 SURE = 0.25  # confidence of a cell, from which on it has been matched
 TOGETHER, TOGETHER_M = 0.4, 4.0  # share of the cells of a square of that edge that are sure where anything is
@@ -97,7 +99,7 @@ def water_levels(blocks: np.ndarray, edge: float, looks: Looks, *, few: bool = F
         few: fewer than `FEW_PAIRS` pairs of images were matched.
     """
     confidence, height, square, sure, found = blocks
-    core, least_core = (FEW_CORE, FEW_UNMATCHED) if few else (CORE, UNMATCHED)
+    core, least_core, shown = (FEW_CORE, FEW_UNMATCHED, FEW_SHOWN) if few else (CORE, UNMATCHED, SHOWN)
     levels = np.full(height.shape, np.nan, np.float32)
     unmatched = uniform_filter(confidence, 5, mode="nearest") < core
     regions, _ = label(unmatched | (uniform_filter(confidence, 3, mode="nearest") < AROUND * core))
@@ -113,7 +115,7 @@ def water_levels(blocks: np.ndarray, edge: float, looks: Looks, *, few: bool = F
         shore = _shore(region, known, found[wide])
         if not len(shore):
             continue
-        parts = _plain_parts(region, looks, wide, float(np.percentile(shore, LOW)))
+        parts = _plain_parts(region, looks, wide, float(np.percentile(shore, LOW)), shown)
         for k, inner in enumerate(find_objects(parts), 1):
             near = _widened(inner, region.shape)
             # what lies beside the rim of water is no longer plain, and yet water
@@ -147,8 +149,8 @@ def _shore(region: np.ndarray, sure: np.ndarray, found: np.ndarray) -> np.ndarra
     return np.asarray(found[beside] / sure[beside])
 
 
-def _plain_parts(region: np.ndarray, looks: Looks, box: Box, level: float) -> np.ndarray:
-    """What of a region ``[h, w]`` the images show without contrast: numbers of its connected parts, 0 elsewhere."""
+def _plain_parts(region: np.ndarray, looks: Looks, box: Box, level: float, least: float) -> np.ndarray:
+    """What of a region ``[h, w]`` more than that share of the images show, without contrast: numbers of its parts."""
     plain = np.zeros(region.shape, bool)
     for rows, cols in _tiles(region):
         top, left = min(rows.start, 1), min(cols.start, 1)
@@ -164,7 +166,7 @@ def _plain_parts(region: np.ndarray, looks: Looks, box: Box, level: float) -> np
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = value / share
             contrast = np.sqrt(np.maximum(square / share - mean * mean, 0.0)) / mean
-        inside = _median(np.where(valid, contrast, np.nan))[top:, left:] < PLAIN
+        inside = _median(np.where(valid, contrast, np.nan), least)[top:, left:] < PLAIN
         plain[rows, cols] = inside[: rows.stop - rows.start, : cols.stop - cols.start]
     parts, _ = label(region & plain)
     return np.asarray(parts)
@@ -200,12 +202,12 @@ def _placed(inner: Box, outer: Box) -> Box:
     return rows, cols
 
 
-def _median(values: np.ndarray) -> np.ndarray:
-    """Of the known among the first axis, where these are two and more than half; else infinite."""
+def _median(values: np.ndarray, least: float) -> np.ndarray:
+    """Of the known among the first axis, where these are two, and more than that share of all; else infinite."""
     known = np.isfinite(values).sum(axis=0)
     ordered = np.sort(values, axis=0)  # NaN last
     middle = np.take_along_axis(ordered, np.maximum(known - 1, 0)[None] // 2, axis=0)[0]
-    return np.where((known >= 2) & (known > 0.5 * len(values)), middle, np.inf)
+    return np.where((known >= 2) & (known > least * len(values)), middle, np.inf)
 
 
 def _bands(shape: tuple[int, int], size: int) -> Iterator[tuple[slice, slice]]:
