@@ -32,7 +32,7 @@ FEWEST = 15  # sure blocks of a shore
 LOW = 10  # per cent of these, which are at most as high as water
 LEVEL_M, LEVEL_SHARE = 3.0, 0.5  # so many of them lie so close above that: 53 to 100 % of shores', 11 to 33 % of hills'
 PLAIN = 0.15  # of the brightness is its standard deviation among 3 by 3 blocks, at most, in half of the images
-TILE = 64  # blocks along an edge of what is looked at together: over kilometres glint makes water brighter and darker
+TILE = 128  # blocks along an edge of what is looked at together: over kilometres glint makes water lighter and darker
 ALIKE = 0.4  # of its median are all blocks' 80 % in the middle wide, at most: water 0.01 to 0.33, all else 0.33 to 2
 
 Box = tuple[slice, slice]
