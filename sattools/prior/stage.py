@@ -25,7 +25,7 @@ from sattools.prior.options import PriorOptions
 from sattools.prior.project import seen_by
 from sattools.prior.surroundings import with_surroundings
 from sattools.prior.tiled import AT_ONCE, match_tiles
-from sattools.prior.water import level_water
+from sattools.prior.water import SURE, level_water
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Item, Scene
 from sattools.scene.dependencies import MADE, begin, record, seen
@@ -37,6 +37,7 @@ from sattools.views import Opened, Source, load_sources, open_images, warn_of_bl
 from sattools.views.check import check_extent
 
 LEAST_TOLD = 0.005  # of the area, which is named
+LEAST_SURE = 0.02  # of what two images see: with less, heights are guesses (0.001 to 0.003; right ones from 0.05 on)
 COUNTS = 0.9  # of what the others do: an image that counts less is named
 
 log = logging.getLogger(__name__)
@@ -192,9 +193,13 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
             files.write(height[around], confidence[around], rows)
 
 
-def _mean(values: np.ndarray) -> float:
-    total = sum(float(values[rows].sum(dtype=np.float64)) for rows in pieces((values.shape[0], values.shape[1])))
-    return total / values.size
+def _mean(values: np.ndarray, least: float | None = None) -> float:
+    """Of a map, some rows at a time; or the share of its cells that have so much at least."""
+
+    def total(part: np.ndarray) -> float:
+        return float(part.sum(dtype=np.float64) if least is None else np.count_nonzero(part >= least))
+
+    return sum(total(values[rows]) for rows in pieces((values.shape[0], values.shape[1]))) / values.size
 
 
 def _per_image(
@@ -236,6 +241,12 @@ def _notes(scene: Scene, found: Matched, images: int, grid: Grid, water: float) 
     less = sorted(name for name, share in found.shares.items() if share < COUNTS)
     if less:
         notes.append(f"{', '.join(less)}: less weight in the matching, being less sharp than other images")
+    sure = _mean(found.confidence, SURE) / max(found.seen_by_two, 1e-9)
+    if found.seen_by_two > 0 and sure < LEAST_SURE:
+        notes.append(
+            f"images agree about {100 * sure:.1f} % of what two of them see: heights are guesses; more images, or some "
+            "of more alike directions and dates, would agree about more"
+        )
     if water > LEAST_TOLD:
         notes.append(f"{100 * water:.0f} % of the area looks like water with waves, laid level with its shore")
     if found.seen_by_two < 0.9:

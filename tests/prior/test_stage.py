@@ -247,6 +247,20 @@ def test_two_images_give_a_surface_and_say_what_that_means(make_town: Any) -> No
     assert np.isfinite(product(scene, "prior_dsm")[0]).all()
 
 
+def test_images_that_agree_about_nothing_are_warned_of(make_town: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """As two of towers and two dates: their heights may be tens of metres off, and only the confidence had told."""
+    scene = make_town()
+    rng = np.random.default_rng(0)
+    for item in scene.items:
+        with rasterio.open(scene.path(item.assets["image"].href), "r+") as file:
+            pixels = rng.integers(100, 1500, (file.count, file.height, file.width))
+            file.write(pixels.astype(file.dtypes[0]))
+    notes = prior(scene, PriorOptions())["notes"]
+    (told,) = [note for note in notes if "heights are guesses" in note]
+    assert told.startswith("images agree about 0.")
+    assert told in caplog.text
+
+
 def test_one_image_or_one_direction_is_an_error(make_town: Any) -> None:
     scene = make_town()
     scene.items = scene.items[:1]
