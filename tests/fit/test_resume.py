@@ -286,7 +286,7 @@ def test_a_finished_fit_that_is_out_of_date_is_replaced_only_where_that_is_asked
     """`normalise` has put it out of date, so that the document names its model no more; there is nothing to resume."""
     scene = api.normalise(api.fit(make_town("TOWN"), SHORT))
     before = (scene.root / "fit/model.safetensors").read_bytes()
-    with pytest.raises(OutputExistsError, match=r"fit/model.safetensors: exists already; give --overwrite"):
+    with pytest.raises(OutputExistsError, match=r"fit/model.safetensors: exists already; give overwrite=True"):
         api.fit(scene, replace(SHORT, resume=True))
     assert (scene.root / "fit/model.safetensors").read_bytes() == before
     api.fit(scene, replace(SHORT, resume=True, seed=1), overwrite=True)
