@@ -31,13 +31,19 @@ def run(script: str, *arguments: str, **environment: str) -> subprocess.Complete
     )
 
 
+def stand_in(program: Path, text: str) -> None:
+    """Write a program in Python that is run in another one's place."""
+    program.parent.mkdir()
+    program.write_text(f"#!{sys.executable}\n{text}")
+    program.chmod(0o755)
+
+
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Path:
     """A stand-in for `sbatch` that runs jobs where it is called, and keeps their command lines."""
     program = tmp_path / "bin/sbatch"
-    program.parent.mkdir()
-    program.write_text(
-        f"#!{sys.executable}\n"
+    stand_in(
+        program,
         "import os, subprocess, sys\n"
         f"open({str(tmp_path / 'calls')!r}, 'a').write('\\t'.join(sys.argv[1:]) + '\\n')\n"
         "array = next((a.split('=')[1] for a in sys.argv if a.startswith('--array=')), None)\n"
@@ -46,9 +52,8 @@ def scheduler(tmp_path: Path) -> Path:
         "for k in range(first, last + 1):\n"
         "    more = {'SLURM_ARRAY_TASK_ID': str(k)} if array else {}\n"
         "    subprocess.run(command, shell=True, check=True, env={**os.environ, **more})\n"
-        "print(41)\n"
+        "print(41)\n",
     )
-    program.chmod(0o755)
     (tmp_path / "bin/sattools").symlink_to(Path(sys.executable).parent / "sattools")
     return program.parent
 
@@ -74,12 +79,8 @@ def test_a_slurm_cluster_makes_what_one_machine_makes(make_town: Any, scheduler:
 def recorder(tmp_path: Path) -> Path:
     """A stand-in for `sattools` that does nothing, and keeps its arguments, a line of JSON a call."""
     program = tmp_path / "our own/sattools"
-    program.parent.mkdir()
-    program.write_text(
-        f"#!{sys.executable}\nimport json, sys\n"
-        f"print(json.dumps(sys.argv[1:]), file=open({str(tmp_path / 'did')!r}, 'a'))\n"
-    )
-    program.chmod(0o755)
+    kept = str(tmp_path / "did")
+    stand_in(program, f"import json, sys\nprint(json.dumps(sys.argv[1:]), file=open({kept!r}, 'a'))\n")
     return program
 
 

@@ -133,9 +133,8 @@ def water_levels(blocks: np.ndarray, edge: float, looks: Looks, *, few: bool = F
     return levels
 
 
-def _widened(box: Sequence[slice], shape: Sequence[int]) -> Box:
-    """A box with the blocks around it, among which its shore is."""
-    edge = RIMS[-1]
+def _widened(box: Sequence[slice], shape: Sequence[int], edge: int = RIMS[-1]) -> Box:
+    """A box with so many blocks around it, among which its shore is."""
     rows, cols = (slice(max(0, p.start - edge), min(p.stop + edge, count)) for p, count in zip(box, shape, strict=True))
     return rows, cols
 
@@ -153,12 +152,7 @@ def _plain_parts(region: np.ndarray, looks: Looks, box: Box, level: float, least
     """What of a region ``[h, w]`` more than that share of the images show, without contrast: numbers of its parts."""
     plain = np.zeros(region.shape, bool)
     for rows, cols in _tiles(region):
-        top, left = min(rows.start, 1), min(cols.start, 1)
-        # one more block on every side, for the contrast of those at the border
-        around = (
-            slice(rows.start - top, min(rows.stop + 1, region.shape[0])),
-            slice(cols.start - left, min(cols.stop + 1, region.shape[1])),
-        )
+        around = _widened((rows, cols), region.shape, 1)  # for the contrast of blocks at the border
         seen = looks(*_placed(around, box), level)
         valid = np.isfinite(seen)
         shown = np.where(valid, seen, 0.0).astype(np.float64)
@@ -166,24 +160,25 @@ def _plain_parts(region: np.ndarray, looks: Looks, box: Box, level: float, least
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = value / share
             contrast = np.sqrt(np.maximum(square / share - mean * mean, 0.0)) / mean
-        inside = _median(np.where(valid, contrast, np.nan), least)[top:, left:] < PLAIN
-        plain[rows, cols] = inside[: rows.stop - rows.start, : cols.stop - cols.start]
+        inside = slice(rows.start - around[0].start, None), slice(cols.start - around[1].start, None)
+        found = (_median(np.where(valid, contrast, np.nan), least) < PLAIN)[inside]
+        plain[rows, cols] = found[: rows.stop - rows.start, : cols.stop - cols.start]
     parts, _ = label(region & plain)
     return np.asarray(parts)
 
 
 def _alike(blocks: np.ndarray, looks: Looks, box: Box, level: float) -> bool:
     """Whether each image shows blocks ``[h, w]`` bool of a box in one brightness, in half of its tiles at least."""
-    widths, counts = [], []
+    count = 0
     for tile in _tiles(blocks):
         seen = looks(*_placed(tile, box), level)[:, blocks[tile]]
         shown = seen[np.isfinite(seen).mean(axis=1) > 0.5]
-        low, middle, high = np.nanpercentile(shown, (10, 50, 90), axis=1) if len(shown) else np.zeros((3, 1))
-        widths.append(
-            np.median((high - low) / np.maximum(middle, 1e-9)) if len(shown) >= max(2, len(seen) / 2) else np.inf
-        )
-        counts.append(blocks[tile].sum())
-    return bool(np.sum(np.array(counts)[np.array(widths) <= ALIKE]) >= 0.5 * blocks.sum())
+        if len(shown) < max(2, len(seen) / 2):
+            continue
+        low, middle, high = np.nanpercentile(shown, (10, 50, 90), axis=1)
+        if np.median((high - low) / np.maximum(middle, 1e-9)) <= ALIKE:
+            count += int(blocks[tile].sum())
+    return count >= 0.5 * int(blocks.sum())
 
 
 def _tiles(blocks: np.ndarray) -> Iterator[Box]:
