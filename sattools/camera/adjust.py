@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sattools.camera.bundle import Block, Solution, residual_norm, solve, triangulate
+from sattools.camera.heights import in_company
 from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 
 UNCHANGED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))  # matrix of a view that is not corrected
 CORRECTED = "; corrected"  # end of the note of a camera that was far off
+_MANY = 30  # ground points of three views or more that tell the heights without those of two
+_SURE = 12  # of two views, confirmed by neighbours, that do without the others
 _ROUGHLY = 1e-3  # gain of a step at which cameras are good enough to tell false matches and to compare models
 
 
@@ -106,10 +109,14 @@ class Adjustment:
         )  # fmt: skip
 
     def heights(self) -> Array:
-        """Heights of the ground points seen by three views or more (of all, where there are too few of these), [m]."""
-        sizes = self.tracks.sizes()
-        many = sizes >= 3
-        return self.points[many if many.sum() >= 30 else slice(None), 2]
+        """Heights [m] of the ground points that are sure.
+
+        Those seen by three views or more, of two views those that neighbours confirm; all where these are too few.
+        """
+        sure, enough = self.tracks.sizes() >= 3, _MANY
+        if len(self.views) == 2:
+            sure, enough = in_company(self.points), _SURE
+        return self.points[sure if sure.sum() >= enough else slice(None), 2]
 
     def to_dict(self) -> JsonObject:
         """Plain types for JSON."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sattools.camera.ground import metres_per_degree
 from sattools.camera.planes import Array, Bounds, GroundPlanes, blurred
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
@@ -16,6 +17,10 @@ from sattools.processors import side_by_side
 from sattools.progress import Progress, silent
 
 PATCH = {7: 50, 12: 35}  # cells, by views that show a place: smaller patches agree by chance; between them a line
+PAIR_PATCH = 110.0  # of two images: by chance up to 100 (66 pairs)
+PAIR_ROOFS_M = 20.0  # above what two images tell: neither tie points nor patches so large show most towers then
+NEIGHBOURS, CONFIRM = 8, 2  # tie points around one, and how many of them have to lie about as high
+NEAR_M, STEEPEST = 2.0, 0.4  # what counts as about as high: so many metres, or so many of every metre to the neighbour
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,27 @@ def tie_point_range(heights: Array, options: HeightOptions | None = None) -> tup
         raise InputError("height range: found no tie points, expected images that overlap")
     low, high = np.quantile(heights, [options.tail, 1.0 - options.tail])
     return float(low), float(high)
+
+
+def in_company(points: Array) -> NDArray[np.bool_]:
+    """Which tie points ``[n]`` have neighbours that lie about as high.
+
+    Two views cannot contradict a false match along the line of sight, which lies at any height of those searched. Its
+    neighbours lie somewhere else; those of a true one stand on the same ground or roof.
+
+    Args:
+        points: ``[n, 3]`` longitude, latitude [degrees] and height [m].
+    """
+    from scipy.spatial import cKDTree
+
+    if len(points) <= CONFIRM:
+        return np.zeros(len(points), bool)
+    lon, lat, heights = points.T
+    east, north = metres_per_degree(float(np.median(lat)))
+    places = np.stack([((lon - lon[0] + 180) % 360 - 180) * east, lat * north], axis=1)
+    apart, near = (found[:, 1:] for found in cKDTree(places).query(places, min(NEIGHBOURS + 1, len(places))))
+    alike = np.abs(heights[near] - heights[:, None]) < np.maximum(NEAR_M, STEEPEST * apart)
+    return np.asarray(alike.sum(axis=1) >= CONFIRM)
 
 
 def estimate_height_range(
@@ -71,9 +97,10 @@ def estimate_height_range(
     search = (low - 0.5 * span, high + max(2.0 * span, options.towers_m))
     planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
     patches, views = sweep_patches(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
-    low, high = extend_range(low, high, planes, patches, least_patch(views))
+    pair = len(rpcs) == 2
+    low, high = extend_range(low, high, planes, patches, PAIR_PATCH if pair else least_patch(views))
     margin = max(options.margin * (high - low), options.min_margin_m)
-    return low - margin, high + margin
+    return low - margin, high + margin + (PAIR_ROOFS_M if pair else 0.0)
 
 
 def least_patch(views: float) -> float:
@@ -223,6 +250,7 @@ __all__ = [
     "by_chance",
     "estimate_height_range",
     "extend_range",
+    "in_company",
     "least_patch",
     "sweep_patches",
     "tie_point_range",

@@ -11,6 +11,7 @@ from sattools.camera.heights import (
     by_chance,
     estimate_height_range,
     extend_range,
+    in_company,
     least_patch,
     sweep_patches,
     tie_point_range,
@@ -53,6 +54,54 @@ def test_the_range_is_widened_to_planes_with_a_patch_that_clearly_agrees_only() 
 def test_the_more_views_agree_the_smaller_a_roof_may_be() -> None:
     """Patches of chance had up to 47, 40 and 28 cells with 3, 7 and 12 views; tops of towers had 41 and 44 with 12."""
     assert [least_patch(views) for views in (0, 3, 7, 9, 12, 30)] == [50.0, 50.0, 50.0, 44.0, 35.0, 35.0]
+
+
+def scattered(n: int, lon: float, seed: int = 0) -> Any:
+    """Longitude, latitude and height of ground points over a square of some 200 m, on level ground 12 m high."""
+    random = np.random.default_rng(seed)
+    where = random.uniform(-1e-3, 1e-3, (n, 2))
+    return np.column_stack([(lon + where[:, 0] + 180) % 360 - 180, 30.0 + where[:, 1], random.normal(12.0, 0.3, n)])
+
+
+@pytest.mark.parametrize("lon", [13.0, 180.0])
+def test_matches_at_any_height_have_no_company_those_on_ground_and_roofs_have(lon: float) -> None:
+    points = scattered(160, lon)
+    east = (points[:, 0] - lon + 180) % 360 - 180
+    roof = (np.abs(east) < 3e-4) & (np.abs(points[:, 1] - 30.0) < 3e-4)
+    points[roof, 2] += 60.0
+    false = np.arange(0, 160, 4)
+    points[false, 2] = np.random.default_rng(1).uniform(-300.0, 300.0, len(false))
+    sure = in_company(points)
+    true = np.setdiff1d(np.arange(160), false)
+    assert roof[true].sum() >= 8
+    assert sure[true].mean() > 0.95
+    assert sure[false].mean() < 0.2
+    assert points[sure, 2].min() > 0.0
+    assert points[sure, 2].max() < 90.0
+
+
+def test_a_hillside_keeps_its_range() -> None:
+    """Neighbours on a slope of 30 degrees differ by more than 2 m, but some of eight lie along the slope."""
+    points = scattered(200, 13.0)
+    points[:, 2] += np.tan(np.radians(30)) * (points[:, 1] - 30.0) * 110_852.0
+    sure = in_company(points)
+    assert sure.mean() > 0.5
+    assert np.ptp(points[sure, 2]) > 0.95 * np.ptp(points[:, 2])
+
+
+def test_above_a_pair_more_is_looked_at_than_tie_points_and_patches_tell() -> None:
+    ground = texture()
+    images = [render(ground, r, height=lambda e, n: 0 * e + 12.0) for r in RUNS]
+    cameras = [parallel_rpc(r) for r in RUNS]
+    heights = np.linspace(ALT0 + 10.0, ALT0 + 14.0, 50)
+    low, high = estimate_height_range(heights, images[:3], cameras[:3], "EPSG:32633", BOUNDS)
+    pair = estimate_height_range(heights, images[:2], cameras[:2], "EPSG:32633", BOUNDS)
+    assert pair == pytest.approx((low, high + 20.0), abs=1.0)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_a_few_points_are_no_company(n: int) -> None:
+    assert not in_company(scattered(n, 13.0)).any()
 
 
 def test_the_sweep_peaks_at_the_height_of_a_plain() -> None:
