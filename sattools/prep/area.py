@@ -14,7 +14,7 @@ from sattools.errors import InputError
 from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
-from sattools.scene.vectors import is_geojson, polygons_in, read_layer, read_polygons
+from sattools.scene.vectors import in_crs, is_geojson, polygons_in, read_features, read_layer, read_polygons
 
 log = logging.getLogger(__name__)
 _SAME_M = 1.0
@@ -145,6 +145,36 @@ def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | Non
     return _box(*from_geographic(crs, x.ravel(), y.ravel()), "bounds")
 
 
+def exchanged_bounds(area: Path | Sequence[float], crs: str) -> Bounds | None:
+    """Bounds in `crs` [m] of an area with its latitudes taken for longitudes and the other way round.
+
+    None where that is no area either, or the area is not given in degrees.
+
+    Args:
+        area: vector file, or numbers as of `--bounds` (south, west, north, east, if they are exchanged).
+        crs: projected ground CRS [m].
+    """
+    from pyproj.exceptions import ProjError
+
+    try:
+        first, second, last, other = _box_in_degrees(area) if isinstance(area, Path) else area
+        return bounds_from_numbers((second, first, other, last), crs, None)
+    except (InputError, ProjError):
+        return None
+
+
+def _box_in_degrees(path: Path) -> Sequence[float]:
+    """The box of all that a vector file holds, latitudes being whatever they are."""
+    import shapely
+
+    if isinstance(path, RemotePath):
+        found = read_layer(f"GeoJSON:{path}", str(path), "an area")
+    else:
+        found = read_features(path, "an area")
+    source = found.crs or "EPSG:4326"
+    return [float(v) for v in shapely.total_bounds(in_crs(found.geometries, source, "EPSG:4326"))]
+
+
 def _transformed(points: np.ndarray, source: str, crs: str, path: str) -> Bounds:
     from pyproj import Transformer
     from pyproj.exceptions import CRSError
@@ -176,4 +206,4 @@ def _positions(node: Any, kinds: Sequence[str] = ()) -> list[tuple[float, float]
     return []
 
 
-__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers", "wanted_area"]
+__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers", "exchanged_bounds", "wanted_area"]
