@@ -316,7 +316,7 @@ def _outside(
 
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
-    paths = [Path(name) for name in (options.aoi, *options.mask) if name]
+    paths = [location(name) for name in (options.aoi, *options.mask) if name]
     paths += colour_files(options.colours) if options.colours else []
     for image in images:
         folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
@@ -346,7 +346,7 @@ def _area(options: PrepOptions) -> Path | Sequence[float]:
 
 
 def _wanted(options: PrepOptions, crs: str) -> Callable[[Bounds], Any]:
-    return wanted_area(location(options.aoi) if options.aoi else None, [Path(name) for name in options.mask], crs)
+    return wanted_area(location(options.aoi) if options.aoi else None, [location(name) for name in options.mask], crs)
 
 
 def _grid(
