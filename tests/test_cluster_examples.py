@@ -107,6 +107,24 @@ def test_paths_with_blanks_and_quotes_reach_the_commands_as_they_are(
     ]
 
 
+def test_more_tiles_than_an_array_may_have_jobs_are_several_arrays(
+    scheduler: Path, recorder: Path, tmp_path: Path
+) -> None:
+    tiles = [tmp_path / f"large/fit/tiles/r000c{number:03d}/scene.json" for number in range(5)]
+    for tile in tiles:
+        tile.parent.mkdir(parents=True)
+        tile.touch()
+    scene = tmp_path / "large/scene.json"
+    more = {"PATH": f"{scheduler}:{os.environ['PATH']}", "SATTOOLS": str(recorder), "MAX_ARRAY": "2"}
+    done = run("slurm.sh", str(scene), **more)
+    assert done.returncode == 0, done.stderr
+    assert [call[-1] for call in calls_of(recorder)[1:-2]] == [str(tile) for tile in tiles]
+    calls = [line.split("\t") for line in (tmp_path / "calls").read_text().splitlines()]
+    arrays = [next((word for word in call if word.startswith("--array")), None) for call in calls]
+    assert arrays == [None, "--array=0-1", "--array=0-1", "--array=0-0", None]
+    assert "--dependency=afterok:41:41:41" in calls[-1]
+
+
 def test_an_area_of_one_tile_needs_no_array_of_jobs(scheduler: Path, recorder: Path, tmp_path: Path) -> None:
     scene = tmp_path / "small/scene.json"
     scene.parent.mkdir()

@@ -1,7 +1,8 @@
 #!/bin/sh
-# A fit in tiles on a SLURM cluster: one job cuts, an array of jobs fits, one joins and exports.
+# A fit in tiles on a SLURM cluster: one job cuts, arrays of jobs fit, one joins and exports.
 #   examples/cluster/slurm.sh work/harbour/scene.json --tile 512
-# Memory and time are for tiles of 512 m with three to six images (see docs/batch.md).
+# Memory and time are for tiles of 512 m with three to six images (see docs/batch.md). An array has at most MAX_ARRAY jobs:
+# less than the cluster's MaxArraySize (`scontrol show config`), 1001 unless somebody has set another.
 set -eu
 
 # words as a shell reads them, whatever blanks and quotes are in them: --wrap takes one text
@@ -24,8 +25,12 @@ job="sbatch --parsable --mem=${MEMORY:-4G} --cpus-per-task=${CPUS:-2} --time=${T
 $job --wait --job-name=split --wrap "$part split $arguments"
 count=$("$here/tiles.sh" count "$scene")
 after=
-if test "$count" -gt 0; then # an area of one tile has none: what joins fits it at once
-    fits=$($job --job-name=tiles --array="0-$((count - 1))" --requeue --wrap "$part tile $arguments")
-    after=--dependency=afterok:$fits
-fi
+first=0
+while test "$first" -lt "$count"; do # an area of one tile has none: what joins fits it at once
+    some=$((count - first))
+    test "$some" -le "${MAX_ARRAY:-1000}" || some=${MAX_ARRAY:-1000}
+    fits=$($job --job-name=tiles --array="0-$((some - 1))" --requeue --wrap "FIRST_TILE=$first $part tile $arguments")
+    after=${after:---dependency=afterok}:$fits
+    first=$((first + some))
+done
 $job --job-name=mosaic $after --wrap "$part mosaic $arguments && $export > /dev/null"

@@ -2,7 +2,8 @@
 # One part of a fit in tiles, for a scheduler that starts many: a cluster's array job (SLURM) or indexed job (Kubernetes).
 #   tiles.sh split  SCENE.json [options of `sattools fit`, --tile among them]
 #   tiles.sh count  SCENE.json                       how many tiles there are to fit
-#   tiles.sh tile   SCENE.json [the same options]    tile number SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX (0, 1, ...)
+#   tiles.sh tile   SCENE.json [the same options]    tile number SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX (0, 1, ...),
+#                                                    counted from FIRST_TILE on (0 if that is not set)
 #   tiles.sh mosaic SCENE.json [the same options]
 # SCENE.json lies in the scene's folder, which all machines see under the same name. A part that is done is not done again.
 set -eu
@@ -23,6 +24,7 @@ case $part in
         ;;
     tile)
         number=${SLURM_ARRAY_TASK_ID:-${JOB_COMPLETION_INDEX:?no number of a tile}}
+        number=$((number + ${FIRST_TILE:-0}))
         one=$(ls "$tiles"/r*c*/scene.json | sed -n "$((number + 1))p")
         test -n "$one" || { echo "tiles.sh: found no tile number $number below $tiles" >&2; exit 1; }
         test -e "$(dirname "$one")/fit/model.safetensors" && exit 0

@@ -53,6 +53,7 @@ class Task:
         folder: where `task.json`, `config.toml` and the results go.
         key: hash of everything that the result depends on.
         scene: id of the scene; configuration: name.
+        out: folder of the batch, which may be moved with all that it holds.
         commands: arguments of `sattools`, one list a command; `{scene}` stands for the folder's scene.json.
         config: TOML with the options.
         source: scene.json to copy, or None where the first command makes the scene.
@@ -66,6 +67,7 @@ class Task:
     key: str
     scene: str
     configuration: str
+    out: str
     commands: list[list[str]]
     config: str
     source: str | None = None
@@ -102,7 +104,7 @@ class Task:
         self.record.unlink(missing_ok=True)
         write_text(folder / "config.toml", self.config)
         if self.source is not None:
-            in_another_root(Path(self.source), folder)
+            in_another_root(Path(self.source), folder, Path(self.out))
         return self.document
 
 
@@ -214,7 +216,7 @@ def run_task(
     name = f"{scene}/{configuration.name}"
     config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
     options = options_of(configuration, prepared)
-    return Task(name, str(folder), key, scene, configuration.name, commands, config, str(source), options)
+    return Task(name, str(folder), key, scene, configuration.name, str(out), commands, config, str(source), options)
 
 
 def prep_task(
@@ -235,7 +237,7 @@ def prep_task(
     folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
     command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *arguments, "--overwrite"]
     config = toml_of(configuration, ["prep"])
-    return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, [command], config, kind="prep")
+    return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, str(out), [command], config, kind="prep")
 
 
 def shared_task(out: Path, run: Task, content: Any, configuration: Configuration) -> Task | None:

@@ -11,7 +11,7 @@ from sattools.camera.rpc_names import SCALARS, VECTORS
 from sattools.errors import InputError
 from sattools.scene import jsonio
 from sattools.scene.jsonio import read_json
-from sattools.scene.location import RemotePath, location
+from sattools.scene.location import RemotePath, found_instead, location
 from sattools.scene.xmlio import find_all, local_name, parse_xml
 
 Fields = dict[str, Any]
@@ -45,7 +45,7 @@ def read_rpc_fields(path: Path) -> Fields:
         with open(path, "rb") as file:
             head = jsonio.as_utf8(file.read(512))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: found {jsonio.reason(error)}, expected a readable file") from None
+        raise InputError(f"{path}: found {found_instead(path, error)}, expected a readable file") from None
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if start.startswith(b"<"):
         return _from_xml(path)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.ground import check_metres, ground_area
+from sattools.camera.ground import ground_area
 from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
 from sattools.change.options import ChangeOptions
@@ -48,8 +48,8 @@ def change(
         The table: shift, scatter, regions with area, mean, volume and p-value.
 
     Raises:
-        InputError, SceneError: a surface that cannot be read, two that have nothing in common, or an earlier one whose
-            CRS does not count metres.
+        InputError, SceneError: a surface that cannot be read, two that have nothing in common, or one whose
+            coordinates its CRS does not reach.
         OutputExistsError: outputs that are there.
     """
     progress(0.0, "reading")
@@ -106,8 +106,8 @@ def check_start(before: str, after: str, options: ChangeOptions, overwrite: bool
 
 def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> tuple[Surface, Surface, list[str]]:
     """Both dates and the names of what will be written, once all is checked that needs no work."""
-    old, new = read_surface(before), read_surface(after)
-    check_metres(str(old.layers["height"]), old.grid.crs, old.grid.bounds)
+    new = read_surface(after)
+    old = read_surface(before, new.grid.crs)
     names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if order_of_bands(old, new) else [])]
     polygons = [Path(options.polygons)] if options.polygons else []
     for path in polygons:

@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from sattools.compare.doubts import check_heights
-from sattools.compare.truth import known_heights, warped_heights
+from sattools.compare.truth import grid_on_ground, known_heights, warped_heights
 from sattools.errors import InputError
 from sattools.radiometry.bands import COMMON_NAMES
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import check_current
 from sattools.scene.location import location
 from sattools.scene.opening import opened
-from sattools.scene.placement import crs_of, has_grid
+from sattools.scene.placement import has_grid
 from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
 from sattools.scene.regrid import reproject_map
 from sattools.scene.validity import MEASURED
-from sattools.scene.warped import ground_grid
 
 LAYERS = {"height": "dsm", "std": "dsm_std", "albedo": "albedo", "confidence": "prior_confidence"}  # -> product
 
@@ -102,8 +101,12 @@ def order_of_bands(old: Surface, new: Surface) -> list[int]:
     return [] if before and after and alike[0] == alike[1] else list(range(count))
 
 
-def read_surface(source: str) -> Surface:
+def read_surface(source: str, crs: str | None = None) -> Surface:
     """The exported surface of a scene document, or a raster of heights [m].
+
+    Args:
+        source: document or file.
+        crs: projected CRS [m] of the grid of a raster whose own counts no metres on the ground; None = UTM.
 
     Raises:
         InputError: neither can be read, a raster has other numbers than heights, or maps are on different grids.
@@ -112,7 +115,7 @@ def read_surface(source: str) -> Surface:
     path = location(source)
     if path.suffix.lower() != ".json" and not path.is_dir():
         check_heights(path, one_band=True)
-        return Surface(path.stem, {"height": path}, None, _grid_of(path), (path,))
+        return Surface(path.stem, {"height": path}, None, grid_on_ground(path, crs)[0], (path,))
     scene = Scene.from_file(path)
     if "dsm" not in scene.products:
         raise InputError(f"{path}: found no product 'dsm', expected a scene after `sattools export`")
@@ -125,15 +128,6 @@ def read_surface(source: str) -> Surface:
             raise InputError(f"{file}: found another grid than the DSM's, expected one export")
     used = [*layers.values(), *([] if validity is None else [validity])]
     return Surface(scene.id, layers, validity, grid, (path, *used))
-
-
-def _grid_of(path: Path) -> Grid:
-    """The grid of a raster's cells; where they are turned or oblong, square ones of their area in the same CRS."""
-    if has_grid(path):
-        return raster_grid(path)
-    with opened(path) as data:
-        crs = crs_of(data, path)
-    return ground_grid(path, lambda *_: crs)
 
 
 __all__ = ["Surface", "order_of_bands", "read_surface"]

@@ -54,8 +54,8 @@ def command(
 
     Images: GeoTIFF with RPC tags, NITF, or any raster with DIMAP or DigitalGlobe XML, .RPB, _RPC.TXT or Sat-NeRF JSON
     beside it or in --metadata; a folder stands for the images in it (.tif, .tiff, .ntf, .nitf, .jp2, .img;
-    JPEG and PNG are quick looks, as a rule) that have one of these. They and the area of interest may also be
-    addresses (https://, s3://) or lie in archives (/vsizip/FILE.zip/NAME.tif).
+    JPEG and PNG are quick looks, as a rule) that have one of these. They, and areas and masks in GeoJSON, may
+    also be addresses (https://, s3://) or lie in archives (/vsizip/FILE.zip/NAME.tif).
     """
     if not images and dfc2019 is None and not print_config:
         raise click.UsageError("expected IMAGE... or --dfc2019 ROOT --aoi AREA")

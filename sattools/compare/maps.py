@@ -63,7 +63,7 @@ def _carried(path: Path, where: Grid, bands: int) -> np.ndarray:
     found = read_around(path, where)
     if found is None:
         return np.full((bands, *where.shape), np.nan, np.float32)
-    return reproject_map(*found, where)
+    return reproject_map(*found, where, means=True)
 
 
 def _known(path: Path) -> bool:

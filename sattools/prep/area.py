@@ -14,7 +14,7 @@ from sattools.errors import InputError
 from sattools.prep.layout import Bounds
 from sattools.scene.jsonio import read_json
 from sattools.scene.location import RemotePath
-from sattools.scene.vectors import is_geojson, polygons_in, read_layer, read_polygons
+from sattools.scene.vectors import in_crs, is_geojson, polygons_in, read_features, read_polygons
 
 log = logging.getLogger(__name__)
 _SAME_M = 1.0
@@ -60,11 +60,11 @@ def _bounds_of(points: np.ndarray, named: str, crs: str, path: Path) -> Bounds:
 
 
 def _from_afar(path: RemotePath, crs: str) -> Bounds:
-    """What GDAL's GeoJSON driver, and no other, reads from another machine or an archive."""
+    """Bounds of a file on another machine or in an archive."""
     import shapely
 
-    wanted = "GeoJSON with the area of interest"
-    found = read_layer(f"GeoJSON:{path}", str(path), wanted)
+    wanted = "an area of interest"
+    found = read_features(path, wanted)
     shapes = [shape for shape in found.geometries if shape is not None and not shape.is_empty]
     if not shapes:
         raise InputError(f"{path}: found no polygon, expected {wanted}")
@@ -108,11 +108,11 @@ def wanted_area(aoi: Path | None, masks: Sequence[Path], crs: str) -> Callable[[
 
 
 def _polygons_of(path: Path, crs: str) -> list[Any]:
-    if isinstance(path, RemotePath):
-        return []  # its bounds only
     try:
         return read_polygons(path, crs)
     except InputError as error:
+        if isinstance(path, RemotePath):
+            return []  # points and lines; what cannot be read has been told
         if not is_geojson(path):
             raise
         if _positions(read_json(path, "GeoJSON"), _AREAS):  # lines and points have bounds, too
@@ -143,6 +143,33 @@ def bounds_from_numbers(numbers: Sequence[float], crs: str, given_crs: str | Non
     t = np.linspace(0, 1, 5)
     x, y = np.meshgrid(west + t * (east - west), south + t * (north - south))
     return _box(*from_geographic(crs, x.ravel(), y.ravel()), "bounds")
+
+
+def exchanged_bounds(area: Path | Sequence[float], crs: str) -> Bounds | None:
+    """Bounds in `crs` [m] of an area with its latitudes taken for longitudes and the other way round.
+
+    None where that is no area either, or the area is not given in degrees.
+
+    Args:
+        area: vector file, or numbers as of `--bounds` (south, west, north, east, if they are exchanged).
+        crs: projected ground CRS [m].
+    """
+    from pyproj.exceptions import ProjError
+
+    try:
+        first, second, last, other = _box_in_degrees(area) if isinstance(area, Path) else area
+        return bounds_from_numbers((second, first, other, last), crs, None)
+    except (InputError, ProjError):
+        return None
+
+
+def _box_in_degrees(path: Path) -> Sequence[float]:
+    """The box of all that a vector file holds, latitudes being whatever they are."""
+    import shapely
+
+    found = read_features(path, "an area")
+    source = found.crs or "EPSG:4326"
+    return [float(v) for v in shapely.total_bounds(in_crs(found.geometries, source, "EPSG:4326"))]
 
 
 def _transformed(points: np.ndarray, source: str, crs: str, path: str) -> Bounds:
@@ -176,4 +203,4 @@ def _positions(node: Any, kinds: Sequence[str] = ()) -> list[tuple[float, float]
     return []
 
 
-__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers", "wanted_area"]
+__all__ = ["bounds_from_file", "bounds_from_geojson", "bounds_from_numbers", "exchanged_bounds", "wanted_area"]

@@ -40,6 +40,7 @@ class SourceImage:
     tags_rpc: RPC | None = None  # the camera of the image's own tags, whichever is used
     frames: tuple[Frame, ...] = ()  # of pixels without data that the file does not call so
     clouds: Blocks | None = None  # that hide the ground
+    hot: int | None = None  # how many hot pixels the window has; None = not looked for
     read_range: tuple[tuple[int, int, int, int], tuple[float, float]] | None = None  # window, its extreme numbers
 
     def warn(self, text: str) -> None:

@@ -33,6 +33,7 @@ class Numbers:
         zero: pixels that are 0 in all bands without being no data.
         negative: pixels that are negative in a band.
         lowest: pixels of the first band that have its smallest number.
+        hot: pixels that are left out because they are, see `sattools.prep.hot`.
     """
 
     bands: int
@@ -43,6 +44,7 @@ class Numbers:
     zero: int = 0
     negative: int = 0
     lowest: int = 0
+    hot: int = 0
 
     def __post_init__(self) -> None:
         self.low, self.high = np.full(self.bands, np.inf), np.full(self.bands, -np.inf)
@@ -86,7 +88,18 @@ class Numbers:
         return found
 
     def doubts(self) -> list[str]:
-        """What is taken for brightness and may not be."""
+        """What is taken for brightness and may not be, and the other way round."""
+        return self._hot() + self._negative()
+
+    def _hot(self) -> list[str]:
+        if not self.hot:
+            return []
+        return [
+            f"{self._percent(self.hot)} % of its pixels are hot, single ones far brighter than all around them, and "
+            "taken for no data"
+        ]
+
+    def _negative(self) -> list[str]:
         low = self.low[0]
         if self.lowest > MANY_NEGATIVE * self.seen and low <= LEAST_MARK:
             return [

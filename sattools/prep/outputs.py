@@ -78,6 +78,8 @@ def write_images(
         if not copied[k]:
             for frame in source.frames:
                 source.warn(f"is not copied, so its frame of {frame.value:g} is ground later on: declare it as no data")
+            if source.hot:
+                source.warn("is not copied, so its hot pixels are brightness later on: declare them as no data")
             if source.clouds is not None:
                 _write_clouds(scene, item, source.clouds)
             item.assets["image"].href = str(source.path.absolute())

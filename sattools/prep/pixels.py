@@ -15,6 +15,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import InputError
 from sattools.prep.frames import find_frames
 from sattools.prep.grays import of_size_one
+from sattools.prep.hot import hot_pixels
 from sattools.prep.images import SourceImage
 from sattools.prep.numbers import Numbers, read_band
 from sattools.scene.files import write_with
@@ -44,7 +45,7 @@ def look_for_frames(data: DatasetReader, source: SourceImage) -> None:
 
 
 def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray[np.bool_]:
-    """Which pixels ``[H, W]`` of a window are no data by a mask, as a frame or as a cloud, whatever their numbers.
+    """Which pixels ``[H, W]`` of a window are no data by a mask, as a frame, as a cloud or as hot pixels.
 
     Args:
         data: the open image.
@@ -64,6 +65,8 @@ def unknown(data: DatasetReader, source: SourceImage, window: Window) -> NDArray
         found |= there
     if source.clouds is not None:
         found |= source.clouds.within(window)
+    if source.hot:
+        found |= hot_pixels(data, source.path, window)
     return found
 
 
@@ -90,6 +93,7 @@ def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> ND
     with opened(source.path) as data:
         if whole:
             look_for_frames(data, source)
+            source.hot = None
         for first in range(0, rows, strip):
             some = min(strip, rows - first)
             piece = _gray_rows(data, source, first * factor, some * factor, ranges)
@@ -99,6 +103,7 @@ def read_gray(source: SourceImage, factor: int = 1, *, whole: bool = True) -> ND
             gray[first : first + some] = piece
     if whole:
         ranges.check(source.path)
+        source.hot = ranges.hot
         source.notes += ranges.notes()
         for text in ranges.doubts():
             source.warn(text)
@@ -116,6 +121,10 @@ def _gray_rows(
     window = Window(col, row + first, width, count)
     total = np.zeros((count, width), np.float32)
     there = ~unknown(data, source, window)
+    if source.hot is None:
+        hot = hot_pixels(data, source.path, window)
+        ranges.hot += int((hot & there).sum())
+        there &= ~hot
     valid = there.copy()
     ranges.seen += valid.size
     nonzero, negative = np.zeros((count, width), bool), np.zeros((count, width), bool)
@@ -175,7 +184,7 @@ def significant_bits(source: SourceImage, highest: float) -> int | None:
 def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
     """The window's pixels as a tiled GeoTIFF whose only georeference is `rpc` (camera of the window).
 
-    A mask within the file says which of them are no data where the source's mask, its frames or clouds do.
+    A mask within the file says which of them are no data where the source's mask, its frames, clouds or hot pixels do.
 
     Strip by strip, and read back before the file gets its name.
 
@@ -193,7 +202,7 @@ def write_image(source: SourceImage, rpc: RPC, target: Path) -> None:
         profile |= {"interleave": "pixel" if data.count > 1 else "band", "bigtiff": "if_safer"}
         strip = max(256, int(5e7 // max(1, width * data.count)) // 256 * 256)
 
-        mask = source.masked or bool(source.frames) or source.clouds is not None
+        mask = source.masked or bool(source.frames) or source.clouds is not None or bool(source.hot)
 
         def write(path: Path) -> None:
             with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **profile) as out:

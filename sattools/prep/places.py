@@ -19,6 +19,7 @@ from sattools.scene.members import HEIGHT_LIMITS_M
 
 Given = tuple[float | None, float | None]  # lowest, highest height of the surface that the user gave [m]
 
+_LEAST_WINDOW_PX = 64  # along an axis: less of an image ties it to no other
 _BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
 _LEAST_HALF_M = 600.0  # of the search for tie points, whatever the cameras' ranges
 _STEPS = 24  # of the cameras' ranges at which images are looked for together
@@ -139,8 +140,8 @@ def cropped_to_area(
     """
     kept = []
     for s in sources:
-        window = crop_window(s.rpc, crs, asked, ground_heights(s.rpc, given), s.size, _BIAS_MARGIN_PX)
-        if window[2] < 64 or window[3] < 64:
+        window = _window_of(s, crs, asked, given)
+        if window is None:
             notes.append(f"{s.id}: does not show the area, left out")
             continue
         s.window = window
@@ -152,6 +153,17 @@ def cropped_to_area(
             "it, expected an area inside the images"
         )
     return kept
+
+
+def _window_of(s: SourceImage, crs: str, asked: Bounds, given: Given) -> tuple[int, int, int, int] | None:
+    """The window of an image that surely holds an area, None where it shows next to nothing of it."""
+    window = crop_window(s.rpc, crs, asked, ground_heights(s.rpc, given), s.size, _BIAS_MARGIN_PX)
+    return None if window[2] < _LEAST_WINDOW_PX or window[3] < _LEAST_WINDOW_PX else window
+
+
+def show(sources: Sequence[SourceImage], crs: str, asked: Bounds, given: Given) -> bool:
+    """Whether two images or more show an area; arguments as of `cropped_to_area`."""
+    return sum(_window_of(s, crs, asked, given) is not None for s in sources) >= 2
 
 
 def sizes_read(sources: list[SourceImage], crs: str, asked: Bounds | None, given: Given) -> list[tuple[int, int]]:
@@ -178,5 +190,6 @@ __all__ = [
     "ground_heights",
     "middle_of",
     "search_heights",
+    "show",
     "sizes_read",
 ]

@@ -16,7 +16,7 @@ from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
 from sattools.camera.ground import check_ground_crs, check_scale, utm_crs
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
-from sattools.prep.area import bounds_from_file, bounds_from_numbers, wanted_area
+from sattools.prep.area import bounds_from_file, bounds_from_numbers, exchanged_bounds, wanted_area
 from sattools.prep.blank import check_contents
 from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
 from sattools.prep.gate import (
@@ -46,7 +46,7 @@ from sattools.prep.names import check_ids, common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.outputs import REPORTS, clouds_href, write_images, write_reports
 from sattools.prep.pairs import IN_HISTORY, pair_table
-from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights, sizes_read
+from sattools.prep.places import check_places, cropped_to_area, middle_of, search_heights, show, sizes_read
 from sattools.prep.sweeps import height_range, mask_clouds
 from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Grid, Scene
@@ -210,9 +210,15 @@ def survey(
     check_scale(crs, lon, lat)
     given = (options.min_height, options.max_height)
     check_places(sources, crs, given)
-    asked = _asked_bounds(options, crs)
-    if asked is not None:
-        sources = cropped_to_area(sources, crs, asked, given, notes)
+    try:
+        asked = _asked_bounds(options, crs)
+        if asked is not None:
+            sources = cropped_to_area(sources, crs, asked, given, notes)
+    except InputError as error:
+        other = None if options.crs and options.bounds else exchanged_bounds(_area(options), crs)
+        if other is None or not show(sources, crs, other, given):
+            raise
+        raise InputError(f"{error} (with its coordinates exchanged it is there: longitude comes first)") from None
     return sources, crs, asked
 
 
@@ -310,7 +316,7 @@ def _outside(
 
 def _inputs(images: Sequence[Path], options: PrepOptions) -> list[Path]:
     """All files that will be read."""
-    paths = [Path(name) for name in (options.aoi, *options.mask) if name]
+    paths = [location(name) for name in (options.aoi, *options.mask) if name]
     paths += colour_files(options.colours) if options.colours else []
     for image in images:
         folders = [*([Path(options.metadata)] if options.metadata else []), image.parent]
@@ -335,8 +341,12 @@ def _asked_bounds(options: PrepOptions, crs: str) -> Bounds | None:
     return bounds_from_numbers(options.bounds, crs, options.crs) if options.bounds else None
 
 
+def _area(options: PrepOptions) -> Path | Sequence[float]:
+    return location(options.aoi) if options.aoi else options.bounds
+
+
 def _wanted(options: PrepOptions, crs: str) -> Callable[[Bounds], Any]:
-    return wanted_area(location(options.aoi) if options.aoi else None, [Path(name) for name in options.mask], crs)
+    return wanted_area(location(options.aoi) if options.aoi else None, [location(name) for name in options.mask], crs)
 
 
 def _grid(

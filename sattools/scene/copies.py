@@ -34,10 +34,41 @@ def _copy(scene: Scene, root: Path, named: Callable[[str], str]) -> Scene:
     return copy
 
 
-def in_another_root(path: Path, root: Path) -> Path:
-    """`absolute_copy` of a scene's document; the path of the copy's."""
-    copy = absolute_copy(Scene.from_file(path), root)
-    return copy.write()
+def in_another_root(document: Path, root: Path, together: Path) -> Path:
+    """A copy of a scene's document that reads the scene's files and writes below `root`.
+
+    What a scene has in a folder that may be moved or copied as a whole gets a second name there (a hard link), so that
+    the copy finds it beside itself, whatever becomes of the first one. Files of other places stay where they are.
+
+    Args:
+        document: of the scene.
+        root: folder of the copy, below ``together``; that of the scene itself leaves all names as they are.
+        together: the folder that may be moved.
+
+    Returns: path of the copy's document.
+    """
+    scene = Scene.from_file(document)
+    root = Path(root).absolute()
+    own = scene.root.is_relative_to(together)
+
+    def named(href: str) -> str:
+        path = scene.path(href)
+        if own and path.is_relative_to(scene.root) and _linked(path, root / path.relative_to(scene.root)):
+            return path.relative_to(scene.root).as_posix()
+        return str(path)
+
+    return _copy(scene, root, (lambda href: href) if scene.root == root else named).write()
+
+
+def _linked(path: Path, name: Path) -> bool:
+    """Give a file a second name; whether the file system could."""
+    try:
+        name.parent.mkdir(parents=True, exist_ok=True)
+        name.unlink(missing_ok=True)  # of an earlier copy
+        name.hardlink_to(path)
+    except OSError:
+        return False
+    return True
 
 
 __all__ = ["absolute_copy", "href_of_part", "in_another_root", "part_copy"]

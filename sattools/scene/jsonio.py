@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sattools.errors import InputError
+from sattools.scene.location import found_instead
 
 TEXT_LIMIT = 64 << 20  # bytes; no document or metadata file of the suite is larger
 CONFIG_LIMIT = 1 << 20
@@ -31,15 +32,10 @@ def read_bytes(path: Path | str, limit: int = TEXT_LIMIT) -> bytes:
         with open(path, "rb") as file:
             data = file.read(limit + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError(f"{path}: found {reason(error)}, expected a readable file") from None
+        raise InputError(f"{path}: found {found_instead(path, error)}, expected a readable file") from None
     if len(data) > limit:
         raise InputError(f"{path}: found more than {limit >> 20} MiB, expected a text file of less")
     return data
-
-
-def reason(error: BaseException) -> str:
-    """What went wrong, in words of the system where it has some."""
-    return getattr(error, "strerror", None) or " ".join(str(error).split()) or type(error).__name__
 
 
 def _marked(data: bytes) -> str | None:
@@ -173,5 +169,4 @@ __all__ = [
     "read_json",
     "read_text",
     "read_toml",
-    "reason",
 ]

@@ -87,6 +87,18 @@ def location(text: str | Path) -> Path:
     return RemotePath(prefix + rest.lstrip("/"))
 
 
+def found_instead(path: str | Path, error: BaseException) -> str:
+    """Why a file cannot be opened, in words of the system where it has some: of addresses, that they are no files.
+
+    Args:
+        path: as the user names it, or the path made of that.
+        error: of opening it.
+    """
+    if is_remote(path) and not os.path.exists(path):
+        return "an address where only files of this machine are read (download it)"
+    return getattr(error, "strerror", None) or " ".join(str(error).split()) or type(error).__name__
+
+
 def remote_allowed() -> AbstractContextManager[None]:
     """Let documents name files on other machines and in archives for a while, as the user has said that they may."""
     return in_environment(_SWITCH, "1")
@@ -131,6 +143,7 @@ def image_locations(names: Iterable[str]) -> list[Path]:
 __all__ = [
     "RemotePath",
     "check_allowed",
+    "found_instead",
     "image_locations",
     "images_in",
     "is_remote",

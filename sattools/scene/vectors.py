@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sattools.errors import InputError
-from sattools.scene.jsonio import as_utf8, read_bytes, read_json, reason
+from sattools.scene.jsonio import as_utf8, read_bytes, read_json
 from sattools.scene.kml import is_kml, read_kml
+from sattools.scene.location import RemotePath, found_instead
 
 log = logging.getLogger(__name__)
 FORMATS = "GeoPackage, GeoJSON, shapefile, FlatGeobuf, KML or KMZ"
@@ -63,15 +64,17 @@ def read_features(path: Path, expected: str) -> Features:
     """The features of a file's first layer; of KML, whose folders are none, all.
 
     Only files that begin as one of `FORMATS`: GDAL opens by content, and a VRT or WFS description under another name
-    would make it read other files and hosts.
+    would make it read other files and hosts. For the same reason files on other machines or in archives are GeoJSON.
 
     Args:
-        path: the file.
+        path: the file, which may be remote.
         expected: what it should hold, for messages.
 
     Raises:
         InputError: missing, of another format, or damaged.
     """
+    if isinstance(path, RemotePath):
+        return read_layer(f"GeoJSON:{path}", f"{path}", f"{expected}: GeoJSON in UTF-8 (download files of other kinds)")
     if is_kml(_head(path)):
         shapes, names = read_kml(path)
         return Features(shapes, {"name": np.array(names, object)}, "EPSG:4326")
@@ -263,7 +266,7 @@ def _head(path: Path) -> bytes:
         with open(path, "rb") as file:
             return as_utf8(file.read(512))
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise InputError(f"{path}: found {reason(error)}, expected a readable {FORMATS}") from None
+        raise InputError(f"{path}: found {found_instead(path, error)}, expected a readable {FORMATS}") from None
 
 
 __all__ = [

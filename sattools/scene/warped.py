@@ -110,6 +110,8 @@ def ground_grid(path: Path, crs_at: Callable[[float, float], str]) -> Grid:
         if data.crs.is_geographic and columns_of_turn(data.width, data.transform.a):
             raise InputError(f"{path}: found a raster around the globe, expected one of its place (crop it)")
     west, south, east, north = bounds_of("EPSG:4326", own, around)
+    if not all(math.isfinite(edge) for edge in (west, south, east, north)):
+        raise InputError(f"{path}: found coordinates that its CRS, {own}, does not reach, expected those of its place")
     crs = crs_at((west + east) / 2, (south + north) / 2)
     box = bounds_of(crs, own, around)
     if not (all(math.isfinite(edge) for edge in box) and box[0] < box[2] and box[1] < box[3]):

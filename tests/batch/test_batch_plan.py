@@ -336,7 +336,9 @@ def test_a_table_align_moves_every_scene_and_its_reference_counts(town_source: A
 
 
 def test_pilot_tiles_are_tasks_before_the_split(tmp_path: Path) -> None:
-    run = Task("A/cut", str(tmp_path), "key", "A", "cut", [["fit", "{scene}"]], "", str(tmp_path / "A.json"))
+    run = Task(
+        "A/cut", str(tmp_path), "key", "A", "cut", str(tmp_path), [["fit", "{scene}"]], "", str(tmp_path / "A.json")
+    )
     coarse = replace(run, key="coarse", kind="coarse")
     (tmp_path / "fit/tiles").mkdir(parents=True)
     (tmp_path / "fit/tiles/tiles.json").write_text('{"pilots": ["pilot.r1c1", "pilot.r1c3"], "tiles": null}')
@@ -391,5 +393,7 @@ def test_what_the_user_grants_is_for_all_tasks_together(
 
 def test_only_tiles_have_as_many_beside_them_as_there_are_workers() -> None:
     found = Shares(8, 1, 4, None)
-    tasks = [Task("A", "a", "k", "A", "c", [], "", kind=kind) for kind in ("prep", "coarse", "split", "tile", "run")]
+    tasks = [
+        Task("A", "a", "k", "A", "c", "", [], "", kind=kind) for kind in ("prep", "coarse", "split", "tile", "run")
+    ]
     assert [found.threads_of(task) for task in tasks] == [4, 4, 4, 1, 4]

@@ -113,7 +113,7 @@ def test_a_command_that_needs_too_much_memory_is_stopped_and_named(
     from sattools.batch.task import perform
 
     source = str(folder / "A/scene.json")
-    task = Task("A/big", str(folder / "big"), "key", "A", "big", [["fit", "{scene}"]], "", source)
+    task = Task("A/big", str(folder / "big"), "key", "A", "big", str(folder), [["fit", "{scene}"]], "", source)
     # Python with numpy and torch takes more than 100 MB before it does anything; looked at 200 times a second, as a
     # fast machine has the command itself say that its images need more, before it is looked at for the first time
     monkeypatch.setattr("sattools.batch.task._WATCH_S", 0.005)

@@ -6,10 +6,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration, Task
 from sattools.batch.stage import make_plan
 from sattools.batch.task import perform
+from sattools.scene import Scene
+from sattools.scene.copies import in_another_root
 from sattools.scene.location import remote_allowed
 
 DEFAULT = Configuration("default")
@@ -46,6 +50,41 @@ def test_a_folder_that_was_moved_keeps_its_results(make_town: Any, tmp_path: Pat
     (tmp_path / "out").rename(tmp_path / "moved")
     plan = make_plan(BatchOptions(out=str(tmp_path / "moved")), [scene], [DEFAULT])
     assert (plan.jobs, list(plan.results)) == ([], [("A", "default")])
+
+
+def test_what_a_run_has_from_a_shared_prior_goes_along_when_the_folder_is_moved(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    out = tmp_path / "out"
+    pair = [Configuration(name, {}, {"fit": {"epochs": [epochs]}}) for name, epochs in (("a", 8), ("b", 9))]
+    shared, *runs = (job.task for job in make_plan(BatchOptions(out=str(out)), [scene], pair).jobs)
+    document = shared.start()
+    content = json.loads(document.read_text())
+    content["sattools"]["products"]["prior_dsm"] = "prior/dsm.tif"
+    document.write_text(json.dumps(content))
+    (document.parent / "prior").mkdir()
+    (document.parent / "prior/dsm.tif").write_bytes(b"heights")
+    shared.record.write_text(json.dumps({"key": shared.key, "status": "done", "scene_json": "A"}))
+    for run in runs:
+        hrefs = Scene.from_file(run.start()).products
+        assert hrefs["prior_dsm"] == "prior/dsm.tif"
+        assert hrefs["truth_dsm"] == str(scene.path(scene.products["truth_dsm"]))  # beyond the batch's folder
+        run.record.write_text(json.dumps({"key": run.key, "status": "done", "scene_json": "A", "row": {"scene": "A"}}))
+    out.rename(tmp_path / "moved")
+    plan = make_plan(BatchOptions(out=str(tmp_path / "moved")), [scene], pair)
+    assert (plan.jobs, sorted(plan.results)) == ([], [("A", "a"), ("A", "b")])
+    assert (tmp_path / "moved/runs/a/A/prior/dsm.tif").read_bytes() == b"heights"
+
+
+def test_without_hard_links_runs_read_what_they_share_where_it_is(
+    make_town: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: Any) -> None:
+        raise PermissionError(1, "Operation not permitted")  # as exFAT says
+
+    monkeypatch.setattr(Path, "hardlink_to", none)
+    scene = make_town("A")
+    copy = in_another_root(scene.root / "scene.json", tmp_path / "run", tmp_path)
+    assert Scene.from_file(copy).products["truth_dsm"] == str(scene.path(scene.products["truth_dsm"]))
 
 
 def test_a_result_of_which_a_file_is_gone_is_made_again(make_town: Any, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Areas, volumes, slopes and shifts are measured on maps of metres; `change` refuses others in one line."""
+"""Areas, volumes, slopes and shifts are measured on maps of metres, onto which `change` and `compare` bring others."""
 
 import json
 from pathlib import Path
@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 from pyproj import Geod, Transformer
 
+from sattools.change.surfaces import read_surface
 from sattools.cli import main
 from sattools.scene.grid import Grid
 from sattools.scene.raster import raster_grid, write_cog
@@ -26,25 +27,44 @@ def run(*arguments: str) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("crs", "left", "top", "cell", "why"),
+    ("crs", "lon", "lat", "cell", "metres"),
     [
-        ("EPSG:2236", 452_000.0, 2_190_000.0, 3.0, "not projected in metres"),  # feet: volumes 11 times too large
-        ("EPSG:4326", -81.66, 30.35, 1e-5, "not projected in metres"),
-        ("EPSG:3857", -9_090_000.0, 3_548_000.0, 1.0, "1.16 m in it are 1 m on the ground"),
-        ("EPSG:32617", 9e8, 9e8, 1.0, "found coordinates where it does not reach"),
+        ("EPSG:2236", -81.66, 30.35, 3.0, 0.3048**2 * 9),  # feet: volumes would be 11 times too large
+        ("EPSG:3857", -81.66, 30.35, 1.0, np.cos(np.radians(30.35)) ** 2),  # metres at the equator
+        ("EPSG:4326", -81.66, 30.35, 1e-5, 1e-10 * 110_856 * 96_139),  # of a degree of latitude and of longitude there
     ],
 )
-def test_changes_are_measured_on_maps_of_metres(
-    tmp_path: Path, crs: str, left: float, top: float, cell: float, why: str
+@pytest.mark.parametrize("later", ["same", "EPSG:32617"])
+def test_dates_on_maps_that_count_no_metres_come_onto_cells_in_metres(
+    tmp_path: Path, crs: str, lon: float, lat: float, cell: float, metres: float, later: str
 ) -> None:
+    left, top = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
     before = surface(tmp_path / "before.tif", crs, left, top, cell)
     after = surface(tmp_path / "after.tif", crs, left, top, cell, rise=8.0)
-    done = run("change", before, after, "--out", str(tmp_path / "out"))
-    assert done.exit_code == 1
-    assert done.stderr.startswith(f"sattools change: error: {before}: CRS")
-    assert why in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    if later != "same":
+        where = read_surface(after, later).grid
+        (heights,) = read_surface(after, later).on("height", where)
+        write_cog(tmp_path / "after.tif", heights, where)
+    done = run("change", before, after, "--out", str(tmp_path / "out"), "--register", "none")
+    assert done.exit_code == 0, done.stderr
+    (region,) = json.loads(done.stdout)["regions"]
+    assert region["volume_m3"] == pytest.approx(8.0 * 100 * metres, rel=0.03)  # 10 x 10 cells
+    grid = raster_grid(tmp_path / "out/height_change.tif")
+    assert grid.crs == "EPSG:32617"
+    assert grid.cell_size == pytest.approx(np.sqrt(metres), rel=0.05)
+
+
+def test_coordinates_that_a_crs_does_not_reach_are_told(tmp_path: Path) -> None:
+    before, after = (surface(tmp_path / f"{k}.tif", "EPSG:32617", 9e8, 9e8, 1.0, rise=k * 8.0) for k in (0, 1))
+    for command, named in (
+        (["change", before, after], after),
+        (["compare", "--predicted", after, "--dsm", before], before),
+    ):
+        done = run(*command, "--out", str(tmp_path / "out"))
+        assert done.exit_code == 1
+        told = "found coordinates that its CRS, EPSG:32617, does not reach, expected those of its place"
+        assert done.stderr == f"sattools {command[0]}: error: {named}: {told}\n"
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from sattools.cli import main
+from sattools.compare.maps import compare_map
 from sattools.compare.surface import HeldSurface, compare_surface
 from sattools.compare.truth import Truth
 from sattools.scene import Grid
@@ -106,3 +107,15 @@ def test_a_later_date_of_finer_cells_has_changed_nowhere(tmp_path: Path) -> None
     table = ran("change", coarse, fine, "--out", str(tmp_path / "out"), "--rim", "0", "--min-area", "1")
     assert table["regions"] == []
     assert table["nmad_m"] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.5, -0.25)])
+def test_a_perfect_parameter_map_of_finer_cells_has_no_errors(tmp_path: Path, shift: tuple[float, float]) -> None:
+    """Of two bands, also where its surface was moved onto the reference's."""
+    fine, coarse = tmp_path / "fine.tif", tmp_path / "coarse.tif"
+    write_cog(fine, np.stack([TOWN, 2 * TOWN]), FINE.moved(-shift[0], -shift[1]))
+    write_cog(coarse, np.stack([block_means(TOWN, 4), block_means(2 * TOWN, 4)]).astype(np.float32), COARSE)
+    figures, (own, reference) = compare_map("albedo", fine, coarse, shift)
+    np.testing.assert_allclose(own, reference, atol=1e-5)
+    assert figures["rmse"] == pytest.approx(0.0, abs=1e-5)
+    assert figures["n"] == 2 * 80 * 80

@@ -15,9 +15,10 @@ import pytest
 import rasterio
 from click.testing import CliRunner
 
+from sattools.camera.ground import to_geographic
 from sattools.cli import main
 from sattools.errors import InputError, SceneError
-from sattools.prep.area import bounds_from_geojson
+from sattools.prep.area import bounds_from_file, bounds_from_geojson, wanted_area
 from sattools.scene import Scene
 from sattools.scene.location import (
     RemotePath,
@@ -29,6 +30,8 @@ from sattools.scene.location import (
 )
 from sattools.scene.opening import opened
 from sattools.scene.raster import read_image
+from sattools.scene.tables import read_table
+from sattools.scene.vectors import read_features
 
 SERVER = """
 import functools, http.server, sys
@@ -221,6 +224,28 @@ def test_images_and_areas_are_read_from_the_web_and_from_archives(
     assert scene.items[1].properties["sattools:source"] == f"/vsicurl/{address}/images/TOWN_002.tif"
     near = bounds_from_geojson(town_source.root / "area.geojson", "EPSG:32617")
     assert bounds_from_geojson(location(f"{address}/area.geojson"), "EPSG:32617") == pytest.approx(near, abs=1e-3)
+
+
+def test_areas_on_the_web_are_their_polygons_in_utf8(server: Any, town_source: Any) -> None:
+    address, _ = server
+    x, y, crs = 436_000.0, 3_357_000.0, "EPSG:32617"
+    lon, lat = to_geographic(crs, [x, x + 100, x, x], [y, y, y + 100, y])
+    text = json.dumps({"type": "Polygon", "coordinates": [np.transpose([lon, lat]).tolist()]})
+    (town_source.root / "half.geojson").write_text(text)
+    half, box = location(f"{address}/half.geojson"), (x, y, x + 100, y + 100)
+    assert wanted_area(half, [], crs)(box).area == pytest.approx(5000.0, abs=1.0)
+    assert wanted_area(None, [half], crs)(box).area == pytest.approx(5000.0, abs=1.0)
+    (town_source.root / "utf16.geojson").write_text(text, encoding="utf-16")
+    with pytest.raises(InputError, match=r"utf16\.geojson: cannot be read .*GeoJSON in UTF-8"):
+        bounds_from_file(location(f"{address}/utf16.geojson"), crs)
+
+
+def test_addresses_of_what_is_read_from_this_machine_only_are_told() -> None:
+    told = r"found an address where only files of this machine are read \(download it\)"
+    with pytest.raises(InputError, match=told):
+        read_table(Path("https://host/points.csv"), "points")
+    with pytest.raises(InputError, match=told):
+        read_features(Path("https://host/points.gpkg"), "points")
 
 
 def test_what_is_not_there_on_the_web_is_named(server: Any) -> None:
