@@ -125,6 +125,8 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     notes = contradictions(scene, items, options)
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
+    if options.match and quantity != "relative":
+        notes.append(f"--match: found {quantity}, which the other images are no longer: all are taken as relative")
     job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
     for item in items:
         _check_black(job, item)
