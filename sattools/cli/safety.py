@@ -85,7 +85,18 @@ def check_arguments(arguments: list[str]) -> None:
         try:
             argument.encode()
         except UnicodeEncodeError:
-            raise SattoolsError(f"{shown}: found a name that is not UTF-8, expected one (rename the file)") from None
+            problem = "found a name that is not UTF-8, expected one (rename the file)"
+            if _is_utf_8(os.fsencode(argument)):
+                problem = f"found a name that {sys.getfilesystemencoding()} cannot read, expected UTF-8 (PYTHONUTF8=1)"
+            raise SattoolsError(f"{shown}: {problem}") from None
+
+
+def _is_utf_8(name: bytes) -> bool:
+    try:
+        name.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def check_folder() -> None:

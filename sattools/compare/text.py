@@ -43,10 +43,7 @@ def table(figures: Mapping[str, Any]) -> str:
         if not errors["n"]:
             lines.append(f"  {name:9s} no cell was determined: nothing to score")
             continue
-        lines.append(
-            f"  {name:9s} NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
-            f"one factor {_text(errors['nrmse_scaled'])})   correlation {_text(errors['correlation'])}"
-        )
+        lines.append(f"  {name:9s} {_map_text(errors)}   correlation {_text(errors['correlation'])}")
     for row in figures.get("points", []):
         values = (
             f"{key} {_text(v['map'])} (sample {_text(v['sample'])}, difference {_text(v['difference'])})"
@@ -57,6 +54,16 @@ def table(figures: Mapping[str, Any]) -> str:
         means = "   ".join(f"{k} {_text(figures[k])}" for k in ("psnr", "ssim", "lpips", "avg"))
         lines.append(f"  views     {means}   {_whose(figures['views'])}")
     return "\n".join(lines)
+
+
+def _map_text(errors: Mapping[str, Any]) -> str:
+    """The error of a map, over the reference's mean where that is one to divide by: an asymmetry's is about 0."""
+    if errors["nrmse"] is None:
+        return f"RMSE {_text(errors['rmse'])} (no NRMSE, as the reference's mean is not above 0)"
+    return (
+        f"NRMSE {_text(errors['nrmse'])} (constant map {_text(errors['nrmse_constant'])}, "
+        f"one factor {_text(errors['nrmse_scaled'])})"
+    )
 
 
 def _whose(views: Mapping[str, Any]) -> str:

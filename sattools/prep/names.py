@@ -51,8 +51,11 @@ def check_ids(images: Sequence[Path]) -> list[str]:
     ids = [image_id(p) for p in images]
     twice = [i for i, n in Counter(ids).items() if n > 1]
     if twice:
-        paths = [str(p) for p, i in zip(images, ids, strict=True) if i == twice[0]]
-        raise InputError(f"{paths[1]}: found id {twice[0]!r}, which {paths[0]} has too, expected unique file names")
+        paths = [p for p, i in zip(images, ids, strict=True) if i == twice[0]]
+        expected = "expected unique file names"
+        if paths[0].stem != paths[1].stem:
+            expected = f"expected names that differ in their first {_LONGEST} letters a to z, digits, '.', '_' and '-'"
+        raise InputError(f"{paths[1]}: found id {twice[0]!r}, which {paths[0]} has too, {expected}")
     return ids
 
 

@@ -28,6 +28,7 @@ from sattools.scene import Item, Scene
 from sattools.scene.sidecars import sidecars
 
 REFLECTANCES = ("toa_reflectance", "reflectance_factor")
+_ALREADY = " (numbers that are it already need --scale, 1 or 1/10000, say)"
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,9 @@ class ImageScale:
             return f"{self.declared.source} states a scale but not of what (expected --quantity)"
         if eight_bits(properties) and self.declared is None:
             return "it has 8-bit, tone-mapped numbers"
+        if bands and self.declared is not None and any(b.irradiance is None for b in bands):
+            platform = properties.get("platform") or "unknown"
+            return f"neither metadata nor the platform ({platform}) tell the sun's irradiance in its bands"
         if not bands or any(b.irradiance is None for b in bands):
             return "no metadata with a calibration and a solar irradiance were found"
         if count is not None and len(bands) != count:
@@ -199,7 +203,8 @@ def choose_quantity(scene: Scene, scales: dict[str, ImageScale], options: Normal
             return quantity
         if wanted == quantity or (wanted == "radiance" and quantity == REFLECTANCES[-1]):
             name, reason = next(iter(missing.items()))
-            raise SceneError(f"scene {scene.id}: {wanted} was asked for, but of {name} {reason}")
+            hint = "" if scales[name].calibration or scales[name].declared else _ALREADY
+            raise SceneError(f"scene {scene.id}: {wanted} was asked for, but of {name} {reason}{hint}")
     commonest = Counter(r for r in reasons.values() if r).most_common(1)[0][0]
     notes.append(f"linear up to an unknown factor: {commonest}")
     return "relative"

@@ -91,8 +91,13 @@ def invalid_numbers(numbers: np.ndarray, saturation: float) -> tuple[np.ndarray,
 
 
 def gain_and_offset(found: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and offset ``[C]`` that give middle and spread (radiance) ``[2, C]`` the wanted values."""
-    gain = wanted[1] / np.maximum(found[1], 1e-6)
+    """Gain and offset ``[C]`` that give middle and spread (radiance) ``[2, C]`` the wanted values.
+
+    Where either has no spread (most pixels of the band are one number), no gain is known: 1, and the middle alone is
+    brought over. A gain of 0 would make the band one number everywhere.
+    """
+    spread = (found[1] > 0) & (wanted[1] > 0)
+    gain = np.where(spread, wanted[1], 1.0) / np.where(spread, found[1], 1.0)
     return gain, wanted[0] - gain * found[0]
 
 

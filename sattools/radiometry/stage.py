@@ -125,6 +125,8 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     notes = contradictions(scene, items, options)
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
+    if options.match and quantity != "relative":
+        notes.append(f"--match: found {quantity}, which the other images are no longer: all are taken as relative")
     job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
     for item in items:
         _check_black(job, item)
@@ -173,19 +175,28 @@ class _Blocks:
             gain, offset = gain * self._matched[0], offset * self._matched[0] + self._matched[1]
         return Conversion(self.chosen, gain.tolist(), offset.tolist())
 
-    def match(self) -> None:
-        """Bring the image to the first one's middle and spread, which pixels at even distances tell."""
+    def match(self) -> list[int]:
+        """Bring the image to the first one's middle and spread, which pixels at even distances tell.
+
+        Returns:
+            Bands, from 1, of which one of the two has no spread, so that no gain is known.
+        """
         height, width = self.part.shape
         step = math.ceil(math.sqrt(height * width / TOLD))
         some = [
             self._values(rows, slice(0, width))[1][:, -rows.start % step :: step, ::step].reshape(len(self.chosen), -1)
             for rows in pieces((height, width * len(self.chosen)))
         ]
-        low, middle, high = np.nanpercentile(np.concatenate(some, axis=1), [16, 50, 84], axis=1)
+        told = np.concatenate(some, axis=1)
+        if not np.isfinite(told).any():
+            return []  # an image without a valid pixel is refused later on
+        low, middle, high = np.nanpercentile(told, [16, 50, 84], axis=1)
         level_and_spread = np.stack([middle, high - low])
         if self.job.reference is None:
             self.job.reference = level_and_spread
         self._matched = gain_and_offset(level_and_spread, self.job.reference)
+        flat = (level_and_spread[1] <= 0) | (self.job.reference[1] <= 0)
+        return [band for band, without in zip(self.chosen, flat, strict=True) if without]
 
     def block(self, rows: slice, cols: slice) -> np.ndarray:
         """Some pixels ``[C, h, w]`` float32 radiance, which are counted."""
@@ -214,8 +225,11 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     options, bits = job.options, job.bits[item.id]
     part = image_part(job.scene, item)
     blocks = _Blocks(job, item, part)
-    if options.match:
-        blocks.match()
+    if options.match and (flat := blocks.match()):
+        bands = ", ".join(map(str, flat))
+        notes.append(
+            f"{item.id}: band {bands}: most pixels here or in the first image are one number, no gain is known"
+        )
     bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, blocks.chosen)
     if part.referred:
         rpc = RPC.from_file(job.scene.path(item.assets["rpc"].href)).to_tags()

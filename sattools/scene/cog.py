@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import rasterio
 import rasterio.shutil
-from rasterio.enums import Resampling
+from rasterio.enums import ColorInterp, Resampling
 from rasterio.windows import Window
 
 from sattools.errors import SattoolsError
@@ -27,6 +27,15 @@ IN_MEMORY = 8 << 20  # bytes up to which a map is put together in memory
 TILE = 512  # cells along an edge: blocks that begin on multiples of it are written fastest
 AT_ONCE = 4  # of these that are made at a time
 _CACHE = 16 << 20  # bytes for GDAL
+_COLOURS = {"red": ColorInterp.red, "green": ColorInterp.green, "blue": ColorInterp.blue}
+
+
+def colours_of(descriptions: Sequence[str]) -> list[ColorInterp] | None:
+    """What viewers show bands as, by the last words of their names; None where not all three colours are there once."""
+    words = [text.rpartition(" ")[2].lower() for text in descriptions]
+    if any(words.count(colour) != 1 for colour in _COLOURS):
+        return None
+    return [_COLOURS.get(word, ColorInterp.undefined) for word in words]
 
 
 class CogWriter:
@@ -102,6 +111,7 @@ class CogWriter:
             self._data.units = [units] * self._data.count
         if descriptions:
             self._data.descriptions = tuple(descriptions)
+            self._data.colorinterp = colours_of(descriptions) or self._data.colorinterp
         self._data.update_tags(**tags)
         return self
 

@@ -313,3 +313,12 @@ def test_compare_with_a_reference_of_another_place(town: Any, tmp_path: Path) ->
     write_cog(tmp_path / "far.tif", np.zeros((50, 50)), Grid("EPSG:32617", 500000, 3000000, 0.5, 50, 50))
     result = run("compare", "--predicted", town.path(here), "--dsm", tmp_path / "far.tif")
     assert_refused(result, "compare", "expected overlap")
+
+
+def test_names_that_the_locale_cannot_read(tmp_path: Path) -> None:
+    ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    names = [str(tmp_path / name).encode() for name in ("Größe.tif", "b.tif")]
+    done = subprocess.run([sys.executable, "-m", "sattools", "prep", *names], capture_output=True, env=ascii_only)
+    assert done.returncode == 1
+    assert done.stderr.count(b"\n") == 1
+    assert b"found a name that ascii cannot read, expected UTF-8 (PYTHONUTF8=1)" in done.stderr

@@ -254,6 +254,16 @@ def test_a_map_that_claims_nothing_has_nothing_to_score(scene: Any) -> None:
     assert (scene.root / "compare/scatter_theta.png").exists()
 
 
+def test_a_map_about_zero_has_its_rmse_told(scene: Any) -> None:
+    for name, value in (("asymmetry", -0.05), ("TRUTH", -0.1)):
+        write_cog(scene.output(f"{name}.tif"), np.full(GRID.shape, value, np.float32), GRID)
+    scene.products["asymmetry"] = "asymmetry.tif"
+    dsm = str(scene.root / "truth/SIM_1_DSM.tif")
+    options = CompareOptions(dsm=dsm, register="none", map=[f"asymmetry={scene.root}/TRUTH.tif"])
+    text = table(compare(options, scene))
+    assert "asymmetry RMSE 0.050 (no NRMSE, as the reference's mean is not above 0)" in text
+
+
 def test_a_scene_is_scored_and_the_difference_map_written(scene: Any) -> None:
     truth = scene.root / "truth"
     options = CompareOptions(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 import torch
 from scipy.ndimage import binary_dilation
 from skimage.registration import phase_cross_correlation
@@ -86,6 +87,16 @@ def test_it_has_the_images_own_resolution_and_bands(exported: Scene) -> None:
     assert set(np.unique(source)) <= set(range(7))
     notes = exported.products
     assert (notes["ortho"], notes["ortho_source"]) == ("export/ortho.tif", "export/ortho_source.tif")
+
+
+def test_numbers_of_images_have_no_scale(exported: Scene) -> None:
+    tags = []
+    for name in ("ortho", "ortho_source"):
+        with rasterio.open(exported.path(exported.products[name])) as data:
+            tags.append(data.tags())
+    assert "SCALE" in tags[0]
+    assert "SCALE" not in tags[1]
+    assert tags[0]["IMAGE_1"] == tags[1]["IMAGE_1"]
 
 
 def test_what_two_images_see_is_filled(exported: Scene) -> None:

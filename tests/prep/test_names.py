@@ -29,3 +29,12 @@ def test_names_that_differ_in_them_are_told_apart(tmp_path: Path) -> None:
 def test_a_name_without_letters_or_digits_is_refused() -> None:
     with pytest.raises(InputError, match="found a name without letters or digits"):
         image_id(Path("---.tif"))
+
+
+@pytest.mark.parametrize("names", [("Aä", "Aö"), ("x" * 130 + "1", "x" * 130 + "2")])
+def test_names_that_differ_only_in_what_an_id_leaves_out_are_told_so(tmp_path: Path, names: tuple[str, str]) -> None:
+    images = [tmp_path / f"{name}.tif" for name in names]
+    for image in images:
+        image.touch()
+    with pytest.raises(InputError, match="expected names that differ in their first 128 letters a to z, digits"):
+        check_ids(images)

@@ -265,8 +265,24 @@ def test_radiance_becomes_reflectance_by_the_platforms_irradiance(tmp_path: Path
     assert normalise(scene, options)["quantity"] == "toa_reflectance"
     assert values(scene)[0, 0] == pytest.approx(math.pi * 60.0 * 1.00778**2 / (1574.41 * 0.5), rel=1e-4)
     scene = make_scene(tmp_path, np.array([[[590, 100]]], np.uint16), platform="Nobody-1")
-    with pytest.raises(SceneError, match="radiance was asked for, but of i0 no metadata with a calibration"):
+    with pytest.raises(
+        SceneError, match=r"radiance was asked for, but of i0 neither metadata nor .* \(Nobody-1\) tell"
+    ):
         normalise(scene, options)
+
+
+def test_numbers_that_nothing_calibrates_may_be_reflectance_already(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands())
+    with pytest.raises(SceneError, match=r"found \(numbers that are it already need --scale, 1 or 1/10000, say\)"):
+        normalise(scene, NormaliseOptions(quantity="reflectance_factor"))
+
+
+def test_matched_reflectances_are_none_any_more_and_that_is_told(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, two_bands())
+    options = NormaliseOptions(quantity="reflectance_factor", scale="1/10000", match=True)
+    found = normalise(scene, options)
+    assert found["quantity"] == "relative"
+    assert found["notes"][0].startswith("--match: found reflectance_factor, which the other images are no longer")
 
 
 def test_bands_have_names_where_the_platform_has_one_order() -> None:

@@ -292,6 +292,28 @@ def test_dates_are_brought_to_the_first_one(make_scene: Any) -> None:
     assert np.abs(a - b).max() < 2 / 2047  # the second image was rounded to whole numbers, then doubled
 
 
+def test_dates_of_tiny_numbers_are_brought_to_the_first_one_too(make_scene: Any) -> None:
+    first = (np.random.default_rng(0).integers(200, 900, (2, 40, 50)) * 1e-9).astype(np.float32)
+    scene = make_scene(first, first * np.float32(0.5), **{"sattools:bits": 1})
+    normalise(scene, NormaliseOptions(match=True))
+    a, b = (read_image(scene.path(f"radiance/i{k}.tif")) for k in range(2))
+    np.testing.assert_allclose(a, first, rtol=1e-4)
+    np.testing.assert_allclose(b, first, rtol=1e-4)
+
+
+@pytest.mark.parametrize("flat", [0, 1])
+def test_bands_that_are_mostly_one_number_are_matched_by_their_middle_alone(make_scene: Any, flat: int) -> None:
+    images = [np.arange(200, 1200, dtype=np.uint16).reshape(1, 25, 40) for _ in range(2)]
+    images[flat][0, :24] = 100  # water, say; the rest goes on as it is
+    scene = make_scene(*images)
+    found = normalise(scene, NormaliseOptions(match=True))
+    middle = 100.0 if flat == 0 else 699.5  # of the first
+    shift = middle - (699.5 if flat == 0 else 100.0)
+    wanted = images[1][0] + shift
+    assert read_image(scene.path("radiance/i1.tif"))[0] == pytest.approx(wanted / 2047, abs=1e-6)
+    assert "i1: band 1: most pixels here or in the first image are one number, no gain is known" in found["notes"]
+
+
 def test_the_fit_reads_the_radiance(make_town: Any) -> None:
     from sattools.views import load_sources
 

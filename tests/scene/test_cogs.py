@@ -39,6 +39,24 @@ def test_every_map_holds_its_own_numbers(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 7
 
 
+@pytest.mark.parametrize("in_memory", [1 << 20, 0])
+def test_bands_that_are_named_after_colours_are_shown_in_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_memory: int
+) -> None:
+    monkeypatch.setattr("sattools.scene.cog.IN_MEMORY", in_memory)
+
+    def shown(*names: str) -> list[str]:
+        path = tmp_path / "map.tif"
+        with CogWriter(path, GRID, bands=len(names), descriptions=names) as file:
+            file.write(np.zeros((len(names), *GRID.shape), np.float32))
+        with rasterio.open(path) as data:
+            return [kind.name for kind in data.colorinterp]
+
+    assert shown("w blue", "w green", "w red", "w nir") == ["blue", "green", "red", "undefined"]
+    assert shown("w red", "w nir") == ["gray", "undefined"]
+    assert shown("w 1", "w 2", "w 3") == ["gray", "undefined", "undefined"]
+
+
 def test_they_appear_together_with_what_is_held_back(tmp_path: Path) -> None:
     """Whoever holds files back until all are there does so for what other threads write on its behalf, too."""
     with all_or_nothing():

@@ -117,7 +117,8 @@ def write_ortho(
         photo = stack.enter_context(
             CogWriter(files[0], grid, bands=len(bands), descriptions=bands, units="1", tags=about)
         )
-        meaning = {"MEANING": "number of the image that shows most of a point, see IMAGE_n; 0 = none", **about}
+        meaning = {"MEANING": "number of the image that shows most of a point, see IMAGE_n; 0 = none"}
+        meaning |= {**names, "SOFTWARE": "sattools"}  # numbers of images have neither scale nor wavelength
         sources = stack.enter_context(
             CogWriter(files[1], grid, dtype=number, nodata=0, descriptions=["image"], tags=meaning)
         )
