@@ -3,10 +3,10 @@
     python benchmarks/height_range.py SIMULATED/scene.json ...
 
 Scenes come from `sattools simulate` (with --bias-px, as raw images have). Of each, subsets of its images are prepared:
-all, every second, the first three, three in the middle, every third, two thirds, and three pairs. Printed for each: lowest and highest
-height of the truth, the range that was found, by how much it holds them at either end, and how many times as wide it is
-as the truth. Images show more than the truth: a tower that stands beside it widens the range, too. Cameras that are
-known to a few pixels leave all heights free to move by a few metres together.
+all, every second, the first three, three in the middle, every third, two thirds, and three pairs. Printed for each:
+lowest and highest height of the truth, the range that was found, by how much it holds them at either end, and how many
+times as wide it is as the truth. Images show more than the truth: a tower that stands beside it widens the range, too.
+Cameras that are known to a few pixels leave all heights free to move by a few metres together.
 """
 
 from __future__ import annotations
