@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -244,7 +245,24 @@ def test_two_images_give_a_surface_and_say_what_that_means(make_town: Any) -> No
     scene.items = scene.items[:2]
     entry = prior(scene, PriorOptions())
     assert any("two images only" in text for text in entry["notes"])
+    assert not any("are guesses" in text for text in entry["notes"])
     assert np.isfinite(product(scene, "prior_dsm")[0]).all()
+
+
+def test_two_images_that_agree_about_less_than_half_are_warned_of(
+    make_town: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    scene = make_town()
+    scene.items = scene.items[:2]
+    with rasterio.open(scene.path(scene.items[1].assets["image"].href), "r+") as file:
+        pixels = file.read()
+        part = pixels[:, : file.height // 2]
+        part[:] = np.random.default_rng(0).integers(100, 1500, part.shape)
+        file.write(pixels)
+    notes = prior(scene, PriorOptions())["notes"]
+    (told,) = [note for note in notes if "are guesses" in note]
+    assert re.match(r"images agree about [1-4]\d\.\d % of what two of them see: elsewhere heights are guesses", told)
+    assert told in caplog.text
 
 
 def test_images_that_agree_about_nothing_are_warned_of(make_town: Any, caplog: pytest.LogCaptureFixture) -> None:
