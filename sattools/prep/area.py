@@ -169,6 +169,8 @@ def _box_in_degrees(path: Path) -> Sequence[float]:
 
     found = read_features(path, "an area")
     source = found.crs or "EPSG:4326"
+    if not len(found.geometries):
+        raise InputError(f"{path}: found no feature, expected an area")
     return [float(v) for v in shapely.total_bounds(in_crs(found.geometries, source, "EPSG:4326"))]
 
 

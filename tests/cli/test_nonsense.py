@@ -338,7 +338,7 @@ def test_a_damaged_record_of_a_batch_is_done_again(tmp_path: Path, record: Any) 
     from sattools.batch.plan import Task
 
     (tmp_path / "task.json").write_text(record)
-    assert Task("A/b", str(tmp_path), "k", "A", "b", [], "").result() is None
+    assert Task("A/b", str(tmp_path), "k", "A", "b", "", [], "").result() is None
 
 
 @pytest.mark.parametrize(
