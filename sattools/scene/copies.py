@@ -63,6 +63,8 @@ def in_another_root(document: Path, root: Path, together: Path) -> Path:
 def _linked(path: Path, name: Path) -> bool:
     """Give a file a second name; whether the file system could."""
     try:
+        if name.exists() and name.samefile(path):  # by a link between folders it may be the only one
+            return True
         name.parent.mkdir(parents=True, exist_ok=True)
         name.unlink(missing_ok=True)  # of an earlier copy
         name.hardlink_to(path)
