@@ -22,7 +22,7 @@ from sattools.radiometry.calibration import (
     with_irradiance,
 )
 from sattools.radiometry.declared import Declared, parse_scale, read_declared, scale_of_image
-from sattools.radiometry.linear import eight_bits, item_bits
+from sattools.radiometry.linear import eight_bits, full_scale, item_bits
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
 from sattools.scene.sidecars import sidecars
@@ -63,7 +63,7 @@ class ImageScale:
     def saturation(self, bits: int) -> float:
         """Digital number from which a pixel is saturated: full scale, or the largest of the file for reflectance."""
         if self.reflectance is None:
-            return 2.0**bits - 1
+            return full_scale(bits)
         if self.declared is not None and self.declared.full is not None:
             return self.declared.full
         kind = str(self.item.properties.get("sattools:dtype") or "uint16")
@@ -250,7 +250,7 @@ def _simulated(item: Item) -> Declared | None:
     quantity = about.get("quantity") if isinstance(about, dict) else None
     if quantity not in REFLECTANCES:
         return None
-    full = 2.0 ** item_bits(item.properties) - 1
+    full = full_scale(item_bits(item.properties))
     return Declared(quantity, (1 / full,), (0.0,), "simulate", full=full)
 
 

@@ -12,6 +12,7 @@ from sattools.scene.document import Item
 from sattools.scene.jsonio import JsonObject
 
 DEFAULT_BITS = 11  # WorldView, GeoEye, QuickBird products in 16-bit files
+LEAST_WHITE = 2.0**-7  # largest number of an image below which none are shares of 1: all scenes show something brighter
 
 
 def without_bits(properties: JsonObject) -> bool:
@@ -41,18 +42,36 @@ def shared_bits(item: Item, items: Iterable[Item]) -> int:
     One bright roof or bad pixel in one image would else make all of that image darker than the others. It may be
     brighter than the full scale then; nothing is clipped.
 
+    Where all such images of the scene have numbers too small for shares of 1, as radiances in some units are, the bits
+    are negative: full scale is the power of two that holds the largest. Else no model of reflectance, whose amplitudes
+    lie between 0 and 1, would know them from black.
+
     Args:
         item: the image.
         items: all of the scene.
     """
-    alike = [
-        item_bits(other.properties)
-        for other in items
-        if without_bits(other.properties) and other.properties.get("platform") == item.properties.get("platform")
-    ]
     if not without_bits(item.properties):
         return item_bits(item.properties)
-    return median_high(alike or [item_bits(item.properties)])
+    floating = [other.properties for other in items if without_bits(other.properties)] or [item.properties]
+    bits_of = _negative_bits if all(0 < _largest(properties) < LEAST_WHITE for properties in floating) else item_bits
+    platform = item.properties.get("platform")
+    alike = [bits_of(properties) for properties in floating if properties.get("platform") == platform]
+    return median_high(alike or [bits_of(item.properties)])
+
+
+def _largest(properties: JsonObject) -> float:
+    """Largest number of an item; 0 where it is not known."""
+    return float((properties.get("sattools:value_range") or [0.0, 0.0])[1])
+
+
+def _negative_bits(properties: JsonObject) -> int:
+    """Exponent of the power of two above the largest number."""
+    return math.frexp(_largest(properties))[1]
+
+
+def full_scale(bits: int) -> float:
+    """Number of white: 2^bits - 1, or 2^bits of negative ones, see `shared_bits`."""
+    return 2.0**bits - (1.0 if bits > 0 else 0.0)
 
 
 def eight_bits(properties: JsonObject) -> bool:
@@ -61,15 +80,14 @@ def eight_bits(properties: JsonObject) -> bool:
 
 
 def linear_radiance(numbers: np.ndarray, bits: int, black: float = 0.0) -> np.ndarray:
-    """(DN - black) / (2^bits - 1 - black), as float32; NaN stays NaN, nothing is clipped.
+    """(DN - black) / (`full_scale` - black), as float32; NaN stays NaN, nothing is clipped.
 
     Args:
         numbers: digital numbers, any shape.
         bits: significant bits.
         black: digital number of no light.
     """
-    full = 2.0**bits - 1 - black
-    return ((numbers - black) / full).astype(np.float32)
+    return ((numbers - black) / (full_scale(bits) - black)).astype(np.float32)
 
 
 def undo_gamma(values: np.ndarray, gamma: float) -> np.ndarray:
@@ -104,6 +122,7 @@ def gain_and_offset(found: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, 
 __all__ = [
     "DEFAULT_BITS",
     "eight_bits",
+    "full_scale",
     "gain_and_offset",
     "invalid_numbers",
     "item_bits",

@@ -16,6 +16,7 @@ from sattools.radiometry.bands import eo_bands, red_green_blue
 from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
 from sattools.radiometry.linear import (
+    full_scale,
     gain_and_offset,
     invalid_numbers,
     linear_radiance,
@@ -285,7 +286,7 @@ def _saturation(job: _Job, item: Item) -> float:
 def _check_black(job: _Job, item: Item) -> None:
     """Raise SceneError for a black level above white, which would turn light into dark."""
     black, bits = job.options.black, job.bits[item.id]
-    full = 2.0**bits - 1
+    full = full_scale(bits)
     if job.quantity == "relative" and black >= full:
         raise SceneError(
             f"--black: found {black:g}, expected less than {full:g}, white in the {bits} bits of {item.id}"

@@ -355,10 +355,25 @@ def test_the_histograms_labels_stay_within_the_picture(
     assert drawn.y0 >= figures[0].bbox.y0
 
 
-@pytest.mark.parametrize(("most", "full"), [(0.9, 1.0), (1.0, 1.0), (1.3, 3.0), (1500.0, 2047.0), (9000.0, 16383.0)])
+@pytest.mark.parametrize(
+    ("most", "full"),
+    [
+        (0.9, 1.0), (1.0, 1.0), (1.3, 3.0), (1500.0, 2047.0), (9000.0, 16383.0),
+        (9e-3, 1.0), (1.5e-3, 2**-9), (2e-10, 2**-32),  # no scene is as dark as the last two: small units
+    ],
+)  # fmt: skip
 def test_floating_point_numbers_are_shares_of_what_holds_the_largest(make_scene: Any, most: Any, full: Any) -> None:
     image = np.array([[[0.25 * most, most]]], np.float32)
     scene = make_scene(image, **{"sattools:bits": None, "sattools:value_range": [0.25 * most, most]})
     normalise(scene, NormaliseOptions())
     np.testing.assert_allclose(result(scene)[0], [0.25 * most / full, most / full], rtol=1e-6)
     assert scene.items[0].properties["sattools:tone"] == "linear"
+
+
+def test_one_dark_image_beside_others_is_dark_and_has_no_scale_of_its_own(make_scene: Any) -> None:
+    night, day = (np.array([[[0.25 * most, most]]], np.float32) for most in (2e-3, 0.5))
+    scene = make_scene(night, day, **{"sattools:bits": None})
+    for item, most, platform in zip(scene.items, (2e-3, 0.5), ("A", "B"), strict=True):
+        item.properties |= {"sattools:value_range": [0.25 * most, most], "platform": platform}
+    normalise(scene, NormaliseOptions())
+    np.testing.assert_allclose(result(scene)[0], night[0, 0], rtol=1e-6)
