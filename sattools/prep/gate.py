@@ -23,7 +23,7 @@ from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.prep.cameras import SAME_PX
 from sattools.prep.images import SourceImage
-from sattools.prep.numbers import LARGEST_NUMBER, too_large
+from sattools.prep.numbers import LARGEST_NUMBER, check_brightness, too_large
 from sattools.radiometry.bands import named_bands
 from sattools.scene.grid import Grid, finer_pixel
 from sattools.scene.location import RemotePath
@@ -268,6 +268,7 @@ def check_pixels(sources: Sequence[SourceImage], grays: Sequence[NDArray[np.floa
         known = gray[np.isfinite(gray)]
         if np.abs(known).max() > LARGEST_NUMBER:
             raise too_large(source.path, float(np.abs(known).max()))
+        check_brightness(source.path, known)
         some = known[:: max(1, known.size // 100_000)]
         levels = np.unique(some).size
         if levels < _FEW_LEVELS:

@@ -15,6 +15,7 @@ from sattools.errors import InputError
 
 MANY_ZEROS = 0.05  # of the pixels: more than a frame's corners
 MANY_NEGATIVE = 0.01  # of the pixels: atmospheric corrections leave some in deep shadow
+MOST_NEGATIVE = 0.5  # of the pixels: black is in the wrong place, and all below it looks alike to matching
 LEAST_NUMBER = 1e-15  # that the largest of an image is: squares of less are none in single precision
 LARGEST_NUMBER = 1e9  # of a pixel's mean over the bands
 MOST_NUMBER = 1e30  # of a band: sums of more are none in single precision
@@ -132,6 +133,22 @@ def too_large(path: Path, largest: float) -> InputError:
     )
 
 
+def check_brightness(path: Path, known: NDArray[np.float32]) -> None:
+    """Raise InputError for an image that is mostly darker than black: matching would see next to nothing of it.
+
+    Args:
+        path: of the image.
+        known: ``[N]`` means over the bands of its pixels.
+    """
+    share = float(np.mean(known < 0))
+    if share > MOST_NEGATIVE:
+        raise InputError(
+            f"{path}: found {100 * share:.0f} % of the pixels below 0, expected brightness, "
+            "0 where it is black (add an offset to all images, write numbers above 32767 without sign, or declare "
+            "those that mean no data)"
+        )
+
+
 def read_band(data: DatasetReader, path: Path, band: int, window: Window) -> NDArray[np.generic]:
     """Numbers ``[H, W]`` of a band as stored.
 
@@ -152,4 +169,4 @@ def read_band(data: DatasetReader, path: Path, band: int, window: Window) -> NDA
         ) from None
 
 
-__all__ = ["LARGEST_NUMBER", "Numbers", "read_band", "too_large"]
+__all__ = ["LARGEST_NUMBER", "Numbers", "check_brightness", "read_band", "too_large"]

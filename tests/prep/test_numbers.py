@@ -60,6 +60,19 @@ def test_numbers_below_zero(town: Any) -> None:
     made(town, "TOWN_002: 10 % of its pixels are negative, down to -300, taken for brightness", "without sign")
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_images_mostly_darker_than_black_are_refused(town: Any, unit: float) -> None:
+    """Matching takes numbers below 0 for black: a town's surface was 13 m off, in small units without a word."""
+    for number in range(1, 5):
+        town.pixels(number, lambda values: ((values - 1000.0) * unit).astype(np.float32))
+    result = prep(town)
+    assert result.exit_code == 1
+    told = result.stderr.splitlines()[-1]
+    assert "TOWN_001.tif: found " in told
+    assert " % of the pixels below 0, expected brightness, 0 where it is black (add an offset" in told
+    assert not list(town.folder.glob("**/scene.json"))
+
+
 def test_a_frame_of_zeros_is_noted_where_the_file_does_not_declare_it(town: Any) -> None:
     town.pixels(2, framed(0, np.uint16))
     town.pixels(3, framed(0, np.uint16))
