@@ -27,7 +27,7 @@ from sattools.prep.pixels import read_gray
 from sattools.prep.places import SearchHeights
 from sattools.processors import side_by_side
 from sattools.progress import Progress, subprogress
-from sattools.radiometry.holes import without_holes
+from sattools.radiometry.holes import MANY_FOR_FEATURES, without_holes
 
 WINDOWS = 12  # squares of the ground
 WINDOW_PX = 1500  # edge of one, at most
@@ -58,7 +58,7 @@ class GrayImages:
 
     def without_holes(self) -> GrayImages:
         """The images with their single missing pixels from their neighbours, where there are many."""
-        return replace(self, grays=[without_holes(gray) for gray in self.grays])
+        return replace(self, grays=[without_holes(gray, MANY_FOR_FEATURES) for gray in self.grays])
 
     def cameras(self, rpcs: Sequence[RPC]) -> list[RPC]:
         """Cameras of the grey images from those of the images."""
@@ -216,7 +216,7 @@ class _Search:
             if min(width, height) < _LEAST_PX:
                 continue
             part = replace(source, window=(source.window[0] + col, source.window[1] + row, width, height), notes=[])
-            gray = without_holes(read_gray(part, whole=False))
+            gray = without_holes(read_gray(part, whole=False), MANY_FOR_FEATURES)
             if np.isfinite(gray).mean() < _LEAST_KNOWN:
                 continue
             views.append(TiePointImage(source.id, gray, rpc.cropped(col, row)))
