@@ -53,6 +53,22 @@ def test_images_with_hot_pixels_are_prepared_as_those_without(town: Any) -> None
         np.testing.assert_array_equal(before.read(), after.read())
 
 
+@pytest.mark.parametrize("number", [65535.0, 1e8])
+def test_floating_point_images_with_hot_pixels_are_prepared_as_those_without(town: Any, number: float) -> None:
+    """One pixel in 10,000 was enough: no tie points were found, and the overlap of the images was blamed."""
+
+    def few(values: Any) -> Any:
+        values = values.astype(np.float32)
+        values[:, 40::60, 50::60] = number
+        return values
+
+    for view in range(1, 5):
+        town.pixels(view, few)
+    scene = made(town, "of its pixels are hot", "taken for no data")
+    assert scene.history[-1]["adjustment"]["median_after_px"] < 0.3
+    assert scene.items[0].properties["sattools:value_range"][1] < 2048
+
+
 def test_originals_that_are_not_copied_are_said_to_keep_theirs(town: Any) -> None:
     town.pixels(1, hot(1))
     assert "TOWN_001: is not copied, so its hot pixels are brightness later on" in prep(town, "--no-copy").stderr
@@ -101,3 +117,15 @@ def test_images_without_hot_pixels_get_no_mask(town: Any) -> None:
     with rasterio.open(scene.path(scene.items[0].assets["image"].href)) as data:
         assert data.dataset_mask().all()
     assert not any("hot" in note for note in scene.history[-1]["notes"])
+
+
+def test_floating_point_numbers_are_hot_where_nothing_else_is_nearly_as_bright(tmp_path: Path) -> None:
+    """Whatever their unit; neither roofs, glints with their surroundings nor what lies beside missing pixels are."""
+    values = np.full((200, 300), 0.1, np.float32) * np.linspace(0.5, 1.5, 300, dtype=np.float32)
+    values[100:110, 100:110] = 5.0
+    values[30, 40] = values[30, 41] = values[120, 250] = 9.0
+    values[60, 60], values[59:62, 61], values[60, 59] = 9.0, 2.0, 2.0
+    values[150, 150], values[149:152, 149] = 9.0, np.nan
+    for unit in (1.0, 1e-6, 1e6):
+        hot_ones = found(image(tmp_path / f"{unit}.tif", values * np.float32(unit)))
+        assert np.argwhere(hot_ones).tolist() == [[30, 40], [30, 41], [120, 250]]
