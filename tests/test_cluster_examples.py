@@ -135,6 +135,24 @@ def test_an_area_of_one_tile_needs_no_array_of_jobs(scheduler: Path, recorder: P
     assert [call[-1] for call in calls_of(recorder)] == [str(scene)] * 3
 
 
+@pytest.mark.parametrize(
+    ("options", "split", "export"),
+    [(["--tile", "512"], ["--resume"], []), (["--tile", "512", "--overwrite"], [], ["--overwrite"])],
+)
+def test_what_is_there_is_gone_on_with_or_replaced_as_asked(
+    scheduler: Path, recorder: Path, tmp_path: Path, options: list[str], split: list[str], export: list[str]
+) -> None:
+    scene = tmp_path / "area/scene.json"
+    tiles = scene.parent / "fit/tiles/tiles.json"
+    tiles.parent.mkdir(parents=True)
+    tiles.touch()
+    done = run("slurm.sh", str(scene), *options, PATH=f"{scheduler}:{os.environ['PATH']}", SATTOOLS=str(recorder))
+    assert (done.returncode, done.stderr) == (0, "")
+    first, *_, last = calls_of(recorder)
+    assert first[2:] == ["fit", *options, *split, "--part", "split", str(scene)]
+    assert last == ["export", *export, str(scene)]
+
+
 def test_a_number_without_a_tile_and_an_unknown_part_are_refused(make_town: Any) -> None:
     path = str(make_town().root / "scene.json")
     done = run("tiles.sh", "tile", path, JOB_COMPLETION_INDEX="7")

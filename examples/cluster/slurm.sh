@@ -2,7 +2,8 @@
 # A fit in tiles on a SLURM cluster: one job cuts, arrays of jobs fit, one joins and exports.
 #   examples/cluster/slurm.sh work/harbour/scene.json --tile 512
 # Memory and time are for tiles of 512 m with three to six images (see docs/batch.md). An array has at most MAX_ARRAY jobs:
-# less than the cluster's MaxArraySize (`scontrol show config`), 1001 unless somebody has set another.
+# less than the cluster's MaxArraySize (`scontrol show config`), 1001 unless somebody has set another. With --overwrite fit and
+# export replace what is there.
 set -eu
 
 # words as a shell reads them, whatever blanks and quotes are in them: --wrap takes one text
@@ -19,7 +20,11 @@ scene=$1
 shift
 part=$(quoted "$here/tiles.sh")
 arguments=$(quoted "$scene" "$@")
-export=$(quoted "${SATTOOLS:-sattools}" export "$scene")
+overwrite=
+for option; do
+    test "$option" != --overwrite || overwrite=$option
+done
+export=$(quoted "${SATTOOLS:-sattools}" export $overwrite "$scene")
 job="sbatch --parsable --mem=${MEMORY:-4G} --cpus-per-task=${CPUS:-2} --time=${TIME:-01:00:00}"
 
 $job --wait --job-name=split --wrap "$part split $arguments"

@@ -5,7 +5,8 @@
 #   tiles.sh tile   SCENE.json [the same options]    tile number SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX (0, 1, ...),
 #                                                    counted from FIRST_TILE on (0 if that is not set)
 #   tiles.sh mosaic SCENE.json [the same options]
-# SCENE.json lies in the scene's folder, which all machines see under the same name. A part that is done is not done again.
+# SCENE.json lies in the scene's folder, which all machines see under the same name. A part that is done is not done again,
+# unless `split` is given --overwrite.
 set -eu
 part=$1 scene=$2
 shift 2
@@ -17,6 +18,9 @@ case $part in
     split | mosaic)
         resume=
         test "$part" = split && test -e "$tiles/tiles.json" && resume=--resume
+        for option; do # what is asked for anew goes on from nothing
+            test "$option" != --overwrite || resume=
+        done
         exec "$sattools" --threads "$threads" fit "$@" $resume --part "$part" "$scene" > /dev/null
         ;;
     count)

@@ -371,6 +371,7 @@ def _around(large: Grid, grid: Grid) -> Grid:
 
 
 __all__ = [
+    "RELIEF_M",
     "UNLIKE",
     "ControlPoint",
     "Method",

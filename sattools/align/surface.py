@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.align.estimate import Method, chosen, shift_to_dem
+from sattools.align.estimate import Method, chosen
+from sattools.align.far import shift_within
 from sattools.align.means import LEAST_PARTS
 from sattools.align.options import AlignOptions
 from sattools.align.reference import heights_around
@@ -76,7 +77,7 @@ def _means(values: np.ndarray, step: int) -> np.ndarray:
 
 
 def shift_to_raster(surface: SurfaceFiles, reference: Path, options: AlignOptions) -> tuple[Shift, Method]:
-    """`shift_to_dem` of files.
+    """`shift_within` of files.
 
     Of a surface of many cells five squares are looked at, and the median of what they say is taken. Where a tilt is
     asked for, or height alone, or where the reference's cells are large enough, all of it is looked at on larger cells.
@@ -90,7 +91,7 @@ def shift_to_raster(surface: SurfaceFiles, reference: Path, options: AlignOption
         The shift, and the method that has found it.
 
     Raises:
-        InputError: as `heights_around` and `shift_to_dem`.
+        InputError: as `heights_around` and `shift_within`.
     """
     grid = raster_grid(surface.dsm)
     step = math.ceil(math.sqrt(grid.width * grid.height / MOST_CELLS))
@@ -111,7 +112,8 @@ def _shift(
     options: AlignOptions,
 ) -> tuple[Shift, Method]:
     method = chosen(options.method, grid, onto[1])
-    return shift_to_dem(height, grid, *onto, method, tilt=options.tilt, error=error), method
+    reach = options.max_shift
+    return shift_within(height, grid, *onto, method, tilt=options.tilt, error=error, reach=reach), method
 
 
 def _of_parts(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sattools.batch.cluster import Job, run, shares
+from sattools.batch.cluster import Job, check_cluster, run, shares
 from sattools.batch.earlier import comparable_rows, tell_of_joined
 from sattools.batch.figure import draw
 from sattools.batch.gate import DIGESTS, FIGURE, check_folder, check_references, document_of, is_own, joined_folder
@@ -51,7 +51,7 @@ class Batch:
         runs: (scene, configuration) -> the task of what is not finished, before its steps are shared or cut into tiles.
         kept: rows of earlier calls in the same folder, which are not of this one.
         joined: configuration -> what `join` says of its scenes; None where none is done.
-        overwrite: what is finished is done again; dry_run: it stays as it is all the same.
+        overwrite: what is finished is done again; forgotten: records of it, which `forget` removes.
     """
 
     jobs: list[Job] = field(default_factory=list)
@@ -64,13 +64,18 @@ class Batch:
     kept: list[Row] = field(default_factory=list)
     joined: dict[str, JsonObject | None] = field(default_factory=dict)
     overwrite: bool = False
-    dry_run: bool = False
+    forgotten: set[Path] = field(default_factory=set)
 
     def earlier(self, task: Task) -> JsonObject | None:
-        """What an earlier run has left of a task; None, and it is forgotten, where all is done again."""
-        if self.overwrite and not self.dry_run:
-            task.record.unlink(missing_ok=True)
+        """What an earlier run has left of a task; None, and it is to be forgotten, where all is done again."""
+        if self.overwrite:
+            self.forgotten.add(task.record)
         return None if self.overwrite else task.result()
+
+    def forget(self) -> None:
+        """Remove the records of what is done again: not before nothing is in the way of that."""
+        for record in self.forgotten:
+            record.unlink(missing_ok=True)
 
     def share(self) -> None:
         """Let runs of one scene that differ only later on start from one prior."""
@@ -217,6 +222,9 @@ def batch(
         try:
             if plan.jobs:
                 share = shares(options, cores, len(state.open), bool(plan.tiled))
+                if plan.forgotten:
+                    check_cluster(options, cores, len(state.open), bool(plan.tiled))
+                    plan.forget()
                 run(plan.jobs, options, share, state.finished, state.told)
         finally:
             # commands die with their workers, a little later and in the middle of whatever they write
@@ -275,7 +283,7 @@ def make_plan(
     if options.aoi and options.dfc2019 is None:
         raise InputError("--aoi: found no --dfc2019, expected the root of the contest's data")
     out = Path(options.out).absolute()
-    plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations], overwrite=overwrite, dry_run=dry_run)
+    plan = Batch(rows=[(scene, c.name) for scene in ids for c in configurations], overwrite=overwrite)
     digests = Digests(out / DIGESTS)
     if not dry_run:
         digests.save()  # from here on the folder is known as a batch's

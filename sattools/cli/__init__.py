@@ -5,9 +5,12 @@ from __future__ import annotations
 import gc
 import importlib
 import importlib.util
+import locale
 import os
+import re
 import signal
 import sys
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -186,6 +189,24 @@ def forget_others() -> None:
             os.environ.pop(name, None)
 
 
+def compare_letters_plainly() -> None:
+    """Take another locale for the kinds of letters where GDAL would not know "tiled" for "TILED", as in Turkish.
+
+    It compares names of options by the C library, whose I is no capital of i there: nothing could be written.
+    Processes that are started get it from the environment.
+    """
+    if sys.getfilesystemencoding() != "utf-8" or re.match(b"i", b"I", re.IGNORECASE | re.LOCALE):
+        return
+    for name in ("C.UTF-8", "C"):
+        with suppress(locale.Error):
+            locale.setlocale(locale.LC_CTYPE, name)
+            rest = os.environ.pop("LC_ALL", None)  # which would come before LC_CTYPE
+            if rest is not None:
+                os.environ["LANG"] = rest
+            os.environ["LC_CTYPE"] = name
+            return
+
+
 # Libraries make hundreds of thousands of objects that stay, and Python would go through all of them again and again
 # while they are imported, and once more at the end: half a second of each command that needs PyTorch.
 GARBAGE = (20_000, 20, 100)
@@ -195,6 +216,7 @@ def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
     gc.set_threshold(*GARBAGE)
     forget_others()
+    compare_letters_plainly()
     prepare_streams()
     interrupts.listen()
     try:

@@ -260,7 +260,9 @@ def test_with_overwrite_a_plan_has_what_is_done_and_a_dry_run_leaves_it(make_tow
     assert make_plan(options, [scene], [DEFAULT], dry_run=True).jobs == []
     assert make_plan(options, [scene], [DEFAULT], overwrite=True, dry_run=True).jobs == [job]
     assert job.task.record.exists()
-    assert make_plan(options, [scene], [DEFAULT], overwrite=True).jobs == [job]
+    plan = make_plan(options, [scene], [DEFAULT], overwrite=True)
+    assert (plan.jobs, job.task.record.exists()) == ([job], True)
+    plan.forget()
     assert not job.task.record.exists()
 
 

@@ -10,8 +10,9 @@ import pytest
 
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Configuration, Task
-from sattools.batch.stage import make_plan
+from sattools.batch.stage import batch, make_plan
 from sattools.batch.task import perform
+from sattools.errors import SattoolsError
 from sattools.scene import Scene
 from sattools.scene.copies import in_another_root
 from sattools.scene.location import remote_allowed
@@ -50,6 +51,16 @@ def test_a_folder_that_was_moved_keeps_its_results(make_town: Any, tmp_path: Pat
     (tmp_path / "out").rename(tmp_path / "moved")
     plan = make_plan(BatchOptions(out=str(tmp_path / "moved")), [scene], [DEFAULT])
     assert (plan.jobs, list(plan.results)) == ([], [("A", "default")])
+
+
+def test_what_cannot_be_begun_anew_stays_finished(make_town: Any, tmp_path: Path) -> None:
+    scene = make_town("A")
+    task = finished(scene, tmp_path / "out")
+    options = BatchOptions(out=str(tmp_path / "out"), scheduler="nonsense")
+    with pytest.raises(SattoolsError, match=r"--scheduler nonsense: found no Dask scheduler"):
+        batch(options, [scene], [DEFAULT], 1, overwrite=True)
+    assert task.record.exists()
+    assert make_plan(options, [scene], [DEFAULT]).jobs == []
 
 
 def test_what_a_run_has_from_a_shared_prior_goes_along_when_the_folder_is_moved(make_town: Any, tmp_path: Path) -> None:
