@@ -38,7 +38,7 @@ from sattools.views.check import check_extent
 
 LEAST_TOLD = 0.005  # of the area, which is named
 LEAST_SURE = 0.02  # of what two of more images see: less were 0.001 to 0.003, 9 m and more off; right ones from 0.05 on
-LEAST_ALIKE = 0.5  # of what two images alone see: with less 13 of 13 pairs are 5 to 14 m off, else 15 of 19 below 5
+LEAST_ALIKE = 0.5  # of what two images alone see: with less 12 of 12 pairs are 5 to 16 m off, else 15 of 20 below 5
 COUNTS = 0.9  # of what the others do: an image that counts less is named
 
 log = logging.getLogger(__name__)

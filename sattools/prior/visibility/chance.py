@@ -16,7 +16,7 @@ from sattools.prior.neighbours import relief
 
 HIGHER_M = 8.0  # above the ground: lower things are left to those around them
 AROUND_M = 8.0  # edge of the square in which
-SHARE = 0.1  # of what is so high has to stand
+SHARE = 0.05  # of what is so high has to stand (three images of one date: a tenth takes roofs from towers)
 BLOCK_M = 4.0  # edge of a piece of ground, whose height is the median of what stands
 DENSE_M, DENSE = 5.0, 0.3  # share of the square around a cell that stands where it tells of the ground
 REACH_M = 26.0  # distance within which the ground is looked for,
