@@ -52,7 +52,7 @@ def scheduler(tmp_path: Path) -> Path:
         "for k in range(first, last + 1):\n"
         "    more = {'SLURM_ARRAY_TASK_ID': str(k)} if array else {}\n"
         "    subprocess.run(command, shell=True, check=True, env={**os.environ, **more})\n"
-        "print(41)\n",
+        "print(os.environ.get('JOB', '41'))\n",
     )
     (tmp_path / "bin/sattools").symlink_to(Path(sys.executable).parent / "sattools")
     return program.parent
@@ -116,6 +116,7 @@ def test_more_tiles_than_an_array_may_have_jobs_are_several_arrays(
         tile.touch()
     scene = tmp_path / "large/scene.json"
     more = {"PATH": f"{scheduler}:{os.environ['PATH']}", "SATTOOLS": str(recorder), "MAX_ARRAY": "2"}
+    more["JOB"] = "41;hall"  # as `--parsable` prints where there are several clusters
     done = run("slurm.sh", str(scene), **more)
     assert done.returncode == 0, done.stderr
     assert [call[-1] for call in calls_of(recorder)[1:-2]] == [str(tile) for tile in tiles]

@@ -35,7 +35,7 @@ while test "$first" -lt "$count"; do # an area of one tile has none: what joins 
     some=$((count - first))
     test "$some" -le "${MAX_ARRAY:-1000}" || some=${MAX_ARRAY:-1000}
     fits=$($job --job-name=tiles --array="0-$((some - 1))" --requeue --wrap "FIRST_TILE=$first $part tile $arguments")
-    after=${after:---dependency=afterok}:$fits
+    after=${after:---dependency=afterok}:${fits%%;*} # among several clusters its name follows the number
     first=$((first + some))
 done
 $job --job-name=mosaic $after --wrap "$part mosaic $arguments && $export > /dev/null"

@@ -103,6 +103,18 @@ def test_place_and_time_are_those_of_the_scene(scene: Any) -> None:
     assert properties["start_datetime"] == "2014-10-05T16:00:00Z"
 
 
+@pytest.mark.parametrize(
+    ("first", "last"),
+    [("2015-03-01T16:00:22Z", "2015-03-01T16:00:22.5Z"), ("2015-03-01T18:00:00+02:00", "2015-03-01T16:00:01Z")],
+)
+def test_the_first_and_last_time_are_those_on_the_clock_not_in_the_alphabet(scene: Any, first: str, last: str) -> None:
+    for item, time in zip(scene.items, (last, first), strict=True):
+        item.properties["datetime"] = time
+    export(scene, ExportOptions())
+    properties = read(scene, "collection_item")["properties"]
+    assert (properties["start_datetime"], properties["end_datetime"]) == (first, last)
+
+
 def test_the_folder_can_be_moved(scene: Any, tmp_path: Path) -> None:
     export(scene, ExportOptions())
     shutil.move(scene.root, tmp_path / "elsewhere")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def write_collection(scene: Scene, grid: Grid) -> None:
         if name in made
     }
     outline, box = _place(grid)
-    times = sorted(str(t) for t in (item.properties.get("datetime") for item in scene.items) if t)
+    times = sorted((str(t) for t in (item.properties.get("datetime") for item in scene.items) if t), key=_instant)
     collection = {
         "type": "Collection",
         "stac_version": "1.1.0",
@@ -114,6 +115,12 @@ def write_collection(scene: Scene, grid: Grid) -> None:
             "assets": assets,
         }
         _write(scene, "collection_item", item)
+
+
+def _instant(text: str) -> datetime:
+    """The time that a text means: texts with and without fractions of a second or other clocks sort otherwise."""
+    time = datetime.fromisoformat(text)
+    return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def _write(scene: Scene, product: str, document: JsonObject) -> None:
