@@ -38,7 +38,9 @@ from sattools.views.check import check_extent
 
 LEAST_TOLD = 0.005  # of the area, which is named
 LEAST_SURE = 0.02  # of what two of more images see: less were 0.001 to 0.003, 9 m and more off; right ones from 0.05 on
-LEAST_ALIKE = 0.5  # of what two images alone see: with less 12 of 12 pairs are 5 to 16 m off, else 15 of 20 below 5
+# of what two of so many images see: with less 12 of 12 pairs are 5 to 16 m off, else 15 of 20 below 5; of three images
+# with less 13 of 13 sets 3 to 8.4 m, else 27 of 29 below 4
+LEAST_ALIKE = {2: 0.5, 3: 0.62}
 COUNTS = 0.9  # of what the others do: an image that counts less is named
 
 log = logging.getLogger(__name__)
@@ -253,10 +255,10 @@ def _notes(scene: Scene, found: Matched, images: int, grid: Grid, water: float) 
 
 
 def _disagreement(found: Matched, images: int) -> list[str]:
-    """Says so where most heights are guesses: two images have to agree with each other, more of them surely."""
+    """Says so where many heights are guesses: few images have to agree with each other, more of them surely."""
     agreed, least = _mean(found.confidence, SURE), LEAST_SURE
-    if images == 2:
-        agreed, least = found.consistent_in_two, LEAST_ALIKE
+    if images in LEAST_ALIKE:
+        agreed, least = found.consistent_in_two, LEAST_ALIKE[images]
     if not agreed < least * found.seen_by_two:
         return []
     return [

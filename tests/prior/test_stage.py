@@ -249,20 +249,30 @@ def test_two_images_give_a_surface_and_say_what_that_means(make_town: Any) -> No
     assert np.isfinite(product(scene, "prior_dsm")[0]).all()
 
 
-def test_two_images_that_agree_about_less_than_half_are_warned_of(
-    make_town: Any, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("images", "spoilt"), [(2, 0.5), (3, 0.7)])
+def test_few_images_that_agree_about_half_are_warned_of(
+    images: int, spoilt: float, make_town: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """All but one of them show noise in half of the area and more."""
     scene = make_town()
-    scene.items = scene.items[:2]
-    with rasterio.open(scene.path(scene.items[1].assets["image"].href), "r+") as file:
-        pixels = file.read()
-        part = pixels[:, : file.height // 2]
-        part[:] = np.random.default_rng(0).integers(100, 1500, part.shape)
-        file.write(pixels)
+    scene.items = scene.items[:images]
+    rng = np.random.default_rng(0)
+    for item in scene.items[1:]:
+        with rasterio.open(scene.path(item.assets["image"].href), "r+") as file:
+            pixels = file.read()
+            part = pixels[:, : round(spoilt * file.height)]
+            part[:] = rng.integers(100, 1500, part.shape)
+            file.write(pixels)
     notes = prior(scene, PriorOptions())["notes"]
     (told,) = [note for note in notes if "are guesses" in note]
-    assert re.match(r"images agree about [1-4]\d\.\d % of what two of them see: elsewhere heights are guesses", told)
+    assert re.match(r"images agree about [1-5]\d\.\d % of what two of them see: elsewhere heights are guesses", told)
     assert told in caplog.text
+
+
+def test_three_images_that_agree_are_not_warned_of(make_town: Any) -> None:
+    scene = make_town()
+    scene.items = scene.items[:3]
+    assert not any("are guesses" in note for note in prior(scene, PriorOptions())["notes"])
 
 
 def test_images_that_agree_about_nothing_are_warned_of(make_town: Any, caplog: pytest.LogCaptureFixture) -> None:
