@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import fftconvolve
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from sattools.align.estimate import RELIEF_M, UNLIKE, Method, shift_to_dem
 from sattools.align.shift import Shift
@@ -129,8 +129,13 @@ def _correlations(around: np.ndarray, part: np.ndarray) -> np.ndarray:
     there = np.where(known_there, around - np.nanmean(around) if known_there.any() else 0.0, 0.0).astype(np.float64)
     here = np.where(known_here, part - np.nanmean(part) if known_here.any() else 0.0, 0.0).astype(np.float64)
 
+    # places where the part would go round the edge are cut off, so that the period may be as short as the wide map
+    rows, cols = (a - b + 1 for a, b in zip(around.shape, part.shape, strict=True))
+    period = [next_fast_len(size, real=True) for size in around.shape]
+
     def sums(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.asarray(fftconvolve(a.astype(np.float64), b[::-1, ::-1].astype(np.float64), mode="valid"))
+        a, b = (rfft2(values.astype(np.float64), period) for values in (a, b))
+        return np.asarray(irfft2(a * b.conj(), period)[:rows, :cols])
 
     count = np.maximum(sums(known_there, known_here), 1.0)
     mean_there, mean_here = sums(there, known_here) / count, sums(known_there, here) / count

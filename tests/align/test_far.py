@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from align_ground import CRS
 
-from sattools.align.far import shift_within
+from sattools.align.far import _correlations, shift_within
 from sattools.align.options import AlignOptions
 from sattools.align.surface import SurfaceFiles, shift_to_raster
 from sattools.errors import InputError
@@ -82,3 +82,22 @@ def test_files_are_looked_at_as_far_as_max_shift(tmp_path: Path) -> None:
     assert (shift.east, shift.north) == pytest.approx((-64.0, 48.0), abs=0.05)
     with pytest.raises(InputError, match="to 50 m"):
         shift_to_raster(surface, tmp_path / "reference.tif", replace(options, max_shift=50.0))
+
+
+def test_correlations_of_all_places_are_those_of_what_both_maps_know() -> None:
+    """Against numpy's of one place after the other, also at the edges, where transforms would go round."""
+    rng = np.random.default_rng(0)
+    wide = rng.normal(20.0, 3.0, (23, 31))
+    part = wide[5:14, 17:28] + rng.normal(0.0, 0.3, (9, 11))
+    wide[rng.uniform(size=wide.shape) < 0.1] = np.nan
+    part[2] = np.nan
+    found = _correlations(wide, part)
+    assert found.shape == (15, 21)
+    for row in range(15):
+        for column in range(21):
+            there = wide[row : row + 9, column : column + 11]
+            both = np.isfinite(there) & np.isfinite(part)
+            # sums of 99 numbers in double precision
+            expected = np.corrcoef(there[both], part[both])[0, 1]
+            assert found[row, column] == pytest.approx(expected, abs=1e-9)
+    assert np.unravel_index(found.argmax(), found.shape) == (5, 17)
