@@ -39,7 +39,7 @@ from sattools.views.check import check_extent
 LEAST_TOLD = 0.005  # of the area, which is named
 LEAST_SURE = 0.02  # of what two of more images see: less were 0.001 to 0.003, 9 m and more off; right ones from 0.05 on
 # of what two of so many images see: with less 12 of 12 pairs are 5 to 16 m off, else 15 of 20 below 5; of three images
-# with less 13 of 13 sets 3 to 8.4 m, else 27 of 29 below 4
+# with less 13 of 13 sets 3 to 8.4 m, else 26 of 28 below 4
 LEAST_ALIKE = {2: 0.5, 3: 0.62}
 COUNTS = 0.9  # of what the others do: an image that counts less is named
 
