@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sattools.prior.visibility.chance import _ground, ground_by_chance
+from sattools.prior.visibility.chance import _ground, without_lumps
 
 CELL = 0.5
 BLOCK = slice(60, 100)  # 20 m
@@ -23,25 +23,25 @@ def thing_on_plain(high: float, stands: float) -> tuple[Any, Any]:
 
 def test_what_hardly_a_view_agrees_about_becomes_the_ground_around_it() -> None:
     height, stands = thing_on_plain(40.0, 0.01)
-    np.testing.assert_array_equal(ground_by_chance(height, stands, CELL), 12.0)
+    np.testing.assert_array_equal(without_lumps(height, stands, CELL), 12.0)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 1.0])
 def test_a_roof_of_which_some_stands_stays(share: float) -> None:
     height, stands = thing_on_plain(40.0, share)
-    np.testing.assert_array_equal(ground_by_chance(height, stands, CELL), height)
+    np.testing.assert_array_equal(without_lumps(height, stands, CELL), height)
 
 
 def test_lower_things_are_left_to_what_is_around_them() -> None:
     height, stands = thing_on_plain(7.0, 0.0)
-    np.testing.assert_array_equal(ground_by_chance(height, stands, CELL), height)
+    np.testing.assert_array_equal(without_lumps(height, stands, CELL), height)
 
 
 def test_what_hangs_on_a_tower_goes_the_tower_stays() -> None:
     height, stands = thing_on_plain(60.0, 0.9)
     height[BLOCK, 100:140] = 50.0
     stands[BLOCK, 100:140] = False
-    result = ground_by_chance(height, stands, CELL)
+    result = without_lumps(height, stands, CELL)
     np.testing.assert_array_equal(result[BLOCK, BLOCK], 72.0)
     np.testing.assert_array_equal(result[BLOCK, 108:140], 12.0)  # 4 m beside it the tower counts
 
@@ -52,19 +52,19 @@ def test_a_mountain_side_stays(stands: float) -> None:
     row, col = np.mgrid[:120, :100]
     height = (2.0 * np.tan(np.radians(40)) * row + 0.1 * col).astype(np.float32)
     firm = np.random.default_rng(5).uniform(size=height.shape) < stands
-    np.testing.assert_array_equal(ground_by_chance(height, firm, 2.0), height)
+    np.testing.assert_array_equal(without_lumps(height, firm, 2.0), height)
 
 
 def test_without_anything_that_stands_nothing_changes() -> None:
     height, _ = thing_on_plain(40.0, 0.0)
-    np.testing.assert_array_equal(ground_by_chance(height, np.zeros(height.shape, bool), CELL), height)
+    np.testing.assert_array_equal(without_lumps(height, np.zeros(height.shape, bool), CELL), height)
 
 
 @pytest.mark.parametrize("cell", [0.3, 1.7, 5.0, 40.0])
 def test_cells_of_any_width_give_finite_heights_of_the_same_kind(cell: float) -> None:
     random = np.random.default_rng(0)
     height = random.uniform(0, 100, (41, 23)).astype(np.float32)
-    result = ground_by_chance(height, random.uniform(size=height.shape) < 0.35, cell)
+    result = without_lumps(height, random.uniform(size=height.shape) < 0.35, cell)
     assert result.dtype == np.float32
     assert result.shape == height.shape
     assert np.isfinite(result).all()

@@ -24,7 +24,7 @@ from sattools.prior.matching.weights import view_shares
 from sattools.prior.neighbours import STEP_M, mean_of_neighbours, relief
 from sattools.prior.options import PriorOptions
 from sattools.prior.visibility.alone import stands_alone
-from sattools.prior.visibility.chance import ground_by_chance
+from sattools.prior.visibility.chance import without_lumps
 from sattools.prior.visibility.consistency import RayMinima, count_consistent_views, filled, standing, supported
 from sattools.prior.visibility.courtyards import RoughSurface, open_courtyards
 from sattools.prior.visibility.edges import snap_edges
@@ -136,7 +136,7 @@ def match(
         stands |= stands_alone(height, agreeing, views, frame.cell) & ~shaded
     lowered = filled(height, stands, frame.cell)
     if not task.robust:
-        lowered = ground_by_chance(lowered, stands, frame.cell)
+        lowered = without_lumps(lowered, stands, frame.cell)
     if many_in_town:
         whole = pieces_of_roofs(height, lowered, stands, agreeing / np.maximum(views, 1), frame.cell)
         lowered[whole] = height[whole]
@@ -235,7 +235,7 @@ def _rough_passes(task: MatchTask, progress: Progress) -> tuple[MatchTask, Rough
             hits = visibility.first_hit_height
             agreeing, views = count_consistent_views(frame, hits, minima, found, options.tolerance, rough.step)
             stands = supported(standing(agreeing, views), found, agreeing, frame.cell)
-            height = ground_by_chance(filled(found, stands, frame.cell), stands, frame.cell)
+            height = without_lumps(filled(found, stands, frame.cell), stands, frame.cell)
             height = median_filter(height, 3, mode="nearest")
         if k == 0:
             rough = _known_ground(rough, found, height, score > SURE)

@@ -23,7 +23,7 @@ REACH_M = 26.0  # distance within which the ground is looked for,
 LOW = 0.3  # the lowest pieces of ground there, as a share of all
 
 
-def ground_by_chance(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
+def without_lumps(height: np.ndarray, stands: np.ndarray, cell: float) -> np.ndarray:
     """Heights ``[H, W]`` float32 in which what stands high by chance takes that of the ground around it.
 
     Args:
@@ -74,4 +74,4 @@ def _rank(values: np.ndarray, share: float) -> np.ndarray:
     return np.asarray(np.take_along_axis(np.sort(values, axis=-1), at, axis=-1)[..., 0])
 
 
-__all__ = ["ground_by_chance"]
+__all__ = ["without_lumps"]
