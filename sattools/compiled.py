@@ -16,6 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from sattools import system
 from sattools.helpers import together
 
 log = logging.getLogger(__name__)
@@ -47,11 +48,12 @@ def cache_folder(package: Path = Path(__file__).parent) -> Path | None:
     """
     if os.environ.get("NUMBA_CACHE_DIR") or writable(package / "__pycache__") or writable(_users_cache()):
         return None
-    folder = Path(tempfile.gettempdir()) / f"sattools-cache-{os.getuid()}"
+    own = system.user()
+    folder = Path(tempfile.gettempdir()) / f"sattools-cache-{own or 0}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077:
+        if own is None or (stat.S_ISDIR(status.st_mode) and status.st_uid == own and not status.st_mode & 0o077):
             return folder
     except OSError:
         pass

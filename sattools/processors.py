@@ -1,12 +1,10 @@
-"""Processors: how many threads a command may have, what its processes are told, and that they end with it."""
+"""Processors: how many threads a command may have, and what its processes are told."""
 
 from __future__ import annotations
 
 import contextvars
-import ctypes
 import math
 import os
-import signal
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +16,6 @@ from typing import TypeVar
 # what PyTorch, MKL, the compiled kernels and OpenCV read when they are imported
 POOLS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 _OWN_GROUPS, _GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-_SET_PARENT_DEATH_SIGNAL = 1  # prctl(2), Linux
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -143,17 +140,7 @@ def in_environment(name: str, value: str) -> Iterator[None]:
             os.environ[name] = before
 
 
-def end_with_parent(number: int = signal.SIGKILL) -> None:
-    """Let the system send this process a signal when its parent ends, however that happens; on Linux only.
-
-    Args:
-        number: of the signal.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, number)
-
-
 __all__ = [
-    "POOLS", "cores", "end_with_parent", "group_files", "in_environment", "side_by_side", "takes", "threads",
+    "POOLS", "cores", "group_files", "in_environment", "side_by_side", "takes", "threads",
     "with_threads",
 ]  # fmt: skip

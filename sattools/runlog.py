@@ -10,7 +10,6 @@ import json
 import logging
 import os
 import re
-import resource
 import shlex
 import stat
 import sys
@@ -20,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from sattools import __version__
+from sattools import __version__, system
 from sattools.errors import SattoolsError, printable
 from sattools.progress import Progress
 
@@ -89,7 +88,7 @@ class RunLog(logging.Handler):
         """
         path = folder / NAME
         # no link is followed and no pipe waited for: the name is the user's as well as ours
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        flags = system.flags("O_WRONLY", "O_APPEND", "O_CREAT", "O_CLOEXEC", "O_NOFOLLOW", "O_NONBLOCK")
         try:
             if path.is_file() and not path.is_symlink() and path.stat().st_size > LARGEST:
                 os.replace(path, path.with_name(f"{NAME}.1"))
@@ -126,7 +125,7 @@ class RunLog(logging.Handler):
             if step not in seen or now - last > _SILENCE_S:
                 seen.add(step)
                 last = now
-                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                peak = system.memory_peak() / 2**20
                 taken = f"CPU {time.process_time():.1f} s, peak memory {peak:.0f} MB"
                 self._tell(logging.INFO, f"{self._command}: {100 * fraction:3.0f} % {message} ({taken})")
             progress(fraction, message)

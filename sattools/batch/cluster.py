@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import Any
 
+from sattools import system
 from sattools.batch.launch import Launcher
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import Task
@@ -232,11 +232,8 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
 def _deaf() -> Iterator[None]:
     """What is started inside does not hear Ctrl-C, which a terminal sends to all processes: the batch ends them."""
     resource_tracker.ensure_running()  # else started by the first thread that needs it, which would then hear again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
+    with system.deaf():
         yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _silence() -> None:

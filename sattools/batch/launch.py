@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator
 from contextlib import suppress
 
-from sattools.processors import end_with_parent, with_threads
+from sattools.processors import with_threads
+from sattools.system import KILL, LINUX, end_with_parent
 
 Began = Callable[[int], None]
 
@@ -42,7 +42,7 @@ class Launcher:
         environment = with_threads(threads)
         if gpu is not None:
             environment["CUDA_VISIBLE_DEVICES"] = gpu
-        if sys.platform == "linux":
+        if LINUX:
             yield from self._forked(arguments, environment, gpu, began)
         else:
             yield from _started(arguments, environment, began)
@@ -110,7 +110,7 @@ def _popen(module: list[str], environment: dict[str, str], stdin: int) -> subpro
         errors="replace",
         env=environment,
         # it must not go on writing when its worker is lost and the task is started elsewhere
-        preexec_fn=end_with_parent if sys.platform == "linux" else None,
+        preexec_fn=end_with_parent if LINUX else None,
     )
 
 
@@ -129,7 +129,7 @@ def end(process: int) -> None:
         process: its number.
     """
     with suppress(ProcessLookupError):
-        os.kill(process, signal.SIGKILL)
+        os.kill(process, KILL)
 
 
 __all__ = ["Launcher", "end"]

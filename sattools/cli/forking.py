@@ -17,7 +17,7 @@ from importlib import import_module
 
 from sattools.cli import entry
 from sattools.cli.commands import COMMANDS, WORK
-from sattools.processors import end_with_parent
+from sattools.system import end_with_parent
 
 
 def tell(kind: str, what: int) -> None:

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from sattools.progress import Progress
+from sattools.system import send
 
 log = logging.getLogger(__name__)
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
@@ -89,7 +90,7 @@ def _ignored(told: Any) -> None:
 
 def _send(process: int, number: int) -> None:
     if os.getpid() == process and signal.getsignal(number) is _raise:
-        signal.pthread_kill(threading.main_thread().ident or 0, number)
+        send(number)
 
 
 __all__ = ["SIGNALS", "checked", "listen", "listening", "status"]

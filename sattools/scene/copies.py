@@ -21,7 +21,7 @@ def part_copy(scene: Scene, root: Path) -> Scene:
 
 def href_of_part(scene: Scene, root: Path, path: Path) -> str:
     """How a part of a scene, whose folder ``root`` lies below the scene's, names a file: relative where that has it."""
-    return os.path.relpath(path, root) if path.is_relative_to(scene.root) else str(path)
+    return Path(os.path.relpath(path, root)).as_posix() if path.is_relative_to(scene.root) else str(path)
 
 
 def _copy(scene: Scene, root: Path, named: Callable[[str], str]) -> Scene:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import atexit
 import contextvars
-import fcntl
 import functools
 import glob
 import hashlib
@@ -23,6 +22,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
+from sattools import system
 from sattools.errors import SattoolsError
 from sattools.scene.outputs import check_outputs
 
@@ -237,25 +237,14 @@ def digest(path: Path) -> str | None:
 def locked(folder: Path) -> Iterator[None]:
     """Let one process at a time write below a folder; says so once where it has to wait.
 
-    The lock is on the folder itself, goes with the process, and leaves nothing behind. File systems that know no locks
-    go without.
+    File systems that know no locks go without.
     """
-    try:
-        handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        yield
-        return
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            log.warning("%s: another sattools process works here, waiting for it", folder)
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        except OSError:
+    with system.alone(
+        folder, lambda: log.warning("%s: another sattools process works here, waiting for it", folder)
+    ) as held:
+        if not held:
             log.debug("%s: cannot be locked", folder)
         yield
-    finally:
-        os.close(handle)
 
 
 def _write(path: Path, data: memoryview) -> None:
@@ -285,11 +274,7 @@ def _rename(pairs: _Waiting) -> None:
         raise
     for folder in {path.parent for _, path in pairs}:
         with suppress(OSError):  # not every file system can sync a folder
-            handle = os.open(folder, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
+            system.sync(folder)
 
 
 def _rename_all(pairs: _Waiting) -> None:
@@ -324,7 +309,7 @@ def _remove_orphans(path: Path) -> bool:
     for orphan in path.parent.glob(f".{glob.escape(path.name)}.*{_MARK}"):
         host, number, *_ = [*orphan.name.removesuffix(_MARK).rpartition(".")[2].split("-"), ""]
         if host == _host() and number.isdigit():
-            if _alive(int(number)):
+            if system.runs(int(number)):
                 running |= int(number) != os.getpid()
             else:
                 orphan.unlink(missing_ok=True)
@@ -345,17 +330,6 @@ def remove_orphans(folder: Path, patience_s: float = 0.0) -> None:
         if not sum(_remove_orphans(name) for name in names) or time.monotonic() > deadline:
             return
         time.sleep(0.1)
-
-
-def _alive(number: int) -> bool:
-    try:
-        os.kill(number, 0)
-        # after the name in brackets, which may be anything, stands the state: Z has ended and was not waited for
-        return Path(f"/proc/{number}/stat").read_text(errors="replace").rpartition(") ")[2][:1] != "Z"
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True
 
 
 @functools.cache

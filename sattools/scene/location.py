@@ -7,12 +7,18 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
-from pathlib import Path, PosixPath
+from pathlib import Path
 
 from sattools.errors import InputError
 from sattools.processors import in_environment
+
+if sys.platform == "win32":
+    from pathlib import WindowsPath as SystemPath
+else:
+    from pathlib import PosixPath as SystemPath
 
 IMAGE_SUFFIXES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img")
 _SCHEMES = {
@@ -23,12 +29,12 @@ _SCHEMES = {
     "gs": "/vsigs/",
     "az": "/vsiaz/",
 }
-_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):/")
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/")  # one letter is a drive
 _NETWORK = re.compile(r"/vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)|[a-z0-9+.-]+://", re.IGNORECASE)
 _SWITCH = "SATTOOLS_ALLOW_REMOTE"
 
 
-class RemotePath(PosixPath):
+class RemotePath(SystemPath):
     """A file that GDAL reads through a virtual file system; its name, stem and suffix are those of a path."""
 
     text: str

@@ -5,10 +5,9 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-import resource
 from contextlib import AbstractContextManager
-from pathlib import Path
 
+from sattools import system
 from sattools.errors import SattoolsError
 from sattools.processors import group_files, in_environment
 
@@ -21,16 +20,8 @@ def available() -> int | None:
     """Bytes that this process may still take, by what user (`--max-memory`) and system tell; None where they do not."""
     limits = _groups_allow()
     if LIMIT in os.environ:
-        limits.append(max(0, int(float(os.environ[LIMIT]) * 2**20) - _taken()))
-    try:
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                limits.append(int(line.split()[1]) * 1024)
-    except (OSError, ValueError, IndexError):
-        pass
-    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if soft != resource.RLIM_INFINITY:
-        limits.append(soft)
+        limits.append(max(0, int(float(os.environ[LIMIT]) * 2**20) - system.memory_taken()))
+    limits += [known for known in (system.memory_free(), system.memory_limit()) if known is not None]
     return min(limits, default=None)
 
 
@@ -64,14 +55,6 @@ def to_spend() -> float | None:
     """
     there = available()
     return None if there is None else there * (0.8 if LIMIT in os.environ else 0.5)
-
-
-def _taken() -> int:
-    """Bytes in memory of this process; 0 where the system does not tell."""
-    try:
-        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
-    except (OSError, ValueError, IndexError):
-        return 0
 
 
 def limited(megabytes: float) -> AbstractContextManager[None]:

@@ -9,7 +9,6 @@ import contextlib
 import contextvars
 import copy
 import logging
-import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sattools import __version__
+from sattools import __version__, system
 from sattools.errors import SceneError, StaleError
 from sattools.progress import Progress, silent
 from sattools.runlog import RunLog
@@ -234,8 +233,7 @@ class _Clock(NamedTuple):
 
     @classmethod
     def now(cls) -> _Clock:
-        children = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return cls(time.perf_counter(), time.process_time() + children.ru_utime + children.ru_stime)
+        return cls(time.perf_counter(), time.process_time() + system.children_seconds())
 
 
 def _note(scene: Scene, step: Step, start: _Clock, extra: JsonObject | None) -> JsonObject:
@@ -246,18 +244,13 @@ def _note(scene: Scene, step: Step, start: _Clock, extra: JsonObject | None) -> 
         "options": _settings(step),
         "seconds": round(end.wall - start.wall, 3),
         "cpu_seconds": round(end.cpu - start.cpu, 3),
-        "peak_memory_mb": round(_peak_kib() / 1024, 1),
+        "peak_memory_mb": round(system.memory_peak(children=True) / 2**20, 1),
         "versions": _versions(),
         **(extra or {}),
     }
     scene.history.append(entry)
     scene.write()
     return entry
-
-
-def _peak_kib() -> int:
-    """The kernel's high-water mark of the process, or of the largest one that it has started; in KiB on Linux."""
-    return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def _versions() -> dict[str, str]:

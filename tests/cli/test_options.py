@@ -146,7 +146,7 @@ def test_memory_that_is_granted_is_what_a_command_has_and_no_later_one(
     from sattools.scene import memory
 
     seen: list[int | None] = []
-    monkeypatch.setattr(memory, "_taken", lambda: 0)
+    monkeypatch.setattr(memory.system, "memory_taken", lambda: 0)
     monkeypatch.setattr(pipe, "apply", lambda run, scene, work: (seen.append(memory.available()), sys.exit(7)))
     document = str(make_town().root / "scene.json")
     assert CliRunner().invoke(main, [*arguments, document]).exit_code == 7

@@ -71,7 +71,7 @@ def write_collection(scene: Scene, grid: Grid) -> None:
     folder = scene.path(COLLECTION).parent
     made = names_of(STAGES["export"]) - PRODUCTS.keys()
     assets = {
-        name: _asset(name, written(scene.path(href)), os.path.relpath(scene.path(href), folder))
+        name: _asset(name, written(scene.path(href)), Path(os.path.relpath(scene.path(href), folder)).as_posix())
         for name, href in scene.products.items()
         if name in made
     }

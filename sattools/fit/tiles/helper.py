@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from sattools.errors import SattoolsError
-from sattools.processors import end_with_parent
+from sattools.system import end_with_parent
 
 log = logging.getLogger(__name__)
 

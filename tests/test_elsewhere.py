@@ -1,0 +1,127 @@
+"""What Linux has and other systems have not is done without. (No test here has run on another system.)"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+import pytest
+
+from sattools import system
+from sattools.scene.location import is_remote, needs_network
+
+# Libraries first: they have their own ways. Then everything of POSIX that Windows lacks goes, and folders cannot be
+# opened; `shutil` has a way without that.
+WITHOUT_POSIX = """
+import asyncio, multiprocessing.resource_tracker, os, shutil, signal, subprocess, sys, tempfile
+import cv2, filelock, matplotlib, numba, psutil, pyproj, rasterio, scipy.ndimage, torch
+
+for name in ("fcntl", "resource", "pwd", "grp"):
+    sys.modules[name] = None
+for name in ("fork", "getuid", "geteuid", "sched_getaffinity", "killpg", "setsid", "sysconf"):
+    delattr(os, name)
+for name in ("O_CLOEXEC", "O_NOFOLLOW"):  # O_NONBLOCK, which Windows lacks as well, is wanted by filelock here
+    delattr(os, name)
+for name in ("SIGKILL", "SIGHUP", "pthread_sigmask", "pthread_kill"):
+    delattr(signal, name)
+shutil._use_fd_functions = False
+open_file = os.open
+
+def open_no_folder(path, *arguments, **options):
+    if os.path.isdir(path):
+        raise PermissionError(13, "Permission denied", str(path))
+    return open_file(path, *arguments, **options)
+
+os.open = open_no_folder
+here, sys.platform = sys.platform, "win32"
+import sattools.system
+sys.platform = here
+"""
+
+
+def without_posix(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process that lacks what Windows lacks."""
+    return subprocess.run([sys.executable, "-c", WITHOUT_POSIX + code, *arguments], capture_output=True, text=True)
+
+
+def test_a_scene_goes_through_every_step_without_what_posix_systems_have(tmp_path: Path) -> None:
+    pytest.importorskip("psutil")
+    done = without_posix("from sattools.cli import entry; entry()", "doctor", "--try")
+    assert done.returncode == 0, done.stderr
+    assert "trying compare" in done.stderr
+
+
+def test_two_processes_without_locks_of_folders_still_write_one_after_the_other(tmp_path: Path) -> None:
+    holds = subprocess.Popen(
+        [
+            sys.executable, "-c",
+            WITHOUT_POSIX + "from pathlib import Path; from sattools.scene.files import locked\n"
+            "with locked(Path(sys.argv[1])):\n    print('locked', flush=True); sys.stdin.read()",
+            str(tmp_path),
+        ],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert holds.stdin is not None
+    assert holds.stdout is not None
+    assert holds.stdout.readline() == "locked\n"
+    told = without_posix(
+        "from pathlib import Path; import threading; from sattools.system import alone\n"
+        "import os; threading.Timer(2, os._exit, [3]).start()\n"
+        "with alone(Path(sys.argv[1]), lambda: print('waits', flush=True)):\n    print('has it', flush=True)\n",
+        str(tmp_path),
+    )
+    assert (told.returncode, told.stdout) == (3, "waits\n")
+    holds.communicate("")
+    after = without_posix(
+        "from pathlib import Path; from sattools.system import alone\n"
+        "with alone(Path(sys.argv[1]), lambda: print('waits')) as held:\n    print(held)\n",
+        str(tmp_path),
+    )
+    assert after.stdout == "True\n"
+
+
+def test_memory_and_processes_are_told_by_psutil_where_there_is_no_proc(monkeypatch: pytest.MonkeyPatch) -> None:
+    psutil = pytest.importorskip("psutil")
+    known = system.memory_free(), system.memory_taken()
+
+    class Nothing:
+        def __init__(self, path: str) -> None: ...
+
+        def read_text(self, **how: Any) -> str:
+            raise FileNotFoundError
+
+    monkeypatch.setattr(system, "Path", Nothing)
+    free, taken = system.memory_free(), system.memory_taken()
+    # the same numbers by another way, some moments later, while other processes come and go
+    assert known[0] is not None
+    assert free == pytest.approx(known[0], rel=0.5)
+    assert taken == pytest.approx(known[1], rel=0.5)
+    monkeypatch.setattr(system, "fcntl", None)
+    assert system.runs(os.getpid())
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    assert not system.runs(ended.pid)
+    monkeypatch.setitem(sys.modules, "psutil", None)
+    assert (system.memory_free(), system.memory_taken()) == (None, 0)
+    assert system.runs(ended.pid)  # not known: what it may be writing is left alone
+    assert psutil
+
+
+def test_the_peak_of_memory_is_in_bytes_on_macos_and_in_kibibytes_on_linux(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Used:
+        ru_maxrss = 3000
+
+    monkeypatch.setattr(system.resource, "getrusage", lambda who: Used)
+    assert system.memory_peak() == 3000 * 1024
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert system.memory_peak(children=True) == 3000
+
+
+def test_a_drive_of_windows_is_no_address() -> None:
+    assert not is_remote("C:/images/a.tif")
+    assert not is_remote(str(PureWindowsPath("C:/images/a.tif")))
+    assert not needs_network("C:/images/a.tif")
+    assert is_remote("s3://bucket/a.tif")
