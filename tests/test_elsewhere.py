@@ -55,29 +55,24 @@ def test_a_scene_goes_through_every_step_without_what_posix_systems_have(tmp_pat
 
 
 def test_two_processes_without_locks_of_folders_still_write_one_after_the_other(tmp_path: Path) -> None:
-    holds = subprocess.Popen(
-        [
-            sys.executable, "-c",
-            WITHOUT_POSIX + "from pathlib import Path; from sattools.scene.files import locked\n"
-            "with locked(Path(sys.argv[1])):\n    print('locked', flush=True); sys.stdin.read()",
-            str(tmp_path),
-        ],
+    code = "from pathlib import Path; from sattools.system import alone\n"
+    holding = code + "with alone(Path(sys.argv[1]), print):\n    print('has it', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", WITHOUT_POSIX + holding, str(tmp_path)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert holds.stdin is not None
-    assert holds.stdout is not None
-    assert holds.stdout.readline() == "locked\n"
-    told = without_posix(
-        "from pathlib import Path; import threading; from sattools.system import alone\n"
-        "import os; threading.Timer(2, os._exit, [3]).start()\n"
-        "with alone(Path(sys.argv[1]), lambda: print('waits', flush=True)):\n    print('has it', flush=True)\n",
-        str(tmp_path),
-    )
-    assert (told.returncode, told.stdout) == (3, "waits\n")
-    holds.communicate("")
+    ) as holds:  # fmt: skip
+        assert holds.stdout is not None
+        assert holds.stdout.readline() == "has it\n"
+        waiting = without_posix(
+            f"{code}import os\n"
+            "def waits():\n    print('waits', flush=True)\n    os._exit(3)\n"
+            "with alone(Path(sys.argv[1]), waits):\n    print('has it', flush=True)\n",
+            str(tmp_path),
+        )
+        assert (waiting.returncode, waiting.stdout) == (3, "waits\n")
+        holds.communicate("")
     after = without_posix(
-        "from pathlib import Path; from sattools.system import alone\n"
-        "with alone(Path(sys.argv[1]), lambda: print('waits')) as held:\n    print(held)\n",
+        f"{code}with alone(Path(sys.argv[1]), lambda: print('waits')) as held:\n    print(held)\n",
         str(tmp_path),
     )
     assert after.stdout == "True\n"
