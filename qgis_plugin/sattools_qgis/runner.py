@@ -14,8 +14,13 @@ from typing import Any
 FOREIGN = ("PYTHON", "QT_", "GDAL_", "PROJ_", "LD_")
 PATIENCE_S = 10.0
 POLL_S = 0.1
+OWN = (
+    "python3 -m venv ~/sattools && ~/sattools/bin/pip install sattools"
+    if os.name == "posix"
+    else "py -m venv %USERPROFILE%\\sattools, then %USERPROFILE%\\sattools\\Scripts\\pip install sattools"
+)
 INSTALL = (
-    "found no sattools executable; install it (python3 -m venv ~/sattools && ~/sattools/bin/pip install sattools) and "
+    f"found no sattools executable; install it ({OWN}) and "
     "set its path in Settings > Options > Processing > Providers > sattools, or put it on PATH"
 )
 
