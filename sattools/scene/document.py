@@ -240,9 +240,10 @@ class Scene:
         try:
             text = read_text(path)
         except InputError as error:
-            inside = Path(path) / "scene.json"
-            if inside.is_file():
-                raise SceneError(f"{path}: found a folder, expected the scene document {inside}") from None
+            if Path(path).is_dir():
+                inside = [*Path(path).glob("scene.json"), *sorted(Path(path).glob("*/scene.json"))]
+                wanted = f"the scene document {inside[0]}" if inside else "a scene document"
+                raise SceneError(f"{path}: found a folder, expected {wanted}") from None
             raise SceneError(f"{error} with a scene document") from None
         scene = cls.from_json(text, str(path), Path(os.path.abspath(path)).parent)
         scene.origin = Path(os.path.abspath(path))  # a program may go to another folder

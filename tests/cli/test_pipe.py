@@ -181,11 +181,12 @@ def test_a_path_is_taken_instead_of_stdin(line: Any, tmp_path: Path) -> None:
 
 def test_a_folder_is_told_which_document_lies_in_it(line: Any, tmp_path: Path) -> None:
     text = line("a")
-    assert f"{tmp_path}: found Is a directory" in run(str(tmp_path)).stderr
+    assert f"{tmp_path}: found a folder, expected a scene document" in run(str(tmp_path)).stderr
     (tmp_path / "a/scene.json").write_text(text)
-    result = run(str(tmp_path / "a"))
-    assert result.exit_code == 1
-    assert f"{tmp_path}/a: found a folder, expected the scene document {tmp_path}/a/scene.json" in result.stderr
+    for folder in (tmp_path / "a", tmp_path):  # the second as `prep --out` names it
+        result = run(str(folder))
+        assert result.exit_code == 1
+        assert f"{folder}: found a folder, expected the scene document {tmp_path}/a/scene.json" in result.stderr
 
 
 def test_a_document_whose_folder_was_moved_is_not_asked_for_its_own_path(
@@ -233,7 +234,7 @@ def test_a_root_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None
     result = CliRunner().invoke(other, input=scene.to_json())
     assert result.exit_code == 1
     assert result.stdout == ""
-    assert result.stderr.startswith(f"sattools other: error: {tmp_path}/a/scene.json: found Is a directory")
+    assert result.stderr.startswith(f"sattools other: error: {tmp_path}/a/scene.json: found a folder")
     assert [p.name for p in (tmp_path / "a").iterdir() if ".tmp" in p.name] == []
 
 
