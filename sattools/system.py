@@ -25,6 +25,7 @@ LINUX = sys.platform == "linux"
 KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # Windows ends a process with either
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl(2)
 _LOCK = ".sattools.lock"  # where a folder itself cannot be locked
+_seeking = threading.Lock()
 
 
 @contextmanager
@@ -117,6 +118,32 @@ def send(number: int) -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:
         signal.raise_signal(number)
+
+
+def read_at(file: int, into: memoryview, at: int) -> int:
+    """Read from a place of a file; the number of bytes. Threads do not get into each other's way.
+
+    Args:
+        file: number of the open file.
+        into: what is read.
+        at: place in the file [bytes].
+    """
+    if hasattr(os, "preadv"):
+        return os.preadv(file, [into], at)
+    with _seeking:
+        os.lseek(file, at, os.SEEK_SET)
+        found = os.read(file, len(into))
+    into[: len(found)] = found
+    return len(found)
+
+
+def write_at(file: int, data: memoryview, at: int) -> int:
+    """Write at a place of a file; the number of bytes. Arguments as of `read_at`."""
+    if hasattr(os, "pwrite"):
+        return os.pwrite(file, data, at)
+    with _seeking:
+        os.lseek(file, at, os.SEEK_SET)
+        return os.write(file, data)
 
 
 def flags(*names: str) -> int:
@@ -220,5 +247,5 @@ def _psutil():  # type: ignore[no-untyped-def]
 
 __all__ = [
     "KILL", "LINUX", "alone", "children_seconds", "deaf", "end_with_parent", "flags", "memory_free", "memory_limit",
-    "memory_peak", "memory_taken", "runs", "send", "sync", "user",
+    "memory_peak", "memory_taken", "read_at", "runs", "send", "sync", "user", "write_at",
 ]  # fmt: skip

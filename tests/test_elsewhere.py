@@ -8,10 +8,12 @@ import sys
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sattools import system
 from sattools.scene.location import is_remote, needs_network
+from sattools.scene.stored import StoredMap
 
 # Libraries first: they have their own ways. Then everything of POSIX that Windows lacks goes, and folders cannot be
 # opened; `shutil` has a way without that.
@@ -19,9 +21,18 @@ WITHOUT_POSIX = """
 import asyncio, multiprocessing.resource_tracker, os, shutil, signal, subprocess, sys, tempfile
 import cv2, filelock, matplotlib, numba, psutil, pyproj, rasterio, scipy.ndimage, torch
 
+from fcntl import F_GETFL, fcntl as ask
+sync_file = os.fsync
+
+def sync_written_file(file):
+    if not ask(file, F_GETFL) & (os.O_WRONLY | os.O_RDWR):
+        raise OSError(9, "Bad file descriptor")
+    sync_file(file)
+
+os.fsync = sync_written_file
 for name in ("fcntl", "resource", "pwd", "grp"):
     sys.modules[name] = None
-for name in ("fork", "getuid", "geteuid", "sched_getaffinity", "killpg", "setsid", "sysconf"):
+for name in ("fork", "getuid", "geteuid", "sched_getaffinity", "killpg", "setsid", "sysconf", "preadv", "pwrite"):
     delattr(os, name)
 for name in ("O_CLOEXEC", "O_NOFOLLOW"):  # O_NONBLOCK, which Windows lacks as well, is wanted by filelock here
     delattr(os, name)
@@ -120,3 +131,12 @@ def test_a_drive_of_windows_is_no_address() -> None:
     assert not is_remote(str(PureWindowsPath("C:/images/a.tif")))
     assert not needs_network("C:/images/a.tif")
     assert is_remote("s3://bucket/a.tif")
+
+
+def test_large_maps_are_kept_in_files_without_reading_at_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "preadv")
+    monkeypatch.delattr(os, "pwrite")
+    kept = StoredMap((3, 4), np.int16)
+    kept[1:3] = np.arange(8).reshape(2, 4)
+    kept[0:1, 1:3] = [[-1, -2]]
+    np.testing.assert_array_equal(kept[:], [[0, -1, -2, 0], [0, 1, 2, 3], [4, 5, 6, 7]])

@@ -138,7 +138,7 @@ def _made(temporary: Path, path: Path, write: Callable[[Path], None], check: Cal
     quiet_libtiff()
     try:
         write(temporary)
-        with open(temporary, "rb") as file:
+        with open(temporary, "r+b") as file:  # Windows syncs nothing that is open for reading only
             os.fsync(file.fileno())
         check(temporary)
     except ERRORS as error:

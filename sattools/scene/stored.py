@@ -14,6 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from sattools import system
 from sattools.errors import SattoolsError
 
 HELD = 8 << 20  # bytes of a map that is an array
@@ -79,7 +80,7 @@ class StoredMap:
         found = np.empty((last - first, self.shape[1]), self.dtype)
         into, at = found.reshape(-1).view(np.uint8).data, self._at(first, 0)
         while into:
-            count = os.preadv(self._file.fileno(), [into], at)
+            count = system.read_at(self._file.fileno(), into, at)
             if not count:
                 raise self._failed(OSError(5, "found less than was written"))
             into, at = into[count:], at + count
@@ -89,7 +90,7 @@ class StoredMap:
         rest, at = cells.reshape(-1).view(np.uint8).data, self._at(row, col)
         try:
             while rest:
-                count = os.pwrite(self._file.fileno(), rest, at)
+                count = system.write_at(self._file.fileno(), rest, at)
                 rest, at = rest[count:], at + count
         except OSError as error:
             raise self._failed(error) from error
