@@ -26,8 +26,8 @@ EXTRAS = ("products", "batch", "notebook")
 
 
 def requirement(text: str) -> tuple[str, str]:
-    """Name without extras, and the versions."""
-    name, _, versions = re.match(r"([A-Za-z0-9-]+)(\[[^]]*\])?(.*)", text.replace(" ", "")).groups()
+    """Name without extras, and the versions; conda has no markers of systems."""
+    name, _, versions = re.match(r"([A-Za-z0-9-]+)(\[[^]]*\])?(.*)", text.partition(";")[0].replace(" ", "")).groups()
     return name, versions
 
 

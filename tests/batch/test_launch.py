@@ -99,7 +99,7 @@ def test_a_python_that_cannot_start_is_a_failed_command(monkeypatch: pytest.Monk
 
 
 def test_elsewhere_python_starts_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "other")
+    monkeypatch.setattr("sattools.batch.launch.LINUX", False)
     began: list[int] = []
     lines = list(Launcher().run(["info", "/nowhere.json"], 1, None, began.append))
     assert lines[-1] == 1
