@@ -18,16 +18,14 @@ from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_p
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, exchanged_bounds, wanted_area
 from sattools.prep.blank import check_contents
+from sattools.prep.camera_gate import check_corrections, check_height_unit, check_places_and_suns
 from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
 from sattools.prep.gate import (
     check_cells,
-    check_corrections,
-    check_height_unit,
     check_heights,
     check_metadata,
     check_pixel_sizes,
     check_pixels,
-    check_places_and_suns,
     check_sources,
 )
 from sattools.prep.images import SourceImage
