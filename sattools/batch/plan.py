@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -344,11 +344,6 @@ def _part(run: Task, name: str, key: str, commands: list[list[str]]) -> Task:
         run, name=f"{run.name}: tile {name}", folder=str(folder), key=key, commands=commands,
         source=str(folder / "scene.json"), kind="tile",
     )  # fmt: skip
-
-
-def task_parts(task: Task) -> JsonObject:
-    """The task as plain types."""
-    return asdict(task)
 
 
 def reference_files(configuration: Configuration, truth: Path | None, scene: str) -> Iterable[Path]:

@@ -30,17 +30,11 @@ CORRECTED = "; corrected"  # end of the note of a camera that was far off
 _MANY = 30  # ground points of three views or more that tell the heights without those of two
 _SURE = 12  # of two views, confirmed by neighbours, that do without the others
 _ROUGHLY = 1e-3  # gain of a step at which cameras are good enough to tell false matches and to compare models
-
-
-@dataclass(frozen=True)
-class AdjustOptions:
-    """How the cameras are corrected; pixels are those of the images."""
-
-    model: str = "auto"  # "shift", "affine", or "auto": affine only where held-out tie points gain
-    min_gain: float = 0.15  # share by which held-out squared residuals must fall for "affine"
-    max_residual_px: float = 3.0  # larger residuals are no tie points, whatever the spread
-    min_points: int = 12  # views with fewer tie points keep their camera
-    outlier_px: float = 6.0  # a correction that long, and 5 times the median, makes a view an outlier
+# pixels are those of the images
+_LEAST_GAIN = 0.15  # share by which held-out squared residuals must fall for "affine"
+_MAX_RESIDUAL_PX = 3.0  # larger residuals are no tie points, whatever the spread
+_LEAST_POINTS = 12  # views with fewer tie points keep their camera
+_OUTLIER_PX = 6.0  # a correction that long, and 5 times the median, makes a view an outlier
 
 
 @dataclass(frozen=True)
@@ -175,7 +169,7 @@ def adjust(
     names: Sequence[str],
     sizes: Sequence[tuple[int, int]],
     tracks: Tracks,
-    options: AdjustOptions | None = None,
+    model: str = "auto",
     progress: Progress = silent,
 ) -> Adjustment:
     """Correct cameras from tie points.
@@ -185,21 +179,20 @@ def adjust(
         names: camera, name and (height, width) [px] of each view.
         sizes: camera, name and (height, width) [px] of each view.
         tracks: tie points, false matches among them.
-        options: see `AdjustOptions`; None = the defaults.
+        model: ``shift``, ``affine``, or ``auto``: affine only where held-out tie points gain.
         progress: told the share done and what is being done.
 
     Raises: InputError when there are too few tie points to adjust anything.
     """
-    options = options or AdjustOptions()
-    if options.model not in ("auto", "shift", "affine"):
-        raise InputError(f"adjustment: found model {options.model!r}, expected auto, shift or affine")
-    if tracks.n_points < options.min_points:
+    if model not in ("auto", "shift", "affine"):
+        raise InputError(f"adjustment: found model {model!r}, expected auto, shift or affine")
+    if tracks.n_points < _LEAST_POINTS:
         raise InputError(
-            f"tie points: found {tracks.n_points} between the images, expected at least {options.min_points} "
+            f"tie points: found {tracks.n_points} between the images, expected at least {_LEAST_POINTS} "
             "(do the images overlap and show the same place?)"
         )
     notes: list[str] = []
-    solved = _solve(Block(list(rpcs), list(sizes), tracks), options, notes, progress)
+    solved = _solve(Block(list(rpcs), list(sizes), tracks), model, notes, progress)
     block, solution, weak = solved.block, solved.solution, solved.weak
     raw = np.zeros_like(solution.parameters)
     residuals_before = block.residuals(triangulate(block, raw, solution.points), raw)
@@ -213,7 +206,7 @@ def adjust(
         if misfit > 0.01:
             notes.append(f"{names[v]}: its affine correction is met by the RPC to {misfit:.3f} px only")
         corrected.append(camera)
-        views.append(_describe(solved, v, names[v], (before, after), options.outlier_px, notes))
+        views.append(_describe(solved, v, names[v], (before, after), notes))
     parts = block.components(~weak)
     if parts > 1:
         notes.append(f"the views fall into {parts} groups without common tie points; each was adjusted by itself")
@@ -253,45 +246,43 @@ class _Solved:
     weak: NDArray[np.bool_]
 
 
-def _solve(block: Block, options: AdjustOptions, notes: list[str], progress: Progress) -> _Solved:
+def _solve(block: Block, asked: str, notes: list[str], progress: Progress) -> _Solved:
     """Shifts first; they decide which observations are tie points at all. Then the model asked for."""
     views, tracks = len(block.rpcs), block.tracks
     progress(0.0, "adjusting shifts")
     solution = solve(block, affine=False, least_gain=_ROUGHLY)
-    inlier = _inliers(block, solution, options.max_residual_px)
+    inlier = _inliers(block, solution)
     block, points = block.kept(inlier, solution.points)
     counts = np.bincount(block.tracks.view, minlength=views)
     matched = np.bincount(tracks.view, minlength=views)
-    weak = _weak(counts, matched, options.min_points)
+    weak = _weak(counts, matched)
     if weak.any():
         block, points = block.kept(~weak[block.tracks.view], points)
-    if block.tracks.n_points < options.min_points:
+    if block.tracks.n_points < _LEAST_POINTS:
         raise InputError(
             f"tie points: found {block.tracks.n_points} that agree with the cameras, expected at least "
-            f"{options.min_points} (do the RPCs belong to these images?)"
+            f"{_LEAST_POINTS} (do the RPCs belong to these images?)"
         )
     progress(0.4, "adjusting shifts again")
     solution = solve(block, False, Solution(points, solution.parameters))
     model = "shift"
-    if options.model == "affine" or (options.model == "auto" and _affine_gains(block, solution, options, notes)):
+    if asked == "affine" or (asked == "auto" and _affine_gains(block, solution, notes)):
         progress(0.7, "adjusting affine corrections")
         model = "affine"
         solution = solve(block, True, solution)
-    inlier = _inliers(block, solution, options.max_residual_px)
+    inlier = _inliers(block, solution)
     block, points = block.kept(inlier, solution.points)
     weak |= np.bincount(block.tracks.view, minlength=views) == 0
     return _Solved(block, Solution(points, solution.parameters), model, counts, weak)
 
 
-def _describe(
-    solved: _Solved, v: int, name: str, residuals: tuple[Array, Array], outlier_px: float, notes: list[str]
-) -> ViewAdjustment:
+def _describe(solved: _Solved, v: int, name: str, residuals: tuple[Array, Array], notes: list[str]) -> ViewAdjustment:
     """What the adjustment has done to view ``v``: ``residuals`` of all observations before and after [px]."""
     before, after = residuals
     parameters, weak = solved.solution.parameters, solved.weak
     shifts = parameters[:, :2]
     length = np.hypot(shifts[:, 0], shifts[:, 1])
-    limit = max(outlier_px, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
+    limit = max(_OUTLIER_PX, 5.0 * float(np.median(length[~weak])) if (~weak).any() else 0.0)
     seen = solved.block.tracks.view == v
     note = ""
     if weak[v]:
@@ -318,20 +309,20 @@ def _describe(
     )
 
 
-def _inliers(block: Block, solution: Solution, max_residual: float) -> NDArray[np.bool_]:
+def _inliers(block: Block, solution: Solution) -> NDArray[np.bool_]:
     norm = residual_norm(block, solution.points, solution.parameters)
     # Rayleigh-distributed lengths: median = 1.177 sigma; 4 sigma keeps all but 3 in 10000 true ones.
-    limit = min(max_residual, max(1.0, 4.0 * float(np.median(norm)) / 1.177))
+    limit = min(_MAX_RESIDUAL_PX, max(1.0, 4.0 * float(np.median(norm)) / 1.177))
     return norm < limit
 
 
-def _weak(counts: NDArray[np.intp], matched: NDArray[np.intp], least: int) -> NDArray[np.bool_]:
+def _weak(counts: NDArray[np.intp], matched: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Views whose tie points may all be false: few, or a fraction of the others' and rejected more often than theirs.
 
     A mirrored image, or one of another place, has a dozen matches by chance. One that shows a corner of the area has
     few as well, but as many of them agree as elsewhere.
     """
-    weak = counts < least
+    weak = counts < _LEAST_POINTS
     if weak.all():
         return weak
     share = counts / np.maximum(matched, 1)
@@ -339,7 +330,7 @@ def _weak(counts: NDArray[np.intp], matched: NDArray[np.intp], least: int) -> ND
     return np.asarray(weak | (few & (share < 0.8 * np.median(share[~weak]))))
 
 
-def _affine_gains(block: Block, start: Solution, options: AdjustOptions, notes: list[str]) -> bool:
+def _affine_gains(block: Block, start: Solution, notes: list[str]) -> bool:
     """Whether affine corrections fitted on four fifths of the points predict the other fifth clearly better."""
     sizes = block.tracks.sizes()
     if int((sizes >= 3).sum()) < 20 * len(block.rpcs):
@@ -359,7 +350,7 @@ def _affine_gains(block: Block, start: Solution, options: AdjustOptions, notes: 
         )
         scores.append(float(per_view[per_view > 0].mean()))
     gain = 1.0 - scores[1] / max(scores[0], 1e-12)
-    chosen = gain >= options.min_gain
+    chosen = gain >= _LEAST_GAIN
     notes.append(
         f"affine corrections change the mean squared residual of held-out tie points by {-100 * gain:+.1f} % "
         f"({scores[0]:.3f} to {scores[1]:.3f} px²): {'used' if chosen else 'not used'}"
@@ -375,4 +366,4 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
-__all__ = ["AdjustOptions", "Adjustment", "ViewAdjustment", "adjust"]
+__all__ = ["Adjustment", "ViewAdjustment", "adjust"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,27 +20,18 @@ PAIR_PATCH = 110.0  # of two images: by chance up to 100 (66 pairs)
 PAIR_ROOFS_M = 20.0  # above what two images tell: neither tie points nor patches so large show most towers then
 NEIGHBOURS, CONFIRM = 8, 2  # tie points around one, and how many of them have to lie about as high
 NEAR_M, STEEPEST = 2.0, 0.4  # what counts as about as high: so many metres, or so many of every metre to the neighbour
+TAIL = 0.005  # share of tie points beyond either end that may be false
+MARGIN, LEAST_MARGIN_M = 0.2, 6.0  # of the range between the ends, added at both
+MAX_CELLS, MAX_PLANES = 40_000, 96  # of the coarse plane sweep
+TOWERS_M = 150.0  # height above the tie points to which roofs are looked for, at least
 
 
-@dataclass(frozen=True)
-class HeightOptions:
-    """How the height range is found."""
-
-    tail: float = 0.005  # share of tie points beyond either end that may be false
-    margin: float = 0.2  # of the range between the ends, added at both
-    min_margin_m: float = 6.0
-    max_cells: int = 40_000  # of the coarse plane sweep
-    max_planes: int = 96
-    towers_m: float = 150.0  # height above the tie points to which roofs are looked for, at least
-
-
-def tie_point_range(heights: Array, options: HeightOptions | None = None) -> tuple[float, float]:
+def tie_point_range(heights: Array) -> tuple[float, float]:
     """Robust lowest and highest of tie point heights [m], without margin. Raises InputError without any."""
-    options = options or HeightOptions()
     heights = heights[np.isfinite(heights)]
     if heights.size == 0:
         raise InputError("height range: found no tie points, expected images that overlap")
-    low, high = np.quantile(heights, [options.tail, 1.0 - options.tail])
+    low, high = np.quantile(heights, [TAIL, 1.0 - TAIL])
     return float(low), float(high)
 
 
@@ -73,7 +63,6 @@ def estimate_height_range(
     crs: str,
     bounds: Bounds,
     *,
-    options: HeightOptions | None = None,
     progress: Progress = silent,
 ) -> tuple[float, float]:
     """Heights (lowest, highest, m above the ellipsoid) between which the surface lies, without any ground truth.
@@ -88,18 +77,16 @@ def estimate_height_range(
         bounds: (west, south, east, north) in `crs` [m].
         rpcs: corrected cameras.
         crs: projected ground CRS [m].
-        options: see `HeightOptions`; None = the defaults.
         progress: told the share done and what is being done.
     """
-    options = options or HeightOptions()
-    low, high = tie_point_range(heights, options)
-    span = max(high - low, 2.0 * options.min_margin_m)
-    search = (low - 0.5 * span, high + max(2.0 * span, options.towers_m))
-    planes = np.linspace(*search, min(options.max_planes, max(24, int((search[1] - search[0]) / 2.0))))
-    patches, views = sweep_patches(grays, rpcs, crs, bounds, planes, options.max_cells, progress=progress)
+    low, high = tie_point_range(heights)
+    span = max(high - low, 2.0 * LEAST_MARGIN_M)
+    search = (low - 0.5 * span, high + max(2.0 * span, TOWERS_M))
+    planes = np.linspace(*search, min(MAX_PLANES, max(24, int((search[1] - search[0]) / 2.0))))
+    patches, views = sweep_patches(grays, rpcs, crs, bounds, planes, progress=progress)
     pair = len(rpcs) == 2
     low, high = extend_range(low, high, planes, patches, PAIR_PATCH if pair else least_patch(views))
-    margin = max(options.margin * (high - low), options.min_margin_m)
+    margin = max(MARGIN * (high - low), LEAST_MARGIN_M)
     return low - margin, high + margin + (PAIR_ROOFS_M if pair else 0.0)
 
 
@@ -138,7 +125,7 @@ def sweep_patches(
     crs: str,
     bounds: Bounds,
     planes: Array,
-    max_cells: int = 40_000,
+    max_cells: int = MAX_CELLS,
     *,
     progress: Progress = silent,
 ) -> tuple[NDArray[np.int64], float]:
@@ -246,7 +233,6 @@ def _standard(gray: NDArray[np.float32], smooth: NDArray[np.float32]) -> NDArray
 
 
 __all__ = [
-    "HeightOptions",
     "by_chance",
     "estimate_height_range",
     "extend_range",

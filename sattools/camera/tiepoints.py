@@ -32,6 +32,9 @@ SIFT_BIAS_PX = 0.25
 # of the best determined shift, below which views do not determine one: those of one pass, whose heights all show along
 # one direction, tell shifts along it by their small differences, a few centimetres of which would be kilometres
 _DETERMINED = 1e-3
+CORRIDOR_PX = 3.0  # half width across the line of sight once the coarse errors are known
+CONTRAST_WINDOW_PX = 12.0
+MAX_PAIRS, COARSE_PAIRS = 200, 40  # the coarse search needs several neighbours per view, not all
 
 
 @dataclass(frozen=True)
@@ -41,12 +44,8 @@ class TiePointOptions:
     max_features: int = 2500  # per image, spread evenly; 4000 move no camera by more than 0.05 px
     coarse_features: int = 1500  # strongest ones, for the search without knowing the cameras' errors
     max_bias_px: float = 120.0  # largest error of a camera that the coarse search allows
-    corridor_px: float = 3.0  # half width across the line of sight once the coarse errors are known
     max_height_m: float = 600.0  # half of the height range of the coarse search
-    contrast_window_px: float = 12.0
     max_image_px: int = 6_000_000  # larger images are matched at a lower resolution
-    max_pairs: int = 200
-    coarse_pairs: int = 40  # the coarse search needs several neighbours per view, not all
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePo
     """
     import cv2
 
-    image, valid = normalised_contrast(view.gray, options.contrast_window_px)
+    image, valid = normalised_contrast(view.gray, CONTRAST_WINDOW_PX)
     height, width = image.shape
     to_image, out_width, out_height = _north_up(view.rpc, crs, width, height, z_ref, options.max_image_px)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -221,9 +220,9 @@ def find_tie_points(
         features.append(found)
         progress(0.5 * len(features) / len(views), f"features of {views[len(features) - 1].name}")
     tangents = np.array([f.tangent for f in features])
-    pairs = choose_pairs(tangents, options.max_pairs)
+    pairs = choose_pairs(tangents, MAX_PAIRS)
     pixel_m = np.array([_pixel_size(v, crs, z_ref) for v in views])
-    coarse = choose_pairs(tangents, min(options.coarse_pairs, options.max_pairs))
+    coarse = choose_pairs(tangents, COARSE_PAIRS)
     bias, along = _coarse(features, coarse, pixel_m, options, subprogress(progress, 0.5, 0.75))
     low, high = _height_window(z_ref - along, z_ref, options)
 
@@ -241,7 +240,7 @@ def find_tie_points(
             fb.descriptor,
             fb.tangent - fa.tangent,
             half_height=0.5 * (high - low),
-            half_width=options.corridor_px * max(pixel_m[a], pixel_m[b]),
+            half_width=CORRIDOR_PX * max(pixel_m[a], pixel_m[b]),
         )
 
     matches = []
@@ -295,7 +294,7 @@ def _coarse(
             continue
         apart = (fb.ground[matched[:, 1]] - bias[b]) - (fa.ground[matched[:, 0]] - bias[a])
         along, across = apart @ run / length, apart @ np.array([-run[1], run[0]]) / length
-        good = np.abs(across) < options.corridor_px * pixel_m[a]
+        good = np.abs(across) < CORRIDOR_PX * pixel_m[a]
         depths.append(along[good] / length)
     return bias, np.concatenate(depths) if depths else np.empty(0)
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sattools.batch.options import BatchOptions
+from sattools.cli.documents import documents, parse
 from sattools.cli.interrupts import checked
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
-from sattools.cli.pipe import documents, parse, report_error
+from sattools.cli.pipe import report_error
 from sattools.cli.streams import portable
 from sattools.errors import SattoolsError
 from sattools.processors import cores

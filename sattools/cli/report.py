@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from sattools.cli.pipe import NOTHING, check_place, documents, parse, report_error
+from sattools.cli.documents import documents, parse
+from sattools.cli.pipe import NOTHING, check_place, report_error
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
 
 

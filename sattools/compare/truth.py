@@ -70,7 +70,10 @@ class Truth:
         return text + (f", region {self.region}" if self.region else "")
 
     def within(self, region: str) -> Truth:
-        """The same reference, known only inside `region`: west, east, north, south (a half) or `W,S,E,N` in its CRS."""
+        """The same reference, known only inside `region`: west, east, north, south (a half) or `W,S,E,N` in its CRS.
+
+        Raises InputError for a region that it cannot read, or without a cell of the reference.
+        """
         rows_in, cols_in = _region(self.grid, region)
         heights = map_like(self.heights, self.grid.shape, np.float32)
         for rows in pieces(self.grid.shape):
@@ -79,14 +82,8 @@ class Truth:
         return replace(self, heights=heights, region=region)
 
 
-def region_mask(grid: Grid, region: str) -> np.ndarray:
-    """[H, W] bool of the cells whose centre lies in `region`. Raises InputError for a region it cannot read."""
-    rows, cols = _region(grid, region)
-    return np.asarray(rows[:, None] & cols[None])
-
-
 def _region(grid: Grid, region: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rows ``[H]`` and columns ``[W]`` bool whose cells' centres lie in a region."""
+    """Rows ``[H]`` and columns ``[W]`` bool whose cells' centres lie in a region; InputError where none does."""
     west, south, east, north = grid.bounds
     middle_x, middle_y = (west + east) / 2, (south + north) / 2
     halves = {

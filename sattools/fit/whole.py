@@ -33,6 +33,7 @@ from sattools.fit.resume import check_checkpoint
 from sattools.fit.surface.detail import with_detail
 from sattools.fit.surface.job import SurfaceJob
 from sattools.fit.surface.recolour import Held, recoloured
+from sattools.fit.surface.scene import SurfaceScene
 from sattools.fit.surface.schedule import own_cell, schedule
 from sattools.fit.surface.trainer import StageSettings
 from sattools.fit.tiles.shared import PRODUCT, read_coarse
@@ -43,6 +44,7 @@ from sattools.radiometry.bands import chosen_bands
 from sattools.render.around import read_around
 from sattools.scene import Item, Scene
 from sattools.scene.dependencies import ALBEDO_SECONDS, PRIOR_SECONDS, begin, seen
+from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Opened, Source, load_sources, open_images, warn_of_blank, with_bands
 
@@ -204,63 +206,15 @@ def _fit_surface(
     *,
     lasting: bool = True,
 ) -> Fitted:
-    options, radiance = setup.options, setup.radiance
-    notes: list[str] = []
-    grid, z_range = scene.require_grid(), scene.require_height_range()
+    radiance = setup.radiance
     # amplitudes of a reflectance model and what tiles share have the unit of the images
-    plain = radiance == "relative" and options.brdf == "lambert" and PRODUCT not in scene.products
+    plain = radiance == "relative" and setup.options.brdf == "lambert" and PRODUCT not in scene.products
     sources, exposure = exposed(sources) if plain else (sources, 1.0)
-    z_ref = reference_height(prior, z_range)
-    shortest = min(grid.shape) * grid.cell_size
-
-    def stages_of(options: FitOptions) -> list[StageSettings]:
-        relative = radiance == "relative"
-        return schedule(options, own_cell(scene), z_range, prior is not None, shortest, relative=relative)
-
-    stages = stages_of(options)
-    job = SurfaceJob(scene, sources, options, stages, prior, z_ref, SURFACE_DEVICE, radiance, lasting=lasting)
-    job.basis = setup.basis
-    job.coarse, job.around = read_coarse(scene, [s.id for s in sources]), read_around(scene)
-    if job.coarse is not None:
-        job.around = job.coarse.around(job.around)
-    if options.brdf == "auto":
-        choice = job.choose_brdf(stages[-1])
-        notes += choice.notes
-        options = job.options = replace(options, brdf=choice.model)
-        job.stages = stages_of(options)
-    if prior is not None and radiance == "relative" and options.brdf == "lambert":
-        options = job.options = replace(options, prior_weight=options.prior_weight * certainty(prior))
-    surface, finest, more = job.run(subprogress(progress, 0.0, DESCENT) if options.brdf == "lambert" else progress)
+    job, notes = _surface_job(scene, setup, sources, prior, lasting)
+    told = subprogress(progress, 0.0, DESCENT) if job.options.brdf == "lambert" else progress
+    surface, finest, more = job.run(told)
     options = job.resolved
-    tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
-    assert options.brdf != "auto"  # it has been chosen
-    suns = [v.sun for v in job.views]
-    maps = job.illumination.maps(suns)
-    extra = {name: tensor for name, tensor in tensors.items() if name not in ("height", "albedo", *COLOURS)}
-    extra |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
-    model = FittedModel(
-        grid=finest,
-        items=[s.id for s in sources],
-        suns=suns,
-        height=tensors["height"],
-        height_std=job.height_std.cpu(),
-        albedo=tensors["albedo"],
-        gain=tensors["gain"],
-        offset=tensors["offset"],
-        ambient=tensors["ambient"],
-        pose=tensors["pose"],
-        slopes=[v.slope for v in job.views],
-        z_ref=z_ref,
-        softness=job.last_softness,
-        shadow=options.shadow,
-        transient=options.transient,
-        radiance=radiance,
-        brdf=options.brdf,
-        bands=options.bands,
-        s_net=maps.get("s_net"),
-        tau=maps.get("tau"),
-        extra=extra,
-    )
+    model = _model_of(job, surface, finest)
     # who asks for a cell size gets it; reflectances are found with the normals of the fit's own cells
     if prior and options.resolution is None and options.brdf == "lambert" and prior.grid.cell_size < finest.cell_size:
         model = with_detail(model, prior)
@@ -275,6 +229,70 @@ def _fit_surface(
     model = replace(model, albedo=model.albedo / exposure, offset=model.offset / exposure)
     progress(1.0, "fitted")
     return Fitted(model, job.trace, notes + more, seconds)
+
+
+def _surface_job(
+    scene: Scene, setup: FitSetup, sources: list[Source], prior: DepthPrior | None, lasting: bool
+) -> tuple[SurfaceJob, list[str]]:
+    """The fit with its stages, the reflectance model chosen where that was asked for, and notes on the choice."""
+    radiance = setup.radiance
+    grid, z_range = scene.require_grid(), scene.require_height_range()
+    z_ref = reference_height(prior, z_range)
+    shortest = min(grid.shape) * grid.cell_size
+
+    def stages_of(options: FitOptions) -> list[StageSettings]:
+        relative = radiance == "relative"
+        return schedule(options, own_cell(scene), z_range, prior is not None, shortest, relative=relative)
+
+    stages = stages_of(setup.options)
+    job = SurfaceJob(scene, sources, setup.options, stages, prior, z_ref, SURFACE_DEVICE, radiance, lasting=lasting)
+    job.basis = setup.basis
+    job.coarse, job.around = read_coarse(scene, [s.id for s in sources]), read_around(scene)
+    if job.coarse is not None:
+        job.around = job.coarse.around(job.around)
+    notes: list[str] = []
+    if job.options.brdf == "auto":
+        choice = job.choose_brdf(stages[-1])
+        notes += choice.notes
+        job.options = replace(job.options, brdf=choice.model)
+        job.stages = stages_of(job.options)
+    if prior is not None and radiance == "relative" and job.options.brdf == "lambert":
+        job.options = replace(job.options, prior_weight=job.options.prior_weight * certainty(prior))
+    return job, notes
+
+
+def _model_of(job: SurfaceJob, surface: SurfaceScene, grid: Grid) -> FittedModel:
+    """What a finished job has found: the surface on its last grid, colours and light of the images, uncertainties."""
+    options = job.resolved
+    assert options.brdf != "auto"  # it has been chosen
+    tensors = {n: t.detach().cpu() for n, t in surface.tensors().items()}
+    suns = [v.sun for v in job.views]
+    maps = job.illumination.maps(suns)
+    extra = {name: tensor for name, tensor in tensors.items() if name not in ("height", "albedo", *COLOURS)}
+    extra |= {f"{name}_std": std.cpu() for name, std in job.parameter_std.items()}
+    return FittedModel(
+        grid=grid,
+        items=[s.id for s in job.sources],
+        suns=suns,
+        height=tensors["height"],
+        height_std=job.height_std.cpu(),
+        albedo=tensors["albedo"],
+        gain=tensors["gain"],
+        offset=tensors["offset"],
+        ambient=tensors["ambient"],
+        pose=tensors["pose"],
+        slopes=[v.slope for v in job.views],
+        z_ref=job.z_ref,
+        softness=job.last_softness,
+        shadow=options.shadow,
+        transient=options.transient,
+        radiance=job.radiance,
+        brdf=options.brdf,
+        bands=options.bands,
+        s_net=maps.get("s_net"),
+        tau=maps.get("tau"),
+        extra=extra,
+    )
 
 
 def choose_device(name: str) -> torch.device:

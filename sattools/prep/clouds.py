@@ -25,23 +25,16 @@ Mask = NDArray[np.bool_]
 Gray = NDArray[np.float32]
 ODD_ONE = 3  # images that have to show a place: of two nobody knows which is right
 _CANDIDATES = 200  # pairs of tie points that lines are drawn through
-
-
-@dataclass(frozen=True)
-class CloudOptions:
-    """What counts as a cloud; brightness in units of what the brightest tenth of the ground has above usual ground."""
-
-    brighter: float = 1.0  # than the others, and than usual ground
-    edge: float = 0.4  # the same at the edge of a cloud
-    width_m: float = 12.0  # it is nowhere narrower
-    area_m2: float = 1500.0  # of one, or a quarter of the area: a roof that shines in one image is smaller
-    another_m2: float = 300.0  # of the others beside it
-    margin_m: float = 5.0  # around it: it thins out
-    cell_m: float = 2.0  # of the look at the ground
-    max_cells: int = 60_000
-    max_planes: int = 48
-    darker: float = 0.4  # share of the images at a place that are darker than what it is taken to be: clouds are bright
-    observations: int = 20  # tie points of an image, below which nothing is known of it
+# what counts as a cloud; brightness in units of what the brightest tenth of the ground has above usual ground
+BRIGHTER = 1.0  # than the others, and than usual ground
+EDGE = 0.4  # the same at the edge of a cloud
+WIDTH_M = 12.0  # it is nowhere narrower
+AREA_M2 = 1500.0  # of one, or a quarter of the area: a roof that shines in one image is smaller
+ANOTHER_M2 = 300.0  # of the others beside it
+MARGIN_M = 5.0  # around it: it thins out
+CELL_M, MAX_CELLS, MAX_PLANES = 2.0, 60_000, 48  # of the look at the ground
+DARKER = 0.4  # share of the images at a place that are darker than what it is taken to be: clouds are bright
+OBSERVATIONS = 20  # tie points of an image, below which nothing is known of it
 
 
 @dataclass(frozen=True)
@@ -84,8 +77,6 @@ def find_clouds(
     crs: str,
     bounds: Bounds,
     heights: tuple[float, float],
-    *,
-    options: CloudOptions | None = None,
 ) -> list[Clouds | None]:
     """Where clouds hide the ground, image by image.
 
@@ -96,28 +87,26 @@ def find_clouds(
         crs: projected ground CRS [m].
         bounds: (west, south, east, north) of the area that matters [m].
         heights: lowest and highest of the surface [m].
-        options: see `CloudOptions`; None = the defaults.
 
     Returns:
         One an image; None = no cloud.
     """
-    options = options or CloudOptions()
     west, south, east, north = bounds
     area = (east - west) * (north - south)
-    cell = max(options.cell_m, float(np.sqrt(area / options.max_cells)))
-    planes = min(options.max_planes, max(2, int(np.ceil((heights[1] - heights[0]) / (2.0 * cell)))))
+    cell = max(CELL_M, float(np.sqrt(area / MAX_CELLS)))
+    planes = min(MAX_PLANES, max(2, int(np.ceil((heights[1] - heights[0]) / (2.0 * cell)))))
     ground = GroundPlanes.of(cameras, crs, bounds, cell, np.linspace(*heights, planes))
     smooth = [blurred(g, r, crs, bounds, heights[0], 2.0 * cell) for g, r in zip(grays, cameras, strict=True)]
     values = _values(grays, tracks)
     found: list[Clouds | None] = [None] * len(grays)
     for _ in range(2):  # tie points on clouds spoil what they say of the ground
-        gain, offset = common_brightness(tracks, values, len(grays), options.observations)
+        gain, offset = common_brightness(tracks, values, len(grays))
         images = [(g * s + o).astype(np.float32) for g, s, o in zip(smooth, gain, offset, strict=True)]
-        look = _look(images, ground, cell, options)
+        look = _look(images, ground, cell)
         if look is None:
             break
         for view in np.flatnonzero(np.isfinite(gain)).tolist():  # of the others nothing is known but what was found
-            found[view] = _clouds(look, view, min(options.area_m2, area / 4.0), options)
+            found[view] = _clouds(look, view, min(AREA_M2, area / 4.0))
         for view, clouds in enumerate(found):
             if clouds is not None:
                 _forget(values, tracks, view, clouds)
@@ -126,7 +115,7 @@ def find_clouds(
     return found
 
 
-def common_brightness(tracks: Tracks, values: Array, views: int, least: int = 20) -> tuple[Array, Array]:
+def common_brightness(tracks: Tracks, values: Array, views: int) -> tuple[Array, Array]:
     """Gain and offset ``[V]`` that make images equally bright at the tie points which they share; NaN = unknown.
 
     Straight lines to the median of all images at every point, over and over; points that do not obey count less.
@@ -135,12 +124,11 @@ def common_brightness(tracks: Tracks, values: Array, views: int, least: int = 20
         tracks: tie points.
         values: ``[n]`` what the images show at them; NaN = nothing.
         views: number of images.
-        least: values of an image, below which nothing is known of it.
     """
     gain, offset = np.full(views, np.nan), np.full(views, np.nan)
     of = [np.flatnonzero((tracks.view == view) & np.isfinite(values)) for view in range(views)]
     for view, known in enumerate(of):
-        if known.size >= least:
+        if known.size >= OBSERVATIONS:
             middle = np.median(values[known])
             spread = max(1.4826 * float(np.median(np.abs(values[known] - middle))), 1e-6)
             gain[view], offset[view] = 1.0 / spread, -middle / spread
@@ -222,7 +210,7 @@ def _forget(values: Array, tracks: Tracks, view: int, clouds: Clouds) -> None:
     values[of[clouds.places[np.minimum(row, rows - 1), np.minimum(col, cols - 1)]]] = np.nan
 
 
-def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: CloudOptions) -> _Look | None:
+def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float) -> _Look | None:
     """By how much images are brighter than the others, at the height where they differ least; None = nothing known."""
     import cv2
 
@@ -235,7 +223,7 @@ def _look(images: Sequence[Gray], ground: GroundPlanes, cell: float, options: Cl
         shown = np.stack([ground.shown(image, view, k) for view, image in enumerate(images)])
         count = np.isfinite(shown).sum(axis=0)
         # two images are darker, so that two are left wherever clouds are masked
-        rank = np.clip((options.darker * (count - 1)).astype(int), 1, len(images) - 1)
+        rank = np.clip((DARKER * (count - 1)).astype(int), 1, len(images) - 1)
         others = np.take_along_axis(np.sort(shown, axis=0), rank[None], axis=0)[0]  # NaN last
         levels.append(others[count >= 2])
         difference = np.where(np.isfinite(shown) & (count >= ODD_ONE), shown - others, np.float32(np.inf))
@@ -264,7 +252,7 @@ def _pixels_of_a_cell(ground: GroundPlanes, view: int) -> float:
     return edge if np.isfinite(edge) and edge > 0.0 else 1.0
 
 
-def _clouds(look: _Look, view: int, least_m2: float, options: CloudOptions) -> Clouds | None:
+def _clouds(look: _Look, view: int, least_m2: float) -> Clouds | None:
     """What clouds cover of an image; None = no cloud."""
     import cv2
 
@@ -279,18 +267,18 @@ def _clouds(look: _Look, view: int, least_m2: float, options: CloudOptions) -> C
         found = np.isfinite(excess) & (excess > by * look.scale) & (bright > look.usual + by * look.scale)
         return found.astype(np.uint8)
 
-    cores = cv2.morphologyEx(brighter(options.brighter), cv2.MORPH_OPEN, disc(options.width_m / 2.0))
+    cores = cv2.morphologyEx(brighter(BRIGHTER), cv2.MORPH_OPEN, disc(WIDTH_M / 2.0))
     _, label, figures, _ = cv2.connectedComponentsWithStats(cores, connectivity=4)
     areas = figures[:, cv2.CC_STAT_AREA] * pixel**2
     areas[0] = 0.0  # which is all the rest
     if areas.max() < least_m2:
         return None
-    core = (areas >= min(options.another_m2, least_m2))[label]
-    wide = cv2.morphologyEx(brighter(options.edge), cv2.MORPH_OPEN, disc(pixel)) | core.astype(np.uint8)
+    core = (areas >= min(ANOTHER_M2, least_m2))[label]
+    wide = cv2.morphologyEx(brighter(EDGE), cv2.MORPH_OPEN, disc(pixel)) | core.astype(np.uint8)
     _, label = cv2.connectedComponents(wide, connectivity=4)
     wanted = np.isin(label, np.unique(label[core]))
-    places = np.asarray(cv2.dilate(wanted.astype(np.uint8), disc(options.margin_m)) > 0)
+    places = np.asarray(cv2.dilate(wanted.astype(np.uint8), disc(MARGIN_M)) > 0)
     return Clouds(places, look.step[view], float(places[np.isfinite(look.excess[view])].mean()))
 
 
-__all__ = ["CloudOptions", "Clouds", "common_brightness", "find_clouds"]
+__all__ = ["Clouds", "common_brightness", "find_clouds"]

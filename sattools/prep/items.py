@@ -103,7 +103,7 @@ def describe(source: SourceImage, rpc: RPC, view: ViewAdjustment, grid: Grid, he
     if meta.time is None:
         source.notes.append("time unknown: no metadata and no name says when it was taken")
     sun = sun_angles(source, lon, lat, middle)
-    if sun is not None and sun[1] <= 0:  # by time and place: `gate` has refused such metadata
+    if sun is not None and sun[1] <= 0:  # by time and place: `camera_gate` has refused such metadata
         below = f"time and place put the sun {sun[1]:.1f} degrees above the horizon"
         source.warn(f"{below}: taken as unknown; is the time right?")
         sun = None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon, box
 
 from sattools.camera import RPC
-from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
+from sattools.camera.adjust import Adjustment, adjust
 from sattools.camera.ground import crop_window, ground_sample_distance
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
@@ -188,7 +188,7 @@ def _coarse(
     tracks = find_tie_points(views, crs, seek, subprogress(progress, 0.0, 0.7), z_ref=heights.middle)
     sizes = [(g.shape[0], g.shape[1]) for g in images.grays]
     names = [s.id for s in sources]
-    return adjust(reduced, names, sizes, tracks, AdjustOptions(model="shift"), subprogress(progress, 0.7, 1.0))
+    return adjust(reduced, names, sizes, tracks, "shift", subprogress(progress, 0.7, 1.0))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from sattools.scene.files import write_text
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.location import RemotePath
 from sattools.scene.pixels import BLOCKS, CLOUDS, WINDOW
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 
 COPY_LIMIT = 2 << 30  # bytes of pixels in all, above which images are referred to
 MARGIN_PX = 16  # around the area asked for, once the cameras are corrected

@@ -21,7 +21,8 @@ from sattools.prep.numbers import Numbers, read_band
 from sattools.scene.files import write_with
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
-from sattools.scene.raster import block_means, sensor_profile
+from sattools.scene.raster import block_means
+from sattools.scene.sensor_files import sensor_profile
 
 _STRIP_PX = 4_000_000
 

@@ -12,22 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import box
 
-from sattools.camera.adjust import Adjustment, AdjustOptions, adjust
+from sattools.camera.adjust import Adjustment, adjust
 from sattools.camera.ground import check_ground_crs, check_scale, utm_crs
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.errors import InputError, SattoolsError
 from sattools.prep.area import bounds_from_file, bounds_from_numbers, exchanged_bounds, wanted_area
 from sattools.prep.blank import check_contents
+from sattools.prep.camera_gate import check_corrections, check_height_unit, check_places_and_suns
 from sattools.prep.colours import add_colours, colour_files, hrefs, load_colours
 from sattools.prep.gate import (
     check_cells,
-    check_corrections,
-    check_height_unit,
     check_heights,
     check_metadata,
     check_pixel_sizes,
     check_pixels,
-    check_places_and_suns,
     check_sources,
 )
 from sattools.prep.images import SourceImage
@@ -158,7 +156,7 @@ def _adjusted(
             seek = TiePointOptions(max_height_m=heights.half)
             tracks = find_tie_points(views, crs, seek, matching, z_ref=heights.middle)
         last = subprogress(progress, 0.45 / 0.65, 1.0)
-        result = adjust(cameras, [s.id for s in sources], sizes, tracks, AdjustOptions(model=model), last)
+        result = adjust(cameras, [s.id for s in sources], sizes, tracks, model, last)
     except SattoolsError:
         raise
     except (ValueError, ArithmeticError, cv2.error) as error:  # of linear algebra and of OpenCV, on absurd cameras

@@ -26,7 +26,8 @@ from sattools.render.around import PRODUCT as AROUND
 from sattools.scene import Grid, Scene
 from sattools.scene.cog import CogWriter, cogs
 from sattools.scene.files import remove, written
-from sattools.scene.raster import read_raster, write_sensor_image
+from sattools.scene.raster import read_raster
+from sattools.scene.sensor_files import write_sensor_image
 from sattools.scene.stored import pieces
 
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"

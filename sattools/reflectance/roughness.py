@@ -24,7 +24,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sattools.reflectance.angles import Angles, as_tensors, measure
+from sattools.reflectance.angles import Angles
 from sattools.reflectance.hapke_limits import (
     A_MIN,
     D_MIN,
@@ -189,32 +189,3 @@ def reverse(
     mean, half = 0.5 * (g_clo + g_chi), 0.5 * o.order * (g_clo - g_chi)
     quarter = 0.25 * g_x
     return g_t, Angles(mean + half, mean - half, g_triple, -quarter, quarter)
-
-
-def effective_cosines(
-    normal: Tensor, sun: Tensor, view: Tensor, theta_deg: Tensor | float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Effective cosines of incidence and emission and the shadowing function, ``(mu0e, mue, S)``, without gradients.
-
-    They enter as BRF = (w/4) (1/mu0) mu0e / (mu0e + mue) {...} S. S is 0 where the facet faces away from sun or sensor.
-
-    Args:
-        normal: ``[..., 3]`` unit vectors.
-        sun: unit vector (east, north, up) to the sun.
-        view: unit vector(s) to the sensor.
-        theta_deg: macroscopic roughness [degrees].
-
-    Raises:
-        TypeError, ValueError: see `sattools.reflectance.angles.as_tensors`.
-    """
-    with torch.no_grad():
-        normal, sun, view, theta_deg = as_tensors(normal, sun, view, theta_deg)
-        angles = measure(normal, sun, view)
-        t = tangent_of(theta_deg)
-        facet = forward(angles, t)
-        shrink = torch.rsqrt(1 + math.pi * t * t)
-        sun_is_low = angles.mu0 >= angles.mu
-        mu0e = shrink * torch.where(sun_is_low, facet.a_lo, facet.a_hi)
-        mue = shrink * torch.where(sun_is_low, facet.a_hi, facet.a_lo)
-        # K = a_lo a_hi / ((a_lo + a_hi) y z), S = mu0 mue / (chi y z)
-        return mu0e, mue, facet.lit * angles.mu0 * mue / (shrink * facet.yhi * facet.zlo)

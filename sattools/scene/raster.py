@@ -16,8 +16,6 @@ from rasterio.windows import Window
 from sattools.errors import InputError
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import ELLIPSOID, is_solid, vertical_of
-from sattools.scene.files import write_bytes
-from sattools.scene.gdal import not_georeferenced
 from sattools.scene.grid import Grid
 from sattools.scene.memory import check_memory
 from sattools.scene.opening import opened
@@ -309,62 +307,6 @@ def block_means(blocks: np.ndarray) -> np.ndarray:
     return np.where(2 * count >= blocks.shape[2] * blocks.shape[4], total / np.maximum(count, 1), np.nan)
 
 
-def write_sensor_image(
-    path: Path,
-    array: np.ndarray,
-    rpc: Mapping[str, str] | None = None,
-    *,
-    nodata: float | None = None,
-    descriptions: Sequence[str] | None = None,
-    units: str | None = None,
-    tags: Mapping[str, str] | None = None,
-) -> None:
-    """Write an image (pixels of any unit) in sensor geometry as a tiled GeoTIFF.
-
-    Args:
-        path: target file.
-        array: ``[B, H, W]``.
-        rpc: its camera as RPC tags.
-        nodata: no-data value.
-        descriptions: one name per band.
-        units: unit of the bands.
-        tags: dataset tags.
-
-    Raises:
-        SattoolsError: the file cannot be written.
-    """
-    bands, height, width = array.shape
-    profile = sensor_profile(array.dtype, bands, height, width, nodata)
-    with not_georeferenced, rasterio.MemoryFile() as memory:
-        with memory.open(**profile) as data:
-            data.write(array)
-            if descriptions:
-                data.descriptions = tuple(descriptions)
-            if units:
-                data.units = [units] * bands
-            data.update_tags(**(tags or {}))
-            if rpc:
-                data.update_tags(ns="RPC", **rpc)
-        write_bytes(path, memory.getbuffer())
-
-
-def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, nodata: float | None) -> dict[str, Any]:
-    """Rasterio profile of an image in sensor geometry, without its camera.
-
-    Args:
-        dtype: of the pixels.
-        bands: number of bands.
-        height: rows [px].
-        width: columns [px].
-        nodata: value, or None.
-    """
-    profile: dict[str, Any] = {"driver": "GTiff", "dtype": dtype, "count": bands, "height": height, "width": width}
-    # images hold much noise: the default level makes their files 2 % smaller and `prep` a twentieth dearer
-    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "zlevel": 1}
-    profile["predictor"] = 3 if np.issubdtype(np.dtype(dtype), np.floating) else 2
-    return profile if nodata is None else profile | {"nodata": nodata}
-
-
 def _read(data: rasterio.DatasetReader, path: Path, window: Window | None = None) -> np.ndarray:
     try:
         return data.read(window=window)
@@ -392,7 +334,5 @@ __all__ = [
     "read_raster",
     "read_some_pixels",
     "read_window",
-    "sensor_profile",
     "write_cog",
-    "write_sensor_image",
 ]

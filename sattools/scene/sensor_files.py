@@ -1,22 +1,61 @@
-"""Images in sensor geometry that are written block by block, whatever their size."""
+"""Writing of images in sensor geometry: as a whole, or block by block, whatever their size."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
 from rasterio.windows import Window
 
-from sattools.scene.files import write_with
+from sattools.scene.files import write_bytes, write_with
 from sattools.scene.gdal import not_georeferenced
-from sattools.scene.raster import sensor_profile
 
 TILE = 256  # pixels along an edge
 _VALUES = 1 << 20  # of all bands that are held at a time
 _LEAST_ROWS, _MOST_ROWS = 16, 2048  # of a block: tiles of a TIFF have multiples of 16, those of JPEG 2000 are large
+
+
+def write_sensor_image(
+    path: Path,
+    array: np.ndarray,
+    rpc: Mapping[str, str] | None = None,
+    *,
+    nodata: float | None = None,
+    descriptions: Sequence[str] | None = None,
+    units: str | None = None,
+    tags: Mapping[str, str] | None = None,
+) -> None:
+    """Write an image (pixels of any unit) in sensor geometry as a tiled GeoTIFF.
+
+    Args:
+        path: target file.
+        array: ``[B, H, W]``.
+        rpc: its camera as RPC tags.
+        nodata: no-data value.
+        descriptions: one name per band.
+        units: unit of the bands.
+        tags: dataset tags.
+
+    Raises:
+        SattoolsError: the file cannot be written.
+    """
+    bands, height, width = array.shape
+    profile = sensor_profile(array.dtype, bands, height, width, nodata)
+    with not_georeferenced, rasterio.MemoryFile() as memory:
+        with memory.open(**profile) as data:
+            data.write(array)
+            if descriptions:
+                data.descriptions = tuple(descriptions)
+            if units:
+                data.units = [units] * bands
+            data.update_tags(**(tags or {}))
+            if rpc:
+                data.update_tags(ns="RPC", **rpc)
+        write_bytes(path, memory.getbuffer())
 
 
 def write_sensor_maps(
@@ -57,7 +96,7 @@ def write_sensor_blocks(
     tags: Mapping[str, str] | None = None,
     source_block: tuple[int, int] = (TILE, TILE),
 ) -> None:
-    """Write an image as a tiled GeoTIFF, some pixels at a time; see `sattools.scene.raster.write_sensor_image`.
+    """Write an image as a tiled GeoTIFF, some pixels at a time; see `write_sensor_image`.
 
     Args:
         path: target file.
@@ -102,6 +141,23 @@ def write_sensor_blocks(
         write_with(path, write, check)
 
 
+def sensor_profile(dtype: np.dtype | str, bands: int, height: int, width: int, nodata: float | None) -> dict[str, Any]:
+    """Rasterio profile of an image in sensor geometry, without its camera.
+
+    Args:
+        dtype: of the pixels.
+        bands: number of bands.
+        height: rows [px].
+        width: columns [px].
+        nodata: value, or None.
+    """
+    profile: dict[str, Any] = {"driver": "GTiff", "dtype": dtype, "count": bands, "height": height, "width": width}
+    # images hold much noise: the default level makes their files 2 % smaller and `prep` a twentieth dearer
+    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "zlevel": 1}
+    profile["predictor"] = 3 if np.issubdtype(np.dtype(dtype), np.floating) else 2
+    return profile if nodata is None else profile | {"nodata": nodata}
+
+
 def _blocks(shape: tuple[int, int], bands: int, source: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
     """Rows and columns, about `_VALUES` values each, so that little of the source is unpacked more than once."""
     height, width = shape
@@ -119,4 +175,4 @@ def _blocks(shape: tuple[int, int], bands: int, source: tuple[int, int]) -> Iter
             yield slice(row, min(row + rows, height)), slice(col, min(col + cols, width))
 
 
-__all__ = ["TILE", "write_sensor_blocks", "write_sensor_maps"]
+__all__ = ["TILE", "sensor_profile", "write_sensor_blocks", "write_sensor_image", "write_sensor_maps"]

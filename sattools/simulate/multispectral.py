@@ -6,7 +6,7 @@ import numpy as np
 
 from sattools.scene.document import Scene
 from sattools.scene.files import write_text
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 from sattools.simulate.views import SimulatedView
 
 NAMES = ("red", "green", "blue")

@@ -17,7 +17,7 @@ from sattools.scene.document import GEOTIFF_TYPE, Asset, Item, Scene
 from sattools.scene.files import write_text
 from sattools.scene.globe import outline_on_globe
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 from sattools.simulate.camera import Pushbroom
 from sattools.simulate.files import sat_nerf_metadata, write_json
 from sattools.simulate.sensor import Radiometry

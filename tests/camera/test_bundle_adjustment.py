@@ -8,7 +8,7 @@ import pytest
 from synthetic_views import ALT0, EAST_M, LAT0, LON0, NORTH_M, hills, parallel_rpc, render, texture
 
 from sattools.camera import RPC
-from sattools.camera.adjust import AdjustOptions, adjust
+from sattools.camera.adjust import adjust
 from sattools.camera.bundle import Block, _step, robust_gauge, triangulate
 from sattools.camera.tiepoints import TiePointImage, TiePointOptions, find_tie_points
 from sattools.camera.tracks import Tracks
@@ -49,9 +49,9 @@ def block(biases: Any, n: Any = 400, noise: Any = 0.2, false: Any = 0.1, matrix:
     return raw, tracks.kept(np.ones(len(order), bool))[0], np.stack([east, north, height + ALT0], 1)
 
 
-def run(raw: Any, tracks: Any, **options: Any) -> Any:
+def run(raw: Any, tracks: Any, model: str = "auto") -> Any:
     names = [f"v{k}" for k in range(len(raw))]
-    return adjust(raw, names, [SIZE] * len(raw), tracks, AdjustOptions(**options))
+    return adjust(raw, names, [SIZE] * len(raw), tracks, model)
 
 
 def test_a_correction_is_the_affine_map_of_pixels_that_the_adjustment_has_used() -> None:

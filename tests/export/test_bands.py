@@ -14,7 +14,8 @@ from sattools.radiometry.bands import named_bands
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
 from sattools.scene import Scene
-from sattools.scene.raster import read_image, read_raster, write_sensor_image
+from sattools.scene.raster import read_image, read_raster
+from sattools.scene.sensor_files import write_sensor_image
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[4], prior_weight=0.0)
 

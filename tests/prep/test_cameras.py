@@ -15,7 +15,7 @@ from sattools.camera.ground import from_geographic
 from sattools.prep.cameras import of_another_window, own_camera
 from sattools.prep.gate import check_sources
 from sattools.prep.loading import load_source
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 
 SIZE = (150, 160)
 OWN = parallel_rpc((0.3, 0.1), size=SIZE)

@@ -16,7 +16,7 @@ from synthetic_views import ALT0, LAT0, LON0, parallel_rpc, render, texture
 from sattools.camera.ground import from_geographic
 from sattools.camera.tracks import Tracks
 from sattools.errors import InputError, SceneError
-from sattools.prep.clouds import CloudOptions, Clouds, common_brightness, find_clouds
+from sattools.prep.clouds import Clouds, common_brightness, find_clouds
 from sattools.prep.large import GrayImages
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
@@ -105,11 +105,13 @@ def test_clouds_on_most_tie_points_of_an_image_are_found(plain: Any, points: Tra
     assert pixels(cloud, inside.shape)[inside].mean() > 0.97
 
 
-def test_a_cloud_that_leaves_too_few_tie_points_beside_it_stays_found(plain: Any, points: Tracks) -> None:
+def test_a_cloud_that_leaves_too_few_tie_points_beside_it_stays_found(
+    plain: Any, points: Tracks, monkeypatch: pytest.MonkeyPatch
+) -> None:
     images = list(plain)
     images[4], inside = covered(images[4], 34.0)
-    few = CloudOptions(observations=100)  # of 121, of which the cloud hides 45
-    cloud = find_clouds(images, CAMERAS, points, UTM, BOUNDS, HEIGHTS, options=few)[4]
+    monkeypatch.setattr("sattools.prep.clouds.OBSERVATIONS", 100)  # of 121, of which the cloud hides 45
+    cloud = find_clouds(images, CAMERAS, points, UTM, BOUNDS, HEIGHTS)[4]
     assert cloud is not None
     assert pixels(cloud, inside.shape)[inside].mean() > 0.9
 

@@ -11,7 +11,7 @@ from synthetic_views import cubic_rpc
 from sattools.cli import main
 from sattools.errors import InputError
 from sattools.prep.loading import load_source
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 
 PIXELS = np.zeros((1, 8, 8), np.uint8)
 CUT_TEXT = cubic_rpc().to_rpc_txt().partition("LINE_NUM_COEFF_16")[0]

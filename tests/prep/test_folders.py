@@ -13,7 +13,7 @@ from sattools.cli import main
 from sattools.errors import InputError
 from sattools.prep.folders import images_with_cameras
 from sattools.scene.location import IMAGE_SUFFIXES
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 
 TAGS = parallel_rpc().to_tags()
 

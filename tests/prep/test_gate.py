@@ -17,7 +17,8 @@ from spoilt import Town, exchanged, made, prep, refused, roles, southern, warned
 
 from sattools.camera import RPC
 from sattools.cli import main
-from sattools.prep.gate import check_cells, check_heights, check_pixels, mirrored
+from sattools.prep.camera_gate import mirrored
+from sattools.prep.gate import check_cells, check_heights, check_pixels
 from sattools.prep.options import PrepOptions
 from sattools.prep.pixels import read_gray
 from sattools.prep.stage import survey

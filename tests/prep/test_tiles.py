@@ -11,7 +11,7 @@ from sattools.errors import InputError
 from sattools.prep.loading import load_source
 from sattools.prep.metadata import read_sidecar
 from sattools.scene.opening import opened
-from sattools.scene.raster import write_sensor_image
+from sattools.scene.sensor_files import write_sensor_image
 from sattools.scene.sidecars import sidecars
 
 WHOLE = cubic_rpc()

@@ -15,8 +15,8 @@ from sattools.errors import InputError, SattoolsError
 from sattools.scene import Grid, cog, stored
 from sattools.scene.cog import CogWriter
 from sattools.scene.gdal import why_not_written
-from sattools.scene.raster import read_overview, read_some_pixels, write_cog, write_sensor_image
-from sattools.scene.sensor_files import write_sensor_blocks
+from sattools.scene.raster import read_overview, read_some_pixels, write_cog
+from sattools.scene.sensor_files import write_sensor_blocks, write_sensor_image
 
 GRID = Grid("EPSG:32633", 500000.0, 5000000.0, 0.5, 700, 600)
 

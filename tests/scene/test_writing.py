@@ -30,7 +30,8 @@ from sattools.scene.files import (
     write_figure,
     write_text,
 )
-from sattools.scene.raster import write_cog, write_sensor_image
+from sattools.scene.raster import write_cog
+from sattools.scene.sensor_files import write_sensor_image
 from sattools.scene.vectors import Features, geopackage
 
 GRID = Grid("EPSG:32617", 0.0, 0.0, 1.0, 120, 120)
