@@ -42,6 +42,8 @@ class Cluster:
         self.workers.append(subprocess.Popen([sys.executable, "-c", code, self.address], stderr=subprocess.DEVNULL))
 
     def __exit__(self, *_: object) -> None:
-        for process in (*self.workers, self.scheduler):
+        for process in self.workers:
             process.kill()
             process.wait()
+        self.scheduler.kill()
+        self.scheduler.wait()

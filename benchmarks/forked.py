@@ -66,8 +66,8 @@ class Child:
             time.sleep(0.003)
         _, status, used = os.wait4(self.pid, 0)
         code = os.waitstatus_to_exitcode(status)
-        texts = [(self.folder / name).read_text(errors="replace") for name in ("out", "err")]
-        return Result(code, *texts, time.monotonic() - self.started, late, used.ru_maxrss / 1024)
+        out, err = [(self.folder / name).read_text(errors="replace") for name in ("out", "err")]
+        return Result(code, out, err, time.monotonic() - self.started, late, used.ru_maxrss / 1024)
 
 
 def preload() -> None:

@@ -95,10 +95,10 @@ def starts(path: str, against: str) -> list[dict[str, Any]]:
 
     scene = Scene.from_file(path)
     height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
-    coarse = averaged(height[0], grid, AVERAGE_M)
+    means, cells = averaged(height[0], grid, AVERAGE_M)
     return [
         {"field": "prior", **scored(height[0], grid, against)},
-        {"field": f"prior, means of {AVERAGE_M:g} m", **scored(*coarse, against)},
+        {"field": f"prior, means of {AVERAGE_M:g} m", **scored(means, cells, against)},
     ]
 
 

@@ -88,8 +88,8 @@ def ortho(out: Path, seed: int) -> dict[str, Any]:
     main = np.bincount(source[source > 0].astype(int)).argmax()
     error = np.sqrt(np.mean((photo - true) ** 2, axis=0))
     elsewhere = shown & (source[0] != main)
-    pictures = [np.nan_to_num(band, nan=float(np.nanmean(band))).astype(np.float32) for band in (photo[1], true[1])]
-    (east, south), _ = cv2.phaseCorrelate(*pictures, cv2.createHanningWindow(grid.shape[::-1], cv2.CV_32F))
+    one, other = [np.nan_to_num(band, nan=float(np.nanmean(band))).astype(np.float32) for band in (photo[1], true[1])]
+    (east, south), _ = cv2.phaseCorrelate(one, other, cv2.createHanningWindow(grid.shape[::-1], cv2.CV_32F))
     return {
         "filled_of_seen_by_two": round(float((shown & two).sum() / two.sum()), 4),
         "rms": round(float(np.sqrt(np.mean(error[shown] ** 2))), 4),

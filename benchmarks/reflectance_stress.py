@@ -78,7 +78,7 @@ def special_cases(ranges: tuple) -> list[Tensor]:
     steps = [(low, 0.5 * (low + high), high) for low, high in ranges]
     angles = torch.tensor(list(itertools.product(COSINES, COSINES, AZIMUTHS)), dtype=torch.float64)
     parameters = torch.tensor(list(itertools.product(*steps)))
-    vectors = directions(*angles.unbind(-1), False)
+    vectors = directions(*angles.unbind(-1), turn=False)
     # cos 90 degrees is 6e-17 in float64: make the horizon exact
     vectors = [torch.where(v.abs() < 1e-15, torch.zeros(()).double(), v).float() for v in vectors]
     count = len(parameters)

@@ -152,7 +152,7 @@ def opencv(pair: Rectified) -> tuple[np.ndarray, float]:
     low, high = pair.range
     count = -(-(high - low + 1) // 16) * 16
     start = time.process_time()
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM_create(  # type: ignore[attr-defined]
         minDisparity=low,
         numDisparities=count,
         blockSize=WINDOW,

@@ -16,14 +16,14 @@ areas=("$@")
 data=${SATTOOLS_DATA:?set SATTOOLS_DATA to the folder that holds dfc2019/}/dfc2019
 
 mkdir -p "$out"
-printf '[fit]\nepochs = [4]\n' >"$out/short.toml"
-printf '[fit]\nepochs = [16]\n' >"$out/usual.toml"
+printf '[fit]\n' >"$out/usual.toml" # the defaults: 5 passes
+printf '[fit]\nepochs = [16]\n' >"$out/long.toml"
 
 named=()
 for area in "${areas[@]}"; do named+=(--aoi "$area"); done
 status=0
 sattools batch --dfc2019 "$data" "${named[@]}" \
-    --config "$out/short.toml" --config "$out/usual.toml" --out "$out" \
+    --config "$out/usual.toml" --config "$out/long.toml" --out "$out" \
     ${SCHEDULER:+--scheduler "$SCHEDULER"} >"$out/scenes.jsonl" || status=$?
 [ "$status" = 0 ] || [ "$status" = 3 ] || exit "$status"
 sattools report "$out" --overwrite

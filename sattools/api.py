@@ -353,7 +353,7 @@ def _plain(value: Any) -> Any:
 def _kind(spec: OptionSpec) -> Kind:
     """What an option takes, as `kind_of` of the command line has it."""
     low, high = spec.minimum, spec.maximum
-    kind: Kind = Text(tuple(spec.choices or ()), empty=True)
+    kind: Kind = Text(tuple(spec.choices or ()), empty=spec.path is None)
     if spec.kind is bool:
         kind = Flag()
     elif spec.kind is int:

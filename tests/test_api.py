@@ -131,6 +131,15 @@ def test_a_value_that_an_option_does_not_take_is_named(options: Any, why: str) -
         sattools.fit("scene.json", options)
 
 
+def test_a_name_that_is_empty_is_not_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"option 'out': found '', expected text that is not empty$"):
+        sattools.change("a.tif", "b.tif", {"out": ""})
+    with pytest.raises(InputError, match=r"^found an empty text, expected a file or folder$"):
+        sattools.prepare([""])
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("scene", "options", "why"),
     [

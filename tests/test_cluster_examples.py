@@ -162,6 +162,16 @@ def test_a_number_without_a_tile_and_an_unknown_part_are_refused(make_town: Any)
     assert run("tiles.sh", "tiles", path).returncode == 2
 
 
+@pytest.mark.parametrize("script", ["slurm.sh", "tiles.sh"])
+@pytest.mark.parametrize(("arguments", "status"), [((), 2), (("--help",), 0)])
+def test_a_script_that_is_asked_says_how_it_is_called(script: str, arguments: tuple[str, ...], status: int) -> None:
+    done = run(script, *arguments)
+    assert (done.returncode, done.stdout) == (status, "")
+    assert f"{script} " in done.stderr
+    assert "set -eu" not in done.stderr
+    assert "parameter not set" not in done.stderr
+
+
 def test_the_job_for_kubernetes_counts_its_tiles() -> None:
     job = yaml.safe_load((FOLDER / "kubernetes.yaml").read_text())
     assert (job["apiVersion"], job["kind"]) == ("batch/v1", "Job")

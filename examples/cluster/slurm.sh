@@ -5,6 +5,13 @@
 # less than the cluster's MaxArraySize (`scontrol show config`), 1001 unless somebody has set another. With --overwrite fit and
 # export replace what is there.
 set -eu
+case ${1:--h} in
+    -h | --help)
+        sed -n '2,/^set -eu/{s/^# \{0,1\}//;/^set -eu/!p;}' "$0" >&2
+        test $# -gt 0 && exit 0
+        exit 2
+        ;;
+esac
 
 # words as a shell reads them, whatever blanks and quotes are in them: --wrap takes one text
 quoted() {

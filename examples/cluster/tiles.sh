@@ -8,6 +8,13 @@
 # SCENE.json lies in the scene's folder, which all machines see under the same name. A part that is done is not done again,
 # unless `split` is given --overwrite.
 set -eu
+case ${1:--h} in
+    -h | --help)
+        sed -n '2,/^set -eu/{s/^# \{0,1\}//;/^set -eu/!p;}' "$0" >&2
+        test $# -gt 0 && exit 0
+        exit 2
+        ;;
+esac
 part=$1 scene=$2
 shift 2
 sattools=${SATTOOLS:-sattools}

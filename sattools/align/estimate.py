@@ -18,6 +18,7 @@ from sattools.camera.rpc import RPC
 from sattools.compare.metrics import nmad
 from sattools.compare.registration import register, search_margin
 from sattools.errors import InputError
+from sattools.progress import Progress, silent
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import reproject_map, resize_map
 
@@ -72,6 +73,7 @@ def shift_to_dem(
     *,
     tilt: bool = False,
     error: np.ndarray | None = None,
+    progress: Progress = silent,
 ) -> Shift:
     """The shift that brings a surface onto a reference, whose cells may be larger or smaller.
 
@@ -89,6 +91,7 @@ def shift_to_dem(
             height only.
         tilt: with ``means`` and ``icp``, a tilt as well.
         error: ``[H, W]`` how far the surface's cells may be off [m], by which ``means`` weighs them; None = all alike.
+        progress: told what is being done, and the steps, which may take half a minute.
 
     Raises:
         InputError: too few cells in common, slopes that leave a direction open, steps that led away, or (but for
@@ -107,6 +110,7 @@ def shift_to_dem(
     shift = Shift(0.0, 0.0, 0.0, 0.0, 0.0, 0, x=(west + east) / 2, y=(south + north) / 2)
     first = onto - _on(target, height, grid)
     if method != "z":
+        progress(0.0, "registering, whole cells")
         margin = search_margin(target.shape)
         wide = reproject_map(height, grid, target.widened(margin))
         east, north, up = register(wide, onto, "ncc", margin).metres(target.cell_size)
@@ -120,11 +124,12 @@ def shift_to_dem(
         if method == "means":
             shift = shift_by_means(height, grid, onto, target, shift, error=error, tilt=tilt)
         elif method == "icp":
-            shift = _by_planes(height, grid, onto, target, shift, tilt)
+            shift = _by_planes(height, grid, onto, target, shift, tilt, progress=progress)
             if reference_grid.cell_size < LARGE * grid.cell_size:
+                progress(1.0, "registering, the last part of a cell")
                 shift = _between_cells(height, grid, (reference, reference_grid), shift, error, tilt)
         else:
-            shift = _by_slopes(height, grid, onto, target, shift)
+            shift = _by_slopes(height, grid, onto, target, shift, progress)
     moved = (height + (shift.rise(grid) - shift.up)).astype(np.float32)
     here = _on(target, moved, grid.moved(shift.east, shift.north))
     both = np.isfinite(onto - here)
@@ -202,7 +207,9 @@ def _on(target: Grid, height: np.ndarray, grid: Grid) -> np.ndarray:
     return np.where(share >= LEAST_KNOWN, mean, np.nan)
 
 
-def _by_slopes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift) -> Shift:
+def _by_slopes(
+    height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift, progress: Progress
+) -> Shift:
     """Steps east and north of Nuth and Kaab (2011) from a start; see `shift_to_dem`."""
 
     def apart(east: float, north: float) -> float:
@@ -212,7 +219,8 @@ def _by_slopes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, s
         return float(np.abs(left - np.median(left)).mean()) if left.size else math.inf
 
     east, north = start.east, start.north
-    for _ in range(STEPS):
+    for step in range(STEPS):
+        progress(step / STEPS, f"registering, step {step + 1}")
         here = reproject_map(height, grid.moved(east, north), target)
         step_east, step_north, _ = register(here, onto, "nuth-kaab").metres(target.cell_size)
         east, north = east + step_east, north + step_north
@@ -226,11 +234,14 @@ def _by_slopes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, s
     return replace(start, east=east, north=north)
 
 
-def _by_planes(height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift, tilt: bool) -> Shift:
+def _by_planes(
+    height: np.ndarray, grid: Grid, onto: np.ndarray, target: Grid, start: Shift, tilt: bool, *, progress: Progress
+) -> Shift:
     """Steps in all directions by iterated closest points from a start; see `shift_to_dem`."""
     planes, shift = Planes(onto, target), start
     x, y = np.meshgrid(target.x(), target.y())
-    for _ in range(STEPS_ICP):
+    for step in range(STEPS_ICP):
+        progress(step / STEPS_ICP, f"registering, step {step + 1}")
         moved = (height + shift.rise(grid)).astype(np.float32)
         here = reproject_map(moved, grid.moved(shift.east, shift.north), target)
         known = np.flatnonzero(np.isfinite(here))

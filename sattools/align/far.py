@@ -13,6 +13,7 @@ from sattools.align.shift import Shift
 from sattools.compare.metrics import nmad
 from sattools.compare.registration import search_margin
 from sattools.errors import InputError
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import reproject_map
 
@@ -32,6 +33,7 @@ def shift_within(
     tilt: bool = False,
     error: np.ndarray | None = None,
     reach: float = 0.0,
+    progress: Progress = silent,
 ) -> Shift:
     """`shift_to_dem`, which looks a few cells of a small map around; where it finds nothing, as far as ``reach``.
 
@@ -44,22 +46,27 @@ def shift_within(
         tilt: likewise.
         error: ``[H, W]`` likewise.
         reach: largest shift that is looked for [m].
+        progress: told the share done and what is being done.
 
     Raises:
         InputError: as `shift_to_dem`, where looking further does not help.
     """
     found, wrong = None, None
     try:
-        found = shift_to_dem(height, grid, reference, reference_grid, method, tilt=tilt, error=error)
+        near = subprogress(progress, 0.0, 0.5)
+        found = shift_to_dem(height, grid, reference, reference_grid, method, tilt=tilt, error=error, progress=near)
         if method == "z" or found.left <= UNLIKE:
             return found
     except InputError as reason:
         wrong = reason
     known = height[np.isfinite(height)]
     if method != "z" and known.size and np.abs(known - np.median(known)).mean() >= RELIEF_M:
+        progress(0.5, f"looking further off, to {reach:g} m")
         there = _place(height, grid, reference, reference_grid, reach)
         if there is not None:
-            far = _from(there, height, grid, (reference, reference_grid), method, tilt=tilt, error=error)
+            last = subprogress(progress, 0.6, 1.0)
+            onto = (reference, reference_grid)
+            far = _from(there, height, grid, onto, method, tilt=tilt, error=error, progress=last)
             if far is not None and far.left <= ALIKE:
                 return far
             if found is None:
@@ -79,10 +86,11 @@ def _from(
     *,
     tilt: bool,
     error: np.ndarray | None,
+    progress: Progress,
 ) -> Shift | None:
     """The shift of a surface that is begun with elsewhere, (east, north) [m]; None where it does not fit there."""
     try:
-        found = shift_to_dem(height, grid.moved(*there), *onto, method, tilt=tilt, error=error)
+        found = shift_to_dem(height, grid.moved(*there), *onto, method, tilt=tilt, error=error, progress=progress)
     except InputError:
         return None
     apart = reproject_map(*onto, grid) - height

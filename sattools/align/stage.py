@@ -20,7 +20,7 @@ from sattools.camera.rpc import RPC
 from sattools.errors import InputError, MissingProductError, SceneError
 from sattools.export.products.collection import PRODUCTS as CATALOGUE
 from sattools.export.products.names import FILES
-from sattools.progress import Progress, silent
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
@@ -86,7 +86,7 @@ def align(scene: Scene, options: AlignOptions, progress: Progress = silent, over
     progress(0.0, "registering")
     grid = scene.require_grid()
     records = {stage: latest(scene, stage) for stage in STAGES}
-    shift, about = _shift(scene, reference, options)
+    shift, about = _shift(scene, reference, options, subprogress(progress, 0.0, 0.3))
     give_back()  # what was held of both surfaces, before maps are written
     _check(shift, reference, options)
     progress(0.3, "moving")
@@ -172,7 +172,7 @@ def _check(shift: Shift, reference: Path, options: AlignOptions) -> None:
         )
 
 
-def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift, JsonObject]:
+def _shift(scene: Scene, reference: Path, options: AlignOptions, progress: Progress) -> tuple[Shift, JsonObject]:
     """The shift, and what else there is to say of it: residuals of control points, a warning about datums."""
     grid = scene.require_grid()
     if holds_points(reference):
@@ -199,7 +199,7 @@ def _shift(scene: Scene, reference: Path, options: AlignOptions) -> tuple[Shift,
         log.warning("%s: %s", scene.id, text)
     files = SurfaceFiles(dsm, _product(scene, "validity"), _product(scene, "dsm_error95"))
     try:
-        shift, method = shift_to_raster(files, reference, options)
+        shift, method = shift_to_raster(files, reference, options, progress)
     except (InputError, SceneError) as wrong:
         said = str(wrong)
         raise InputError(said if said.startswith(f"{reference}:") else f"{reference}: {said}") from None

@@ -16,6 +16,7 @@ from sattools.align.options import AlignOptions
 from sattools.align.reference import heights_around
 from sattools.align.shift import Shift
 from sattools.errors import InputError, SceneError
+from sattools.progress import Progress, silent, subprogress
 from sattools.scene.grid import Grid
 from sattools.scene.raster import block_means, raster_grid, read_raster
 from sattools.scene.validity import MEASURED
@@ -76,7 +77,9 @@ def _means(values: np.ndarray, step: int) -> np.ndarray:
     return block_means(values.reshape(1, rows // step, step, cols // step, step))[0]
 
 
-def shift_to_raster(surface: SurfaceFiles, reference: Path, options: AlignOptions) -> tuple[Shift, Method]:
+def shift_to_raster(
+    surface: SurfaceFiles, reference: Path, options: AlignOptions, progress: Progress = silent
+) -> tuple[Shift, Method]:
     """`shift_within` of files.
 
     Of a surface of many cells five squares are looked at, and the median of what they say is taken. Where a tilt is
@@ -86,6 +89,7 @@ def shift_to_raster(surface: SurfaceFiles, reference: Path, options: AlignOption
         surface: to be moved.
         reference: raster of heights [m].
         options: of the stage.
+        progress: told the share done and what is being done.
 
     Returns:
         The shift, and the method that has found it.
@@ -96,12 +100,12 @@ def shift_to_raster(surface: SurfaceFiles, reference: Path, options: AlignOption
     grid = raster_grid(surface.dsm)
     step = math.ceil(math.sqrt(grid.width * grid.height / MOST_CELLS))
     if step > 1 and not options.tilt and options.method != "z":
-        found = _of_parts(surface, grid, reference, options, step)
+        found = _of_parts(surface, grid, reference, options, step, progress)
         if found is not None:
             return found
     height, error, own = surface.read(grid, step)
     onto, onto_grid = heights_around(reference, grid, options.max_shift, step)
-    return _shift(height, error, own, (onto, onto_grid), options)
+    return _shift(height, error, own, (onto, onto_grid), options, progress)
 
 
 def _shift(
@@ -110,26 +114,30 @@ def _shift(
     grid: Grid,
     onto: tuple[np.ndarray, Grid],
     options: AlignOptions,
+    progress: Progress,
 ) -> tuple[Shift, Method]:
     method = chosen(options.method, grid, onto[1])
     reach = options.max_shift
-    return shift_within(height, grid, *onto, method, tilt=options.tilt, error=error, reach=reach), method
+    tilt = options.tilt
+    found = shift_within(height, grid, *onto, method, tilt=tilt, error=error, reach=reach, progress=progress)
+    return found, method
 
 
 def _of_parts(
-    surface: SurfaceFiles, grid: Grid, reference: Path, options: AlignOptions, step: int
+    surface: SurfaceFiles, grid: Grid, reference: Path, options: AlignOptions, step: int, progress: Progress
 ) -> tuple[Shift, Method] | None:
     """The median of what squares of the area say; None where most say nothing, or the whole says it as well."""
     shifts: list[Shift] = []
     method: Method = "z"
-    for down, right in PARTS:
+    for k, (down, right) in enumerate(PARTS):
+        own_share = subprogress(progress, k / len(PARTS), (k + 1) / len(PARTS))
         part = _square(grid, down, right)
         try:
             onto = heights_around(reference, part, options.max_shift)
             if onto[1].cell_size >= LEAST_PARTS * step * grid.cell_size:
                 return None
             height, error, own = surface.read(part)
-            shift, method = _shift(height, error, own, onto, options)
+            shift, method = _shift(height, error, own, onto, options, own_share)
         except (InputError, SceneError) as reason:
             log.info("%s: a part tells nothing: %s", surface.dsm, reason)
             continue

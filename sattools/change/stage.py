@@ -15,7 +15,7 @@ from sattools.camera.ground import ground_area
 from sattools.change.dates import register_dates
 from sattools.change.detect import HeightChange, Region, cell_sigma, find_regions, scatter_of, sums
 from sattools.change.options import ChangeOptions
-from sattools.change.surfaces import Surface, order_of_bands, read_surface
+from sattools.change.surfaces import Surface, check_surface, order_of_bands, read_surface
 from sattools.compare.picture import difference_picture
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
@@ -106,6 +106,8 @@ def check_start(before: str, after: str, options: ChangeOptions, overwrite: bool
 
 def _begun(before: str, after: str, options: ChangeOptions, overwrite: bool) -> tuple[Surface, Surface, list[str]]:
     """Both dates and the names of what will be written, once all is checked that needs no work."""
+    for source in (before, after):
+        check_surface(source)
     new = read_surface(after)
     old = read_surface(before, new.grid.crs)
     names = [HEIGHT, SIGNIFICANCE, POLYGONS, PICTURE, TABLE, *([ALBEDO] if order_of_bands(old, new) else [])]

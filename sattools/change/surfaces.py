@@ -14,7 +14,7 @@ from sattools.errors import InputError
 from sattools.radiometry.bands import COMMON_NAMES
 from sattools.scene import Grid, Scene
 from sattools.scene.dependencies import check_current
-from sattools.scene.location import location
+from sattools.scene.location import is_remote, location
 from sattools.scene.opening import opened
 from sattools.scene.placement import has_grid
 from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
@@ -101,6 +101,28 @@ def order_of_bands(old: Surface, new: Surface) -> list[int]:
     return [] if before and after and alike[0] == alike[1] else list(range(count))
 
 
+def check_surface(source: str) -> None:
+    """What can be known of a surface by itself, so that of two wrong ones the first is told.
+
+    Args:
+        source: as of `read_surface`.
+
+    Raises:
+        InputError, SceneError: there is no such file, or it is neither a document nor heights.
+    """
+    path = location(source)
+    if not is_remote(path) and not path.exists():
+        raise InputError(f"{source}: no such file, expected a scene document or a raster of heights")
+    if _is_raster(path):
+        check_heights(path, one_band=True)
+    else:
+        Scene.from_file(path)
+
+
+def _is_raster(path: Path) -> bool:
+    return path.suffix.lower() != ".json" and not path.is_dir()
+
+
 def read_surface(source: str, crs: str | None = None) -> Surface:
     """The exported surface of a scene document, or a raster of heights [m].
 
@@ -113,7 +135,7 @@ def read_surface(source: str, crs: str | None = None) -> Surface:
         SceneError: a scene without an exported DSM, or whose DSM is older than its fit.
     """
     path = location(source)
-    if path.suffix.lower() != ".json" and not path.is_dir():
+    if _is_raster(path):
         check_heights(path, one_band=True)
         return Surface(path.stem, {"height": path}, None, grid_on_ground(path, crs)[0], (path,))
     scene = Scene.from_file(path)
@@ -130,4 +152,4 @@ def read_surface(source: str, crs: str | None = None) -> Surface:
     return Surface(scene.id, layers, validity, grid, (path, *used))
 
 
-__all__ = ["Surface", "order_of_bands", "read_surface"]
+__all__ = ["Surface", "check_surface", "order_of_bands", "read_surface"]

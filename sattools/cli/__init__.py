@@ -111,12 +111,12 @@ main.params[:0] = run_options()
 def _apply(root: click.Context) -> None:
     """Set how the program runs from the options given so far."""
     values = root.params
+    configure_logging(values["verbose"], values["quiet"])  # the first line of a log is not for the screen
     if values["log_file"] and root.meta.get("sattools.log") != values["log_file"]:
         open_log(values["log_file"])
         if "sattools.log" not in root.meta:
             root.call_on_close(close_log)
         root.meta["sattools.log"] = values["log_file"]
-    configure_logging(values["verbose"], values["quiet"])
     progress = values["progress"] or "auto"
     root.obj = {"progress": "none" if values["quiet"] and progress == "auto" else progress}
     set_threads(values["threads"])

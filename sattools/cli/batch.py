@@ -13,6 +13,7 @@ import click
 from sattools.batch.options import BatchOptions
 from sattools.cli.documents import documents, parse
 from sattools.cli.interrupts import checked
+from sattools.cli.kinds import NamedPath
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import report_error
 from sattools.cli.streams import portable
@@ -42,7 +43,7 @@ _ELSEWHERE = {
     "--config",
     "configs",
     multiple=True,
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=NamedPath(dir_okay=False, path_type=Path),
     help="TOML file = one configuration, with tables [prep], [normalise], [prior], [fit], [export], [align], "
     "[compare]; "
     "repeatable [default: the commands' defaults].",

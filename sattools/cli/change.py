@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from sattools.change.options import ChangeOptions
+from sattools.cli.kinds import NamedPath
 from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.options import print_config as show_config
 from sattools.cli.pipe import is_watched, progress_of, report_error
@@ -17,8 +18,8 @@ from sattools.errors import SattoolsError
 
 
 @click.command("change")
-@click.argument("before")
-@click.argument("after")
+@click.argument("before", type=NamedPath())
+@click.argument("after", type=NamedPath())
 @dataclass_options(ChangeOptions)
 @common_options
 def command(before: str, after: str, overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -> None:

@@ -11,6 +11,8 @@ from click.shell_completion import CompletionItem
 from sattools.errors import InputError
 from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec
 
+UNNAMED = "found an empty text, expected a file or folder."  # of a variable that is not set, as a rule
+
 
 class Finite(click.FloatRange):
     """A finite number within limits: NaN passes every comparison that asks whether it lies outside."""
@@ -86,9 +88,21 @@ class PathText(click.ParamType):
     def __init__(self, kind: str) -> None:
         self.kind = kind
 
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        return value or self.fail(UNNAMED, param, ctx)
+
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType.shell_complete`: the shell itself lists files or folders."""
         return [CompletionItem(incomplete, type="dir" if self.kind == "folder" else "file")]
+
+
+class NamedPath(click.Path):
+    """A file or folder that has a name: without one it would be the current folder, or pass for not given."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See `click.ParamType.convert`."""
+        return self.fail(UNNAMED, param, ctx) if value == "" else super().convert(value, param, ctx)
 
 
 def kind_of(spec: OptionSpec) -> Any:
@@ -128,4 +142,4 @@ def check_value(option: click.Option, value: Any) -> None:
         raise InputError(str(error).removeprefix("value: ")) from None
 
 
-__all__ = ["Finite", "FiniteOr", "PathText", "Renamed", "Whole", "check_value", "kind_of"]
+__all__ = ["Finite", "FiniteOr", "NamedPath", "PathText", "Renamed", "Whole", "check_value", "kind_of"]

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from sattools.cli.commands import COMMANDS
-from sattools.cli.kinds import Finite, check_value, kind_of
+from sattools.cli.kinds import Finite, NamedPath, check_value, kind_of
 from sattools.errors import InputError, SattoolsError
 from sattools.settings import OptionSpec, as_dict, specs
 
@@ -23,7 +23,7 @@ WHOLE_DOCUMENT = "sattools.json"  # of click's `meta`: print scene documents on 
 
 def scene_argument(command: F) -> F:
     """Where the scene documents come from: stdin (`-`, the default) or files."""
-    return click.argument("scenes", nargs=-1, type=click.Path(path_type=str), metavar="[SCENE]...")(command)
+    return click.argument("scenes", nargs=-1, type=NamedPath(path_type=str), metavar="[SCENE]...")(command)
 
 
 def common_options(command: F) -> F:
@@ -41,7 +41,7 @@ def common_options(command: F) -> F:
         ),
         click.option(
             "--config",
-            type=click.Path(dir_okay=False),
+            type=NamedPath(dir_okay=False),
             callback=_load_config,
             is_eager=True,
             expose_value=False,
@@ -80,7 +80,7 @@ def run_options() -> list[click.Option]:
         ),
         click.Option(
             ["--log-file"],
-            type=click.Path(dir_okay=False),
+            type=NamedPath(dir_okay=False),
             help="Add everything that happens to this file, with times, whatever the screen shows; the commands that "
             "change a scene have such a log in its folder in any case, sattools.log.",
         ),

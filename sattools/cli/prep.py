@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sattools.cli.kinds import Finite, PathText
+from sattools.cli.kinds import Finite, NamedPath, PathText
 from sattools.cli.options import as_usage, build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
 from sattools.cli.plans import of_prep
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command("prep")
-@click.argument("images", nargs=-1, type=click.Path(path_type=str), metavar="IMAGE...")
+@click.argument("images", nargs=-1, type=NamedPath(path_type=str), metavar="IMAGE...")
 @dataclass_options(PrepOptions)
 @click.option(
     "--aoi",
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     metavar="W S E N",
     help="Area of interest, in --crs if that is given, else in degrees; across 180 degrees W is larger than E.",
 )
-@click.option("--dfc2019", type=click.Path(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
+@click.option("--dfc2019", type=NamedPath(path_type=Path), help="Root of the Data Fusion Contest 2019, track 3.")
 @common_options
 def command(
     *,

@@ -9,14 +9,15 @@ from pathlib import Path
 import click
 
 from sattools.cli.documents import documents, parse
+from sattools.cli.kinds import NamedPath
 from sattools.cli.pipe import NOTHING, check_place, report_error
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
 
 
 @click.command("report")
-@click.argument("source", default="-", metavar="[SCENE|FOLDER]")
+@click.argument("source", default="-", type=NamedPath(), metavar="[SCENE|FOLDER]")
 @click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path), help="The page [default: report.html beside the data]."
+    "--out", type=NamedPath(dir_okay=False, path_type=Path), help="The page [default: report.html beside the data]."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing page of sattools; never another file.")
 def command(source: str, out: Path | None, overwrite: bool) -> None:

@@ -22,7 +22,7 @@ from sattools.errors import InputError, MissingProductError
 from sattools.progress import Progress, silent
 from sattools.scene.cog import CogWriter
 from sattools.scene.datums import difference as datums_differ
-from sattools.scene.dependencies import begin, check_current, may_begin
+from sattools.scene.dependencies import STAGES, begin, check_current, may_begin, names_of
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, check_outputs, write_text
 from sattools.scene.grid import Grid
@@ -190,8 +190,8 @@ def _check_asked(options: CompareOptions, scene: Scene, made: Collection[str] | 
     """
     for name, path in name_and_file(options.map, "--map").items():
         if made is not None and name not in scene.products and f"export/{name}.tif" not in made:
-            expected = "expected one made by `sattools export`"
-            raise MissingProductError(f"scene {scene.id}: found no product {name!r}, {expected}")
+            expected = ", ".join(_maps(scene, made)) or "those made by `sattools export`"
+            raise MissingProductError(f"scene {scene.id}: found no product {name!r}, expected one of {expected}")
         if not is_remote(str(path)):
             if not path.exists():
                 raise InputError(f"{path}: no such file, expected one for --map {name}")
@@ -202,6 +202,14 @@ def _check_asked(options: CompareOptions, scene: Scene, made: Collection[str] | 
         read_points(Path(options.points))
     if options.views:  # last: on a pipe of dry runs they would be there
         check_views(scene)
+
+
+def _maps(scene: Scene, made: Collection[str]) -> list[str]:
+    """Names of the exported maps that a scene has or is about to have."""
+    own = {name: href for name, href in scene.products.items() if name in names_of(STAGES["export"])}
+    there = [name for name, href in own.items() if href.endswith(".tif")]
+    ahead = [Path(href).stem for href in made if Path(href).match("export/*.tif")]
+    return list(dict.fromkeys([*there, *ahead]))
 
 
 def check_scene(scene: Scene) -> None:

@@ -58,6 +58,8 @@ class _Job:
     scales: dict[str, ImageScale]
     bits: dict[str, int]
     reference: np.ndarray | None = None  # [2, C] middle and spread of the first image, for --match
+    flat: dict[str, list[str]] = field(default_factory=dict)  # bands without a gain for --match -> images
+    alike: dict[str, list[str]] = field(default_factory=dict)  # notes that images may share -> images
     numbers: list[list[np.ndarray]] = field(default_factory=list)
     radiance: list[list[np.ndarray]] = field(default_factory=list)
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
@@ -96,6 +98,7 @@ def normalise(
     label = LABELS[job.quantity] + (", brought to the first image" if options.match else "")
     histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", paths[FIGURE])
     scene.products["radiance_histogram"] = FIGURE
+    notes += _shared(job)
     for text in notes:
         log.warning("%s", text)
     progress(1.0, "normalised")
@@ -128,7 +131,8 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     quantity = choose_quantity(scene, scales, options, notes)
     if options.match and quantity != "relative":
         notes.append(f"--match: found {quantity}, which the other images are no longer: all are taken as relative")
-    job = _Job(scene, options, quantity, scales, _bits(items, options, notes))
+    bits, darker = _bits(items, options)
+    job = _Job(scene, options, quantity, scales, bits, alike=darker)
     for item in items:
         _check_black(job, item)
     return job, [FIGURE, *(f"radiance/{item.id}.tif" for item in items)], notes
@@ -193,8 +197,9 @@ class _Blocks:
             return []  # an image without a valid pixel is refused later on
         low, middle, high = np.nanpercentile(told, [16, 50, 84], axis=1)
         level_and_spread = np.stack([middle, high - low])
-        if self.job.reference is None:
+        if self.job.reference is None:  # the first one stays as it is
             self.job.reference = level_and_spread
+            return []
         self._matched = gain_and_offset(level_and_spread, self.job.reference)
         flat = (level_and_spread[1] <= 0) | (self.job.reference[1] <= 0)
         return [band for band, without in zip(self.chosen, flat, strict=True) if without]
@@ -227,10 +232,7 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     part = image_part(job.scene, item)
     blocks = _Blocks(job, item, part)
     if options.match and (flat := blocks.match()):
-        bands = ", ".join(map(str, flat))
-        notes.append(
-            f"{item.id}: band {bands}: most pixels here or in the first image are one number, no gain is known"
-        )
+        job.flat.setdefault(", ".join(map(str, flat)), []).append(item.id)
     bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, blocks.chosen)
     if part.referred:
         rpc = RPC.from_file(job.scene.path(item.assets["rpc"].href)).to_tags()
@@ -247,9 +249,9 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     item.properties["sattools:tone"] = "tone-mapped" if left else "linear"
     if blocks.tone_mapped:
         what = "left as they are (give --gamma)" if left else f"linearised by the exponent {options.gamma:g}, a guess"
-        notes.append(f"{item.id}: 8-bit numbers: found a tone-mapped image, {what}")
+        job.alike.setdefault(f"8-bit numbers: found a tone-mapped image, {what}", []).append(item.id)
     elif options.gamma is not None:
-        notes.append(f"{item.id}: --gamma is for 8-bit images, not applied")
+        job.alike.setdefault("--gamma is for 8-bit images, not applied", []).append(item.id)
     job.numbers.append(list(blocks.numbers))
     job.radiance.append(list(blocks.radiance))
     if not blocks.counts["known"]:
@@ -259,6 +261,19 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     shares = blocks.shares()
     notes += _doubts(job, item, shares, blocks)
     return {name: round(share, 6) for name, share in shares.items()}
+
+
+def _shared(job: _Job) -> list[str]:
+    """Notes that many images may have, in one line each."""
+    notes = [f"{_named(ids)}: {text}" for text, ids in job.alike.items()]
+    if job.flat:
+        where = "; ".join(f"{_named(ids)}: band {bands}" for bands, ids in job.flat.items())
+        notes.append(f"{where}: most pixels here or in the first image are one number, no gain is known")
+    return notes
+
+
+def _named(ids: list[str]) -> str:
+    return ", ".join(ids[:3]) + (f" and {len(ids) - 3} more" if len(ids) > 3 else "")
 
 
 def _doubts(job: _Job, item: Item, shares: dict[str, float], blocks: _Blocks) -> list[str]:
@@ -296,18 +311,23 @@ def _check_black(job: _Job, item: Item) -> None:
         raise SceneError(f"--saturation: found {saturation:g}, expected more than {black:g}, the number of no light")
 
 
-def _bits(items: list[Item], options: NormaliseOptions, notes: list[str]) -> dict[str, int]:
-    """Significant bits per image; images of one sensor share the largest, as a dark scene's values prove nothing."""
+def _bits(items: list[Item], options: NormaliseOptions) -> tuple[dict[str, int], dict[str, list[str]]]:
+    """Significant bits per image, and notes -> images that fewer would do for.
+
+    Images of one sensor share the largest, as a dark scene's values prove nothing.
+    """
     bits_of = {item.id: options.bits or shared_bits(item, items) for item in items}
+    notes: dict[str, list[str]] = {}
     groups = {item.id: (item.properties.get("platform"), item.properties.get("sattools:dtype")) for item in items}
     for group in set(groups.values()):
         members = [i for i in bits_of if groups[i] == group]
         highest = max(bits_of[i] for i in members)
         for name in members:
             if bits_of[name] < highest:
-                notes.append(f"{name}: values fit {bits_of[name]} bits, taken as {highest} like its sensor's others")
+                told = f"values fit {bits_of[name]} bits, taken as {highest} like its sensor's others"
+                notes.setdefault(told, []).append(name)
                 bits_of[name] = highest
-    return bits_of
+    return bits_of, notes
 
 
 def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> list[int]:

@@ -34,7 +34,7 @@ def _copy(scene: Scene, root: Path, named: Callable[[str], str]) -> Scene:
     return copy
 
 
-def in_another_root(document: Path, root: Path, together: Path) -> Path:
+def in_another_root(document: Path, root: Path, together: Path | None = None) -> Path:
     """A copy of a scene's document that reads the scene's files and writes below `root`.
 
     What a scene has in a folder that may be moved or copied as a whole gets a second name there (a hard link), so that
@@ -43,13 +43,13 @@ def in_another_root(document: Path, root: Path, together: Path) -> Path:
     Args:
         document: of the scene.
         root: folder of the copy, below ``together``; that of the scene itself leaves all names as they are.
-        together: the folder that may be moved.
+        together: the folder that may be moved; None = there is none, and all files stay where they are.
 
     Returns: path of the copy's document.
     """
     scene = Scene.from_file(document)
     root = Path(root).absolute()
-    own = scene.root.is_relative_to(together)
+    own = together is not None and scene.root.is_relative_to(together)
 
     def named(href: str) -> str:
         path = scene.path(href)

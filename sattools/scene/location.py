@@ -74,11 +74,13 @@ def needs_network(text: str | Path) -> bool:
 def location(text: str | Path) -> Path:
     """The file that the user names: a path, or a `RemotePath` in the form that GDAL reads.
 
-    Raises: InputError (an address of a kind that is not known).
+    Raises: InputError (an empty text, or an address of a kind that is not known).
     """
     if isinstance(text, RemotePath):
         return text
     text = str(text)
+    if not text:  # `Path` would make the current folder of it
+        raise InputError("found an empty text, expected a file or folder")
     if not is_remote(text):
         return Path(text)
     if text.lower().startswith("/vsi"):

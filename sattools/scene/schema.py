@@ -79,7 +79,8 @@ class Text:
             options = ", ".join(self.choices)
             raise InputError(f"{where}: found {shown(value)}, expected {options}{meant(value, self.choices)}")
         if not isinstance(value, str) or (not value and not self.empty):
-            raise InputError(f"{where}: found {shown(value)}, expected text")
+            some = " that is not empty" if value == "" else ""
+            raise InputError(f"{where}: found {shown(value)}, expected text{some}")
         if "\0" in value or len(value) > self.longest:
             raise InputError(f"{where}: found {shown(value)}, expected at most {self.longest} characters without NUL")
 

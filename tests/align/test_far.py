@@ -101,3 +101,17 @@ def test_correlations_of_all_places_are_those_of_what_both_maps_know() -> None:
             expected = np.corrcoef(there[both], part[both])[0, 1]
             assert found[row, column] == pytest.approx(expected, abs=1e-9)
     assert np.unravel_index(found.argmax(), found.shape) == (5, 17)
+
+
+def test_a_search_in_vain_says_how_far_it_has_come() -> None:
+    heard: list[tuple[float, str]] = []
+    with pytest.raises(InputError):
+        shift_within(
+            town(GRID), GRID, town(WIDE, 9), WIDE, "icp", reach=90.0, progress=lambda *told: heard.append(told)
+        )
+    shares, messages = zip(*heard, strict=True)
+    assert messages[:2] == ("registering, whole cells", "looking further off, to 90 m")
+    assert list(shares) == sorted(shares)
+    heard.clear()
+    shift_within(town(GRID), GRID, town(WIDE), WIDE, "icp", progress=lambda *told: heard.append(told))
+    assert [message for _, message in heard][:2] == ["registering, whole cells", "registering, step 1"]

@@ -300,3 +300,20 @@ def test_rasters_of_other_numbers_than_heights_are_refused(tmp_path: Path) -> No
     done = run(tmp_path / "albedo.tif", saved(tmp_path / "new.tif", city(1)), "--out", tmp_path / "out")
     assert (done.exit_code, (tmp_path / "out").exists()) == (1, False)
     assert "albedo.tif: found 3 bands, expected one of heights [m]" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "told"),
+    [
+        ("none.json", "neither.tif", "none.json: no such file, expected a scene document or a raster of heights"),
+        ("none.tif", "neither.json", "none.tif: no such file, expected a scene document or a raster of heights"),
+        ("text.tif", "neither.tif", "text.tif: found no readable image"),
+        ("text.json", "neither.tif", "text.json: found"),
+    ],
+)
+def test_of_two_dates_that_cannot_be_read_the_first_is_told(tmp_path: Path, first: str, second: str, told: str) -> None:
+    for name in ("text.tif", "text.json"):
+        (tmp_path / name).write_text("neither heights nor a scene")
+    done = run(tmp_path / first, tmp_path / second, "--out", tmp_path / "out")
+    assert (done.exit_code, done.stderr.count("\n"), (tmp_path / "out").exists()) == (1, 1, False)
+    assert done.stderr.startswith(f"sattools change: error: {tmp_path}/{told}")

@@ -119,7 +119,7 @@ def test_a_comparison(fitted: Path, make_town: Callable[[str], Scene], tmp_path:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--map", "w={folder}/truth/TOWN_DSM.tif"], "found no product 'w', expected one made by `sattools export`"),
+        (["--map", "w={folder}/truth/TOWN_DSM.tif"], "found no product 'w', expected one of dsm, "),
         (["--map", "albedo={folder}/scene.json"], "scene.json: found no readable image"),
         (["--points", "{folder}/scene.json"], "scene.json: found"),
         (["--region", "0,0,1,1"], "found no reference cell in '0,0,1,1'"),

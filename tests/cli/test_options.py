@@ -178,6 +178,14 @@ def test_memory_for_nothing_is_wrong_usage() -> None:
         (["normalise", "--scale", "abc"], "--scale: found 'abc', expected a positive number or a fraction"),
         (["normalise", "--scale", "0.1"], "--scale: found --quantity auto, expected toa_reflectance"),
         (["simulate", "--terrain", "natural", "--pan", "2"], "--pan: found natural ground, expected a city"),
+        (["simulate", "--out", ""], "Invalid value for '--out': found an empty text, expected a file or folder"),
+        (["change", "a.tif", "b.tif", "--out", ""], "Invalid value for '--out': found an empty text"),
+        (["change", "", "b.tif"], "Invalid value for 'BEFORE': found an empty text, expected a file or folder"),
+        (["compare", "--predicted", "a.tif", "--dsm", ""], "Invalid value for '--dsm': found an empty text"),
+        (["batch", "--out", ""], "Invalid value for '--out': found an empty text"),
+        (["report", "--out", ""], "Invalid value for '--out': found an empty text"),
+        (["prep", "--out", "work", ""], "Invalid value for 'IMAGE...': found an empty text"),
+        (["info", "--log-file", ""], "Invalid value for '--log-file': found an empty text"),
     ],
 )
 def test_what_the_command_line_alone_shows_to_be_wrong_is_wrong_usage(arguments: list[str], told: str) -> None:

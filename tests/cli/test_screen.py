@@ -132,6 +132,15 @@ def test_a_log_file_does_not_make_the_screen_talkative(tmp_path: Path) -> None:
     assert logging.getLogger("sattools").level == logging.WARNING
 
 
+@pytest.mark.parametrize("more", [[], ["-q"]])
+def test_the_first_line_of_a_log_file_is_not_for_the_screen(tmp_path: Path, more: list[str]) -> None:
+    options = ["--log-file", str(tmp_path / "run.log"), *more]
+    command = [sys.executable, "-m", "sattools", *options, "fit", "--print-config"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANGING_S)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "INFO sattools.run: sattools " in (tmp_path / "run.log").read_text()
+
+
 def test_a_log_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     result = run("--log-file", tmp_path / "no" / "run.log", "doctor")
     assert result.exit_code == 1

@@ -266,6 +266,12 @@ def test_a_map_about_zero_has_its_rmse_told(scene: Any) -> None:
     assert "asymmetry RMSE 0.050 (no NRMSE, as the reference's mean is not above 0)" in text
 
 
+def test_a_map_that_the_scene_does_not_have_is_told_with_those_that_it_has(scene: Any) -> None:
+    scene.products |= {"rho0": "export/rho0.tif", "dsm_picture": "export/dsm.png", "truth_dsm": "truth/SIM_1_DSM.tif"}
+    with pytest.raises(SceneError, match=r"^scene SIM_1: found no product 'w', expected one of dsm, theta, rho0$"):
+        compare(CompareOptions(map=["w=w.tif"]), scene)
+
+
 def test_a_scene_is_scored_and_the_difference_map_written(scene: Any) -> None:
     truth = scene.root / "truth"
     options = CompareOptions(

@@ -314,6 +314,21 @@ def test_bands_that_are_mostly_one_number_are_matched_by_their_middle_alone(make
     assert "i1: band 1: most pixels here or in the first image are one number, no gain is known" in found["notes"]
 
 
+def test_what_many_images_have_alike_is_said_in_one_line(make_scene: Any) -> None:
+    first = np.arange(200, 1200, dtype=np.uint16).reshape(1, 25, 40).repeat(2, axis=0)
+    first[0, :24] = 100
+    level = first.copy()
+    level[1, :24] = 100
+    found = normalise(make_scene(first, first, level, first, first, first), NormaliseOptions(match=True))
+    (line,) = [note for note in found["notes"] if "no gain is known" in note]
+    assert line.startswith("i1, i3, i4 and 1 more: band 1; i2: band 1, 2: most pixels here or in the first image are")
+    pictures = [numbers(10, 250).astype(np.uint8) for _ in range(5)]
+    found = normalise(make_scene(*pictures, **{"sattools:bits": 8}), NormaliseOptions())
+    assert [note for note in found["notes"] if "tone-mapped image" in note] == [
+        "i0, i1, i2 and 2 more: 8-bit numbers: found a tone-mapped image, left as they are (give --gamma)"
+    ]
+
+
 def test_the_fit_reads_the_radiance(make_town: Any) -> None:
     from sattools.views import load_sources
 
