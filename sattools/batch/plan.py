@@ -193,22 +193,7 @@ def run_task(
         digests: of files, as known so far.
         prepared: the batch makes the scene itself.
     """
-    commands = []
-    for name in COMMANDS[1:]:
-        if name in (*OPTIONAL, "align") and name not in configuration.tables:
-            continue
-        arguments = [name, "{scene}", "--overwrite"]
-        if name == "compare":
-            given = configuration.resolved.get("compare", {})
-            if not (given.get("truth") or given.get("dsm")):
-                if truth is None:
-                    if name in configuration.tables:
-                        log.warning(
-                            "%s: found no reference of scene %s, [compare] is left out", configuration.name, scene
-                        )
-                    continue
-                arguments += ["--truth", str(truth)] if truth.is_dir() else []
-        commands.append(arguments)
+    commands = _run_commands(configuration, scene, truth)
     references = sorted(reference_files(configuration, truth, scene))
     wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
     key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
@@ -217,6 +202,30 @@ def run_task(
     config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
     options = options_of(configuration, prepared)
     return Task(name, str(folder), key, scene, configuration.name, str(out), commands, config, str(source), options)
+
+
+def _run_commands(configuration: Configuration, scene: str, truth: Path | None) -> list[list[str]]:
+    """Those of a run, the optional ones where the configuration has a table of theirs."""
+    commands = []
+    for name in COMMANDS[1:]:
+        if name in (*OPTIONAL, "align") and name not in configuration.tables:
+            continue
+        reference = _reference(configuration, scene, truth) if name == "compare" else []
+        if reference is not None:
+            commands.append([name, "{scene}", "--overwrite", *reference])
+    return commands
+
+
+def _reference(configuration: Configuration, scene: str, truth: Path | None) -> list[str] | None:
+    """What tells `compare` of a reference that the configuration does not name itself; None = there is none."""
+    given = configuration.resolved.get("compare", {})
+    if given.get("truth") or given.get("dsm"):
+        return []
+    if truth is not None:
+        return ["--truth", str(truth)] if truth.is_dir() else []
+    if "compare" in configuration.tables:
+        log.warning("%s: found no reference of scene %s, [compare] is left out", configuration.name, scene)
+    return None
 
 
 def prep_task(
