@@ -61,7 +61,8 @@ def _json_lines(label: str) -> Progress:
     return call
 
 
-def _bar(label: str, width: int = 24, interval: float = 0.1) -> Progress:
+def _bar(label: str) -> Progress:
+    width, interval = 24, 0.1  # letters, seconds
     start = time.monotonic()
     last = -interval
 

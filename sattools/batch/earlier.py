@@ -8,9 +8,9 @@ from collections.abc import Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from sattools.batch.configuration import COMMANDS, Configuration, options_of, toml_of
 from sattools.batch.gate import joined_folder, joined_scenes
 from sattools.batch.join import FILES
-from sattools.batch.plan import COMMANDS, Configuration, options_of, toml_of
 from sattools.batch.table import Row, earlier_rows
 from sattools.errors import InputError
 from sattools.scene.jsonio import read_json, read_toml

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from sattools.batch.configuration import Configuration, reference_files
 from sattools.batch.join import FILES, SEAMS, check_crs
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration, Task, reference_files
+from sattools.batch.plan import Task
 from sattools.batch.table import TABLES
 from sattools.errors import OutputExistsError, OutputIsInputError, SattoolsError
 from sattools.scene.dependencies import files_of

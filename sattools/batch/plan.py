@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from sattools import __version__
+from sattools.batch.configuration import COMMANDS, OPTIONAL, Configuration, options_of, reference_files, toml_of
 from sattools.errors import InputError, SattoolsError
 from sattools.scene.copies import in_another_root
 from sattools.scene.dependencies import files_of
@@ -23,25 +23,7 @@ from sattools.scene.schema import Anything, Items, Table, Text
 log = logging.getLogger(__name__)
 _RECORD = Table({"key": Text(), "status": Text(), "scene_json": Text(), "row": Table()}, ("key", "scene_json"))
 _DIGESTS = Table(other=Items(Anything(), 3, 3))
-# what a configuration may hold, in the order of the pipe
-COMMANDS = ("prep", "normalise", "prior", "fit", "export", "align", "compare")
 TILES = "fit/tiles"  # below the folder of a run; see `sattools.fit.tiles.stage`
-OPTIONAL = ("normalise", "prior")  # run only where a configuration asks for them; `fit` does without or by itself
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """Options of all commands under one name.
-
-    Attributes:
-        name: of the file, or `default`.
-        tables: command -> options as given.
-        resolved: command -> all options, defaults included; what a result is known by.
-    """
-
-    name: str
-    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
-    resolved: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -158,18 +140,6 @@ def scene_content(scene: Scene, digests: Digests) -> list[Any]:
     return [document, [digests(path) for path in files_of(scene)]]
 
 
-def options_of(configuration: Configuration, prepared: bool) -> str:
-    """Hash of a configuration's options, those that it does not name included.
-
-    Args:
-        configuration: the configuration.
-        prepared: with those of `prep`, for areas whose scene the batch makes.
-    """
-    run = [name for name in (*OPTIONAL, "align") if name in configuration.tables]
-    told = [run, {name: table for name, table in configuration.resolved.items() if prepared or name != "prep"}]
-    return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
-
-
 def run_task(
     out: Path,
     scene: str,
@@ -193,22 +163,7 @@ def run_task(
         digests: of files, as known so far.
         prepared: the batch makes the scene itself.
     """
-    commands = []
-    for name in COMMANDS[1:]:
-        if name in (*OPTIONAL, "align") and name not in configuration.tables:
-            continue
-        arguments = [name, "{scene}", "--overwrite"]
-        if name == "compare":
-            given = configuration.resolved.get("compare", {})
-            if not (given.get("truth") or given.get("dsm")):
-                if truth is None:
-                    if name in configuration.tables:
-                        log.warning(
-                            "%s: found no reference of scene %s, [compare] is left out", configuration.name, scene
-                        )
-                    continue
-                arguments += ["--truth", str(truth)] if truth.is_dir() else []
-        commands.append(arguments)
+    commands = _run_commands(configuration, scene, truth)
     references = sorted(reference_files(configuration, truth, scene))
     wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
     key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
@@ -217,6 +172,30 @@ def run_task(
     config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
     options = options_of(configuration, prepared)
     return Task(name, str(folder), key, scene, configuration.name, str(out), commands, config, str(source), options)
+
+
+def _run_commands(configuration: Configuration, scene: str, truth: Path | None) -> list[list[str]]:
+    """Those of a run, the optional ones where the configuration has a table of theirs."""
+    commands = []
+    for name in COMMANDS[1:]:
+        if name in (*OPTIONAL, "align") and name not in configuration.tables:
+            continue
+        reference = _reference(configuration, scene, truth) if name == "compare" else []
+        if reference is not None:
+            commands.append([name, "{scene}", "--overwrite", *reference])
+    return commands
+
+
+def _reference(configuration: Configuration, scene: str, truth: Path | None) -> list[str] | None:
+    """What tells `compare` of a reference that the configuration does not name itself; None = there is none."""
+    given = configuration.resolved.get("compare", {})
+    if given.get("truth") or given.get("dsm"):
+        return []
+    if truth is not None:
+        return ["--truth", str(truth)] if truth.is_dir() else []
+    if "compare" in configuration.tables:
+        log.warning("%s: found no reference of scene %s, [compare] is left out", configuration.name, scene)
+    return None
 
 
 def prep_task(
@@ -346,35 +325,7 @@ def _part(run: Task, name: str, key: str, commands: list[list[str]]) -> Task:
     )  # fmt: skip
 
 
-def reference_files(configuration: Configuration, truth: Path | None, scene: str) -> Iterable[Path]:
-    """Files that the options of a configuration name, which none of its commands makes.
-
-    Args:
-        configuration: the configuration.
-        truth: folder of the reference, or None.
-        scene: its id.
-    """
-    given = configuration.resolved.get("compare", {})
-    for folder in {given.get("truth"), truth}:
-        if folder and Path(folder).is_dir():
-            yield from Path(folder).glob(f"{given.get('aoi') or scene}_*")
-    for name in ("dsm", "classes", "points"):
-        if given.get(name):
-            yield Path(given[name])
-    if to := configuration.resolved.get("align", {}).get("to"):
-        yield Path(to)
-    for pair in given.get("map") or ():
-        yield Path(pair.partition("=")[2])
-
-
-def toml_of(configuration: Configuration, commands: Iterable[str]) -> str:
-    """The tables of some commands as they were given, as TOML."""
-    import tomli_w
-
-    return tomli_w.dumps({name: configuration.tables[name] for name in commands if name in configuration.tables})
-
-
 __all__ = [
-    "COMMANDS", "Configuration", "Digests", "Task", "after_shared", "coarse_task", "key_of", "options_of",
-    "pilot_tasks", "prep_task", "reference_files", "run_task", "scene_content", "shared_task", "tile_tasks", "toml_of",
+    "Digests", "Task", "after_shared", "coarse_task", "key_of", "pilot_tasks", "prep_task", "run_task", "scene_content",
+    "shared_task", "tile_tasks",
 ]  # fmt: skip

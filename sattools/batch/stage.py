@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from sattools.batch.cluster import Job, check_cluster, run, shares
+from sattools.batch.configuration import Configuration
 from sattools.batch.earlier import comparable_rows, tell_of_joined
 from sattools.batch.figure import draw
 from sattools.batch.gate import DIGESTS, FIGURE, check_folder, check_references, document_of, is_own, joined_folder
 from sattools.batch.join import FILES, join
 from sattools.batch.options import BatchOptions
 from sattools.batch.plan import (
-    Configuration,
     Digests,
     Task,
     after_shared,

@@ -55,7 +55,7 @@ class Block:
 
     def kept(self, observation: NDArray[np.bool_], points: Array | None = None) -> tuple[Block, Array]:
         """The block with only the chosen observations ``[m]`` bool, and the points ``[n, 3]`` [m] that are left."""
-        tracks, old, _ = self.tracks.kept(observation)
+        tracks, old = self.tracks.kept(observation)
         block = Block(self.rpcs, self.sizes, tracks)
         return block, points[old] if points is not None else np.empty((0, 3))
 
@@ -199,17 +199,16 @@ def solve(
     return _regauged(block, solution.points, solution.parameters)
 
 
-def triangulate(block: Block, parameters: Array, points: Array | None = None, iterations: int = 12) -> Array:
+def triangulate(block: Block, parameters: Array, points: Array | None = None) -> Array:
     """Points alone, cameras fixed, under the same loss.
 
     Args:
         block: tie points and cameras.
         parameters: ``[V, P]`` corrections [px].
         points: ``[m, 3]`` where to begin [m], or None.
-        iterations: Gauss-Newton steps.
     """
     points = block.start() if points is None else points.copy()
-    for iteration in range(iterations):
+    for iteration in range(12):  # Gauss-Newton steps, most
         residual, jacobian, _ = block.linearised(points, parameters)
         weight = _weights(residual, 1e6 if iteration < 2 else max(_LOSS_PX, 16.0 / 2**iteration))
         root, right = _point_blocks(block, residual, jacobian, weight)

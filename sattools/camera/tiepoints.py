@@ -34,6 +34,7 @@ SIFT_BIAS_PX = 0.25
 _DETERMINED = 1e-3
 CORRIDOR_PX = 3.0  # half width across the line of sight once the coarse errors are known
 CONTRAST_WINDOW_PX = 12.0
+CELLS = 16  # along either axis of an image, over which features are spread
 MAX_PAIRS, COARSE_PAIRS = 200, 40  # the coarse search needs several neighbours per view, not all
 
 
@@ -144,21 +145,20 @@ def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePo
     return Features(pixel, root)
 
 
-def spread_evenly(position: Array, strength: Array, count: int, cells: int = 16) -> NDArray[np.intp]:
-    """Indices of about `count` points, the strongest of each cell of a `cells`² grid first; strongest first overall.
+def spread_evenly(position: Array, strength: Array, count: int) -> NDArray[np.intp]:
+    """Indices of about `count` points, the strongest of each cell of a `CELLS`² grid first; strongest first overall.
 
     Args:
         position: ``[n, 2]`` [px].
         strength: ``[n]`` the larger, the better.
         count: number of points wanted.
-        cells: number of cells along an axis.
     """
     order = np.argsort(-strength, kind="stable")
     low, high = position.min(0), position.max(0)
-    cell = np.minimum(((position - low) / np.maximum(high - low, 1e-9) * cells).astype(int), cells - 1)
-    label = (cell[:, 0] * cells + cell[:, 1])[order]
+    cell = np.minimum(((position - low) / np.maximum(high - low, 1e-9) * CELLS).astype(int), CELLS - 1)
+    label = (cell[:, 0] * CELLS + cell[:, 1])[order]
     by_cell = np.argsort(label, kind="stable")
-    sizes = np.bincount(label, minlength=cells * cells)
+    sizes = np.bincount(label, minlength=CELLS * CELLS)
     first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     rank = np.empty(len(order), int)
     rank[by_cell] = np.arange(len(order)) - first[label[by_cell]]

@@ -32,20 +32,18 @@ class Tracks:
         """Number of views of each point."""
         return np.bincount(self.point, minlength=self.n_points)
 
-    def kept(self, observation: NDArray[np.bool_], min_views: int = 2) -> tuple[Tracks, Index, NDArray[np.bool_]]:
-        """Only the chosen observations, and of them only points with enough views.
+    def kept(self, observation: NDArray[np.bool_]) -> tuple[Tracks, Index]:
+        """Only the chosen observations, and of them only points that two views or more have.
 
-        Returns (tracks, old number of each point, the mask of observations that stayed).
+        Returns (tracks, old number of each point).
         """
         left = np.bincount(self.point[observation], minlength=self.n_points)
-        stay = observation & (left[self.point] >= min_views)
+        stay = observation & (left[self.point] >= 2)
         old, point = np.unique(self.point[stay], return_inverse=True)
-        return Tracks(point.astype(np.intp), self.view[stay], self.pixel[stay]), old.astype(np.intp), stay
+        return Tracks(point.astype(np.intp), self.view[stay], self.pixel[stay]), old.astype(np.intp)
 
 
-def build_tracks(
-    pixels: Sequence[Array], matches: Sequence[tuple[int, int, Index, NDArray[np.float32]]], min_views: int = 2
-) -> Tracks:
+def build_tracks(pixels: Sequence[Array], matches: Sequence[tuple[int, int, Index, NDArray[np.float32]]]) -> Tracks:
     """Join matches (view a, view b, `[m, 2]` feature numbers, distances) into tracks by union-find.
 
     Best matches are joined first; a join that would put two features of one view into a track is refused.
@@ -53,7 +51,6 @@ def build_tracks(
     Args:
         pixels: ``[n, 2]`` places of the features of each view [px].
         matches: see above.
-        min_views: number of views that a track needs.
     """
     offsets = np.concatenate([[0], np.cumsum([len(p) for p in pixels])]).astype(np.intp)
     owner = np.repeat(np.arange(len(pixels)), [len(p) for p in pixels])
@@ -93,7 +90,7 @@ def build_tracks(
     all_pixels = np.concatenate(list(pixels))
     order = np.lexsort((view, label))
     tracks = Tracks(label[order].astype(np.intp), view[order].astype(np.intp), all_pixels[used[order]])
-    return tracks.kept(np.ones(len(used), bool), min_views)[0]
+    return tracks.kept(np.ones(len(used), bool))[0]
 
 
 __all__ = ["Tracks", "build_tracks"]

@@ -22,7 +22,7 @@ from sattools.processors import cores
 from sattools.progress import make_progress
 
 if TYPE_CHECKING:
-    from sattools.batch.plan import Configuration
+    from sattools.batch.configuration import Configuration
     from sattools.batch.stage import Batch
     from sattools.scene.jsonio import JsonObject
 
@@ -121,7 +121,7 @@ def _seams(made: JsonObject) -> str:
 
 def configuration(path: Path | None) -> Configuration:
     """A configuration checked by the commands' own parsers; the defaults where there is no file."""
-    from sattools.batch.plan import COMMANDS, Configuration
+    from sattools.batch.configuration import COMMANDS, Configuration
     from sattools.cli import main
 
     tables = read_toml(path) if path is not None else {}

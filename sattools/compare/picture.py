@@ -12,9 +12,10 @@ from sattools.scene.files import write_figure
 from sattools.scene.grid import Grid
 
 MOST_CELLS = 1200  # along an edge, half as many again as the picture has pixels: more would take memory unseen
+LIMIT_M = 5.0  # difference at the ends of the colours
 
 
-def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path, limit_m: float = 5.0) -> None:
+def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Path) -> None:
     """PNG of `difference_figure`.
 
     Args:
@@ -22,20 +23,18 @@ def difference_picture(difference: np.ndarray, grid: Grid, title: str, path: Pat
         grid: ground grid.
         title: of the picture.
         path: file to write.
-        limit_m: difference at the ends of the colours [m].
     """
-    figure = difference_figure(difference, grid, title, limit_m)
+    figure = difference_figure(difference, grid, title)
     write_figure(path, figure)
 
 
-def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: float = 5.0) -> Any:
-    """Matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`limit_m`.
+def difference_figure(difference: np.ndarray, grid: Grid, title: str) -> Any:
+    """Matplotlib figure of `difference` [H, W] in metres: blue too low, red too high, grey not scored; ±`LIMIT_M`.
 
     Args:
         difference: ``[H, W]`` prediction minus reference [m].
         grid: ground grid.
         title: of the picture.
-        limit_m: difference at the ends of the colours [m].
     """
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -51,8 +50,8 @@ def difference_figure(difference: np.ndarray, grid: Grid, title: str, limit_m: f
     shown = axes.imshow(
         np.ma.masked_invalid(difference[::step, ::step]),
         cmap=colours,
-        vmin=-limit_m,
-        vmax=limit_m,
+        vmin=-LIMIT_M,
+        vmax=LIMIT_M,
         extent=(0.0, east - west, 0.0, north - south),
         interpolation="nearest",
     )

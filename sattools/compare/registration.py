@@ -25,6 +25,7 @@ SEARCH_CELLS = 5  # half width of the search window on each pyramid level
 STRIP_ROWS = 256  # rows of a map that are looked at in double precision at a time
 SLOPES = 2_000_000  # cells whose slopes tell of parts of a cell: more would not make them more certain
 BAND_ROWS = 16  # that are looked at together where not all are
+STEPS, SECTORS = 20, 72  # most steps of Nuth and Kaab, and directions of slopes that it tells apart
 COARSEST_CELLS = 100  # the pyramid ends when the smaller side has no more cells than this
 
 
@@ -178,9 +179,7 @@ def halved(array: np.ndarray) -> np.ndarray:
     return means
 
 
-def nuth_kaab_shift(
-    predicted: np.ndarray, reference: np.ndarray, margin: int = 0, iterations: int = 20
-) -> tuple[float, float]:
+def nuth_kaab_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> tuple[float, float]:
     """Sub-cell shift (columns, rows) after Nuth & Kääb (2011): dh / tan(slope) = a cos(b - aspect) + c.
 
     The height differences per aspect sector enter by their median, since height steps of a city are outliers to
@@ -191,7 +190,6 @@ def nuth_kaab_shift(
         predicted: ``[H + 2 margin, W + 2 margin]`` heights [m].
         reference: ``[H, W]`` heights [m]; NaN = none.
         margin: cells by which the prediction reaches beyond the reference.
-        iterations: number of steps.
     """
     parts = list(_some_rows((reference.shape[0], reference.shape[1])))
     gradient_row, gradient_column = (np.concatenate(g) for g in zip(*(_gradient(reference, part) for part in parts)))
@@ -199,7 +197,7 @@ def nuth_kaab_shift(
     slope = np.hypot(gradient_row, gradient_column)  # height per cell
     aspect = np.arctan2(-gradient_column, gradient_row)  # downhill direction, clockwise from north
     columns = rows = 0.0
-    for _ in range(iterations):
+    for _ in range(STEPS):
         moved = [shifted(predicted, columns, rows, margin, part) for part in parts]
         difference = np.concatenate(moved) - heights
         finite = np.isfinite(difference) & np.isfinite(slope)
@@ -238,14 +236,14 @@ def _gradient(heights: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]
     return np.asarray(south)[own], np.asarray(east)[own]
 
 
-def _cosine_fit(ratio: np.ndarray, aspect: np.ndarray, sectors: int = 72) -> tuple[float, float]:
+def _cosine_fit(ratio: np.ndarray, aspect: np.ndarray) -> tuple[float, float]:
     """Shift (columns, rows) to add from dh / tan(slope) over aspect by sector medians and least squares."""
-    sector = np.floor((aspect + np.pi) / (2 * np.pi) * sectors).astype(int) % sectors
+    sector = np.floor((aspect + np.pi) / (2 * np.pi) * SECTORS).astype(int) % SECTORS
     angles, medians = [], []
-    for number in range(sectors):
+    for number in range(SECTORS):
         values = ratio[sector == number]
         if values.size:
-            angles.append((number + 0.5) / sectors * 2 * np.pi - np.pi)
+            angles.append((number + 0.5) / SECTORS * 2 * np.pi - np.pi)
             medians.append(np.median(values))
     angle = np.array(angles)
     design = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
-from sattools.field.networks import EMBEDDING, Head, Network
+from sattools.field.networks import AGAIN, DEPTH, EMBEDDING, Head, Network
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
 
@@ -68,8 +68,8 @@ class MlpField:
         wide = self.network.width
         inputs = 3 + 6 * network.frequencies
         self.trunk = [
-            self._layer(inputs if k == 0 else wide + (inputs if k == network.skip else 0), wide, random, k == 0)
-            for k in range(network.depth)
+            self._layer(inputs if k == 0 else wide + (inputs if k == AGAIN else 0), wide, random, k == 0)
+            for k in range(DEPTH)
         ]
         self.sigma = self._layer(wide, 1, random)
         self.bottleneck = self._layer(wide, wide, random) if network.bottleneck else None
@@ -127,7 +127,7 @@ class MlpField:
         start = positional_encoding(self.box.scaled(points), network.frequencies)
         x = start
         for k, layer in enumerate(self.trunk):
-            x = layer(torch.cat([start, x], dim=-1) if k == network.skip else x)
+            x = layer(torch.cat([start, x], dim=-1) if k == AGAIN else x)
             x = torch.sin(W0 * x if k == 0 else x) if network.siren else relu(x)
         raw = self.sigma(x)[..., 0]
         features = self.bottleneck(x) if self.bottleneck is not None else x

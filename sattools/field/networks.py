@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 EMBEDDING = 4
+DEPTH, AGAIN = 8, 4  # layers of a trunk; the one (from 0) that gets the input again
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Head:
 
 @dataclass(frozen=True)
 class Network:
-    """A trunk of eight layers with the input again at the fifth, a density, and heads.
+    """A trunk of `DEPTH` layers with the input again at one of them, a density, and heads.
 
     Attributes:
         width: of the trunk.
@@ -56,8 +57,6 @@ class Network:
     frequencies: int
     bottleneck: bool
     heads: dict[str, Head] = field(default_factory=dict)
-    depth: int = 8
-    skip: int = 4
 
 
 def _half(*inputs: str, outputs: int = 1, layers: int = 1, **more: object) -> Head:
@@ -98,4 +97,4 @@ NETWORKS: dict[str, Network] = {
 }  # fmt: skip
 
 
-__all__ = ["EMBEDDING", "NETWORKS", "Head", "Network"]
+__all__ = ["AGAIN", "DEPTH", "EMBEDDING", "NETWORKS", "Head", "Network"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sattools.errors import SceneError
-from sattools.field.networks import NETWORKS
+from sattools.field.networks import DEPTH, NETWORKS
 from sattools.fit.options import FitOptions
 from sattools.scene.memory import check_memory
 
@@ -97,7 +97,7 @@ def step_bytes(options: FitOptions) -> float:
     held = LEAST_HELD  # numbers of a sample that wait for the way back
     if options.field == "mlp":
         network = NETWORKS[options.network]
-        held = network.depth * (options.width or network.width)
+        held = DEPTH * (options.width or network.width)
     return 4.0 * held * options.rays * (options.samples + options.guided)
 
 

@@ -17,20 +17,20 @@ from sattools.scene.grid import SURROUNDINGS_M
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 ALL_OF_IT = 0.98  # of an image with data: what is missing moves no area's border
+COUNTED = 400  # cells along the longer side of the raster that counts who shows a place
 Window = tuple[int, int, int, int]  # col0, row0, width, height
 
 
-def outline(rpc: RPC, window: Window, height: float, per_side: int = 4) -> Array:
+def outline(rpc: RPC, window: Window, height: float) -> Array:
     """Longitudes and latitudes `[n, 2]` of a window's outer edge at a height; NaN where the camera does not reach.
 
     Args:
         rpc: the camera.
         window: (column, row, width, height) [px].
         height: of the ground [m].
-        per_side: number of points along a side.
     """
     col, row, width, rows = window
-    t = np.arange(per_side) / per_side
+    t = np.arange(4) / 4  # points along a side
     edge = np.concatenate([[t, 0 * t], [1 + 0 * t, t], [1 - t, 1 + 0 * t], [0 * t, 1 - t]], axis=1)
     return np.stack(rpc.localization(col - 0.5 + edge[0] * width, row - 0.5 + edge[1] * rows, height), -1)
 
@@ -112,13 +112,12 @@ def groups(polygons: Sequence[Polygon]) -> list[list[int]]:
     return sorted(result, key=lambda g: (-len(g), g))
 
 
-def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 400) -> Bounds | None:
+def common_bounds(polygons: Sequence[Polygon], share: float = 0.5) -> Bounds | None:
     """Bounding box (west, south, east, north) of what at least `share` of the polygons (and two of them) cover.
 
     Args:
         polygons: footprints [m].
         share: of the polygons.
-        cells: number along the longer side of the raster that counts.
     """
     from affine import Affine
     from rasterio.features import geometry_mask
@@ -127,7 +126,7 @@ def common_bounds(polygons: Sequence[Polygon], share: float = 0.5, cells: int = 
     if len(boxes) == 0:
         return None
     west, south, east, north = boxes[:, 0].min(), boxes[:, 1].min(), boxes[:, 2].max(), boxes[:, 3].max()
-    cell = max(east - west, north - south) / cells
+    cell = max(east - west, north - south) / COUNTED
     x = np.arange(west + cell / 2, east, cell)
     y = np.arange(south + cell / 2, north, cell)
     count, to_ground = np.zeros((len(y), len(x)), int), Affine(cell, 0, west, 0, cell, south)

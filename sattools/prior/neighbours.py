@@ -100,9 +100,7 @@ def mean_around(values: np.ndarray, where: np.ndarray, scale: float) -> np.ndarr
     return mean
 
 
-def mean_of_neighbours(
-    height: np.ndarray, doubt: np.ndarray | None = None, passes: int = PASSES, step_m: float = STEP_M
-) -> np.ndarray:
+def mean_of_neighbours(height: np.ndarray, doubt: np.ndarray | None = None, step_m: float = STEP_M) -> np.ndarray:
     """Heights averaged over neighbouring cells, across a step only as far as it may as well be elsewhere.
 
     A wall in the wrong place costs its whole height; where nothing says on which side of it a cell lies, the mean of
@@ -112,7 +110,6 @@ def mean_of_neighbours(
     Args:
         height: ``[H, W]`` [m]; NaN = none.
         doubt: ``[H, W]`` 0 ... 1, weight of a cell for one on the other side of a step; None = 0.
-        passes: times that 3 x 3 cells are averaged.
         step_m: height step between neighbours from which they may be two sides of a wall [m].
 
     Returns:
@@ -122,7 +119,7 @@ def mean_of_neighbours(
     across = np.zeros(height.shape, np.float32) if doubt is None else doubt.astype(np.float32)
     around_across = np.pad(across, 1, mode="edge")
     here = height.astype(np.float32)
-    for _ in range(passes):
+    for _ in range(PASSES):
         # mirrored in value, too: a slope goes on beyond the border
         around = np.pad(here, 1, mode="reflect", reflect_type="odd") if min(rows, cols) > 1 else np.pad(here, 1, "edge")
         total, weight = _OWN * here, np.full(height.shape, _OWN, np.float32)

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sattools.batch.configuration import COMMANDS
 from sattools.batch.figure import means, speed_error_figure
-from sattools.batch.plan import COMMANDS
 from sattools.batch.table import SHORT
 from sattools.errors import InputError
 from sattools.report.page import Code, Picture, Section, Table, render

@@ -11,9 +11,9 @@ from sattools.scene.jsonio import read_bytes
 _WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16
 
 
-def parse_xml(path: Path, expected: str = "DIMAP or DigitalGlobe metadata") -> Any:
-    """`xml_root` of a file."""
-    return xml_root(read_bytes(path), path, expected)
+def parse_xml(path: Path) -> Any:
+    """`xml_root` of a file of metadata."""
+    return xml_root(read_bytes(path), path, "DIMAP or DigitalGlobe metadata")
 
 
 def xml_root(data: bytes, path: Path, expected: str) -> Any:

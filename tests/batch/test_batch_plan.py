@@ -12,8 +12,9 @@ from click.testing import CliRunner
 
 from sattools.batch import cluster
 from sattools.batch.cluster import Shares, shares
+from sattools.batch.configuration import Configuration
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration, Task, pilot_tasks
+from sattools.batch.plan import Task, pilot_tasks
 from sattools.batch.stage import make_plan
 from sattools.cli import main
 from sattools.prep.dfc2019 import find_images, find_truth

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from sattools.batch import stage
+from sattools.batch.configuration import Configuration, options_of
 from sattools.batch.earlier import comparable_rows
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration, options_of
 from sattools.batch.table import earlier_rows, make_row, to_csv, write_tables
 from sattools.errors import SceneError
 from sattools.scene import Scene

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
+from sattools.batch.configuration import Configuration
 from sattools.batch.options import BatchOptions
-from sattools.batch.plan import Configuration, Task
+from sattools.batch.plan import Task
 from sattools.batch.stage import batch, make_plan
 from sattools.batch.task import perform
 from sattools.errors import SattoolsError

@@ -118,8 +118,8 @@ def test_dropping_observations_drops_points_that_too_few_views_see() -> None:
     pair = np.array([[0, 0], [1, 1]])
     score = np.zeros(2, np.float32)
     tracks = build_tracks(pixels, [(0, 1, pair, score), (1, 2, pair, score)])
-    left, old, stayed = tracks.kept(np.array([True, True, True, True, False, False]))
-    assert (left.n_points, old.tolist(), stayed.tolist()) == (1, [0], [True, True, True, False, False, False])
+    left, old = tracks.kept(np.array([True, True, True, True, False, False]))
+    assert (left.n_points, old.tolist(), left.view.tolist()) == (1, [0], [0, 1, 2])
 
 
 def test_features_are_spread_over_the_image() -> None:

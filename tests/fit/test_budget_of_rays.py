@@ -11,7 +11,7 @@ from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.model import FittedModel
 from sattools.fit.presets import resolve
-from sattools.fit.rays import stage as rays_stage
+from sattools.fit.rays import job as rays_job
 from sattools.fit.stage import fit
 
 TINY = {"width": 16, "rays": 64, "steps": 40, "resolution": 2.0}
@@ -37,8 +37,8 @@ def test_a_budget_without_room_for_a_step_leaves_the_surface_that_a_network_star
 def test_an_interrupted_network_that_has_used_its_budget_is_judged_and_read_off_without_another_step(
     make_town: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
     scene, options = make_town(), resolve("satnerf", TINY)
 
     def stop(fraction: float, message: str) -> None:
@@ -47,9 +47,9 @@ def test_an_interrupted_network_that_has_used_its_budget_is_judged_and_read_off_
 
     with pytest.raises(KeyboardInterrupt):
         fit(scene, options, stop)
-    weights = rays_stage.Interrupted.load
+    weights = rays_job.Interrupted.load
     saved: list[Any] = []
-    monkeypatch.setattr(rays_stage.Interrupted, "load", lambda *given: saved.append(weights(*given)) or saved[0])
+    monkeypatch.setattr(rays_job.Interrupted, "load", lambda *given: saved.append(weights(*given)) or saved[0])
     notes = fit(scene, dataclasses.replace(options, resume=True, budget=0.001))["notes"]
     assert f"stopped by the budget of 0.001 s at step {saved[0].step} of 40" in notes
     assert saved[0].step == 11  # the one that had been saved

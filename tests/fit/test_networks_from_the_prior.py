@@ -244,10 +244,10 @@ def test_images_of_one_scale_keep_it(make_town: Any) -> None:
 def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(
     make_town: Any, monkeypatch: Any, preset: str
 ) -> None:
-    from sattools.fit.rays import stage as rays_stage
+    from sattools.fit.rays import job as rays_job
 
-    monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
     options = resolve(preset, {**TINY, "steps": 40})
     whole, broken = make_town("WHOLE"), make_town("BROKEN")
     uninterrupted = fit(whole, options)

@@ -77,10 +77,10 @@ def test_a_model_gives_its_field_back(make_town: Callable[..., Scene]) -> None:
 
 
 def test_interrupted_it_goes_on_bit_for_bit(make_town: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:
-    from sattools.fit.rays import stage as rays_stage
+    from sattools.fit.rays import job as rays_job
 
-    monkeypatch.setattr(rays_stage, "SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr(rays_stage, "TELL_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
     whole, broken = make_town("WHOLE"), make_town("BROKEN")
     options = tiny(steps=30)
     fit(whole, options)

@@ -11,7 +11,7 @@ import torch
 from sattools.camera.view_direction import ViewDirection
 from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.options import FitOptions
-from sattools.fit.rays import stage
+from sattools.fit.rays import job as rays_job
 from sattools.fit.rays.maps import rows_at_once
 from sattools.fit.rays.start import ray_set
 from sattools.fit.trace import Trace
@@ -110,11 +110,11 @@ def test_what_is_compiled_once_does_not_count_as_reading_off(monkeypatch: pytest
         clock["now"] += 0.1 * grid.height + (0.0 if read else 100.0)
         read.append(grid.height)
 
-    monkeypatch.setattr(stage, "read_maps", fake)
-    monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
-    job = stage._RayJob(tmp_path / "checkpoint", "", network_on("cpu"), GRID, Z_RANGE, Trace())
+    monkeypatch.setattr(rays_job, "read_maps", fake)
+    monkeypatch.setattr(rays_job, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
+    job = rays_job.RayJob(tmp_path / "checkpoint", "", network_on("cpu"), GRID, Z_RANGE, Trace())
     assert job._reading_s == pytest.approx(0.1 * GRID.height)
-    assert max(read) <= stage.ROWS_TRIED
+    assert max(read) <= rays_job.ROWS_TRIED
 
 
 def test_reading_off_that_was_slow_once_does_not_end_a_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -124,10 +124,10 @@ def test_reading_off_that_was_slow_once_does_not_end_a_fit(monkeypatch: pytest.M
     def fake(trainer: Any, grid: Grid, z_range: Any) -> None:
         clock["now"] += clock["row"] * grid.height
 
-    monkeypatch.setattr(stage, "read_maps", fake)
-    monkeypatch.setattr(stage, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
+    monkeypatch.setattr(rays_job, "read_maps", fake)
+    monkeypatch.setattr(rays_job, "time", SimpleNamespace(perf_counter=lambda: clock["now"]))
     trace = SimpleNamespace(seconds=lambda: clock["now"])
-    job = stage._RayJob(tmp_path / "checkpoint", "", network_on("cpu"), GRID, Z_RANGE, trace)
+    job = rays_job.RayJob(tmp_path / "checkpoint", "", network_on("cpu"), GRID, Z_RANGE, trace)
     options = FitOptions(budget=1000.0)
     slow = 10.0 * GRID.height
     assert job._reading_s == pytest.approx(slow)
@@ -164,10 +164,10 @@ def test_the_plan_of_a_budget_does_not_rest_on_its_first_steps(monkeypatch: pyte
     clock = {"now": 0.0}
     trainer = SlowAtFirst(clock)
     trace = SimpleNamespace(seconds=lambda: clock["now"], rows=[])
-    job = stage._RayJob(tmp_path / "checkpoint", "", trainer, GRID, Z_RANGE, trace)
-    monkeypatch.setattr(stage, "read_maps", lambda *_: None)
-    monkeypatch.setattr(stage, "SAVE_EVERY_S", 1e9)
-    monkeypatch.setattr(stage, "SAVE_EVERY", 10**9)
+    job = rays_job.RayJob(tmp_path / "checkpoint", "", trainer, GRID, Z_RANGE, trace)
+    monkeypatch.setattr(rays_job, "read_maps", lambda *_: None)
+    monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 1e9)
+    monkeypatch.setattr(rays_job, "SAVE_EVERY", 10**9)
     notes = job.run(FitOptions(steps=10**6, budget=100.0), silent)
     done = int(notes[0].split("step ")[1].split(" ")[0])
     assert done == pytest.approx(8800, rel=0.01)

@@ -277,9 +277,7 @@ def _system(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, indep
 
 
 @torch.no_grad()
-def invert(
-    kind: Kind, s: Samples, endmembers: Tensor, rounds: int = 12, independent: float = 0.2, free: bool = True
-) -> Solution:
+def invert(kind: Kind, s: Samples, endmembers: Tensor, rounds: int = 12, independent: float = 0.2) -> Solution:
     """Fit amplitudes and endmembers to samples.
 
     Args:
@@ -289,7 +287,6 @@ def invert(
         rounds: Gauss-Newton steps.
         independent: share of the cells taken for independent of each other; it sets how far the priors of the shapes
             yield.
-        free: fit the endmembers; else only the amplitudes.
     """
     count = endmembers.numel()
     prior_mean = start_endmembers(kind, endmembers.shape[0], endmembers)
@@ -299,7 +296,7 @@ def invert(
     covariance = torch.zeros(count, count, dtype=endmembers.dtype)
     cost = float("inf")
     best = (amplitude, endmembers)
-    for _ in range(rounds if free else 0):
+    for _ in range(rounds):
         system = _system(kind, s, amplitude, endmembers, independent)
         away = (prior_mean - endmembers).reshape(-1)
         now = system.cost + float(((away / prior_sigma) ** 2).sum())
@@ -313,8 +310,7 @@ def invert(
         step = torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
         endmembers = (endmembers + step.reshape(endmembers.shape).clamp(-0.7, 0.7)).clamp(-6, 6)
         amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, 1, system.centre)
-    amplitude, endmembers = best if free else (amplitude, endmembers)
-    return Solution(amplitude, endmembers, covariance)
+    return Solution(*best, covariance)
 
 
 __all__ = [

@@ -189,8 +189,8 @@ class SurfaceJob:
             total += seen * (picture - b) / a
             weight += seen
         albedo = torch.from_numpy(total / np.maximum(weight, 1)).float()
-        scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT)
-        scene.absolute = self.radiance != "relative"
+        absolute = self.radiance != "relative"
+        scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT, absolute)
         return (self.coarse.hold(scene) if self.coarse else scene).to(self.device)
 
     def _reflective(self, surface: SurfaceScene, grid: Grid, saved: Mapping[str, Tensor] | None) -> ReflectiveScene:

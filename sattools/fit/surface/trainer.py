@@ -29,6 +29,9 @@ REFRESH = 4
 RATES = {"albedo": 0.02, "gain": 0.004, "offset": 0.004, "ambient": 0.004, "amplitude": 0.04}
 BETAS = (0.9, 0.99)
 KNEE_M = 1.0
+PRIOR_LIMIT_M = 1.0  # difference from the prior above which it costs no more
+SAMPLES = 1.5  # along a ray, per softness
+PROBES, LEAST_STD_M = 2, 0.05  # random signs per image, and the least standard deviation of a height
 WALL_SLOPE = 1.5  # metres of height per metre from which a slope is taken for a wall
 
 
@@ -51,30 +54,26 @@ class StageSettings:
     reflective: bool = False
 
 
-def prior_loss(height: Tensor, prior: DepthPrior, limit: float = 1.0) -> Tensor:
-    """Mean of confidence * min(|h - prior|, limit).
-
-    Where rendering disagrees by more than the limit, the prior lets go.
+def prior_loss(height: Tensor, prior: DepthPrior) -> Tensor:
+    """Mean of confidence * min(|h - prior|, 1 m): where rendering disagrees by more, the prior lets go.
 
     Args:
         height: ``[H, W]`` [m].
         prior: on the same grid.
-        limit: difference above which it costs no more [m].
     """
     known = torch.isfinite(prior.height)
     difference = torch.where(known, height - torch.nan_to_num(prior.height), 0.0).abs()
-    return (prior.confidence * difference.clamp_max(limit)).mean()
+    return (prior.confidence * difference.clamp_max(PRIOR_LIMIT_M)).mean()
 
 
-def make_quadrature(softness: float, z_range: tuple[float, float], samples: float = 1.5) -> Quadrature:
-    """Samples every softness / ``samples`` from above the highest to below the lowest height.
+def make_quadrature(softness: float, z_range: tuple[float, float]) -> Quadrature:
+    """Samples every two thirds of the softness from above the highest to below the lowest height.
 
     Args:
         softness: of the surface [m].
         z_range: lowest and highest height [m].
-        samples: number of samples per softness.
     """
-    return Quadrature(softness, softness / samples, z_range[1] + 6 * softness, z_range[0] - 10 * softness)
+    return Quadrature(softness, softness / SAMPLES, z_range[1] + 6 * softness, z_range[0] - 10 * softness)
 
 
 class StageTrainer:
@@ -251,7 +250,7 @@ class StageTrainer:
         pose = remove_gauge(self.scene.pose.cpu().numpy() + steps, [v.slope for v in self.views])
         self.scene.pose.copy_(torch.from_numpy(pose))
 
-    def height_std(self, probes: int = 2, least: float = 0.05) -> Tensor:
+    def height_std(self) -> Tensor:
         """Standard deviation of the heights ``[H, W]`` [m] from the curvature of the photometric loss.
 
         The Gauss-Newton diagonal sum_j J_j^T J_j is estimated with random signs z (E[(J^T z)^2] = diag J^T J; Bekas et
@@ -267,18 +266,18 @@ class StageTrainer:
             rgb = self._render(j)
             residual = (rgb.detach() - self.targets[j])[self.masks[j] > 0].abs()
             variance = max(float(1.4826 * residual.median()) ** 2, 1e-6) if residual.numel() else 1.0
-            for _ in range(probes):
+            for _ in range(PROBES):
                 signs = torch.randint(0, 2, rgb.shape, generator=generator).to(rgb) * 2 - 1
                 signs = signs * self.masks[j][..., None]
                 # the gradient of a sum: for that of a map times signs torch imports sympy
                 (gradient,) = torch.autograd.grad((rgb * signs).sum(), height, retain_graph=True)
-                information += gradient**2 / (probes * variance * rgb.shape[-1])
+                information += gradient**2 / (PROBES * variance * rgb.shape[-1])
         height.requires_grad_(False)
         if self.prior is not None:
             information += self.prior.confidence.nan_to_num(0.0) / self.settings.cell_size**2
         information = avg_pool2d(information[None], 3, 1, 1, count_include_pad=False)[0]
         z_span = self.settings.z_range[1] - self.settings.z_range[0]
-        return (1 / information.clamp_min(1e-9).sqrt()).clamp(least, z_span)
+        return (1 / information.clamp_min(1e-9).sqrt()).clamp(LEAST_STD_M, z_span)
 
     # ---- checkpoints ------------------------------------------------------------------------------------
 
