@@ -97,10 +97,13 @@ def sync(folder: Path) -> None:
 
 @contextmanager
 def deaf() -> Iterator[None]:
-    """Block Ctrl-C for this thread and for what it starts meanwhile, where a system has such a mask."""
+    """What is started inside does not hear Ctrl-C, which a terminal sends to all processes; on POSIX systems only."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # else started by the first thread that needs it, which would then hear again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from multiprocessing import resource_tracker
 from typing import Any
 
 from sattools import system
@@ -211,8 +210,9 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
             with client:
                 yield client
             return
-        # the commands that a worker starts are watched one by one (`perform`): the worker itself needs next to nothing
-        with _deaf():
+        # the commands that a worker starts are watched one by one (`perform`): the worker itself needs next to nothing.
+        # At Ctrl-C it is the batch that ends it
+        with system.deaf():
             cluster = LocalCluster(
                 n_workers=share.workers,
                 threads_per_worker=1,
@@ -226,14 +226,6 @@ def _client(options: BatchOptions, share: Shares) -> Iterator[Any]:
             )
         with cluster, Client(cluster) as client:
             yield client
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """What is started inside does not hear Ctrl-C, which a terminal sends to all processes: the batch ends them."""
-    resource_tracker.ensure_running()  # else started by the first thread that needs it, which would then hear again
-    with system.deaf():
-        yield
 
 
 def _silence() -> None:
