@@ -15,6 +15,7 @@ from sattools.camera.heights import (
     least_patch,
     sweep_patches,
     tie_point_range,
+    unseen_roofs,
 )
 from sattools.errors import InputError
 
@@ -99,6 +100,27 @@ def test_above_a_pair_more_is_looked_at_than_tie_points_and_patches_tell() -> No
     assert pair == pytest.approx((low, high + 20.0), abs=1.0)
 
 
+def test_above_three_images_that_agree_about_little_more_is_looked_at() -> None:
+    """As of towers on different dates, whose roofs may be in no tie point and in no patch."""
+    rng = np.random.default_rng(0)
+    unrelated = [rng.normal(0.5, 0.1, (200, 200)).astype(np.float32) for _ in RUNS[:3]]
+    cameras = [parallel_rpc(r) for r in RUNS[:3]]
+    heights = np.linspace(ALT0 - 8.0, ALT0 + 8.0, 50)
+    low, high = estimate_height_range(heights, unrelated, cameras, "EPSG:32633", BOUNDS)
+    # half a per cent of the tie points may be false at either end; 6 m of margin
+    assert (low, high) == (pytest.approx(ALT0 - 13.9, abs=0.1), pytest.approx(ALT0 + 13.9 + 40.0, abs=0.1))
+
+
+@pytest.mark.parametrize(
+    ("images", "found", "coherent", "metres"),
+    [(2, 50.0, 0.9, 20.0), (3, 0.0, 0.19, 40.0), (3, 0.0, 0.21, 0.0), (3, 60.0, 0.1, 0.0), (4, 0.0, 0.1, 0.0)],
+)
+def test_roofs_that_few_images_do_not_show_are_allowed_for(
+    images: int, found: float, coherent: float, metres: float
+) -> None:
+    assert unseen_roofs(images, found, coherent) == metres
+
+
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_a_few_points_are_no_company(n: int) -> None:
     assert not in_company(scattered(n, 13.0)).any()
@@ -108,11 +130,14 @@ def test_the_sweep_peaks_at_the_height_of_a_plain() -> None:
     ground = texture()
     images = [render(ground, r, height=lambda e, n: 0 * e + 12.0) for r in RUNS]
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
-    patches, views = sweep_patches(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    patches, views, coherent = sweep_patches(
+        images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000
+    )
     assert views == len(RUNS)
     assert planes[patches.argmax()] == pytest.approx(ALT0 + 12.0, abs=2.0)
     assert patches.max() > 4000  # of 8000 cells
     assert patches[np.abs(planes - ALT0 - 12) > 6].max() < 50
+    assert coherent > 0.8
 
 
 def test_the_fewer_views_show_a_place_the_more_alike_they_have_to_be() -> None:
@@ -127,8 +152,11 @@ def test_places_that_two_unrelated_views_alone_show_have_no_height() -> None:
     for image in images[2:]:
         image[:] = np.nan
     planes = ALT0 + np.arange(-20.0, 60.0, 2.0)
-    patches, views = sweep_patches(images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000)
+    patches, views, coherent = sweep_patches(
+        images, [parallel_rpc(r) for r in RUNS], "EPSG:32633", BOUNDS, planes, 8000
+    )
     assert views == 2
+    assert coherent < 0.05
     assert patches.max() < 25  # 38 where as little is asked of two views as of five
 
 
