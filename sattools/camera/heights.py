@@ -19,7 +19,7 @@ PATCH = {7: 50, 12: 35}  # cells, by views that show a place: smaller patches ag
 PAIR_PATCH = 110.0  # of two images: by chance up to 100 (66 pairs)
 PAIR_ROOFS_M = 20.0  # above what two images tell: neither tie points nor patches so large show most towers then
 COHERENT = 0.2  # share of the cells, below which three images agree about too little to show every tower:
-ROOFS_M = 40.0  # above what they tell, where no patch lies above the tie points
+ROOFS_M = 40.0  # above the tie points, at least, are looked at then, whatever patches tell
 NEIGHBOURS, CONFIRM = 8, 2  # tie points around one, and how many of them have to lie about as high
 NEAR_M, STEEPEST = 2.0, 0.4  # what counts as about as high: so many metres, or so many of every metre to the neighbour
 TAIL = 0.005  # share of tie points beyond either end that may be false
@@ -105,7 +105,7 @@ def unseen_roofs(images: int, found: float, coherent: float) -> float:
     """
     if images == 2:
         return PAIR_ROOFS_M
-    return ROOFS_M if images == 3 and coherent < COHERENT and found < LEAST_MARGIN_M else 0.0
+    return max(0.0, ROOFS_M - found) if images == 3 and coherent < COHERENT else 0.0
 
 
 def least_patch(views: float) -> float:

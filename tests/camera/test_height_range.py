@@ -113,7 +113,14 @@ def test_above_three_images_that_agree_about_little_more_is_looked_at() -> None:
 
 @pytest.mark.parametrize(
     ("images", "found", "coherent", "metres"),
-    [(2, 50.0, 0.9, 20.0), (3, 0.0, 0.19, 40.0), (3, 0.0, 0.21, 0.0), (3, 60.0, 0.1, 0.0), (4, 0.0, 0.1, 0.0)],
+    [
+        (2, 50.0, 0.9, 20.0),
+        (3, 0.0, 0.19, 40.0),
+        (3, 0.0, 0.21, 0.0),
+        (3, 16.0, 0.1, 24.0),
+        (3, 60.0, 0.1, 0.0),
+        (4, 0.0, 0.1, 0.0),
+    ],
 )
 def test_roofs_that_few_images_do_not_show_are_allowed_for(
     images: int, found: float, coherent: float, metres: float
