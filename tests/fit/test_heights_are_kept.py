@@ -10,6 +10,7 @@ import torch
 
 from sattools.camera.view_direction import ViewDirection
 from sattools.field.mlp import MlpField
+from sattools.field.networks import AGAIN
 from sattools.field.surface_base import SurfaceBase
 from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.presets import PRESETS, resolve
@@ -97,7 +98,7 @@ def alike_at_all_heights(trainer: RayTrainer) -> None:
     assert isinstance(field, MlpField)
     octaves = field.network.frequencies
     upward = [2, *range(3 + 2 * octaves, 3 + 3 * octaves), *range(3 + 5 * octaves, 3 + 6 * octaves)]
-    for layer in (field.trunk[0], field.trunk[field.network.skip]):  # the coordinates come first
+    for layer in (field.trunk[0], field.trunk[AGAIN]):  # the coordinates come first
         layer.weight.data[:, upward] = 0
 
 
