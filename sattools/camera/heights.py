@@ -95,7 +95,7 @@ def estimate_height_range(
 def unseen_roofs(images: int, found: float, coherent: float) -> float:
     """Metres above what the images tell in which roofs may stand that few of them do not show.
 
-    Three images of towers, of different dates, agree about 1 to 16 % of the ground; where they agree about more
+    Three images of towers, and those of hills, agree about 1 to 16 % of the ground; where they agree about more
     (friendly cities, JAX_068 and city_214 in three images: 25 to 35 %), the sweep has found what stands there.
 
     Args:
