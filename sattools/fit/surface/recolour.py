@@ -108,7 +108,7 @@ def recoloured(
         seed: of the cells that tell the colours.
         progress: told the share done and what is being done.
     """
-    seen = observe(model, sources, cast, full_scale, subprogress(progress, 0.0, 0.5))
+    seen = _observe(model, sources, cast, full_scale, subprogress(progress, 0.0, 0.5))
     colours = Colours(*(getattr(model, name).double().numpy() for name in ("gain", "offset", "ambient")))
     start = model.albedo.reshape(-1, model.albedo.shape[-1]).numpy()
     some = sample(seen, start, seed)
@@ -129,7 +129,7 @@ def recoloured(
     return replace(model, albedo=shaped, gain=gain, offset=offset, ambient=ambient)
 
 
-def observe(
+def _observe(
     model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, progress: Progress = silent
 ) -> Seen:
     """What the images show at a surface's cells, read at the pixels where these lie; hidden cells do not count.
@@ -312,7 +312,6 @@ __all__ = [
     "Held",
     "Seen",
     "Usual",
-    "observe",
     "recoloured",
     "sample",
     "solve_albedo",
