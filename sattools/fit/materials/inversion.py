@@ -182,7 +182,8 @@ def solve_amplitudes(
     s: Samples,
     endmembers: Tensor,
     amplitude: Tensor | None = None,
-    rounds: int = 4,
+    *,
+    rounds: int,
     centre: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Unbounded amplitudes ``[N, C]`` that fit best, and their curvature ``[N, C]`` sum (J / sigma)^2.
@@ -309,19 +310,22 @@ def invert(kind: Kind, s: Samples, endmembers: Tensor, rounds: int = 12, indepen
         covariance = torch.linalg.inv(hessian)
         step = torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
         endmembers = (endmembers + step.reshape(endmembers.shape).clamp(-0.7, 0.7)).clamp(-6, 6)
-        amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, 1, system.centre)
+        amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, rounds=1, centre=system.centre)
     return Solution(*best, covariance)
 
 
 __all__ = [
+    "ROBUST",
     "Samples",
     "Solution",
     "differences",
     "invert",
     "material_mean",
+    "noise_of",
     "predict",
     "shape_of",
     "solve_amplitudes",
     "start_endmembers",
+    "with_slope",
     "with_slopes",
 ]

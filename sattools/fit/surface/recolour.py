@@ -16,7 +16,7 @@ import torch
 
 from sattools.camera.cells import project_cells
 from sattools.fit.model import FittedModel
-from sattools.progress import Progress, silent, subprogress
+from sattools.progress import Progress, subprogress
 from sattools.render.visibility import Cast
 from sattools.views import Source
 from sattools.views.resample import read_at
@@ -93,8 +93,8 @@ def recoloured(
     full_scale: float | None,
     *,
     held: Held,
-    seed: int = 0,
-    progress: Progress = silent,
+    seed: int,
+    progress: Progress,
 ) -> FittedModel:
     """A surface without reflectance model, with the albedo and the colours that explain the images best.
 
@@ -130,7 +130,7 @@ def recoloured(
 
 
 def _observe(
-    model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, progress: Progress = silent
+    model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, progress: Progress
 ) -> Seen:
     """What the images show at a surface's cells, read at the pixels where these lie; hidden cells do not count.
 

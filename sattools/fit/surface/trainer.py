@@ -178,7 +178,7 @@ class StageTrainer:
             if self.options.pose and epoch and not self.scene.held:
                 self._refine_poses()
             if epoch:
-                self.scene.refresh(self.views, self.visibility, self.settings.cell_size)
+                self.scene.refresh(self.views, self.visibility)
 
     @torch.no_grad()
     def _weigh_walls(self) -> None:
@@ -304,4 +304,4 @@ class StageTrainer:
                 self.adam.state[p] = {k: v if k == "step" else v.to(p.device) for k, v in saved.items()}
 
 
-__all__ = ["REFRESH", "StageSettings", "StageTrainer", "make_quadrature"]
+__all__ = ["REFRESH", "WALL_SLOPE", "StageSettings", "StageTrainer", "make_quadrature"]
