@@ -222,3 +222,25 @@ def test_a_circle_is_found_with_whoever_leads_to_it() -> None:
 
 def test_files_that_name_modules_in_texts_are_there() -> None:
     assert NAMED_IN_TEXTS.keys() <= {full_name(path) for path in FILES}
+
+
+def declared(path: Path) -> set[str] | None:
+    """What a file's `__all__` says that it is for others; None where it has none."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            return set(ast.literal_eval(node.value))
+    return None
+
+
+def test_what_other_modules_import_is_declared() -> None:
+    """A reader of `__all__` must be able to trust that all else may be changed."""
+    known = {full_name(path): path for path in FILES}
+    names = {module: declared(path) for module, path in known.items()}
+    hidden = set()
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or (own := names.get(node.module or "")) is None:
+                continue
+            taken = {alias.name for alias in node.names if f"{node.module}.{alias.name}" not in known}
+            hidden |= {f"{node.module}.{name}" for name in taken - own}
+    assert sorted(hidden) == []

@@ -186,4 +186,5 @@ __all__ = [
     "complain",
     "configure_handler",
     "quiet_stdout",
+    "set_screen_level",
 ]

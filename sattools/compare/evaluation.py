@@ -325,6 +325,6 @@ def text(value: Any) -> str:
 
 
 __all__ = [
-    "EVALUATION", "MAP_COLUMNS", "POINT_COLUMNS", "VIEW_COLUMNS", "evaluate", "map_rows", "markdown", "place_figure",
-    "point_rows", "text", "view_rows",
+    "EVALUATION", "MAP_COLUMNS", "POINT_COLUMNS", "VIEW_COLUMNS", "check_fits", "evaluate", "map_rows",
+    "markdown", "place_figure", "point_rows", "text", "view_rows",
 ]  # fmt: skip

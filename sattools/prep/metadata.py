@@ -274,4 +274,4 @@ def _from_imd(path: Path) -> Metadata:
     )
 
 
-__all__ = ["Metadata", "find_platform", "from_tags", "read_sidecar"]
+__all__ = ["DEFAULT_ORBIT_KM", "EARTH_KM", "ORBIT_KM", "Metadata", "find_platform", "from_tags", "read_sidecar"]

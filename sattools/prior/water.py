@@ -211,4 +211,4 @@ def _bands(shape: tuple[int, int], size: int) -> Iterator[tuple[slice, slice]]:
         yield slice(blocks.start * size, blocks.stop * size), blocks
 
 
-__all__ = ["Looks", "block_of", "level_water", "water_levels"]
+__all__ = ["SURE", "Looks", "block_of", "level_water", "water_levels"]

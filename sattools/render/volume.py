@@ -149,12 +149,4 @@ def towards_sun(points: Tensor, sun: Tensor, top: float, skip: float = 0.0) -> R
     return RayBatch(points, sun * climb[:, None])
 
 
-__all__ = [
-    "RayBatch",
-    "composite",
-    "guided",
-    "median_share",
-    "seen_shares",
-    "stratified",
-    "towards_sun",
-]
+__all__ = ["LOW_SUN", "RayBatch", "composite", "guided", "median_share", "seen_shares", "stratified", "towards_sun"]

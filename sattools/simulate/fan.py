@@ -269,4 +269,4 @@ def _pooled(world: NaturalWorld, raster: np.ndarray, grid: Grid) -> np.ndarray:
     return np.asarray(np.mean([world.on_grid(raster, moved) for moved in corners], axis=0))
 
 
-__all__ = ["simulate_natural"]
+__all__ = ["pass_suns", "simulate_natural"]
