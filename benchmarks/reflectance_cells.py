@@ -116,7 +116,7 @@ def main() -> None:
         assert isinstance(surface, ReflectiveScene)
         views = views_on(load_sources(scene, scene.train_items()), grid, fitted.z_ref, scene.require_height_range())
         lit = sun_visibility(surface.casting(), grid.cell_size, views[0].sun)
-        s = surface.samples(views, [lit] * len(views), grid.cell_size)
+        s = surface.samples(views, [lit] * len(views))
         truth = {n: read_raster(scene.path(scene.products[f"truth_{n}"]))[0] for n in NAMES}
         (item,) = [i for i in scene.items if i.id == f"{name}_003"]
         target = load_sources(scene, [item])[0].radiance

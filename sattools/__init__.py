@@ -12,6 +12,8 @@ See `sattools.api` for the functions; nothing heavy is imported before it is use
 from __future__ import annotations
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
@@ -21,12 +23,42 @@ if TYPE_CHECKING:
     from sattools.camera.rpc import RPC
     from sattools.scene import Grid, Scene
 
+_API = "sattools.api"
 _HOMES = {
-    "Scene": "sattools.scene", "Grid": "sattools.scene", "RPC": "sattools.camera.rpc", "prepare": "sattools.api",
-    "normalise": "sattools.api", "match": "sattools.api",
+    "Scene": "sattools.scene", "Grid": "sattools.scene", "RPC": "sattools.camera.rpc", "prepare": _API,
+    "normalise": _API, "match": _API,
 }  # fmt: skip
-# packages that can be called, see `sattools.callable_module`
+# packages that are functions as well
 _STAGES = ("fit", "export", "align", "compare", "change", "simulate")
+
+
+class _Stage(ModuleType):
+    """A package that stands for the function of `sattools.api` of its name, too."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """Call ``sattools.api.NAME``; see its documentation."""
+        return getattr(importlib.import_module(_API), self.__name__.rpartition(".")[2])(*arguments, **options)
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        """By its name, as a function is: pools of processes hand it on."""
+        return importlib.import_module, (self.__name__,)
+
+
+class _Suite(ModuleType):
+    """This package, which lets the packages of its stages be called, of which none has to know that.
+
+    Python makes a submodule an attribute of its package as soon as anything imports it, so a function of the same name
+    would come and go. A package that can be called is the same thing at all times.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Python calls it when it has imported a package, before anybody else gets that."""
+        if name in _STAGES and isinstance(value, ModuleType):
+            value.__class__ = _Stage
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Suite
 
 
 def __getattr__(name: str) -> Any:

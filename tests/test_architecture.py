@@ -14,7 +14,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A room may import rooms of a lower floor and itself, nothing else. Rooms of one floor do not know each other, except
 # where ALSO says so.
 FLOORS = [
-    {"callable_module", "errors", "helpers", "processors", "progress", "settings", "system"},
+    {"errors", "helpers", "processors", "progress", "settings", "system"},
     {"compiled", "runlog"},
     {"scene"},
     {"camera", "radiometry", "reflectance"},
@@ -150,8 +150,19 @@ def test_command_modules_start_with_the_frame_only() -> None:
         assert top_level_imports(path) & heavy == set(), path
 
 
+# Files that name modules in texts which they do not import on their own account, and why that makes no circle.
+NAMED_IN_TEXTS = {
+    "sattools": "the way in, there before any module: it gets the functions when somebody asks for them",
+    "sattools.fit.tiles.crew": "tiles are fitted in processes of their own, that import `fit.tiles.helper`",
+    "sattools.batch.launch": "commands run in processes of their own, that import `cli.forking`",
+}
+
+
 def modules_used(path: Path, known: dict[str, Path]) -> set[str]:
-    """Modules of the package that a file imports, also inside functions; what only types need does not count."""
+    """Modules of the package that a file imports or names in a text, also inside functions.
+
+    What only types need does not count. Whoever imports a module imports the packages that it lies in, too.
+    """
     tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
         id(inner)
@@ -169,14 +180,67 @@ def modules_used(path: Path, known: dict[str, Path]) -> set[str]:
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
                 found.add(full if full in known else node.module)
-    return found & known.keys()
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and full_name(path) not in NAMED_IN_TEXTS:
+            found.add(node.value)
+    around = {full_name(above / "__init__.py") for above in path.parents if above.is_relative_to(PACKAGE)}
+    found = {name for name in found if name in known}
+    packages = {name.rsplit(".", levels)[0] for name in found for levels in range(1, name.count(".") + 1)}
+    return found | (packages & known.keys() - around)
+
+
+def full_name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def on_circles(graph: dict[str, set[str]]) -> list[str]:
+    """Who uses itself through others, and who uses one of those."""
+    graph = {one: used - {one} for one, used in graph.items()}
+    while leaves := [one for one, used in graph.items() if not used & graph.keys()]:
+        for one in leaves:
+            del graph[one]
+    return sorted(graph)
 
 
 def test_no_module_imports_itself_through_others_not_even_inside_a_function() -> None:
-    known = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in FILES}
-    graph = {module: modules_used(path, known) - {module} for module, path in known.items()}
-    while leaves := [module for module, used in graph.items() if not used & graph.keys()]:
-        for module in leaves:
-            del graph[module]
-    # what is left lies on a circle or leads to one
-    assert sorted(graph) == []
+    """`fit` imported `compare`, that a helper which looked up `sattools.api` by its name, and that `fit`."""
+    known = {full_name(path): path for path in FILES}
+    assert on_circles({module: modules_used(path, known) for module, path in known.items()}) == []
+
+
+def test_no_room_imports_itself_through_others_not_even_inside_a_function() -> None:
+    known = {full_name(path): path for path in FILES}
+    rooms: dict[str, set[str]] = {}
+    for path in FILES:
+        used = {room_of(known[module]) for module in modules_used(path, known)}
+        rooms.setdefault(room_of(path), set()).update(used)
+    assert on_circles(rooms) == []
+
+
+def test_a_circle_is_found_with_whoever_leads_to_it() -> None:
+    assert on_circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "above": {"a"}, "leaf": set()}) == ["a", "above", "b", "c"]
+
+
+def test_files_that_name_modules_in_texts_are_there() -> None:
+    assert NAMED_IN_TEXTS.keys() <= {full_name(path) for path in FILES}
+
+
+def declared(path: Path) -> set[str] | None:
+    """What a file's `__all__` says that it is for others; None where it has none."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            return set(ast.literal_eval(node.value))
+    return None
+
+
+def test_what_other_modules_import_is_declared() -> None:
+    """A reader of `__all__` must be able to trust that all else may be changed."""
+    known = {full_name(path): path for path in FILES}
+    names = {module: declared(path) for module, path in known.items()}
+    hidden = set()
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or (own := names.get(node.module or "")) is None:
+                continue
+            taken = {alias.name for alias in node.names if f"{node.module}.{alias.name}" not in known}
+            hidden |= {f"{node.module}.{name}" for name in taken - own}
+    assert sorted(hidden) == []

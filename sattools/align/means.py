@@ -182,4 +182,4 @@ def _sums(integral: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
     return along
 
 
-__all__ = ["CellMeans", "shift_by_means"]
+__all__ = ["LEAST_KNOWN", "LEAST_PARTS", "CellMeans", "shift_by_means"]

@@ -212,4 +212,4 @@ def _point(path: Path, number: int, row: Mapping[str, Any]) -> ControlPoint:
     return ControlPoint(str(row.get("name") or number), x, y, z, str(row["item"]), column, line)
 
 
-__all__ = ["heights_around", "holds_points", "read_control_points"]
+__all__ = ["check_reference", "heights_around", "holds_points", "read_control_points"]

@@ -249,4 +249,4 @@ def _codes(parts: Sequence[Part], strip: Grid) -> np.ndarray:
     return np.array([*ranks, UNSEEN], np.uint8)[best]
 
 
-__all__ = ["MAPS", "SEAMS", "Part", "check_crs", "inner_distance", "join", "seam"]
+__all__ = ["FILES", "MAPS", "SEAMS", "Part", "check_crs", "inner_distance", "join", "seam"]

@@ -126,7 +126,7 @@ class Digests:
         write_text(self.path, json.dumps(self.known) + "\n")
 
 
-def key_of(*parts: Any) -> str:
+def _key_of(*parts: Any) -> str:
     """Hash of JSON-able parts and the suite's version."""
     text = json.dumps([__version__, *parts], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -166,7 +166,9 @@ def run_task(
     commands = _run_commands(configuration, scene, truth)
     references = sorted(reference_files(configuration, truth, scene))
     wanted = {name: table for name, table in configuration.resolved.items() if name != "prep"}
-    key = key_of("run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references])
+    key = _key_of(
+        "run", content, wanted, sorted(configuration.tables), commands, [digests(path) for path in references]
+    )
     folder = out / "runs" / check_id(configuration.name, "configuration") / check_id(scene, "scene")
     name = f"{scene}/{configuration.name}"
     config = toml_of(configuration, COMMANDS)  # `prep`'s, too, which is part of what a row of the table is of
@@ -212,8 +214,8 @@ def prep_task(
         digests: of files, as known so far.
     """
     options = configuration.resolved.get("prep", {})
-    key = key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
-    folder = out / "prep" / key_of(options)[:8] / check_id(aoi, "scene")
+    key = _key_of("prep", aoi, [path.name for path in images], [digests(path) for path in images], arguments, options)
+    folder = out / "prep" / _key_of(options)[:8] / check_id(aoi, "scene")
     command = ["prep", *map(str, images), "--id", aoi, "--out", str(folder), *arguments, "--overwrite"]
     config = toml_of(configuration, ["prep"])
     return Task(f"{aoi}/prep", str(folder), key, aoi, configuration.name, str(out), [command], config, kind="prep")
@@ -236,12 +238,12 @@ def shared_task(out: Path, run: Task, content: Any, configuration: Configuration
         return None
     wanted = {name: configuration.resolved.get(name) for name in OPTIONAL}
     given = ["normalise"] if "normalise" in configuration.tables else []
-    folder = out / "shared" / key_of(wanted, given)[:8] / run.scene
+    folder = out / "shared" / _key_of(wanted, given)[:8] / run.scene
     return replace(
         run,
         name=f"{run.scene}: prior",
         folder=str(folder),
-        key=key_of("shared", content, wanted, given),
+        key=_key_of("shared", content, wanted, given),
         commands=[[name, "{scene}", "--overwrite"] for name in (*given, "prior")],
         config=toml_of(configuration, list(OPTIONAL)),
         kind="prep",
@@ -268,7 +270,7 @@ def coarse_task(run: Task, content: Any, configuration: Configuration) -> Task:
     commands = [["normalise", "{scene}", "--overwrite"]] if "normalise" in given else []
     commands.append(["fit", "{scene}", "--overwrite", "--part", "coarse"])
     return replace(
-        run, name=f"{run.name}: coarse", key=key_of("coarse", content, wanted, given), commands=commands, kind="coarse"
+        run, name=f"{run.name}: coarse", key=_key_of("coarse", content, wanted, given), commands=commands, kind="coarse"
     )
 
 
@@ -281,9 +283,9 @@ def pilot_tasks(run: Task, coarse: Task) -> tuple[list[Task], Task]:
     """
     names = _listed(run, "pilots")
     commands = [["fit", "{scene}", "--overwrite"]]
-    pilots = [_part(run, name, key_of("pilot", coarse.key, name), commands) for name in names]
+    pilots = [_part(run, name, _key_of("pilot", coarse.key, name), commands) for name in names]
     split = replace(
-        run, name=f"{run.name}: split", key=key_of("split", coarse.key), kind="split",
+        run, name=f"{run.name}: split", key=_key_of("split", coarse.key), kind="split",
         commands=[["fit", "{scene}", "--overwrite", "--resume", "--part", "split"]],
         source=str(Path(run.folder) / "scene.json"),
     )  # fmt: skip
@@ -300,7 +302,7 @@ def tile_tasks(run: Task, split: Task, configuration: Configuration) -> tuple[li
     """
     steps = ["prior", "fit"] if "prior" in configuration.tables else ["fit"]
     commands = [[step, "{scene}", "--overwrite"] for step in steps]
-    tiles = [_part(run, name, key_of("tile", split.key, name), commands) for name in _listed(run, "tiles")]
+    tiles = [_part(run, name, _key_of("tile", split.key, name), commands) for name in _listed(run, "tiles")]
     # an area of one tile is fitted at once, by the run
     done = OPTIONAL if tiles else ("normalise",)
     rest = [command for command in run.commands if command[0] not in done]
@@ -326,6 +328,6 @@ def _part(run: Task, name: str, key: str, commands: list[list[str]]) -> Task:
 
 
 __all__ = [
-    "Digests", "Task", "after_shared", "coarse_task", "key_of", "pilot_tasks", "prep_task", "run_task", "scene_content",
+    "Digests", "Task", "after_shared", "coarse_task", "pilot_tasks", "prep_task", "run_task", "scene_content",
     "shared_task", "tile_tasks",
 ]  # fmt: skip

@@ -174,6 +174,7 @@ __all__ = [
     "COLUMNS",
     "SHORT",
     "TABLES",
+    "Row",
     "earlier_rows",
     "failed_row",
     "make_row",

@@ -353,24 +353,8 @@ def crop_window(
 
 
 __all__ = [
-    "azimuth_elevation",
-    "check_ground_crs",
-    "check_projected",
-    "check_scale",
-    "convergence_deg",
-    "crop_window",
-    "direction",
-    "foreshortening",
-    "from_geographic",
-    "grid_direction",
-    "ground_area",
-    "ground_rays",
-    "ground_sample_distance",
-    "localize",
-    "metres_per_degree",
-    "project",
-    "to_geographic",
-    "to_grid_north",
-    "utm_crs",
-    "view_direction",
-]
+    "azimuth_elevation", "check_ground_crs", "check_metres", "check_projected", "check_scale",
+    "convergence_deg", "crop_window", "direction", "foreshortening", "from_geographic", "grid_direction",
+    "ground_area", "ground_rays", "ground_sample_distance", "localize", "metres_per_degree", "project",
+    "to_geographic", "to_grid_north", "utm_crs", "view_direction",
+]  # fmt: skip

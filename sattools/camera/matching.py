@@ -170,4 +170,4 @@ def _best(owner: Matches, distance: NDArray[np.float32], count: int) -> tuple[Ma
     return best, ratio
 
 
-__all__ = ["corridor_matches", "frame", "free_matches", "vote"]
+__all__ = ["Matches", "corridor_matches", "frame", "free_matches", "vote"]

@@ -108,4 +108,4 @@ def _to_affine(nodes_x: Array, nodes_y: Array, x: NDArray[Any], y: NDArray[Any])
     return np.linalg.pinv(np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)], 1))
 
 
-__all__ = ["GroundPlanes", "blurred"]
+__all__ = ["Array", "Bounds", "GroundPlanes", "blurred"]

@@ -100,7 +100,7 @@ def normalised_contrast(gray: NDArray[np.float32], sigma: float) -> tuple[NDArra
     return np.asarray(np.where(valid, np.clip(scaled, 0, 255), 128), np.uint8), valid
 
 
-def extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePointOptions) -> Features:
+def _extract_features(view: TiePointImage, crs: str, z_ref: float, options: TiePointOptions) -> Features:
     """Upright SIFT features of an image resampled to north-up axes; positions are pixels of the image itself.
 
     Args:
@@ -209,7 +209,7 @@ def find_tie_points(
         z_ref = float(np.median([v.rpc.alt_offset for v in views]))
 
     def found_in(view: TiePointImage) -> Features:
-        features = extract_features(view, crs, z_ref, options)
+        features = _extract_features(view, crs, z_ref, options)
         features.place(view.rpc, crs, z_ref)
         return features
 

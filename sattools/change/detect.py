@@ -160,7 +160,7 @@ def _label(heights: HeightChange, options: ChangeOptions, sign: int, labels: np.
         own = slice(rows.start - first, rows.stop - first)
         change = sign * np.nan_to_num(heights.difference[first:last])
         cells = (change > options.min_height) & (change > 2 * heights.sigma[first:last])
-        opened = with_corners(opening(cells, radius), cells, radius)[own]
+        opened = _with_corners(opening(cells, radius), cells, radius)[own]
         numbered, count = label(opened, np.ones((3, 3), bool))
         numbered = np.where(opened, numbered + found.count, 0).astype(np.int32)
         difference, sigma = heights.difference[rows], heights.sigma[rows]
@@ -247,7 +247,7 @@ def opening(cells: np.ndarray, radius: float) -> np.ndarray:
     return np.asarray(distance_transform_edt(~kept) <= radius)
 
 
-def with_corners(opened: np.ndarray, cells: np.ndarray, radius: float) -> np.ndarray:
+def _with_corners(opened: np.ndarray, cells: np.ndarray, radius: float) -> np.ndarray:
     """What an opening has left, and the right angles into which its disk does not reach.
 
     Args:
@@ -275,5 +275,4 @@ __all__ = [
     "opening",
     "scatter_of",
     "sums",
-    "with_corners",
 ]

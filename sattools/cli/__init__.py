@@ -120,7 +120,7 @@ def _apply(root: click.Context) -> None:
     progress = values["progress"] or "auto"
     root.obj = {"progress": "none" if values["quiet"] and progress == "auto" else progress}
     set_threads(values["threads"])
-    bound_cache()
+    _bound_cache()
     if values["max_memory"]:
         from sattools.scene.memory import limited
 
@@ -167,7 +167,7 @@ def _tell_loaded(threads: int) -> None:
         compiled.__dict__["MOST_THREADS"] = threads
 
 
-def bound_cache() -> None:
+def _bound_cache() -> None:
     """Keep at most 16 MiB of the pixels that GDAL has read, unless the environment says otherwise.
 
     It would keep a twentieth of the machine's memory by itself, so that memory grew with the area of a scene.
@@ -175,7 +175,7 @@ def bound_cache() -> None:
     os.environ.setdefault("GDAL_CACHEMAX", "16")
 
 
-def forget_others() -> None:
+def _forget_others() -> None:
     """Drop what the environment says about other programs' libraries and would break ours.
 
     A notebook names a backend for pictures that may not be installed here. Shells of conda, OSGeo4W and QGIS name the
@@ -215,7 +215,7 @@ GARBAGE = (20_000, 20, 100)
 def entry() -> None:
     """The program: a signal counts from here until the work is done, and not while the interpreter shuts down."""
     gc.set_threshold(*GARBAGE)
-    forget_others()
+    _forget_others()
     compare_letters_plainly()
     prepare_streams()
     interrupts.listen()

@@ -32,7 +32,7 @@ def command(as_json: bool, fetch_geoids: bool, trial: bool, slim: bool) -> None:
     from sattools import doctor
 
     if slim:
-        slim_down()
+        _slim_down()
     if fetch_geoids:
         doctor.fetch_geoids(lambda text: click.echo(text, err=True))
     findings = doctor.examine()
@@ -50,7 +50,7 @@ def command(as_json: bool, fetch_geoids: bool, trial: bool, slim: bool) -> None:
         raise SystemExit(1)
 
 
-def slim_down() -> None:
+def _slim_down() -> None:
     """Leave out of PyTorch what is for its developers, and say how much that was."""
     import importlib.metadata
 

@@ -305,6 +305,7 @@ __all__ = [
     "apply",
     "check_place",
     "each_scene",
+    "is_watched",
     "progress_of",
     "report_error",
     "run_scenes",

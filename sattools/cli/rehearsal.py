@@ -29,16 +29,16 @@ def refusals(plan: Batch, scenes: Sequence[Scene]) -> dict[tuple[str, str], str]
     found = {}
     for scene in scenes:
         for pair, task in plan.runs.items():
-            if pair[0] == scene.id and (error := rehearse(task, scene)):
+            if pair[0] == scene.id and (error := _rehearse(task, scene)):
                 found[pair] = error
     for first in plan.jobs:
-        if first.task.source is None and (error := rehearse(first.task, None)):
+        if first.task.source is None and (error := _rehearse(first.task, None)):
             waiting = [job.task for job in plan.jobs if first in job.needs() and job.task.kind != "prep"]
             found |= {(task.scene, task.configuration): error for task in waiting}
     return found
 
 
-def rehearse(task: Task, scene: Scene | None) -> str | None:
+def _rehearse(task: Task, scene: Scene | None) -> str | None:
     """Why a task would be refused before its work; None where nothing is in the way.
 
     As on a pipe of dry runs, nothing is asked for that a command before would have made.
@@ -91,4 +91,4 @@ def _stdin(text: str) -> Iterator[None]:
         sys.stdin = before
 
 
-__all__ = ["refusals", "rehearse"]
+__all__ = ["refusals"]

@@ -36,7 +36,7 @@ class LastResort(click.Group):
         self.running = next((name for name in given if name in COMMANDS), "")  # until the arguments are understood
         try:
             try:
-                check_arguments(given)
+                _check_arguments(given)
                 super().main(given, prog_name, *rest, **extra)
             except SystemExit:
                 sys.stdout.flush()  # here, where a full disk can still be told
@@ -76,7 +76,7 @@ def explain(error: BaseException) -> str:
     return f"internal error ({type(error).__name__}: {_short(error)}); run with -vv for the traceback"
 
 
-def check_arguments(arguments: list[str]) -> None:
+def _check_arguments(arguments: list[str]) -> None:
     """Refuse what is no text: names that are not UTF-8 cannot be written into a document."""
     for argument in arguments:
         shown = _name(argument)
@@ -145,12 +145,12 @@ def screen_level() -> int:
 def complain(line: str) -> None:
     """One line on stderr, without what could steer a terminal, if anybody is there to read it."""
     text = printable(" ".join(_LONG.sub(r"\1...\2", line).split()))
-    to_log(text)
+    _to_log(text)
     with suppress(OSError, ValueError):
         click.echo(text.encode(errors="backslashreplace").decode(), err=True)
 
 
-def to_log(text: str) -> None:
+def _to_log(text: str) -> None:
     """What goes to the screen by another way, for the log file alone."""
     for handler in logging.getLogger().handlers:
         if isinstance(handler, LogFile):
@@ -182,9 +182,9 @@ def _short(error: BaseException) -> str:
 __all__ = [
     "LastResort",
     "PlainFormatter",
-    "check_arguments",
     "check_folder",
     "complain",
     "configure_handler",
     "quiet_stdout",
+    "set_screen_level",
 ]

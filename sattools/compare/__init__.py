@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from sattools.callable_module import make_callable
-
 if TYPE_CHECKING:
     from sattools.compare.heights import height_errors
     from sattools.compare.metrics import image_errors, map_errors
@@ -27,8 +25,6 @@ _HOMES = {
     "text": ("table",),
     "truth": ("Truth", "read_dfc2019", "read_reference"),
 }
-
-make_callable(__name__)
 
 
 def __getattr__(name: str) -> Any:

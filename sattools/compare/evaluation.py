@@ -121,7 +121,7 @@ def _figure_href(number: int) -> str:
     return f"brdf_{number + 1:02d}.png"
 
 
-def product_of(scene: Scene, name: str) -> str | None:
+def _product_of(scene: Scene, name: str) -> str | None:
     """The scene's product that a reference map of that name is compared with; None where it has none.
 
     Args:
@@ -138,7 +138,7 @@ def product_of(scene: Scene, name: str) -> str | None:
 def _scored(
     options: CompareOptions, scene: Scene, references: Mapping[str, Path], points: Sequence[Point]
 ) -> JsonObject:
-    products = {name: product_of(scene, name) for name in references}
+    products = {name: _product_of(scene, name) for name in references}
     maps = [f"{own}={references[name]}" for name, own in products.items() if own is not None]
     scored = score(replace(options, map=maps, points=None), scene)
     figures = dict(scored.figures)
@@ -151,7 +151,7 @@ def _scored(
         own_maps = {
             name: filed(scene.path(scene.products[product]))
             for name in sorted(names)
-            if (product := product_of(scene, name)) is not None
+            if (product := _product_of(scene, name)) is not None
         }
         figures["points"] = compare_points(list(points), own_maps, (east, north))
     done: JsonObject = next((e for e in reversed(scene.history) if e["command"] == "fit"), {})
@@ -325,6 +325,6 @@ def text(value: Any) -> str:
 
 
 __all__ = [
-    "EVALUATION", "MAP_COLUMNS", "POINT_COLUMNS", "VIEW_COLUMNS", "evaluate", "map_rows", "markdown", "place_figure",
-    "point_rows", "product_of", "text", "view_rows",
+    "EVALUATION", "MAP_COLUMNS", "POINT_COLUMNS", "VIEW_COLUMNS", "check_fits", "evaluate", "map_rows",
+    "markdown", "place_figure", "point_rows", "text", "view_rows",
 ]  # fmt: skip

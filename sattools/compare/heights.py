@@ -233,4 +233,4 @@ def _slope_rows(tallies: Sequence[Tally]) -> list[JsonObject]:
     ]
 
 
-__all__ = ["CLASSES", "WATER", "Table", "errors_of", "height_errors"]
+__all__ = ["CLASSES", "WATER", "Rows", "Table", "errors_of", "height_errors"]

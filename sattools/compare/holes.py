@@ -14,7 +14,7 @@ _HOLES = 1 << 14  # cells that are filled at a time
 def fill_holes(predicted: np.ndarray) -> np.ndarray:
     """`predicted` [H, W] [m] with each NaN replaced by the nearest finite height; InputError if there is none."""
     if isinstance(predicted, StoredMap):
-        return fill_stored(predicted)
+        return _fill_stored(predicted)
     holes = ~np.isfinite(predicted)
     if not holes.any():
         return predicted
@@ -28,7 +28,7 @@ def fill_holes(predicted: np.ndarray) -> np.ndarray:
     return filled
 
 
-def fill_stored(predicted: np.ndarray) -> np.ndarray:
+def _fill_stored(predicted: np.ndarray) -> np.ndarray:
     """`fill_holes` of a map of which some rows are held at a time.
 
     The nearest height within every column is known after looking down and up; the nearest of these is then looked for
@@ -136,4 +136,4 @@ def _gap(away: int, side: int, within: np.ndarray) -> np.ndarray:
     return away * _BLOCK - within if side > 0 else within + 1 + (away - 1) * _BLOCK
 
 
-__all__ = ["fill_holes", "fill_stored"]
+__all__ = ["fill_holes"]

@@ -90,4 +90,4 @@ def _figures(scene: Scene, item: Item, weights: Sequence[str]) -> dict[str, floa
     return errors.figures()
 
 
-__all__ = ["FIGURES", "compare_views"]
+__all__ = ["FIGURES", "check_views", "compare_views"]

@@ -71,4 +71,4 @@ def _known(path: Path) -> bool:
     return any(np.isfinite(read_raster(path, grid.part(*block))[0]).any() for block in cut(grid.shape))
 
 
-__all__ = ["compare_map"]
+__all__ = ["Pair", "compare_map"]

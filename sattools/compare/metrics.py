@@ -120,11 +120,11 @@ def ssim(image: np.ndarray, reference: np.ndarray, valid: np.ndarray | None = No
         valid: ``[H, W]`` bool, pixels that count; None = all.
         peak: largest value.
     """
-    similarity = similarity_map(image, reference, peak)
+    similarity = _similarity_map(image, reference, peak)
     return float(similarity.mean() if valid is None else similarity[:, valid].mean())
 
 
-def similarity_map(image: np.ndarray, reference: np.ndarray, peak: float = 1.0) -> np.ndarray:
+def _similarity_map(image: np.ndarray, reference: np.ndarray, peak: float = 1.0) -> np.ndarray:
     """Structural similarity ``[B, H, W]`` of every pixel, see `ssim`; `WINDOW_PX` around it count.
 
     Args:
@@ -203,10 +203,10 @@ def image_errors(
         raise InputError("image: found no valid pixel, expected at least one")
     image, reference = np.where(ok, image, 0.0), np.where(ok, reference, 0.0)
     p, s = psnr(image, reference, ok, peak), ssim(image, reference, ok, peak)
-    return image_figures(p, s, lpips(image, reference, peak, weights))
+    return _image_figures(p, s, lpips(image, reference, peak, weights))
 
 
-def image_figures(psnr_db: float, ssim_value: float, perceptual: float | None) -> dict[str, float | None]:
+def _image_figures(psnr_db: float, ssim_value: float, perceptual: float | None) -> dict[str, float | None]:
     """What `image_errors` gives, of its terms.
 
     Args:
@@ -243,7 +243,7 @@ class ImageErrors:
         self._bands = len(image)
         self._pixels += int(counted.sum())
         self._square += float(((image[:, own].astype(np.float64) - reference[:, own]) ** 2)[:, counted].sum())
-        self._similarity += float(similarity_map(image, reference)[:, own][:, counted].sum())
+        self._similarity += float(_similarity_map(image, reference)[:, own][:, counted].sum())
 
     def figures(self) -> dict[str, float | None]:
         """See `image_errors`."""
@@ -251,4 +251,4 @@ class ImageErrors:
             raise InputError("image: found no valid pixel, expected at least one")
         mse = self._square / (self._bands * self._pixels)
         decibel = -10 * math.log10(mse) if mse > 0 else math.inf
-        return image_figures(decibel, self._similarity / (self._bands * self._pixels), None)
+        return _image_figures(decibel, self._similarity / (self._bands * self._pixels), None)

@@ -89,10 +89,10 @@ def register(predicted: np.ndarray, reference: np.ndarray, method: Method = "ncc
         return Registration(0.0, 0.0, 0.0, method)
     columns, rows, correlation = 0.0, 0.0, None
     if method == "ncc":
-        whole_rows, whole_columns, correlation = ncc_shift(predicted, reference, margin)
+        whole_rows, whole_columns, correlation = _ncc_shift(predicted, reference, margin)
         columns, rows = float(whole_columns), float(whole_rows)
     elif method == "nuth-kaab":
-        columns, rows = nuth_kaab_shift(predicted, reference, margin)
+        columns, rows = _nuth_kaab_shift(predicted, reference, margin)
     count, total = 0, 0.0
     for some in pieces((height, width)):
         difference = reference[some] - shifted(predicted, columns, rows, margin, some)
@@ -138,7 +138,7 @@ def shifted(
     return result
 
 
-def ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> tuple[int, int, float]:
+def _ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> tuple[int, int, float]:
     """Whole-cell shift (rows, columns) of largest zero-mean normalised cross-correlation, and that correlation.
 
     From coarse (at most 100 cells a side) to fine, within ±5 cells of the coarser level's shift; cells that are NaN
@@ -179,7 +179,7 @@ def halved(array: np.ndarray) -> np.ndarray:
     return means
 
 
-def nuth_kaab_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> tuple[float, float]:
+def _nuth_kaab_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> tuple[float, float]:
     """Sub-cell shift (columns, rows) after Nuth & Kääb (2011): dh / tan(slope) = a cos(b - aspect) + c.
 
     The height differences per aspect sector enter by their median, since height steps of a city are outliers to

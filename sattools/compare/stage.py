@@ -123,7 +123,7 @@ def compare(options: CompareOptions, scene: Scene, progress: Progress = silent, 
         if scored.figures["parameters"][name]["n"]:
             scatter_picture(found, reference, name, scene.output(_scatter_href(name)))
     progress(0.8, "difference map")
-    write_difference(result, outputs[DIFFERENCE], outputs[PICTURE])
+    _write_difference(result, outputs[DIFFERENCE], outputs[PICTURE])
     write_text(outputs[ERRORS], to_json(figures, indent=1) + "\n")
     scene.products |= {"difference": DIFFERENCE, "errors": ERRORS}
     progress(1.0, "done")
@@ -265,7 +265,7 @@ def compare_file(options: CompareOptions, overwrite: bool = False) -> JsonObject
         place = Scene(id="compare", root=Path(options.out))
         outputs = [place.output(name) for name in BESIDE]
         with all_or_nothing():
-            write_difference(result, *outputs)
+            _write_difference(result, *outputs)
     return {"predicted": options.predicted, **result.figures, **about}
 
 
@@ -332,7 +332,7 @@ def _compare_map(scene: Scene, name: str, reference: Path, result: Comparison) -
     return compare_map(name, scene.path(scene.products[name]), reference, (east, north))
 
 
-def write_difference(result: Comparison, tif: Path, png: Path) -> None:
+def _write_difference(result: Comparison, tif: Path, png: Path) -> None:
     """Signed difference as a COG and as a picture.
 
     Args:

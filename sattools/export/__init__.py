@@ -1,5 +1,1 @@
 """Fitted scene to georeferenced products."""
-
-from sattools.callable_module import make_callable
-
-make_callable(__name__)

@@ -214,4 +214,4 @@ def _widened(mask: Mask, cells: int) -> Mask:
     return np.asarray(maximum_filter(mask, 2 * cells + 1)) if cells else mask
 
 
-__all__ = ["BareGround", "bare_ground", "interpolated", "standing", "typical_slope"]
+__all__ = ["ALIGNED", "BareGround", "bare_ground", "interpolated", "standing", "typical_slope"]

@@ -72,7 +72,7 @@ def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
 
 
 @torch.no_grad()
-def light_towards(surface: SurfaceScene, visibility: Tensor | None, sun: Vector | None, towards: Vector) -> Tensor:
+def _light_towards(surface: SurfaceScene, visibility: Tensor | None, sun: Vector | None, towards: Vector) -> Tensor:
     """Light ``[H, W, C]`` of every cell in the direction ``towards``.
 
     It is pi L / E of a reflectance model, else in units of the albedo.
@@ -125,7 +125,7 @@ def render_item(
         raise SceneError(f"scene {scene.id}: found no item {item_id!r}, expected one for --view")
     head, z_range = parts.head, scene.require_height_range()
     known = head.items.index(item_id) if item_id in head.items else None
-    scale = ColourScale(head.albedo.shape[-1]) if is_scaled(head, item_id) else None
+    scale = ColourScale(head.albedo.shape[-1]) if _is_scaled(head, item_id) else None
     picture = Picture(scene, items[0], head.albedo.shape[-1], folder, in_part=scale is not None)
     slope, _ = line_of_sight(picture.rpc, parts.grid, head.z_ref, z_range)
     steepest = max(abs(slope.east), abs(slope.north)) if all(map(math.isfinite, slope)) else 0.0
@@ -154,7 +154,7 @@ def render_item(
     return picture
 
 
-def is_scaled(about: Description, item_id: str) -> bool:
+def _is_scaled(about: Description, item_id: str) -> bool:
     """Whether a picture of an image gets its gain and offset from the image itself, as a fit knows none."""
     return item_id not in about.items and not about.absolute
 
@@ -182,7 +182,7 @@ def _shown(
     """What a view shows of a part, at the reference height: ``[h, w, C]`` radiance and ``[h, w]`` height [m]."""
     model, surface, grid = part.model, part.surface, part.model.grid
     if model.field == "surface":
-        light = light_towards(surface, part.lit(view.sun), view.sun, view.slope.unit())
+        light = _light_towards(surface, part.lit(view.sun), view.sun, view.slope.unit())
         if known is not None and not model.absolute:
             light = surface.gain[known] * light + surface.offset[known]
         light = light * level_towards(model, surface.gain, view.sun)
@@ -216,7 +216,7 @@ def write_view(exported: Shown, item_id: str, sun_angles: tuple[float, float] | 
     item = next((item for item in scene.items if item.id == item_id), None)
     parts, tags = exported.parts, dict[str, str]()
     if sun_angles:
-        parts, tags = casting_under(parts, grid_sun(parts.grid, *sun_angles))
+        parts, tags = _casting_under(parts, grid_sun(parts.grid, *sun_angles))
     elif item is not None and item.sun and (away := beyond_learned(parts.head, grid_sun(parts.grid, *item.sun))):
         tags = {"SHADOWS": f"as learned, under suns {away:.0f} degrees or more away"}
         log.warning("%s: shadows %s", item_id, tags["SHADOWS"])
@@ -251,7 +251,7 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
     scene, head, grid = exported.scene, exported.parts.head, exported.parts.grid
     sun = grid_sun(grid, *sun_angles)
     tags = {"SUN_AZIMUTH": f"{sun_angles[0]:g}", "SUN_ELEVATION": f"{sun_angles[1]:g}", "SOFTWARE": "sattools"}
-    parts, more = casting_under(exported.parts, sun)
+    parts, more = _casting_under(exported.parts, sun)
     if more:
         log.warning("--sun: shadows %s", more["SHADOWS"])
     count = head.albedo.shape[-1]
@@ -260,7 +260,7 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
     with CogWriter(scene.output(RELIT), grid, bands=count, units="1", tags=tags, descriptions=names) as out:
         for part in parts.parts():
             if head.field == "surface":
-                light = light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()
+                light = _light_towards(part.surface, part.lit(sun), sun, (0.0, 0.0, 1.0)).detach().numpy()
                 light = light * level_towards(part.model, part.surface.gain, sun)
             else:
                 light, _, _ = field_picture(part.model, from_above(part.model, sun), None, scene.require_height_range())
@@ -274,7 +274,7 @@ def write_relit(exported: Shown, sun_angles: tuple[float, float]) -> None:
     scene.products["relit"] = RELIT
 
 
-def casting_under(parts: Parts, sun: Vector) -> tuple[Parts, dict[str, str]]:
+def _casting_under(parts: Parts, sun: Vector) -> tuple[Parts, dict[str, str]]:
     """A model as it is shown under a sun that was asked for, and tag ``SHADOWS`` where that is not as it was fitted.
 
     Under a sun that learned shadows do not reach, the volume casts them instead.
@@ -313,10 +313,7 @@ __all__ = [
     "FAR_SUN_DEG",
     "Shown",
     "beyond_learned",
-    "casting_under",
     "from_above",
-    "is_scaled",
-    "light_towards",
     "render_item",
     "write_relit",
     "write_view",

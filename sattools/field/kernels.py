@@ -352,4 +352,18 @@ class Colours(torch.autograd.Function):
         return torch.from_numpy(of_features), _summed(found), None, *of_volumes
 
 
-__all__ = ["EMPTY", "LEAST", "Colours", "Density", "runs_here"]
+__all__ = [
+    "CHUNKS",
+    "EMPTY",
+    "LEAST",
+    "ONE",
+    "Colours",
+    "Density",
+    "between",
+    "frame_of",
+    "frame_within",
+    "packed",
+    "runs_here",
+    "sigmoid",
+    "slice_of",
+]

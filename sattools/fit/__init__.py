@@ -1,5 +1,1 @@
-"""Losses, schedules, and the training loop."""
-
-from sattools.callable_module import make_callable
-
-make_callable(__name__)
+"""Surfaces, their materials and fields of rays, fitted to the images of a scene at once or in tiles."""

@@ -206,4 +206,4 @@ def _checksum(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> 
     return known.hexdigest()
 
 
-__all__ = ["Put", "describe", "load", "save", "save_in_pieces", "verify"]
+__all__ = ["KEY", "VERSION", "Put", "describe", "load", "save", "save_in_pieces", "verify"]

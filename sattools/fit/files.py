@@ -29,7 +29,7 @@ class Fitted:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
-def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None = None, read: Seen | None = None) -> JsonObject:
+def save_fit(scene: Scene, fitted: Fitted, made: JsonObject | None, read: Seen | None) -> JsonObject:
     """Write model and trace below the scene's root.
 
     Args:

@@ -288,7 +288,7 @@ def _begun_tile(scene: Scene, options: FitOptions) -> float | None:
 
 def _begun_at_once(scene: Scene) -> bool:
     """Whether an interrupted fit has left a checkpoint of the whole area."""
-    from sattools.fit.files import CHECKPOINT  # late, see `side_by_side`
+    from sattools.fit.files import CHECKPOINT  # late: it imports PyTorch, which is slow
 
     return scene.path(CHECKPOINT).exists()
 

@@ -265,13 +265,16 @@ def prior_normals(prior: DepthPrior | None, grid: Grid) -> Tensor:
 
 __all__ = [
     "KINDS",
+    "LEAST_KNOWN",
     "calibrated",
     "check_light",
     "exposed",
+    "level_towards",
+    "levels",
     "light_scale",
     "material_notes",
     "phase_angles",
     "prior_normals",
     "radiance_kind",
     "views_left_out",
-]  # fmt: skip
+]

@@ -155,4 +155,4 @@ def parse_views(text: str) -> int | None:
     return int(match[1]) if match else None
 
 
-__all__ = ["FitOptions"]
+__all__ = ["FitOptions", "parse_views"]

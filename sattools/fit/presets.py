@@ -89,7 +89,6 @@ def with_preset(preset: str, start: str = "surface", field: str = "") -> JsonObj
         start: of a network.
         field: that is asked for beside it.
     """
-    known = set(FitOptions.__dataclass_fields__)
     values = PRESETS[preset]
     if start != "noise" and values.get("field") == "mlp":
         # a paper without dense depths keeps its losses: the prior is where its network starts, and no more
@@ -97,13 +96,11 @@ def with_preset(preset: str, start: str = "surface", field: str = "") -> JsonObj
     if start == "surface" and values.get("field") == "mlp" and values["shadow"] == "none":
         values = {**values, "shadow": "geometric"}  # the surface's colours are those that it has in the sun
     if start == "surface" and "brdf" in values:
-        values = {
-            **values,
-            "pretrain": 0.0,
-        }  # it begins with the parameters of a fit, which a Lambertian phase would undo
+        # it begins with the parameters of a fit, which a Lambertian phase would undo
+        values = {**values, "pretrain": 0.0}
     if field == "neural":
         values = {**values, **NEURAL}
-    return {"preset": preset, **{name: value for name, value in values.items() if name in known}}
+    return {"preset": preset, **values}
 
 
 __all__ = ["DIFFERENCES", "PRESETS", "resolve", "with_preset"]

@@ -151,7 +151,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
 
             trace = Trace()
             start: Beginning | None = None
-            if prior is not None and starts_from_surface(setup.options):
+            if prior is not None and _starts_from_surface(setup.options):
                 start = _beginning(scene, setup, sources, prior)
             given = (scene, sources, setup.options, prior, setup.device, told)
             fitted = fit_rays(*given, radiance=setup.radiance, start=start, trace=trace, basis=setup.basis)
@@ -161,7 +161,7 @@ def fit_whole(scene: Scene, options: FitOptions, progress: Progress = silent, ov
         return save_fit(scene, fitted, made, read) | matching
 
 
-def starts_from_surface(options: FitOptions) -> bool:
+def _starts_from_surface(options: FitOptions) -> bool:
     """Whether a field begins as the surface that `fit` makes of the prior."""
     return options.field in ("mlp", "neural") and options.start == "surface"
 

@@ -18,7 +18,7 @@ _NEAR_PX = 1.5  # which the two sensors may be apart
 _ALIKE = 0.5  # correlation where the two lie one on the other
 
 
-def displacement(colours: NDArray[np.float32], pan: NDArray[np.float32]) -> tuple[float, float]:
+def _displacement(colours: NDArray[np.float32], pan: NDArray[np.float32]) -> tuple[float, float]:
     """By how many pixels (column, row) what ``pan`` shows lies elsewhere in ``colours``; (0, 0) where they are unlike.
 
     Args:
@@ -68,7 +68,7 @@ def beside(colour: SourceImage, rpc: RPC, pan: SourceImage, camera: RPC, height:
     own = read_gray(replace(colour, window=piece), whole=False)
     if not (np.isfinite(shown).any() and np.isfinite(own).any()):
         return []
-    length = float(np.hypot(*displacement(own, shown)))
+    length = float(np.hypot(*_displacement(own, shown)))
     if length == 0:
         return []
     return [
@@ -77,4 +77,4 @@ def beside(colour: SourceImage, rpc: RPC, pan: SourceImage, camera: RPC, height:
     ]
 
 
-__all__ = ["beside", "displacement"]
+__all__ = ["beside"]

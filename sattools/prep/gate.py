@@ -226,4 +226,5 @@ __all__ = [
     "check_pixel_sizes",
     "check_pixels",
     "check_sources",
+    "much_coarser",
 ]

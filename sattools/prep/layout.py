@@ -225,6 +225,7 @@ def pixels_on_ground(
 
 
 __all__ = [
+    "Bounds",
     "common_bounds",
     "convex_outline",
     "cut_to_shown",

@@ -86,7 +86,7 @@ class Metadata:
         return Metadata(**{k: getattr(other, k) if v is None else v for k, v in ours.items()})
 
 
-def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> float | None:
+def _parse_angle(value: Any, low: float, high: float, source: str = "angle") -> float | None:
     """An angle from a number or text such as "+33.5"; None when missing, or a vendor's word for that such as -999.
 
     Args:
@@ -109,15 +109,15 @@ def parse_angle(value: Any, low: float, high: float, source: str = "angle") -> f
 
 
 def parse_sun(azimuth: Any, elevation: Any, source: str = "sun") -> tuple[float, float] | None:
-    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there; raises as `parse_angle` does.
+    """(azimuth in [0, 360), elevation) in degrees, or None unless both are there; raises as `_parse_angle` does.
 
     Args:
         azimuth: number or text [degrees].
         elevation: number or text [degrees].
         source: name for error messages.
     """
-    a = parse_angle(azimuth, -360.0, 360.0, f"{source}: azimuth of the sun")
-    e = parse_angle(elevation, -90.0, 90.0, f"{source}: elevation of the sun")
+    a = _parse_angle(azimuth, -360.0, 360.0, f"{source}: azimuth of the sun")
+    e = _parse_angle(elevation, -90.0, 90.0, f"{source}: elevation of the sun")
     return None if a is None or e is None else (a % 360.0, e)
 
 
@@ -131,7 +131,7 @@ def find_platform(text: str) -> str | None:
     return None
 
 
-def platform_called(text: str) -> str:
+def _platform_called(text: str) -> str:
     """The platform that somebody spells in a way of their own (``worldview-3``, ``WV03``); others stay as they are."""
     return _SPELLED.get(_spelling(text), text)
 
@@ -192,7 +192,7 @@ def _from_json(path: Path) -> Metadata:
             ends = [time_in_file(properties.get(f"{end}_datetime"), path) for end in ("start", "end")]
             time = middle_time(*ends)
         sun = parse_sun(azimuth, elevation, str(path))
-        return Metadata(time=time, platform=platform_called(properties.get("platform") or "") or None, sun=sun)
+        return Metadata(time=time, platform=_platform_called(properties.get("platform") or "") or None, sun=sun)
     _SATNERF_JSON.check(document, str(path))
     known = _SATNERF_JSON.members.keys()
     for name in document.keys() - known:
@@ -274,4 +274,4 @@ def _from_imd(path: Path) -> Metadata:
     )
 
 
-__all__ = ["Metadata", "find_platform", "from_tags", "parse_angle", "read_sidecar"]
+__all__ = ["DEFAULT_ORBIT_KM", "EARTH_KM", "ORBIT_KM", "Metadata", "find_platform", "from_tags", "read_sidecar"]

@@ -44,7 +44,7 @@ def common_name(ids: Sequence[str]) -> str:
 def check_ids(images: Sequence[Path]) -> list[str]:
     """Ids of all images; InputError when there are fewer than two images or two have the same id."""
     for path in images:
-        check_there(path)
+        _check_there(path)
     if len(images) < 2:
         problem = f"{images[0]}: found this one image only" if images else "prep: found no image"
         raise InputError(f"{problem}, expected at least 2 images of one place")
@@ -59,7 +59,7 @@ def check_ids(images: Sequence[Path]) -> list[str]:
     return ids
 
 
-def check_there(path: Path) -> None:
+def _check_there(path: Path) -> None:
     """Raise InputError where a file of this machine is not there."""
     if isinstance(path, RemotePath):
         return
@@ -72,4 +72,4 @@ def check_there(path: Path) -> None:
         raise InputError(f"{path}: {found}, expected an image")
 
 
-__all__ = ["check_ids", "check_there", "common_name", "image_id"]
+__all__ = ["check_ids", "common_name", "image_id"]

@@ -139,4 +139,4 @@ def _no_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-__all__ = ["REPORTS", "clouds_href", "write_images", "write_reports"]
+__all__ = ["MARGIN_PX", "REPORTS", "clouds_href", "write_images", "write_reports"]

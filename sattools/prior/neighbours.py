@@ -187,4 +187,4 @@ def _covered(count: int, size: int, factor: float) -> tuple[np.ndarray, np.ndarr
     return np.minimum(cells, size - 1), np.clip(share, 0, 1)
 
 
-__all__ = ["blurred_walls", "doubtful_walls", "mean_around", "mean_of_neighbours", "means_of_cells"]
+__all__ = ["STEP_M", "blurred_walls", "doubtful_walls", "mean_around", "mean_of_neighbours", "means_of_cells", "relief"]

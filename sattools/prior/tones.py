@@ -81,11 +81,11 @@ def with_contrast(images: np.ndarray, masks: np.ndarray, contrast: float | None 
         masks: ``[V, H, W]`` 1 = valid.
         contrast: of all images, where it is known; else that of these.
     """
-    scale = REFERENCE_CONTRAST / (contrast or contrast_of(images, masks))
+    scale = REFERENCE_CONTRAST / (contrast or _contrast_of(images, masks))
     return np.multiply(images, np.float32(scale), dtype=np.float32)
 
 
-def contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
+def _contrast_of(images: np.ndarray, masks: np.ndarray) -> float:
     """From dark to bright (2 ... 98 %) where the mask is 1."""
     low, high = _levels(images, masks, (2, WHITE))
     return max(high - low, 1e-6)
@@ -106,9 +106,9 @@ def common_balance(frame: Frame, views: Sequence[View]) -> list[RadiometricBalan
         views: with that tone curve.
     """
     gain, offset = match_colours(views)
-    contrast = contrast_of(grey(views, gain, offset), np.stack([view.mask for view in views]))
+    contrast = _contrast_of(grey(views, gain, offset), np.stack([view.mask for view in views]))
     tone = frame.tone
     return [RadiometricBalance(a.tolist(), b.tolist(), contrast, tone) for a, b in zip(gain, offset, strict=True)]
 
 
-__all__ = ["LINEAR_TONE", "common_balance", "contrast_of", "grey", "tone_of", "toned", "toned_views", "with_contrast"]
+__all__ = ["LINEAR_TONE", "common_balance", "grey", "tone_of", "toned", "toned_views", "with_contrast"]

@@ -72,7 +72,7 @@ def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: 
         level = np.repeat(np.repeat(levels[blocks], size, axis=0), size, axis=1)
         own, doubt = np.array(height[rows, : level.shape[1]]), np.array(confidence[rows, : level.shape[1]])
         first = max(0, rows.start - 2 * size)  # what is sure stays so where rows above have been laid level
-        something = stands_there(confidence[first : rows.stop + 2 * size, : level.shape[1]], cell)
+        something = _stands_there(confidence[first : rows.stop + 2 * size, : level.shape[1]], cell)
         laid = np.isfinite(level) & ~something[rows.start - first :][: len(own)]
         own[laid], doubt[laid] = level[laid], 0.0
         height[rows, : level.shape[1]], confidence[rows, : level.shape[1]] = own, doubt
@@ -80,7 +80,7 @@ def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: 
     return count / (height.shape[0] * height.shape[1])
 
 
-def stands_there(confidence: np.ndarray, cell: float) -> np.ndarray:
+def _stands_there(confidence: np.ndarray, cell: float) -> np.ndarray:
     """Cells ``[H, W]`` bool where something has surely been matched, or close beside it."""
     sure = confidence >= SURE
     together = uniform_filter(sure.astype(np.float32), max(1, round(TOGETHER_M / cell)), mode="nearest") > TOGETHER
@@ -211,4 +211,4 @@ def _bands(shape: tuple[int, int], size: int) -> Iterator[tuple[slice, slice]]:
         yield slice(blocks.start * size, blocks.stop * size), blocks
 
 
-__all__ = ["Looks", "block_of", "level_water", "water_levels"]
+__all__ = ["SURE", "Looks", "block_of", "level_water", "water_levels"]

@@ -181,5 +181,7 @@ __all__ = [
     "Band",
     "chosen_bands",
     "eo_bands",
+    "named_bands",
     "names_of",
+    "red_green_blue",
 ]

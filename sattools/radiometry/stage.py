@@ -342,4 +342,4 @@ def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> l
     return chosen
 
 
-__all__ = ["check_start", "normalise"]
+__all__ = ["RGB_OF_EIGHT", "check_start", "normalise"]

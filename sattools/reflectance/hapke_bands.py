@@ -162,7 +162,7 @@ def pull_back(n, b, c, theta, w, pair, grad, gn, gb, gc, gt, gw, first_part, end
 
 @spread(lambda *arguments: math.ceil(len(arguments[0]) / PART))
 @njit(cache=True, nogil=True)
-def differentiate(n, b, c, theta, w, pair, out, slopes, first_part, end_part):
+def _differentiate(n, b, c, theta, w, pair, out, slopes, first_part, end_part):
     """As `evaluate`; and derivatives ``[N, C, SLOPES]``, or ``[N, C, 1]``: by w alone."""
     state, rates = np.empty(ROWS * LANES), np.empty(G_ROWS * LANES)
     column, value, below = np.empty(LANES), np.empty(LANES), np.empty(LANES)
@@ -256,7 +256,7 @@ def hapke_slopes(
     out = torch.empty_like(operands[-1])
     slopes = out.new_empty(*out.shape, SLOPES if shapes else 1)
     arrays = [o.detach().numpy() for o in operands]
-    differentiate(*arrays, _pair(sun, view), out.numpy(), slopes.numpy())
+    _differentiate(*arrays, _pair(sun, view), out.numpy(), slopes.numpy())
     return out.reshape(w.shape), slopes.reshape(*w.shape, -1)
 
 

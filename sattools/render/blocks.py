@@ -121,4 +121,17 @@ def pack(height, colour, maps):
     _pack_rows(height, colour, across, maps)
 
 
-__all__ = ["Sampling", "absorption", "coefficients", "pack", "packed_width"]
+__all__ = [
+    "CEILING",
+    "COLOUR",
+    "DEEP",
+    "EMPTY",
+    "LANES",
+    "PAD",
+    "REACH",
+    "Sampling",
+    "absorption",
+    "coefficients",
+    "pack",
+    "packed_width",
+]

@@ -96,10 +96,10 @@ def median_share(weights: Tensor, t: Tensor) -> Tensor:
         weights: ``[R, S]`` of `composite`.
         t: ``[R, S]`` shares of the path, ascending.
     """
-    return share_behind(weights, t, torch.full_like(t[:, :1], 0.5))[:, 0]
+    return _share_behind(weights, t, torch.full_like(t[:, :1], 0.5))[:, 0]
 
 
-def share_behind(weights: Tensor, t: Tensor, level: Tensor) -> Tensor:
+def _share_behind(weights: Tensor, t: Tensor, level: Tensor) -> Tensor:
     """Shares ``[R, K]`` of the path before which weights add up to levels, linear within a sample's part; 1 if never.
 
     Args:
@@ -125,7 +125,7 @@ def seen_shares(weights: Tensor, t: Tensor, samples: int, random: torch.Generato
         samples: K.
         random: random numbers, or None for the middles of the parts.
     """
-    return share_behind(weights, t, stratified(len(t), samples, random) * weights.sum(dim=1, keepdim=True))
+    return _share_behind(weights, t, stratified(len(t), samples, random) * weights.sum(dim=1, keepdim=True))
 
 
 def _ends(t: Tensor) -> Tensor:
@@ -149,13 +149,4 @@ def towards_sun(points: Tensor, sun: Tensor, top: float, skip: float = 0.0) -> R
     return RayBatch(points, sun * climb[:, None])
 
 
-__all__ = [
-    "RayBatch",
-    "composite",
-    "guided",
-    "median_share",
-    "seen_shares",
-    "share_behind",
-    "stratified",
-    "towards_sun",
-]
+__all__ = ["LOW_SUN", "RayBatch", "composite", "guided", "median_share", "seen_shares", "stratified", "towards_sun"]

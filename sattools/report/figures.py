@@ -26,7 +26,7 @@ def new_figure(width: float = 6.4, height: float = 4.4) -> Any:
     return figure
 
 
-def in_lines(name: str) -> str:
+def _in_lines(name: str) -> str:
     """The name of an image in lines of `NAME_LETTERS` at most: those of vendors are longer than pictures are wide."""
     return textwrap.fill(name, NAME_LETTERS)
 
@@ -36,7 +36,7 @@ def footprints(outlines: Mapping[str, Outline], area: Outline | None) -> Any:
     figure = new_figure()
     axes = figure.subplots()
     for style, (name, outline) in zip(line_styles(len(outlines)), outlines.items(), strict=True):
-        axes.plot(*np.asarray(outline, float)[:, :2].T, linewidth=1.2, label=in_lines(name), **style)
+        axes.plot(*np.asarray(outline, float)[:, :2].T, linewidth=1.2, label=_in_lines(name), **style)
     if area is not None:
         axes.fill(*np.asarray(area, float).T, color="0.5", alpha=0.3, label="ground grid")
     middle = np.mean([lat for outline in outlines.values() for _, lat in outline])
@@ -74,7 +74,7 @@ def residuals(names: Sequence[str], before: Sequence[float], after: Sequence[flo
         before: of each image [px].
         after: of each image [px].
     """
-    labels = [in_lines(name) for name in names]
+    labels = [_in_lines(name) for name in names]
     figure = new_figure(6.4, 1.4 + 0.22 * sum(1 + label.count("\n") for label in labels))
     axes = figure.subplots()
     rows = np.arange(len(names))
@@ -106,7 +106,7 @@ def residual_vectors(views: Mapping[str, np.ndarray]) -> Any:
         width, height = np.ptp(own[:, 0]) or 1.0, np.ptp(own[:, 1]) or 1.0
         scale = 0.12 * max(width, height) / unit  # pixels of the image by which a residual of one pixel is drawn
         axes.quiver(*own.T, angles="xy", scale_units="xy", scale=1 / scale, width=0.006, color="tab:red")
-        axes.set_title(in_lines(name), fontsize=7)
+        axes.set_title(_in_lines(name), fontsize=7)
         axes.set_aspect("equal")
         axes.invert_yaxis()
         axes.tick_params(labelsize=6)
@@ -198,7 +198,7 @@ def histograms(values: Mapping[str, np.ndarray], label: str) -> Any:
     edges = np.linspace(low, max(high, low + 1e-6), 100)
     for style, (name, own) in zip(line_styles(len(values)), values.items(), strict=True):
         share = np.histogram(own, edges)[0] / max(1, own.size)
-        axes.stairs(100 * share, edges, label=in_lines(name), **style)
+        axes.stairs(100 * share, edges, label=_in_lines(name), **style)
     axes.set(xlabel=label, ylabel="share of the pixels [%]", ylim=(0, None))
     if len(values) <= 20:
         axes.legend(fontsize=7)

@@ -30,7 +30,7 @@ _CACHE = 16 << 20  # bytes for GDAL
 _COLOURS = {"red": ColorInterp.red, "green": ColorInterp.green, "blue": ColorInterp.blue}
 
 
-def colours_of(descriptions: Sequence[str]) -> list[ColorInterp] | None:
+def _colours_of(descriptions: Sequence[str]) -> list[ColorInterp] | None:
     """What viewers show bands as, by the last words of their names; None where not all three colours are there once."""
     words = [text.rpartition(" ")[2].lower() for text in descriptions]
     if any(words.count(colour) != 1 for colour in _COLOURS):
@@ -111,7 +111,7 @@ class CogWriter:
             self._data.units = [units] * self._data.count
         if descriptions:
             self._data.descriptions = tuple(descriptions)
-            self._data.colorinterp = colours_of(descriptions) or self._data.colorinterp
+            self._data.colorinterp = _colours_of(descriptions) or self._data.colorinterp
         self._data.update_tags(**tags)
         return self
 

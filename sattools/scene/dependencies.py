@@ -336,6 +336,7 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
 
 
 __all__ = [
-    "ALBEDO_SECONDS", "MADE", "PRIOR_SECONDS", "STAGES", "Seen", "begin", "check_current", "current_entry", "drop",
-    "files_of", "in_force", "latest", "may_begin", "names_of", "outdated_by", "record", "seen", "stale",
+    "ALBEDO_SECONDS", "MADE", "PRIOR_SECONDS", "SOURCES", "STAGES", "Seen", "begin", "check_current",
+    "current_entry", "drop", "files_of", "in_force", "latest", "may_begin", "names_of", "outdated_by",
+    "record", "seen", "stale",
 ]  # fmt: skip

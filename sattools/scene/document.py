@@ -375,4 +375,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["COG_TYPE", "FIT_ROLE", "GEOTIFF_TYPE", "Asset", "Item", "Scene", "check_id"]
+__all__ = ["COG_TYPE", "FIT_ROLE", "GEOTIFF_TYPE", "PARTS", "Asset", "Item", "Scene", "check_id"]

@@ -175,4 +175,4 @@ def finer_pixel(sizes: Sequence[float]) -> float:
     return float(sorted(sizes)[min(max(3, math.ceil(len(sizes) / 4)), len(sizes)) - 1])
 
 
-__all__ = ["Grid", "default_cell_size", "finer_pixel"]
+__all__ = ["SURROUNDINGS_M", "Grid", "default_cell_size", "finer_pixel"]

@@ -162,6 +162,7 @@ def _check_values(value: Any, source: str, kind: str) -> None:
 __all__ = [
     "CONFIG_LIMIT",
     "TEXT_LIMIT",
+    "JsonObject",
     "as_utf8",
     "decode",
     "parse_json",

@@ -321,8 +321,10 @@ def _damaged(data: rasterio.DatasetReader, path: Path) -> InputError:
 
 
 __all__ = [
+    "block_means",
     "datum_tag",
     "has_mask",
+    "heights_above",
     "image_shape",
     "raster_bands",
     "raster_grid",

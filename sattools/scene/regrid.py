@@ -319,6 +319,7 @@ def split_cells(array: np.ndarray) -> np.ndarray:
 __all__ = [
     "bounds_in",
     "bounds_of",
+    "nearest_cells",
     "reproject_map",
     "resize_map",
     "sample_map",

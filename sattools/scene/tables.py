@@ -37,10 +37,10 @@ def read_table(path: Path, what: str, texts: Collection[str] = ()) -> list[dict[
     named = [{k.strip().lower(): v.strip() for k, v in row.items() if k is not None and v is not None} for row in rows]
     if delimiter == ",":
         return named
-    return [{k: v if k in texts else with_point(v) for k, v in row.items()} for row in named]
+    return [{k: v if k in texts else _with_point(v) for k, v in row.items()} for row in named]
 
 
-def with_point(text: str) -> str:
+def _with_point(text: str) -> str:
     """A number with a point before its decimals; what is no number stays as it is."""
     return text.replace(",", ".") if _COMMA.fullmatch(text) else text
 

@@ -74,7 +74,9 @@ def read_features(path: Path, expected: str) -> Features:
         InputError: missing, of another format, or damaged.
     """
     if isinstance(path, RemotePath):
-        return read_layer(f"GeoJSON:{path}", f"{path}", f"{expected}: GeoJSON in UTF-8 (download files of other kinds)")
+        return _read_layer(
+            f"GeoJSON:{path}", f"{path}", f"{expected}: GeoJSON in UTF-8 (download files of other kinds)"
+        )
     if is_kml(_head(path)):
         shapes, names = read_kml(path)
         return Features(shapes, {"name": np.array(names, object)}, "EPSG:4326")
@@ -82,13 +84,13 @@ def read_features(path: Path, expected: str) -> Features:
         read_json(path, "GeoJSON")  # its depth and numbers
         stored = read_bytes(path)
         if (text := as_utf8(stored)) is not stored:  # GDAL knows UTF-8 only
-            return read_layer(text, f"{path}", f"{expected}: {FORMATS}")
+            return _read_layer(text, f"{path}", f"{expected}: {FORMATS}")
     elif not _head(path).startswith(_MAGIC):
         raise InputError(f"{path}: found another format, expected {expected}: {FORMATS}")
-    return read_layer(str(path), f"{path}", f"{expected}: {FORMATS}")
+    return _read_layer(str(path), f"{path}", f"{expected}: {FORMATS}")
 
 
-def read_layer(name: str | bytes, path: str, expected: str) -> Features:
+def _read_layer(name: str | bytes, path: str, expected: str) -> Features:
     """The features of the first layer of what GDAL calls by a name; see `read_features` for files.
 
     Args:
@@ -279,6 +281,5 @@ __all__ = [
     "numbered_polygons",
     "polygons_in",
     "read_features",
-    "read_layer",
     "read_polygons",
 ]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from sattools.callable_module import make_callable
 from sattools.simulate.options import SimulateOptions
 
 if TYPE_CHECKING:
     from sattools.simulate.stage import simulate, world_of
-
-make_callable(__name__)
 
 
 def __getattr__(name: str) -> Any:

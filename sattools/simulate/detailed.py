@@ -154,4 +154,16 @@ def _blotches(shape: tuple[int, int], cell: float, rng: np.random.Generator) -> 
     return np.asarray(field > np.quantile(field, 0.6))
 
 
-__all__ = ["DetailedWorld", "leaves_on", "mirror_of", "over_surface_model"]
+__all__ = [
+    "BALCONIES",
+    "GLASS",
+    "LEAFY",
+    "NO_CROWN",
+    "PLAIN",
+    "RIBBONS",
+    "WINDOWS",
+    "DetailedWorld",
+    "leaves_on",
+    "mirror_of",
+    "over_surface_model",
+]

@@ -25,7 +25,7 @@ _jit = njit(cache=True, nogil=True, fastmath=False)
 
 
 @_jit
-def hashed(a: int, b: int, c: int, d: int) -> float:
+def _hashed(a: int, b: int, c: int, d: int) -> float:
     """A number in [0, 1) that looks random and belongs to four integers."""
     n = (a * 374761393 + b * 668265263 + c * 2147483647 + d * 1274126177) & 0xFFFFFFFF
     n = ((n ^ (n >> 15)) * 2246822519) & 0xFFFFFFFF
@@ -35,7 +35,7 @@ def hashed(a: int, b: int, c: int, d: int) -> float:
 
 
 @_jit
-def leaf_hit(
+def _leaf_hit(
     base: float, top: float, share: float, cell: float, column: int, row: int, z: float, dz: float, t: float,
     t_end: float, t_first: float,
 ) -> float:  # fmt: skip
@@ -61,7 +61,7 @@ def leaf_hit(
         layer = math.floor(here / CLUMP_M + (1e-6 if dz > 0 else -1e-6))
         edge = (layer + 1 if dz > 0 else layer) * CLUMP_M
         t_next = min(t_end, t + (edge - here) / dz) if dz != 0.0 else t_end
-        if base <= here <= top and hashed(column // across, row // across, layer, 7) < share:
+        if base <= here <= top and _hashed(column // across, row // across, layer, 7) < share:
             return t
         t = max(t_next, t + 1e-4)
     return -1.0
@@ -103,7 +103,7 @@ def first_hit(
             until = hit if hit >= 0 else t_end
             high, low = max(z + dz * t, z + dz * until), min(z + dz * t, z + dz * until)
             if high >= base and low <= top:
-                leaf = leaf_hit(base, top, foliage[r, c], cell, column, row, z, dz, t, min(until, 1e6), t_leaf)
+                leaf = _leaf_hit(base, top, foliage[r, c], cell, column, row, z, dz, t, min(until, 1e6), t_leaf)
                 if leaf >= 0:
                     return leaf, c, r, LEAF
         if hit >= 0:
@@ -138,16 +138,16 @@ def wall_look(
         view: number of the image: some panes flash in one of them alone.
         band: 0 ... 2.
     """
-    tint = 0.6 + 0.8 * hashed(building, side, 1, 3)
-    tint *= 0.85 + 0.3 * hashed(building, side, 2 + band, 3)
-    stain = 0.88 + 0.24 * hashed(math.floor(along / 0.9), math.floor(below / 0.7), building, 5)
-    storey_m = 2.8 + 1.2 * hashed(building, 1, 1, 11)
-    bay_m = 1.8 + 2.7 * hashed(building, 2, 2, 11)
+    tint = 0.6 + 0.8 * _hashed(building, side, 1, 3)
+    tint *= 0.85 + 0.3 * _hashed(building, side, 2 + band, 3)
+    stain = 0.88 + 0.24 * _hashed(math.floor(along / 0.9), math.floor(below / 0.7), building, 5)
+    storey_m = 2.8 + 1.2 * _hashed(building, 1, 1, 11)
+    bay_m = 1.8 + 2.7 * _hashed(building, 2, 2, 11)
     storey, bay = (below / storey_m) % 1.0, (along / bay_m) % 1.0
-    pane = hashed(math.floor(along / bay_m), math.floor(below / storey_m), building, 13)
+    pane = _hashed(math.floor(along / bay_m), math.floor(below / storey_m), building, 13)
     flash = (
         2.0
-        if hashed(math.floor(along / bay_m), math.floor(below / storey_m), building + 977 * view, 17) < 0.02
+        if _hashed(math.floor(along / bay_m), math.floor(below / storey_m), building + 977 * view, 17) < 0.02
         else 0.0
     )
     glass = 0.1 + 0.5 * pane * pane, 0.15 + 0.5 * pane + flash
@@ -234,7 +234,7 @@ def render(
                     t_leaf, sky = LEAF_GAP_M, 0.5
                 cosine = nx * sun_x + ny * sun_y + nz * sun[2]
                 if face == LEAF:  # leaves stand at all angles: their clump decides
-                    clump = hashed(int(hx * cell / CLUMP_M), int(hy * cell / CLUMP_M), math.floor(hz / CLUMP_M), 19)
+                    clump = _hashed(int(hx * cell / CLUMP_M), int(hy * cell / CLUMP_M), math.floor(hz / CLUMP_M), 19)
                     cosine = 0.25 + 0.65 * clump
                 direct = 0.0
                 if cosine > 0:
@@ -267,4 +267,4 @@ def render(
     return image, lit, surface
 
 
-__all__ = ["LEAF", "first_hit", "hashed", "leaf_hit", "mirrored_sun", "render", "wall_look"]
+__all__ = ["LEAF", "first_hit", "mirrored_sun", "render", "wall_look"]

@@ -63,15 +63,15 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
     scene.grid = grid
     scene.height_range_m = (float(np.floor(low - 5)), float(np.ceil(high + 5)))
     write_truth(scene, world, grid)
-    write_parameters(scene, world, grid, options.reflectance)
+    _write_parameters(scene, world, grid, options.reflectance)
     progress(0.05, "compiling the ray tracer")
-    views = plan_fan(options, grid, (low, high), np.random.default_rng(seeds[1]))
+    views = _plan_fan(options, grid, (low, high), np.random.default_rng(seeds[1]))
     sky = Sky.over(world, options.sky) if options.sky else None
     take_all(scene, views, seeds[2], lambda _, view, seed: _take(scene, options, world, sky, view, seed), progress)
     return scene
 
 
-def plan_fan(
+def _plan_fan(
     options: SimulateOptions, grid: Grid, heights: tuple[float, float], rng: np.random.Generator
 ) -> list[SimulatedView]:
     """Views from -`off_nadir` to +`off_nadir` degrees along the track, equally spaced; all see the same middle.
@@ -131,7 +131,7 @@ def pass_suns(options: SimulateOptions, lon: float, lat: float) -> list[tuple[da
     Raises:
         InputError: the sun is down at that time on one of the days.
     """
-    first = moment(lon, lat, options.sun_azimuth, options.sun_elevation)
+    first = _moment(lon, lat, options.sun_azimuth, options.sun_elevation)
     found = [(first, (options.sun_azimuth, options.sun_elevation))]
     for k in range(1, options.passes):
         day = first + timedelta(days=round(k * 365.25 / options.passes))
@@ -145,7 +145,7 @@ def pass_suns(options: SimulateOptions, lon: float, lat: float) -> list[tuple[da
     return found
 
 
-def moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime:
+def _moment(lon: float, lat: float, azimuth: float, elevation: float) -> datetime:
     """A time in 2020 when the sun stands there (degrees, azimuth from true north), to a degree; else `START`.
 
     The sun's declination follows from the triangle of pole, zenith and sun, the day from the declination.
@@ -233,7 +233,7 @@ def spread(image: np.ndarray) -> np.ndarray:
     return np.asarray(gaussian_filter(image, (0, SPREAD_PX, SPREAD_PX), mode="nearest"))
 
 
-def write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance: str) -> None:
+def _write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance: str) -> None:
     """Truth of the reflectance parameters, units and normals on the scene's grid, as products ``truth_<name>``.
 
     Args:
@@ -269,4 +269,4 @@ def _pooled(world: NaturalWorld, raster: np.ndarray, grid: Grid) -> np.ndarray:
     return np.asarray(np.mean([world.on_grid(raster, moved) for moved in corners], axis=0))
 
 
-__all__ = ["plan_fan", "simulate_natural"]
+__all__ = ["pass_suns", "simulate_natural"]

@@ -209,4 +209,4 @@ def paint(
     return codes, amplitude.astype(np.float32), parameters
 
 
-__all__ = ["AMOUNT", "MODELS", "PARAMETERS", "UNITS", "NaturalWorld", "build_natural", "fractal", "paint"]
+__all__ = ["AMOUNT", "MARGIN_M", "MODELS", "PARAMETERS", "UNITS", "NaturalWorld", "build_natural", "fractal", "paint"]

@@ -299,4 +299,4 @@ def _traced(
     return detailed_trace.render(*surface, world.building, world.gloss, *crowns, *seen, number)
 
 
-__all__ = ["SimulateOptions", "SimulatedView", "check_start", "plan_views", "simulate"]
+__all__ = ["SimulateOptions", "SimulatedView", "check_start", "plan_views", "simulate", "world_of"]

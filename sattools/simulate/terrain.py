@@ -127,7 +127,7 @@ def check_heights(path: str, heights: np.ndarray) -> None:
         raise InputError(f"{path}: found heights from {known.min():g} to {known.max():g} m, expected some of the Earth")
 
 
-def check_relief(path: str, heights: np.ndarray, width_m: float) -> None:
+def _check_relief(path: str, heights: np.ndarray, width_m: float) -> None:
     """Raise InputError for relief that no place has: oblique images of it would be far larger than the scene.
 
     Args:
@@ -176,7 +176,7 @@ def read_surface(path: str, size_m: float, margin_m: float) -> GivenSurface:
     check_heights(path, heights)
     grid, wide, (rows, columns) = window(whole, size_m, margin_m)
     part = heights[0][np.ix_(rows, columns)]
-    check_relief(path, part, wide.width * wide.cell_size)
+    _check_relief(path, part, wide.width * wide.cell_size)
     if not np.isfinite(part).any():
         raise InputError(f"{path}: found no height within the scene, expected some")
     return GivenSurface(grid, wide, whole, (rows, columns), part)

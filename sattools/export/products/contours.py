@@ -81,7 +81,7 @@ def _lines_of_block(maps: Maps, rows: slice, cols: slice, interval: float) -> di
         slice(max(0, part.start - _REACH), min(size, part.stop + 1 + _REACH))
         for part, size in ((rows, height), (cols, width))
     ]
-    smooth = smoothed(maps.read("dsm", *wide)[0])
+    smooth = _smoothed(maps.read("dsm", *wide)[0])
     own = tuple(slice(p.start - w.start, p.stop + 1 - w.start) for p, w in zip((rows, cols), wide))
     values = smooth[own]
     known = np.isfinite(values)
@@ -105,7 +105,7 @@ def _lines_of_block(maps: Maps, rows: slice, cols: slice, interval: float) -> di
     return found
 
 
-def smoothed(height: np.ndarray) -> np.ndarray:
+def _smoothed(height: np.ndarray) -> np.ndarray:
     """Heights ``[H, W]`` [m] without the noise of single cells; NaN stays NaN and does not spread."""
     known = np.isfinite(height)
     blurred = (
@@ -118,4 +118,4 @@ def smoothed(height: np.ndarray) -> np.ndarray:
     return np.where(known, share * total / np.maximum(weight, 1e-9) + (1.0 - share) * height, np.nan)
 
 
-__all__ = ["contour_lines", "smoothed", "write_contours"]
+__all__ = ["contour_lines", "write_contours"]

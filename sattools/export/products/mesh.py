@@ -42,7 +42,7 @@ def mesh_of(height: np.ndarray, cell: float, tolerance: float) -> Mesh:
     """
     rows, cols = height.shape
     step = max(_STEP_M, 1.5 * cell)
-    corners = corner_heights(height.astype(np.float64), step)
+    corners = _corner_heights(height.astype(np.float64), step)
     size = squares(corners, np.isfinite(height), tolerance)
     used, owner = np.zeros((rows + 1, cols + 1), np.bool_), np.full((rows, cols), -1, np.int64)
     _mark(size, used, owner)
@@ -55,7 +55,7 @@ def mesh_of(height: np.ndarray, cell: float, tolerance: float) -> Mesh:
 
 
 @njit(cache=True)
-def corner_heights(height, step):
+def _corner_heights(height, step):
     """Heights ``[H, W, 4]`` [m] of every cell's corners: north-west, north-east, south-east, south-west."""
     rows, cols = height.shape
     corners = np.full((rows, cols, 4), np.nan)
@@ -238,4 +238,4 @@ def _packed(found):
     return out
 
 
-__all__ = ["Mesh", "corner_heights", "mesh_of", "squares"]
+__all__ = ["Mesh", "mesh_of", "squares"]

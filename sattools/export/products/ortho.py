@@ -151,7 +151,7 @@ def mosaic(patch: Patch, cameras: Sequence[Camera], balances: Sequence[Balance])
         shown = shown_at(camera, patch)
         if shown is None:
             continue
-        weight, albedo = weight_of(camera, shown), balance.albedo(shown)
+        weight, albedo = _weight_of(camera, shown), balance.albedo(shown)
         for power, sums in means.items():
             share = weight**power
             sums[:-1] += share * albedo
@@ -163,7 +163,7 @@ def mosaic(patch: Patch, cameras: Sequence[Camera], balances: Sequence[Balance])
     return np.where(source > 0, shaded + sunny * (sharp - shaded), np.nan).astype(np.float32), source
 
 
-def weight_of(camera: Camera, shown: Shown) -> np.ndarray:
+def _weight_of(camera: Camera, shown: Shown) -> np.ndarray:
     """How good an image is at every point ``[h, w]``, in [0, 1]; 0 where it does not see it."""
     import cv2
 
@@ -365,4 +365,4 @@ def _range(maps: Maps) -> tuple[float, float]:
     return (low, high) if low <= high else (0.0, 1.0)
 
 
-__all__ = ["Balance", "balance_of", "mosaic", "weight_of", "with_usual_shadows", "without_haze", "write_ortho"]
+__all__ = ["Balance", "balance_of", "mosaic", "with_usual_shadows", "without_haze", "write_ortho"]

@@ -49,7 +49,7 @@ class Points:
     more: dict[str, np.ndarray]
 
 
-def points_of(maps: Maps, palette: Palette | None = None) -> Iterator[Points]:
+def _points_of(maps: Maps, palette: Palette | None = None) -> Iterator[Points]:
     """All cells with a height, block by block, each at its centre.
 
     Args:
@@ -108,7 +108,7 @@ def write_laz(path: Path, maps: Maps, vertical: str | None, progress: Progress) 
                 file, mode="w", header=header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs, closefd=False
             ) as writer,
         ):
-            for k, points in enumerate(points_of(maps, palette)):
+            for k, points in enumerate(_points_of(maps, palette)):
                 progress(k / total, "LAZ")
                 if len(points.place):
                     record = _record(laspy, header, points)
@@ -167,7 +167,7 @@ def write_ply(path: Path, maps: Maps, datum: str, progress: Progress) -> int:
     def write(temporary: Path) -> None:
         with open(temporary, "xb") as file:
             file.write(head)
-            for k, points in enumerate(points_of(maps, palette)):
+            for k, points in enumerate(_points_of(maps, palette)):
                 progress(k / total, "PLY")
                 _write_block(file, points, kind)
 
@@ -220,4 +220,4 @@ class _Sums:
         self.total += int(z.astype(np.int64).sum())
 
 
-__all__ = ["FILLED_CLASS", "Points", "las_wkt", "points_of", "write_laz", "write_ply"]
+__all__ = ["FILLED_CLASS", "Points", "las_wkt", "write_laz", "write_ply"]

@@ -182,7 +182,8 @@ def solve_amplitudes(
     s: Samples,
     endmembers: Tensor,
     amplitude: Tensor | None = None,
-    rounds: int = 4,
+    *,
+    rounds: int,
     centre: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Unbounded amplitudes ``[N, C]`` that fit best, and their curvature ``[N, C]`` sum (J / sigma)^2.
@@ -206,7 +207,7 @@ def solve_amplitudes(
         j = slope / sigma
         curvature = (weight * j * j).sum(0)
         # a weak pull to the prior's mean keeps cells that no view sees
-        precision = torch.full_like(amplitude, 1e-3) if centre is None else amplitude_precision(centre)
+        precision = torch.full_like(amplitude, 1e-3) if centre is None else _amplitude_precision(centre)
         aim = limits.raw(amplitude.new_tensor(limits.prior_mean)) if centre is None else centre
         step = ((weight * j * residual).sum(0) + precision * (aim - amplitude)) / (curvature + precision)
         amplitude = (amplitude + step.clamp(-1.5, 1.5)).clamp(-9, 9)
@@ -225,7 +226,7 @@ def material_mean(abundances: Tensor, amplitude: Tensor, counted: Tensor | None 
     return abundances @ (mass.T @ amplitude / (mass.sum(0)[:, None] + 1e-6))
 
 
-def amplitude_precision(centre: Tensor) -> Tensor:
+def _amplitude_precision(centre: Tensor) -> Tensor:
     """Precision of the unbounded amplitudes about their material's mean: `LIKENESS` in logarithms of the amplitude.
 
     In the unbounded form bright materials would vary more than dark ones of the same texture, and be pulled down.
@@ -261,15 +262,15 @@ def _system(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, indep
     weight = s.weight[..., None] / (1 + (residual / ROBUST) ** 2)
     centre = material_mean(s.abundances, amplitude)
     cost = float((weight * residual**2).sum()) * independent
-    cost += float((amplitude_precision(centre) * (amplitude - centre) ** 2).sum()) * independent
+    cost += float((_amplitude_precision(centre) * (amplitude - centre) ** 2).sum()) * independent
     slopes = slopes / sigma[..., None]
     j_amplitude, j_shape = slopes[..., 0], slopes[..., 1:]  # [V, N, C], [V, N, C, 3]
-    a = (weight * j_amplitude**2).sum(0) + amplitude_precision(centre)  # [N, C]
+    a = (weight * j_amplitude**2).sum(0) + _amplitude_precision(centre)  # [N, C]
     cross = (weight[..., None] * j_amplitude[..., None] * j_shape).sum(0)  # [N, C, 3]
     full = torch.einsum("vncp,vncq->npq", weight[..., None] * j_shape, j_shape)
     reduced = full - torch.einsum("ncp,ncq->npq", cross / a[..., None], cross)
     g_shape = torch.einsum("vncp,vnc->np", j_shape, weight * residual)
-    g_amplitude = (weight * j_amplitude * residual).sum(0) + amplitude_precision(centre) * (centre - amplitude)
+    g_amplitude = (weight * j_amplitude * residual).sum(0) + _amplitude_precision(centre) * (centre - amplitude)
     g = g_shape - torch.einsum("ncp,nc->np", cross, g_amplitude / a)
     hessian = torch.einsum("nk,nl,npq->kplq", s.abundances, s.abundances, reduced).reshape(count, count) * independent
     gradient = torch.einsum("nk,np->kp", s.abundances, g).reshape(count) * independent
@@ -309,19 +310,22 @@ def invert(kind: Kind, s: Samples, endmembers: Tensor, rounds: int = 12, indepen
         covariance = torch.linalg.inv(hessian)
         step = torch.linalg.solve(hessian + damping * torch.diag(hessian.diagonal()), gradient)
         endmembers = (endmembers + step.reshape(endmembers.shape).clamp(-0.7, 0.7)).clamp(-6, 6)
-        amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, 1, system.centre)
+        amplitude, _ = solve_amplitudes(kind, s, endmembers, amplitude, rounds=1, centre=system.centre)
     return Solution(*best, covariance)
 
 
 __all__ = [
+    "ROBUST",
     "Samples",
     "Solution",
     "differences",
     "invert",
     "material_mean",
+    "noise_of",
     "predict",
     "shape_of",
     "solve_amplitudes",
     "start_endmembers",
+    "with_slope",
     "with_slopes",
 ]

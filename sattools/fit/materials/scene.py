@@ -160,19 +160,18 @@ class ReflectiveScene(SurfaceScene):
         return self.smooth * (torch.sqrt(1 + deviation * deviation) - 1).mean()
 
     @torch.no_grad()
-    def samples(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> Samples:
+    def samples(self, views: Sequence[View], visibility: Sequence[Tensor | None]) -> Samples:
         """What the views show of the present surface, as pi L / E; shade and what is outside weighs nothing.
 
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
-            cell_size: edge of a cell [m].
         """
         height = self.height.detach()
         seen, weight = [], []
         for j, view in enumerate(views):
             east, north = self.pose[j].tolist()
-            picture, shown = shown_on(view, height.cpu().numpy(), cell_size, (east, north))
+            picture, shown = shown_on(view, height.cpu().numpy(), self.cell_size, (east, north))
             light = (torch.from_numpy(picture).to(height) - self.offset[j]) / (self.gain[j] * self.scale[j])
             seen.append(light)
             lit = torch.from_numpy(shown[..., 0]).to(height)
@@ -192,26 +191,25 @@ class ReflectiveScene(SurfaceScene):
         )
 
     @torch.no_grad()
-    def add_sky(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float, sky: Sky) -> None:
+    def add_sky(self, views: Sequence[View], visibility: Sequence[Tensor | None], sky: Sky) -> None:
         """Let the sky light the ground, and find materials and amplitudes anew.
 
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
-            cell_size: edge of a cell [m].
             sky: `fitted`, `auto` or its share per band, or one for all.
         """
         bands = self.amplitude.shape[-1]
         self.sky = torch.ones_like(self.amplitude)  # until `_look_up` knows better
         self.sky_share = self.amplitude.new_tensor([0.0] if isinstance(sky, str) else sky).expand(bands).clone()
         for _ in range(2):  # amplitudes found without the sky are too bright, and the shade beside them too dark
-            whole = self._look_up(self.samples(views, visibility, cell_size), cell_size)
+            whole = self._look_up(self.samples(views, visibility))
             if isinstance(sky, str):
                 self._read_shade(whole, visibility)
                 faint = self.sky_ratio < LEAST_RATIO or float(self.sky_share.max()) < LEAST_SHARE
                 if (sky == "auto" and faint) or self.sky_ratio == 0.0:
                     self.sky, self.sky_share = torch.zeros(0), torch.zeros(0)
-            self.solve(views, visibility, cell_size, 4, amplitudes=True)
+            self.solve(views, visibility, 4, amplitudes=True)
             if not self.has_sky:
                 return
 
@@ -226,11 +224,11 @@ class ReflectiveScene(SurfaceScene):
         shape = (self.height.shape[0], self.height.shape[1])
         self.sky_share, self.sky_ratio = share_in_shade(ratio, deep.reshape(whole.weight.shape), shape)
 
-    def _look_up(self, whole: Samples, cell_size: float) -> Samples:
+    def _look_up(self, whole: Samples) -> Samples:
         """The samples with the sky's gain, for the present heights and materials."""
         amplitude, shape = self.values()
         height, normal = self.casting().detach(), self.normals().detach()
-        self.sky = sky_gain(self.kind, height, normal, cell_size, amplitude.detach(), shape)
+        self.sky = sky_gain(self.kind, height, normal, self.cell_size, amplitude.detach(), shape)
         return replace(whole, sky=self.sky.reshape(whole.normal.shape[0], -1), share=self.sky_share)
 
     @torch.no_grad()
@@ -238,7 +236,6 @@ class ReflectiveScene(SurfaceScene):
         self,
         views: Sequence[View],
         visibility: Sequence[Tensor | None],
-        cell_size: float,
         rounds: int,
         amplitudes: bool,
     ) -> tuple[Samples, Solution]:
@@ -247,13 +244,12 @@ class ReflectiveScene(SurfaceScene):
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
-            cell_size: edge of a cell [m].
             rounds: number of Gauss-Newton steps.
             amplitudes: find them, too.
         """
-        whole = self.samples(views, visibility, cell_size)
+        whole = self.samples(views, visibility)
         if self.has_sky:
-            whole = self._look_up(whole, cell_size)
+            whole = self._look_up(whole)
         usable = torch.nonzero((whole.weight > 0).sum(0) >= 2)[:, 0]
         if len(usable) == 0:
             usable = torch.arange(whole.normal.shape[0])
@@ -269,19 +265,18 @@ class ReflectiveScene(SurfaceScene):
             self.amplitude.copy_(amplitude.reshape(self.amplitude.shape))
         return whole, solution
 
-    def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
+    def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None]) -> None:
         """The endmembers for the present heights.
 
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
-            cell_size: edge of a cell [m].
         """
-        self.solve(views, visibility, cell_size, 2, amplitudes=False)
+        self.solve(views, visibility, 2, amplitudes=False)
 
     @torch.no_grad()
-    def finish(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> dict[str, Tensor]:
-        """Members for the final heights; the albedo becomes the reflectance at standard geometry.
+    def finish(self, views: Sequence[View], visibility: Sequence[Tensor | None]) -> dict[str, Tensor]:
+        """Endmembers for the final heights; the albedo becomes the reflectance at standard geometry.
 
         The amplitudes stay those of gradient descent, which undoes the blur of the images, but for what they must move
         along with the endmembers, and for what an error of the slope explains better.
@@ -289,17 +284,16 @@ class ReflectiveScene(SurfaceScene):
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
-            cell_size: edge of a cell [m].
 
         Returns:
             Standard deviation of every parameter, by name.
         """
         before, sky = self.endmembers.clone(), self.sky
-        whole, solution = self.solve(views, visibility, cell_size, 4, amplitudes=False)
+        whole, solution = self.solve(views, visibility, 4, amplitudes=False)
         flat = self.amplitude.reshape(whole.normal.shape[0], -1)
         earlier = replace(whole, sky=sky.reshape(flat.shape)) if self.has_sky else whole
         old, new = (
-            solve_amplitudes(self.kind, s, endmembers, flat, 1)[0]
+            solve_amplitudes(self.kind, s, endmembers, flat, rounds=1)[0]
             for s, endmembers in ((earlier, before), (whole, self.endmembers))
         )
         amplitude, normal = told_apart(self.kind, whole, flat + new - old, self.endmembers, self.frozen is None)
@@ -351,4 +345,4 @@ def restored(
     return ReflectiveScene(**own, kind=kind, cell_size=cell_size, smooth=smooth, absolute=absolute)
 
 
-__all__ = ["LIT", "ReflectiveScene", "Sky", "level_reflectance", "restored", "standard_reflectance"]
+__all__ = ["LIT", "STANDARD_SUN_DEG", "ReflectiveScene", "Sky", "level_reflectance", "restored", "standard_reflectance"]

@@ -107,7 +107,7 @@ def _modelled(kind: Kind, s: Samples, j: int) -> Tensor:
     """View j ``[N, C]`` by a model fitted to the others."""
     rest = _without(s, j)
     solution = invert(kind, rest, start_endmembers(kind, s.abundances.shape[-1], s.normal), rounds=8)
-    amplitude, _ = solve_amplitudes(kind, rest, solution.endmembers, solution.amplitude, 3)
+    amplitude, _ = solve_amplitudes(kind, rest, solution.endmembers, solution.amplitude, rounds=3)
     return predict(kind, _only(s, j), amplitude, solution.endmembers)[0]
 
 

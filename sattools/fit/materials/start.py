@@ -65,19 +65,9 @@ def reflective(
     normal = frozen
     if normal is None:
         normal = surface_normals(height, cell_size) if steps is None else normals_within(casting, cell_size, steps)
-    mean = torch.zeros_like(scene.albedo)
-    total = torch.zeros_like(height)
-    shaded: list[tuple[Tensor, Tensor]] = []
-    for j, view in enumerate(views):
-        picture, shown = shown_on(view, height.cpu().numpy(), cell_size)
-        weight = torch.from_numpy(shown[..., 0]).to(height) * (visibility[j] > LIT)
-        cosine = (normal @ suns[j]).clamp_min(LOW_LIGHT)
-        light = (torch.from_numpy(picture).to(height) - scene.offset[j]) / (scene.gain[j] * scale[j])
-        mean += weight[..., None] * light / cosine[..., None]
-        shaded.append((light, torch.from_numpy(shown[..., 0]).to(height) * deep_shade(visibility[j])))
-        total += weight
-    mean = mean / total.clamp_min(1)[..., None]
-    abundances = cluster_endmembers(mean.cpu().numpy(), (total > 0).cpu().numpy(), endmembers, seed)
+    cosines = [normal @ sun for sun in suns]
+    colour, known, shaded = _first_colours(scene, views, scale, cell_size, visibility, cosines)
+    abundances = cluster_endmembers(colour.cpu().numpy(), known.cpu().numpy(), endmembers, seed)
     modelled = ReflectiveScene(
         **scene.tensors(),
         absolute=scene.absolute,
@@ -93,11 +83,46 @@ def reflective(
         smooth=smooth,
     )
     if solve:
-        modelled.solve(views, visibility, cell_size, 8, amplitudes=True)
+        modelled.solve(views, visibility, 8, amplitudes=True)
         if sky != "none":
-            modelled.add_sky(views, visibility, cell_size, sky)
+            modelled.add_sky(views, visibility, sky)
         modelled.ambient = ambient_in_shade(modelled, shaded)
     return modelled, visibility
+
+
+def _first_colours(
+    scene: SurfaceScene,
+    views: Sequence[View],
+    scale: Sequence[float],
+    cell_size: float,
+    visibility: Sequence[Tensor],
+    cosines: Sequence[Tensor],
+) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
+    """Albedo ``[H, W, C]`` without shading, by the views that see a cell in the sun, to tell materials by.
+
+    Args:
+        scene: heights and colours of the images.
+        views: images on the scene's grid.
+        scale: see `ReflectiveScene`.
+        cell_size: [m].
+        visibility: of the sun per view, ``[H, W]``.
+        cosines: of the incidence per view, ``[H, W]``.
+
+    Returns:
+        It, where it is known ``[H, W]`` bool, and what `ambient_in_shade` takes of each view.
+    """
+    height = scene.height.detach()
+    mean = torch.zeros_like(scene.albedo)
+    total = torch.zeros_like(height)
+    shaded: list[tuple[Tensor, Tensor]] = []
+    for j, view in enumerate(views):
+        picture, shown = shown_on(view, height.cpu().numpy(), cell_size)
+        weight = torch.from_numpy(shown[..., 0]).to(height) * (visibility[j] > LIT)
+        light = (torch.from_numpy(picture).to(height) - scene.offset[j]) / (scene.gain[j] * scale[j])
+        mean += weight[..., None] * light / cosines[j].clamp_min(LOW_LIGHT)[..., None]
+        shaded.append((light, torch.from_numpy(shown[..., 0]).to(height) * deep_shade(visibility[j])))
+        total += weight
+    return mean / total.clamp_min(1)[..., None], total > 0, shaded
 
 
 @torch.no_grad()

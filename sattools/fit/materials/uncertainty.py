@@ -95,4 +95,4 @@ def shape_correlation(solution: Solution) -> float:
     return float((own[:, 0, 1] / (own[:, 0, 0] * own[:, 1, 1]).sqrt()).median())
 
 
-__all__ = ["known_share", "parameter_std", "shape_correlation"]
+__all__ = ["SLOPE_STD", "known_share", "parameter_std", "shape_correlation"]

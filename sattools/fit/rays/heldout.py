@@ -57,4 +57,4 @@ def verdict(trained: Tensor, start: Tensor, block: Tensor) -> tuple[bool, str]:
     )
 
 
-__all__ = ["block_of", "held_out", "verdict"]
+__all__ = ["ONE_IN", "block_of", "held_out", "verdict"]

@@ -94,4 +94,4 @@ def _put(trainer: RayTrainer, values: dict[str, Tensor]) -> None:
         trainer.tensors[name].copy_(value)
 
 
-__all__ = ["begin_uncertainty", "held_out_losses", "judge_heights"]
+__all__ = ["AT_ONCE", "RAYS", "begin_uncertainty", "held_out_losses", "judge_heights"]

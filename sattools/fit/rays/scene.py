@@ -124,7 +124,7 @@ class RayScene:
         parts = {name: weights.detach() if name == "beta" else weights for name in look}
         mean = {name: (parts[name][..., None] * value).sum(dim=1) for name, value in look.items()}
         surface = batch.start + depth.detach()[:, None] * batch.path
-        s, penalty = self._sunlight(look, mean, surface, sun, known, epoch=epoch, share=share, random=random)
+        s, penalty = self._sunlight(mean, surface, sun, known, epoch=epoch, share=share, random=random)
         # no albedo depends on it, whatever it is, where there is none
         normal = torch.zeros_like(sun) if rays.normal is None else rays.normal[chosen]
         geometry = normal, sun, rays.view_vectors[view]
@@ -168,7 +168,6 @@ class RayScene:
 
     def _sunlight(
         self,
-        look: dict[str, Tensor],
         mean: dict[str, Tensor],
         surface: Tensor,
         sun: Tensor,
@@ -245,4 +244,4 @@ def _depth(weights: Tensor, t: Tensor) -> Tensor:
     return (weights * t).sum(dim=1) + (1 - weights.sum(dim=1))
 
 
-__all__ = ["ALL_IN", "HAPKE_B_MAX", "SHOWN", "Prediction", "RayScene"]
+__all__ = ["ALL_IN", "HAPKE_B_MAX", "SEEN", "SHOWN", "Prediction", "RayScene"]

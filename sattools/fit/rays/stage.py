@@ -37,6 +37,7 @@ from sattools.fit.rays.trainer import FieldSteps, RayTrainer
 from sattools.fit.trace import Trace
 from sattools.progress import Progress
 from sattools.render.around import read_around
+from sattools.render.visibility import Cast
 from sattools.scene import Grid, Scene
 from sattools.scene.jsonio import JsonObject
 from sattools.views import Source, View, match_colours, views_on
@@ -96,15 +97,10 @@ def fit_rays(
     base = None
     if warm:
         assert prior_here is not None  # `check_combination`
-        given = (views, prior_here, z_range, gain.numpy(), offset.numpy())
-        base = base_surface(*given, shaded=options.shadow != "none", cast=casting(around))
-        if coloured:
-            base, gain, offset = coloured.coloured(base, grid), coloured.surface.gain, coloured.surface.offset
-            if options.field == "mlp" and options.shadow != "none" and options.shadow_start == "geometric":
-                learned = options.shadow == "learned"
-                known = known_light(views, base, coloured.surface.ambient, learned=learned, cast=casting(around))
-                base = replace(base, light=known)
+        base = _base_of(options, views, prior_here, z_range, (gain, offset), start=coloured, cast=casting(around))
         base = base.to(device)
+        if coloured:
+            gain, offset = coloured.surface.gain, coloured.surface.offset
     # whatever is made from here on, is made there; where it is made anyway, to ask for it takes a tenth of a fit
     with device if device != torch.get_default_device() else contextlib.nullcontext():
         there = None if prior_here is None else prior_here.to(device)
@@ -127,6 +123,38 @@ def fit_rays(
     if prior_here is not None and prior_here.normal is not None:
         extra["normal"] = prior_here.normal
     return Fitted(replace(model, extra=extra), trace, notes)
+
+
+def _base_of(
+    options: FitOptions,
+    views: list[View],
+    prior: DepthPrior,
+    z_range: tuple[float, float],
+    colours: tuple[torch.Tensor, torch.Tensor],
+    *,
+    start: Beginning | None,
+    cast: Cast,
+) -> SurfaceBase:
+    """The surface to which a field learns what is different, with its colours and, of a network, its light.
+
+    Args:
+        options: of the fit.
+        views: of the training, on the prior's grid.
+        prior: heights, none unknown.
+        z_range: lowest and highest height [m].
+        colours: gain and offset ``[V, C]`` of the images where there is no ``start``.
+        start: whose colours and light it has, or None = the mean image's.
+        cast: sun visibility of heights on cells under a sun.
+    """
+    gain, offset = (array.numpy() for array in colours)
+    base = base_surface(views, prior, z_range, gain, offset, shaded=options.shadow != "none", cast=cast)
+    if start is None:
+        return base
+    base = start.coloured(base, prior.grid)
+    if options.field == "mlp" and options.shadow != "none" and options.shadow_start == "geometric":
+        learned = options.shadow == "learned"
+        base = replace(base, light=known_light(views, base, start.surface.ambient, learned=learned, cast=cast))
+    return base
 
 
 def _exceeded(options: FitOptions, before: float, training: float, after: float) -> list[str]:

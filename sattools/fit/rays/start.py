@@ -20,7 +20,7 @@ from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
-from sattools.fit.rays.trainer import RaySet
+from sattools.fit.rays.rays import RaySet
 from sattools.render import ParallelRays, Quadrature, plate_slopes, render
 from sattools.render.visibility import Cast, sun_visibility
 from sattools.scene import Grid

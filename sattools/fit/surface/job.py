@@ -59,7 +59,7 @@ class SurfaceJob:
     last_softness: float = 0.0
     height_std: Tensor = field(default_factory=lambda: torch.zeros(0))
     parameter_std: dict[str, Tensor] = field(default_factory=dict)
-    light: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
+    illumination: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
     chosen: IlluminationOptions | None = None
     coarse: Coarse | None = None
     around: Around | None = None
@@ -94,7 +94,7 @@ class SurfaceJob:
         notes += self._put_back(surface, grid)
         self.height_std = trainer.height_std()
         if isinstance(surface, ReflectiveScene):
-            notes += self._finish(surface, trainer, grid)
+            notes += self._finish(surface, trainer)
         return surface, grid, notes
 
     def _begin_stage(
@@ -241,7 +241,7 @@ class SurfaceJob:
             solve=False,
             cast=self._cast,
         )
-        cells, block = draw(surface.samples(self.views, lit, grid.cell_size), grid.shape, self.options.seed)
+        cells, block = draw(surface.samples(self.views, lit), grid.shape, self.options.seed)
         return choose_model(cells, block, self.radiance == "relative")
 
     def _put_back(self, surface: SurfaceScene, grid: Grid) -> list[str]:
@@ -262,9 +262,9 @@ class SurfaceJob:
             return []
         return [f"{100 * share:.1f} % of the cells strayed from the prior by more than {STRAY_M:g} m: put back"]
 
-    def _finish(self, surface: ReflectiveScene, trainer: StageTrainer, grid: Grid) -> list[str]:
+    def _finish(self, surface: ReflectiveScene, trainer: StageTrainer) -> list[str]:
         """Last inversion on the final heights; replaces the albedo by the reflectance at standard geometry."""
-        self.parameter_std = surface.finish(self.views, trainer.visibility, grid.cell_size)
+        self.parameter_std = surface.finish(self.views, trainer.visibility)
         return material_notes(surface, self.parameter_std, self.options.sky)
 
     def _after_epoch(

@@ -69,7 +69,7 @@ def choose_light(
     with torch.no_grad():
         shown = show(surface, views, cell_size, cast)
     if options.shadow == "auto":
-        shadow, why = choose_shadow(shown, views, cell_size, options)
+        shadow, why = _choose_shadow(shown, views, cell_size, options)
         options = replace(options, shadow=shadow)
         notes.append(f"shadow {shadow}: {why}")
     if options.transient == "auto":
@@ -105,7 +105,7 @@ def show(surface: SurfaceScene, views: Sequence[View], cell_size: float, cast: C
     return Shown(torch.stack(colours), torch.stack(weights), torch.stack(lights))
 
 
-def choose_shadow(shown: Shown, views: Sequence[View], cell_size: float, options: FitOptions) -> tuple[Shadow, str]:
+def _choose_shadow(shown: Shown, views: Sequence[View], cell_size: float, options: FitOptions) -> tuple[Shadow, str]:
     """The richest model of sun visibility that predicts held-out views better than the plainer ones, and why.
 
     Args:
@@ -253,4 +253,4 @@ def _line(x: Tensor, y: Tensor) -> tuple[float, float]:
     return a, b
 
 
-__all__ = ["Shown", "choose_light", "choose_shadow", "show", "transient_share"]
+__all__ = ["Shown", "choose_light", "show", "transient_share"]

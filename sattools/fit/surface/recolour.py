@@ -16,7 +16,7 @@ import torch
 
 from sattools.camera.cells import project_cells
 from sattools.fit.model import FittedModel
-from sattools.progress import Progress, silent, subprogress
+from sattools.progress import Progress, subprogress
 from sattools.render.visibility import Cast
 from sattools.views import Source
 from sattools.views.resample import read_at
@@ -93,8 +93,8 @@ def recoloured(
     full_scale: float | None,
     *,
     held: Held,
-    seed: int = 0,
-    progress: Progress = silent,
+    seed: int,
+    progress: Progress,
 ) -> FittedModel:
     """A surface without reflectance model, with the albedo and the colours that explain the images best.
 
@@ -108,7 +108,7 @@ def recoloured(
         seed: of the cells that tell the colours.
         progress: told the share done and what is being done.
     """
-    seen = observe(model, sources, cast, full_scale, subprogress(progress, 0.0, 0.5))
+    seen = _observe(model, sources, cast, full_scale, subprogress(progress, 0.0, 0.5))
     colours = Colours(*(getattr(model, name).double().numpy() for name in ("gain", "offset", "ambient")))
     start = model.albedo.reshape(-1, model.albedo.shape[-1]).numpy()
     some = sample(seen, start, seed)
@@ -129,8 +129,8 @@ def recoloured(
     return replace(model, albedo=shaped, gain=gain, offset=offset, ambient=ambient)
 
 
-def observe(
-    model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, progress: Progress = silent
+def _observe(
+    model: FittedModel, sources: Sequence[Source], cast: Cast, full_scale: float | None, progress: Progress
 ) -> Seen:
     """What the images show at a surface's cells, read at the pixels where these lie; hidden cells do not count.
 
@@ -312,7 +312,6 @@ __all__ = [
     "Held",
     "Seen",
     "Usual",
-    "observe",
     "recoloured",
     "sample",
     "solve_albedo",

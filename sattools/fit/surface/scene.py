@@ -68,13 +68,12 @@ class SurfaceScene:
         """What the loss holds against the scene's materials, beside the images; unitless."""
         return 0.0
 
-    def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None], cell_size: float) -> None:
+    def refresh(self, views: Sequence[View], visibility: Sequence[Tensor | None]) -> None:
         """Bring up to date what is not trained by gradient; called every few epochs.
 
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
-            cell_size: edge of a cell [m].
         """
 
     def to(self, device: torch.device) -> SurfaceScene:

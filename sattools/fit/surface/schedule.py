@@ -43,7 +43,7 @@ def schedule(
     """
     if min(options.softness) <= 0:
         raise SceneError(f"--softness: found {options.softness}, expected positive numbers")
-    epochs = options.epochs or [default_epochs(options, with_prior, relative)]
+    epochs = options.epochs or [_default_epochs(options, with_prior, relative)]
     if min(epochs) < 1:
         raise SceneError(f"--epochs: found {options.epochs}, expected positive numbers")
     finest = options.resolution or 2 * cell
@@ -55,7 +55,7 @@ def schedule(
     stages = [
         StageSettings(c, epochs[min(k, len(epochs) - 1)], (first * c, last * c), z_range) for k, c in enumerate(cells)
     ]
-    return stages if options.brdf in ("lambert", "auto") else [*stages[:-1], *pretrained(stages[-1], options.pretrain)]
+    return stages if options.brdf in ("lambert", "auto") else [*stages[:-1], *_pretrained(stages[-1], options.pretrain)]
 
 
 def own_cell(scene: Scene) -> float:
@@ -67,7 +67,7 @@ def own_cell(scene: Scene) -> float:
     return max(fine.cell_size, grid.cell_size / 2)
 
 
-def default_epochs(options: FitOptions, with_prior: bool, relative: bool) -> int:
+def _default_epochs(options: FitOptions, with_prior: bool, relative: bool) -> int:
     """Passes over all views of a stage: a matched surface needs fewer, unless light is to be learned, too.
 
     From the fourth pass on the surface of JAX_068 or of a simulated city changes by less than a centimetre; heights and
@@ -80,7 +80,7 @@ def default_epochs(options: FitOptions, with_prior: bool, relative: bool) -> int
     return FEWEST_EPOCHS if relative and options.brdf == "lambert" else FEW_EPOCHS
 
 
-def pretrained(stage: StageSettings, share: float) -> list[StageSettings]:
+def _pretrained(stage: StageSettings, share: float) -> list[StageSettings]:
     """A stage in two: a share of its epochs without, the rest with a reflectance model; softness goes on falling."""
     before = min(round(share * stage.epochs), stage.epochs - 1)
     first, last = stage.softness

@@ -54,7 +54,7 @@ class StageSettings:
     reflective: bool = False
 
 
-def prior_loss(height: Tensor, prior: DepthPrior) -> Tensor:
+def _prior_loss(height: Tensor, prior: DepthPrior) -> Tensor:
     """Mean of confidence * min(|h - prior|, 1 m): where rendering disagrees by more, the prior lets go.
 
     Args:
@@ -178,7 +178,7 @@ class StageTrainer:
             if self.options.pose and epoch and not self.scene.held:
                 self._refine_poses()
             if epoch:
-                self.scene.refresh(self.views, self.visibility, self.settings.cell_size)
+                self.scene.refresh(self.views, self.visibility)
 
     @torch.no_grad()
     def _weigh_walls(self) -> None:
@@ -215,7 +215,7 @@ class StageTrainer:
         bending = smoothness_penalty(self.scene.height, self.settings.cell_size, edge_aware, knee=self.knee)
         total = loss + self.smooth * bending + self.scene.penalty()
         if self.prior is not None:
-            total = total + options.prior_weight * prior_loss(self.scene.height, self.prior)
+            total = total + options.prior_weight * _prior_loss(self.scene.height, self.prior)
         epoch_of_all = epoch + 1 + self.index * self.settings.epochs
         illumination_cost = self.illumination.cost(
             j, self.views[j].sun, self.visibility[j], epoch_of_all, options, self.scale
@@ -304,4 +304,4 @@ class StageTrainer:
                 self.adam.state[p] = {k: v if k == "step" else v.to(p.device) for k, v in saved.items()}
 
 
-__all__ = ["REFRESH", "StageSettings", "StageTrainer", "make_quadrature", "prior_loss"]
+__all__ = ["REFRESH", "WALL_SLOPE", "StageSettings", "StageTrainer", "make_quadrature"]

@@ -47,7 +47,7 @@ class Answers(logging.Handler):
         self.tell("progress", [fraction, message])
 
 
-def error_to_tell(error: Exception) -> list[Any]:
+def _error_to_tell(error: Exception) -> list[Any]:
     """Kind of an error, and what another one of that kind is made of.
 
     Args:
@@ -81,7 +81,7 @@ def serve(orders: Iterable[str], answers: Answers) -> None:
         except Exception as error:  # the command makes one line of it, whatever it is
             if not isinstance(error, SattoolsError):
                 log.debug("%s", traceback.format_exc())
-            answers.tell("error", error_to_tell(error))
+            answers.tell("error", _error_to_tell(error))
             continue
         answers.tell("done", result["notes"])
         del result, scene

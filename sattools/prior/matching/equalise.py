@@ -149,4 +149,4 @@ def brightened(frame: Frame, gain: np.ndarray, offset: np.ndarray) -> Frame:
     return replace(frame, images=frame.images * gain[:, None, None] + offset[:, None, None])
 
 
-__all__ = ["brightened", "equally_bright", "equally_sharp", "gains"]
+__all__ = ["SHARP", "brightened", "equally_bright", "equally_sharp", "gains"]

@@ -299,4 +299,16 @@ def pair_weights(task: MatchTask) -> tuple[int, np.float32, np.float32]:
     return 1, weak, mixed
 
 
-__all__ = ["MatchTask", "agreement", "narrow", "pair_weights", "planes", "sweep", "sweep_blocks"]
+__all__ = [
+    "BEYOND_PLANES",
+    "KEEP_PLANES",
+    "ROBUST_PAIRS",
+    "TOWN_PAIRS",
+    "MatchTask",
+    "agreement",
+    "narrow",
+    "pair_weights",
+    "planes",
+    "sweep",
+    "sweep_blocks",
+]
