@@ -95,7 +95,7 @@ def shift_to_raster(
         The shift, and the method that has found it.
 
     Raises:
-        InputError: as `heights_around` and `shift_within`.
+        InputError: nothing of the surface was measured; as `heights_around` and `shift_within`.
     """
     grid = raster_grid(surface.dsm)
     step = math.ceil(math.sqrt(grid.width * grid.height / MOST_CELLS))
@@ -104,6 +104,11 @@ def shift_to_raster(
         if found is not None:
             return found
     height, error, own = surface.read(grid, step)
+    if not np.isfinite(height).any():
+        raise InputError(
+            f"found nothing measured in {surface.dsm}, expected heights to register by: filled ones and water that was "
+            "laid level say nothing (`validity`)"
+        )
     onto, onto_grid = heights_around(reference, grid, options.max_shift, step)
     return _shift(height, error, own, (onto, onto_grid), options, progress)
 

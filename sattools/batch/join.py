@@ -24,7 +24,7 @@ from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import datum_tag, raster_grid, raster_vertical, read_on, read_overview, read_raster
 from sattools.scene.regrid import sample_map
-from sattools.scene.validity import FILLED, MEANING, MEASURED, UNSEEN, UNWANTED
+from sattools.scene.validity import FILLED, LEVELLED, MEANING, MEASURED, UNSEEN, UNWANTED
 
 log = logging.getLogger(__name__)
 HEIGHTS, VALIDITY = "dsm", "validity"
@@ -33,9 +33,9 @@ SEAMS = "seams.json"
 FILES = (*(f"{name}.tif" for name in (*MAPS, VALIDITY)), SEAMS)  # at most
 ROWS = 256  # of the whole that are put together at a time
 LARGE_STEP_M = 0.5  # between two scenes that should know the same ground
-# of weights, which are distances to the border [m]: the least, and the share that what is filled has of its own; over
-# 10 km that is still nothing beside the former
-FAINT, FILLED_SHARE = 1e-6, 1e-15
+# of weights, which are distances to the border [m]: the least, and the share that what is not measured has of its own;
+# over 10 km that is still nothing beside the former
+FAINT, UNMEASURED_SHARE = 1e-6, 1e-15
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,11 @@ class Part:
         """``[h, w]`` of cells of a grid in the same CRS, above 0; they are for where the scene knows a height.
 
         The distance to the border of what two images reach [m], so that they pass from one scene to the next over the
-        whole of what the two share; of cells that are filled so little that measured ones of another scene win, even
-        those at its border.
+        whole of what the two share; of cells that are filled or laid level as water so little that measured ones of
+        another scene win, even those at its border.
         """
         inside = np.maximum(sample_map(self.inside, self.looked_at, where, outside=0.0), FAINT)
-        return inside * np.where(self.measured(where), 1.0, FILLED_SHARE)
+        return inside * np.where(self.measured(where), 1.0, UNMEASURED_SHARE)
 
 
 def inner_distance(known: np.ndarray, cell_size: float) -> np.ndarray:
@@ -240,7 +240,7 @@ def _strip(parts: Sequence[Part], name: str, strip: Grid) -> np.ndarray:
 
 def _codes(parts: Sequence[Part], strip: Grid) -> np.ndarray:
     """Validity of the whole on some of its rows ``[h, w]``: the best that any scene says, nobody's cells unseen."""
-    ranks = (UNWANTED, UNSEEN, FILLED, MEASURED)
+    ranks = (UNWANTED, UNSEEN, FILLED, LEVELLED, MEASURED)
     best = np.full(strip.shape, -1, np.int8)
     for part in parts:
         own = part.codes(strip)

@@ -25,6 +25,7 @@ def command(scenes: tuple[str, ...], overwrite: bool, dry_run: bool, print_confi
     """Match the scene's images in ground geometry: a rough surface, its confidence, and its normals.
 
     Writes prior/dsm.tif, prior/confidence.tif (0 to 1) and prior/normals.tif (east, north, up) below the scene's root.
+    prior/water.tif says where water was laid level.
     Where the images go on beyond the area, prior/surroundings.tif has the heights of 16 m around it, for shadows.
     """
     options = build(PriorOptions, values)

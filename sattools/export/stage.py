@@ -31,6 +31,7 @@ from sattools.export.surface_files import (
     VALIDITY,
     SurfaceFiles,
     heights_of_start,
+    with_water,
 )
 from sattools.export.validity import Witnesses
 from sattools.fit.stored import StoredModel
@@ -41,7 +42,7 @@ from sattools.scene.area import wanted_cells
 from sattools.scene.dependencies import MADE, STAGES, begin, check_current, may_begin, names_of, record
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.stored import new_map
-from sattools.scene.validity import FILLED, MEASURED, UNSEEN, UNWANTED
+from sattools.scene.validity import CLASSES, FILLED, LEVELLED, MEASURED, UNSEEN, UNWANTED
 
 if TYPE_CHECKING:  # PyTorch, whose import takes a second, is for reflectance models, networks and rendering alone
     from sattools.export.parts import Parts, WholeModel
@@ -83,7 +84,7 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     around = read_around(scene)
     surface = Surroundings(stored.grid, lambda rows, cols: stored.maps(rows, cols).height, around)
     pieces = blocks(stored.grid, model is not None)
-    counts = np.zeros(4, np.int64)
+    counts = np.zeros(len(CLASSES), np.int64)
     last: Exported | None = None
     shown = new_map(stored.grid.shape, np.uint8, scene.root)
     with SurfaceFiles(scene, stored, options.vertical, witnesses.known) as files:
@@ -108,9 +109,11 @@ def export(scene: Scene, options: ExportOptions, progress: Progress = silent, ov
     kinds = {"measured": MEASURED, "filled": FILLED, "unseen": UNSEEN}
     if counts[UNWANTED]:
         kinds["outside"] = UNWANTED
+    if counts[LEVELLED]:
+        kinds["water"] = LEVELLED
     shares = {name: round(float(counts[kind] / max(counts.sum(), 1)), 4) for name, kind in kinds.items()}
     fractions = shares if witnesses.known else None
-    empty = witnesses.known and not counts[MEASURED] + counts[FILLED] and not options.fill
+    empty = witnesses.known and not counts[[MEASURED, FILLED, LEVELLED]].any() and not options.fill
     made = record(scene, "export")
     notes = _notes(scene, stored, bool(empty), _left(scene, outputs, made["export"]["outputs"]["dsm"]))
     return {
@@ -146,11 +149,11 @@ def _opened(scene: Scene, options: ExportOptions) -> tuple[StoredModel, FittedMo
 def _write_block(
     scene: Scene, stored: StoredModel, block: Block, what: tuple[Surroundings, Witnesses, SurfaceFiles], fill: bool
 ) -> tuple[Exported, NDArray[np.int64]]:
-    """Where a block, whose maps have been written, may be shown, and its cells by kinds of validity ``[4]``."""
+    """Where a block, whose maps have been written, may be shown, and its cells by kinds of validity ``[5]``."""
     surface, witnesses, files = what
     maps = stored.maps(block.rows, block.cols)
     known = np.isfinite(maps.height)
-    validity = witnesses.validity(block, surface) if witnesses.known else None
+    validity = with_water(scene, witnesses.validity(block, surface), block.grid) if witnesses.known else None
     valid = known if fill or validity is None else validity != UNSEEN
     wanted = wanted_cells(scene, block.grid)
     if wanted is not None:
@@ -158,7 +161,8 @@ def _write_block(
         validity = None if validity is None else np.where(wanted, validity, UNWANTED).astype(np.uint8)
     exported = Exported(scene, stored.about, valid)
     files.write(block, exported, maps, surface, validity, witnesses.saturated(block, surface))
-    counts = np.zeros(4, np.int64) if validity is None else np.bincount(validity.ravel(), minlength=4)
+    kinds = len(CLASSES)
+    counts = np.zeros(kinds, np.int64) if validity is None else np.bincount(validity.ravel(), minlength=kinds)
     return exported, counts
 
 

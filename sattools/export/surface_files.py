@@ -21,7 +21,7 @@ from sattools.scene import Asset, Grid, Scene
 from sattools.scene.cog import CogWriter, cogs
 from sattools.scene.memory import give_back
 from sattools.scene.raster import read_on
-from sattools.scene.validity import MEANING
+from sattools.scene.validity import FILLED, LEVELLED, MEANING, MEASURED
 
 # what the model may hold per image
 IMAGE_MAPS = {
@@ -31,6 +31,7 @@ IMAGE_MAPS = {
 }
 DSM, STD, ALBEDO, PICTURE = "export/dsm.tif", "export/dsm_std.tif", "export/albedo.tif", "export/dsm.png"
 VALIDITY, PROBABILITY = "export/validity.tif", "export/probability.tif"
+WATER = "prior_water"  # product that says where the prior laid water level
 ERROR95 = "export/dsm_error95.tif"
 # what the prior says of its heights -> its product, and the file on the cells of the surface: a fit that starts from
 # matching corrects its heights by less than a metre nearly everywhere
@@ -193,6 +194,21 @@ def heights_of_start(about: Description) -> str | None:
     return f"those of the {start} that the field started from: its own were not found to explain held-out rays better"
 
 
+def with_water(scene: Scene, validity: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
+    """Validity ``[h, w]`` on a part of the ground, with water that the prior laid level.
+
+    Two images may see it, but its height is an assumption. Priors of other programs and older versions do not say.
+
+    Raises:
+        InputError: the map cannot be read.
+    """
+    if WATER not in scene.products:
+        return validity
+    laid = _one_band(scene.path(scene.products[WATER]), grid) >= 0.5  # of a cell, at least
+    known = (validity == MEASURED) | (validity == FILLED)
+    return np.where(laid & known, LEVELLED, validity).astype(np.uint8)
+
+
 def _one_band(path: Path, target: Grid) -> np.ndarray:
     """A raster with one band ``[h, w]`` on a part of the ground."""
     array = read_on(path, target)
@@ -217,6 +233,8 @@ __all__ = [
     "PROBABILITY",
     "STD",
     "VALIDITY",
+    "WATER",
     "SurfaceFiles",
     "heights_of_start",
+    "with_water",
 ]

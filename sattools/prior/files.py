@@ -33,12 +33,14 @@ from sattools.scene.stored import pieces
 DSM, CONFIDENCE, NORMALS = "prior/dsm.tif", "prior/confidence.tif", "prior/normals.tif"
 PROBABILITY = "prior/probability.tif"
 STD, ERROR95 = "prior/dsm_std.tif", "prior/dsm_error95.tif"
+WATER = "prior/water.tif"
+WATER_MEANING = "1 = water with waves, about which images do not agree, laid level with its shore; 0 = all other ground"
 SURROUNDINGS = "prior/surroundings.tif"
 RIM_M = 4.0  # of the area itself that is in that file, too: between cells there are no gaps
 DATUM = {"VERTICAL_DATUM": "WGS84 ellipsoid"}
 MAPS = {
     "dsm": DSM, "confidence": CONFIDENCE, "probability": PROBABILITY, "dsm_std": STD, "dsm_error95": ERROR95,
-    "normals": NORMALS,
+    "normals": NORMALS, "water": WATER,
 }  # fmt: skip
 
 
@@ -103,7 +105,11 @@ class MapFiles:
                 scene.output(ERROR95), grid, **_error("95 % of the errors of the height are smaller", ERROR95_MEANING)
             ),
             CogWriter(scene.output(NORMALS), grid, bands=3, **slant),
-        ]
+            CogWriter(
+                scene.output(WATER), grid, dtype=np.uint8, nodata=None, tags={"MEANING": WATER_MEANING, **about},
+                descriptions=["laid level as water"],
+            ),
+        ]  # fmt: skip
 
     def __enter__(self) -> MapFiles:
         self._stack.enter_context(cogs(self._files))
@@ -114,17 +120,19 @@ class MapFiles:
         beyond = max(1, margin(self.grid.cell_size))  # a row for the normals
         return slice(max(0, rows.start - beyond), min(self.grid.height, rows.stop + beyond))
 
-    def write(self, height: np.ndarray, confidence: np.ndarray, rows: slice) -> None:
+    def write(self, height: np.ndarray, confidence: np.ndarray, rows: slice, water: np.ndarray | None = None) -> None:
         """Write some rows of height and confidence, and of what follows from them.
 
         Args:
             height: ``[h, W]`` [m], of the rows that `around` tells.
             confidence: ``[h, W]`` in [0, 1], of the same.
             rows: to write.
+            water: ``[h, W]``, of the same, whether it was laid level as such; None = nowhere.
         """
+        laid = np.zeros(height.shape, bool) if water is None else water
         cell, first = self.grid.cell_size, self.around(rows).start
         own = slice(rows.start - first, rows.stop - first)
-        maps = height, confidence, *height_doubt(height, confidence, cell, self._span), normals(height, cell)
+        maps = height, confidence, *height_doubt(height, confidence, cell, self._span), normals(height, cell), laid
         for file, values in zip(self._files, maps, strict=True):
             file.write(values[..., own, :], rows)
 
@@ -193,6 +201,6 @@ def read_prior(scene: Scene, within: Grid | None = None) -> tuple[np.ndarray, np
 
 
 __all__ = [
-    "CONFIDENCE", "DATUM", "DSM", "MAPS", "NORMALS", "PROBABILITY", "SURROUNDINGS", "MapFiles", "read_prior",
+    "CONFIDENCE", "DATUM", "DSM", "MAPS", "NORMALS", "PROBABILITY", "SURROUNDINGS", "WATER", "MapFiles", "read_prior",
     "write_sensor_map", "write_surroundings",
 ]  # fmt: skip

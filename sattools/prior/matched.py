@@ -42,6 +42,7 @@ class Matched:
         seen_by_two, consistent_in_two: shares of the cells, without those around the area.
         bent: the image whose lines of sight are the least parallel, and by how much [m].
         shares: how much every image counted, by id.
+        water: ``[H, W]`` uint8, 1 = laid level as water, which says nothing of how high it is; None = nowhere.
     """
 
     height: np.ndarray
@@ -52,6 +53,7 @@ class Matched:
     consistent_in_two: float
     bent: tuple[str, float]
     shares: dict[str, float]
+    water: np.ndarray | None = None
 
 
 def match_area(

@@ -54,7 +54,7 @@ def prior(
     implicit: bool = False,
     sources: list[Source] | None = None,
 ) -> JsonObject:
-    """Match the scene's training images; writes height, confidence, probability, normals below ``prior/`` of the root.
+    """Match the scene's training images; writes height, confidence and what follows below ``prior/`` of the root.
 
     Args:
         scene: gets the products.
@@ -95,24 +95,29 @@ def prior(
         found = match_area(sources, wide, z_range, options, part, of=fine)
     if found is None:
         raise SceneError(f"scene {scene.id}: {NO_STEREO}")
-    water = 0.0
     if options.water == "level":
         looks = brightness_of_blocks(scene, items, images, wide)
         water = level_water(found.height, found.confidence, wide.cell_size, looks, len(found.pairs))
+        found = replace(found, water=water)
     around, everything = _wide_cells(grid, fine, wide, found.height)
     found = _within(fine, wide, found)
     if fine != grid:
-        found = replace(found, height=_on(grid, found.height, fine), confidence=_on(grid, found.confidence, fine))
+        found = replace(
+            found,
+            height=_on(grid, found.height, fine),
+            confidence=_on(grid, found.confidence, fine),
+            water=None if found.water is None else _on(grid, found.water, fine) >= 0.5,  # of a cell, at least
+        )
 
     progress(0.9, "writing")
-    write_maps(scene, found.height, found.confidence, grid)
+    write_maps(scene, found.height, found.confidence, grid, found.water)
     write_surroundings(scene, everything, around if around not in (fine, grid) else None)
     if options.per_image:
         maps = np.asarray(found.height), np.asarray(found.confidence)
         _per_image(scene, items, images, grid, maps, progress=subprogress(progress, 0.92, 1.0))
     progress(1.0, "matched")
     return {
-        "notes": notes + _notes(scene, found, len(items), grid, water),
+        "notes": notes + _notes(scene, found, len(items), grid),
         "prior": {
             "pairs": [list(pair) for pair in found.pairs],
             "seen_by_two": round(found.seen_by_two, 4),
@@ -154,14 +159,15 @@ def _within(grid: Grid, around: Grid, found: Matched) -> Matched:
     rows, cols = around.window(grid)
 
     def cut_out(values: np.ndarray) -> np.ndarray:
-        own = map_like(values, grid.shape, np.float32)
+        own = map_like(values, grid.shape, values.dtype)
         for part in pieces(grid.shape):
             own[part] = values[rows.start + part.start : rows.start + part.stop, cols]
         return own
 
     if around == grid:
         return found
-    return replace(found, height=cut_out(found.height), confidence=cut_out(found.confidence))
+    water = None if found.water is None else cut_out(found.water)
+    return replace(found, height=cut_out(found.height), confidence=cut_out(found.confidence), water=water)
 
 
 def _on(grid: Grid, values: np.ndarray, matched: Grid) -> np.ndarray:
@@ -179,7 +185,9 @@ def _on(grid: Grid, values: np.ndarray, matched: Grid) -> np.ndarray:
     return found
 
 
-def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid) -> None:
+def write_maps(
+    scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: Grid, water: np.ndarray | None = None
+) -> None:
     """Write height [m] and confidence, both ``[H, W]``, and what follows from them, as the scene's prior.
 
     That is the probability of a height to be less than 1 m off, how far off it may be, and its normals.
@@ -189,11 +197,12 @@ def write_maps(scene: Scene, height: np.ndarray, confidence: np.ndarray, grid: G
         height: ``[H, W]`` [m].
         confidence: ``[H, W]`` in [0, 1].
         grid: of the maps.
+        water: ``[H, W]``, whether it was laid level as such; None = nowhere.
     """
     with MapFiles(scene, grid) as files:
         for rows in pieces(grid.shape):
             around = files.around(rows)
-            files.write(height[around], confidence[around], rows)
+            files.write(height[around], confidence[around], rows, None if water is None else water[around])
 
 
 def _mean(values: np.ndarray, least: float | None = None) -> float:
@@ -234,7 +243,7 @@ def _per_image(
             item.assets[name] = Asset(href, GEOTIFF_TYPE)
 
 
-def _notes(scene: Scene, found: Matched, images: int, grid: Grid, water: float) -> list[str]:
+def _notes(scene: Scene, found: Matched, images: int, grid: Grid) -> list[str]:
     notes = []
     name, bent = found.bent
     if bent > 0.5 * grid.cell_size:
@@ -245,6 +254,7 @@ def _notes(scene: Scene, found: Matched, images: int, grid: Grid, water: float) 
     if less:
         notes.append(f"{', '.join(less)}: less weight in the matching, being less sharp than other images")
     notes += _disagreement(found, images)
+    water = 0.0 if found.water is None else _mean(found.water)
     if water > LEAST_TOLD:
         notes.append(f"{100 * water:.0f} % of the area looks like water with waves, laid level with its shore")
     if found.seen_by_two < 0.9:

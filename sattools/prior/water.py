@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.ndimage import binary_dilation, find_objects, label, uniform_filter
 
-from sattools.scene.stored import pieces
+from sattools.scene.stored import map_like, pieces
 
 BLOCK_M = 4.0  # edge of the blocks that are looked at
 CORE = 0.08  # mean confidence of a square of 5 blocks, up to which nothing of it has been matched
@@ -44,8 +44,8 @@ def block_of(cell: float) -> int:
     return max(1, round(BLOCK_M / cell))
 
 
-def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: Looks, pairs: int) -> float:
-    """Lay level what has not been matched and looks like water; its share of the cells.
+def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: Looks, pairs: int) -> np.ndarray:
+    """Lay level what has not been matched and looks like water.
 
     Args:
         height: ``[H, W]`` matched [m], to be read and written by rows; changed.
@@ -53,11 +53,15 @@ def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: 
         cell: edge of a cell [m].
         looks: how the images show blocks of `block_of` cells.
         pairs: of images that were matched.
+
+    Returns:
+        ``[H, W]`` uint8, 1 = was laid level; a map as that of the heights.
     """
+    water = map_like(height, (height.shape[0], height.shape[1]), np.uint8)
     size = block_of(cell)
     shape = height.shape[0] // size, height.shape[1] // size
     if min(shape) < 5:
-        return 0.0
+        return water
     means = np.zeros((5, *shape))
     for rows, blocks in _bands(shape, size):
         own, doubt = height[rows, : shape[1] * size], confidence[rows, : shape[1] * size]
@@ -66,8 +70,7 @@ def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: 
             total[blocks] = values.reshape(-1, size, shape[1], size).mean(axis=(1, 3), dtype=np.float64)
     levels = water_levels(means, size * cell, looks, few=pairs < FEW_PAIRS)
     if not np.isfinite(levels).any():
-        return 0.0
-    count = 0
+        return water
     for rows, blocks in _bands(shape, size):
         level = np.repeat(np.repeat(levels[blocks], size, axis=0), size, axis=1)
         own, doubt = np.array(height[rows, : level.shape[1]]), np.array(confidence[rows, : level.shape[1]])
@@ -76,8 +79,8 @@ def level_water(height: np.ndarray, confidence: np.ndarray, cell: float, looks: 
         laid = np.isfinite(level) & ~something[rows.start - first :][: len(own)]
         own[laid], doubt[laid] = level[laid], 0.0
         height[rows, : level.shape[1]], confidence[rows, : level.shape[1]] = own, doubt
-        count += int(laid.sum())
-    return count / (height.shape[0] * height.shape[1])
+        water[rows, : level.shape[1]] = laid
+    return water
 
 
 def _stands_there(confidence: np.ndarray, cell: float) -> np.ndarray:

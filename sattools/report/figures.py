@@ -142,7 +142,7 @@ def _count(cells: int) -> str:
 
 
 def validity_figure(codes: np.ndarray, grid: Grid) -> Any:
-    """Map of what was measured, filled, not seen, or not wanted; the legend says how much of the area each is.
+    """Map of what was measured, filled, laid level, not seen or not wanted; the legend says how much each is.
 
     Args:
         codes: ``[H, W]`` of product `validity`.

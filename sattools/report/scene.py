@@ -210,7 +210,8 @@ def _surface(scene: Scene) -> Section:
     path = product(scene, "validity")
     if path is not None:
         codes, grid = read_overview(path)
-        caption = "What the heights stand on: measured by two images or more, filled from neighbours, or unseen."
+        caption = "What the heights stand on: measured by two images or more, filled from neighbours, "
+        caption += "laid level as water, or unseen."
         section.parts.append(Picture(figures.validity_figure(codes[0], grid), "Map of validity", caption))
     path = product(scene, "difference")
     if path is not None:

@@ -45,7 +45,7 @@ STAGES: dict[str, Stage] = {
     "prior": Stage(
         (
             *("prior_dsm", "prior_dsm_error95", "prior_confidence", "prior_probability", "prior_normals"),
-            "prior_surroundings",
+            *("prior_surroundings", "prior_water"),
         ),
         ("depth", "confidence"),
     ),

@@ -287,3 +287,20 @@ def test_what_cannot_be_joined_is_named(tiles: list[Scene], tmp_path: Path) -> N
     del tiles[0].products["dsm"]
     with pytest.raises(SceneError, match="WEST: found no DSM"):
         join(tiles, tmp_path / "out")
+
+
+def test_water_that_was_laid_level_gives_way_to_what_another_scene_measured(tiles: list[Scene], tmp_path: Path) -> None:
+    """West of 15 m of land, the first scene has taken all for water at 3 m, of which the other has measured 10 m."""
+    water = np.full((400, 400), 4)
+    water[:, 370:] = 1
+    rewrite(tiles[0], np.where(water == 4, 3.0, 9.9), water)
+    rewrite(tiles[1], np.full((400, 400), 10.0), np.ones((400, 400)))
+    made = join(tiles, tmp_path / "out")
+    (seam,) = made["seams"]
+    assert seam["median_m"] == pytest.approx(0.1, abs=1e-5)  # of what both have measured
+    assert seam["cells"] == 30 * 400
+    heights, codes = (read_raster(tmp_path / f"out/{name}.tif")[0][0] for name in ("dsm", "validity"))
+    np.testing.assert_allclose(heights[:, 245:365], 10.0, atol=1e-5)
+    assert set(np.unique(heights[:, :239])) == {3.0}
+    assert set(np.unique(codes[:, :239])) == {4}
+    assert set(np.unique(codes[:, 241:])) == {1}

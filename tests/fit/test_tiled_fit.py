@@ -64,7 +64,7 @@ def test_tiles_leave_what_a_fit_of_the_whole_leaves(both: Any) -> None:
     assert tiled.products.keys() == whole.products.keys()
     assert "4 tiles of up to 32 m" in said["notes"]
     assert not (tiled.root / "fit/tiles").exists()
-    for name in ("dsm", "confidence", "normals"):
+    for name in ("dsm", "confidence", "normals", "water"):
         assert (tiled.root / f"prior/{name}.tif").exists()
 
 

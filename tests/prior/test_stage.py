@@ -40,7 +40,7 @@ def product(scene: Any, name: Any) -> Any:
 def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     scene, entry = matched
     names = ("prior_dsm", "prior_dsm_std", "prior_dsm_error95", "prior_confidence", "prior_probability")
-    for name, bands in (*((name, 1) for name in names), ("prior_normals", 3)):
+    for name, bands in (*((name, 1) for name in (*names, "prior_water")), ("prior_normals", 3)):
         array, grid = product(scene, name)
         assert grid == scene.require_grid()
         assert array.shape == (bands, *grid.shape)
@@ -51,6 +51,9 @@ def test_surface_confidence_and_normals_lie_on_the_grid(matched: Any) -> None:
     np.testing.assert_allclose(np.linalg.norm(normals, axis=0), 1.0, atol=1e-5)
     assert entry["prior"]["seen_by_two"] > 0.9
     assert len(entry["prior"]["pairs"]) <= 15  # six views
+    with rasterio.open(scene.path(scene.products["prior_water"])) as data:
+        assert (data.dtypes, data.nodata) == (("uint8",), None)
+        assert not data.read().any()  # a town without water
     with rasterio.open(scene.path(scene.products["prior_dsm"])) as data:
         assert data.tags()["VERTICAL_DATUM"] == "WGS84 ellipsoid"
         assert data.units == ("m",)

@@ -1,7 +1,7 @@
 """Water with waves, about which images do not agree, is laid level with its shore; other doubtful places stay."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +24,15 @@ class Harbour:
     height: np.ndarray
     confidence: np.ndarray
     shown: np.ndarray
+    water: np.ndarray = field(default_factory=lambda: np.zeros(SHAPE, np.uint8))
 
     def looks(self, rows: slice, cols: slice, level: float) -> np.ndarray:
         return self.shown[:, rows, cols]
 
     def levelled(self, pairs: int = PAIRS) -> float:
-        return level_water(self.height, self.confidence, CELL, self.looks, pairs)
+        """Share of the cells that are laid level."""
+        self.water = level_water(self.height, self.confidence, CELL, self.looks, pairs)
+        return float(self.water[:].mean())
 
 
 @pytest.fixture
@@ -57,12 +60,16 @@ def test_water_lies_level_with_its_quay_and_is_not_sure(harbour: Harbour, pairs:
     assert not harbour.confidence[:, :80].any()
     assert share == pytest.approx(90 / 200, abs=0.06)  # less a strip of up to 6 m along the quay
     np.testing.assert_array_equal(harbour.height[:, 96:], before[:, 96:])
+    assert harbour.water.dtype == np.uint8
+    assert (harbour.water[:, :80] == 1).all()
+    assert not harbour.water[:, 96:].any()
 
 
 def test_a_pier_stays(harbour: Harbour) -> None:
     harbour.height[100:116, 30:90], harbour.confidence[100:116, 30:90] = 3.5, 0.6
     harbour.levelled()
     np.testing.assert_array_equal(harbour.height[100:116, 30:90], 3.5)
+    assert not harbour.water[100:116, 30:90].any()
     assert (harbour.height[:80, :80] == 2.0).all()
 
 
@@ -167,7 +174,9 @@ def test_areas_of_any_size(shape: tuple[int, int]) -> None:
     def looks(rows: slice, cols: slice, _: float) -> np.ndarray:
         return np.ones((2, rows.stop - rows.start, cols.stop - cols.start))
 
-    assert level_water(np.zeros(shape, np.float32), np.zeros(shape, np.float32), CELL, looks, 45) == 0.0
+    water = level_water(np.zeros(shape, np.float32), np.zeros(shape, np.float32), CELL, looks, 45)
+    assert water.shape == shape
+    assert not water.any()
 
 
 def test_maps_in_files_come_out_the_same(harbour: Harbour, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,5 +189,6 @@ def test_maps_in_files_come_out_the_same(harbour: Harbour, tmp_path: Path, monke
     harbour.levelled()
     monkeypatch.setattr("sattools.scene.stored.PIECE_CELLS", SHAPE[1] * 24)
     in_files.levelled()
-    for found, expected in zip(stored, (harbour.height, harbour.confidence), strict=True):
+    maps = harbour.height, harbour.confidence, harbour.water
+    for found, expected in zip([*stored, in_files.water], maps, strict=True):
         np.testing.assert_array_equal(found[:], expected)

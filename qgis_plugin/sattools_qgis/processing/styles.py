@@ -51,7 +51,10 @@ RAMPS = {
 RAMPS |= {f"{name}_std": ("Magma", 0.0, None) for name in (*PARAMETERS, "normal")}
 SURFACES = ("dsm", "dtm", "prior_dsm")
 COLOURS = ("albedo", "ortho", "reflectance", "relit", "normal")
-VALIDITY = ((0, "#d9d9d9", "unseen"), (1, "#1a9850", "measured"), (2, "#fdae61", "filled"), (3, "#f7f7f7", "outside"))
+VALIDITY = (
+    (0, "#d9d9d9", "unseen"), (1, "#1a9850", "measured"), (2, "#fdae61", "filled"), (3, "#f7f7f7", "outside"),
+    (4, "#4393c3", "water, level assumed"),
+)  # fmt: skip
 LINES = {
     "footprints": lambda: QgsFillSymbol.createSimple(
         {"style": "no", "outline_color": "#ff7f0e", "outline_width": "0.4"}

@@ -17,15 +17,15 @@ from sattools.export.products.maps import Maps
 from sattools.progress import Progress
 from sattools.scene.datums import compound_crs
 from sattools.scene.files import write_with
-from sattools.scene.validity import FILLED, MEASURED, UNSEEN
+from sattools.scene.validity import FILLED, LEVELLED, MEASURED, UNSEEN
 
 log = logging.getLogger(__name__)
-UNCLASSIFIED, FILLED_CLASS = 1, 64  # of LAS: 64 and above are for users
+UNCLASSIFIED, WATER_CLASS, FILLED_CLASS = 1, 9, 64  # of LAS: 64 and above are for users
 SCALE = 0.001  # m
 _ABOUT = {
     "confidence": ("f4", "of the matching, 0 to 1"),
     "height_std": ("f4", "of the height in m"),
-    "validity": ("u1", "0 unseen, 1 measured, 2 filled"),
+    "validity": ("u1", "1 measured, 2 filled, 4 water"),
 }
 # what WKT 1, which LAS asks for, has in place of a three-dimensional CRS
 _ELLIPSOID = (
@@ -77,7 +77,8 @@ def _points_of(maps: Maps, palette: Palette | None = None) -> Iterator[Points]:
 def write_laz(path: Path, maps: Maps, vertical: str | None, progress: Progress) -> int:
     """Write a LAZ file (LAS 1.4, point format 7) of the surface; the number of points.
 
-    Cells that no images have measured have class 64 and the flag `synthetic`; all others are unclassified (1).
+    Cells that no images have measured have class 64, water that was laid level class 9, both the flag `synthetic`; all
+    others are unclassified (1).
 
     Args:
         path: to write.
@@ -200,8 +201,9 @@ def _record(laspy: Any, header: Any, points: Points) -> Any:
     record["number_of_returns"][:] = 1
     validity = points.more.get("validity", np.full(len(points.place), MEASURED))
     filled = (validity == FILLED) | (validity == UNSEEN)
-    record["classification"] = np.where(filled, FILLED_CLASS, UNCLASSIFIED).astype(np.uint8)
-    record["synthetic"][:] = filled
+    water = validity == LEVELLED
+    record["classification"] = np.select([filled, water], [FILLED_CLASS, WATER_CLASS], UNCLASSIFIED).astype(np.uint8)
+    record["synthetic"][:] = filled | water
     for name, values in points.more.items():
         record[name] = values
     return record

@@ -17,7 +17,7 @@ from sattools.export.products.maps import Maps
 from sattools.progress import Progress
 from sattools.scene.cog import CogWriter
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.validity import MEASURED, UNSEEN, UNWANTED
+from sattools.scene.validity import LEVELLED, MEASURED, UNSEEN, UNWANTED
 
 EDGE = 1024  # cells of a block: as much again is looked at around it, which costs smaller ones twice the time
 TRUSTED = 0.4  # least probability of less than 1 m of error that makes a height worth taking for the ground's
@@ -96,7 +96,9 @@ def _terrain_of(
     known = np.isfinite(height)
     validity = np.where(known, np.where(found.seen[own], SEEN, INTERPOLATED), UNSEEN).astype(np.uint8)
     if "validity" in maps.paths:
-        validity[maps.read("validity", block.rows, block.cols)[0] == UNWANTED] = UNWANTED
+        of_surface = maps.read("validity", block.rows, block.cols)[0]
+        validity[(of_surface == LEVELLED) & known] = INTERPOLATED
+        validity[of_surface == UNWANTED] = UNWANTED
     return height, np.where(known, found.height[own], np.float32(np.nan)), validity
 
 
@@ -104,7 +106,8 @@ def _ground(maps: Maps, rows: slice, cols: slice, width: float) -> tuple[NDArray
     surface = maps.read("dsm", rows, cols)[0].astype(np.float32)
     trusted = np.isfinite(surface)
     if "validity" in maps.paths:
-        trusted &= maps.read("validity", rows, cols)[0] == MEASURED
+        # water is ground: without it, what lies between its shores would be a continuation of what rises from them
+        trusted &= np.isin(maps.read("validity", rows, cols)[0], (MEASURED, LEVELLED))
     if "probability" in maps.paths:
         trusted &= ~(maps.read("probability", rows, cols)[0] < TRUSTED)
     return surface, bare_ground(surface, trusted, maps.grid.cell_size, width)

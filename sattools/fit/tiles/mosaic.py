@@ -26,7 +26,7 @@ from sattools.scene import Grid
 from sattools.scene.dependencies import Seen, record
 from sattools.scene.files import write_bytes
 from sattools.scene.jsonio import JsonObject
-from sattools.scene.raster import raster_grid, read_raster
+from sattools.scene.raster import raster_grid, read_on, read_raster
 from sattools.scene.regrid import sample_map
 from sattools.scene.runner import at_the_end
 from sattools.scene.tiles import Tile
@@ -191,22 +191,26 @@ def _resampled(model: FittedModel, grid: Grid) -> CellMaps:
 
 def _mosaic_priors(plan: Plan, names: list[str]) -> None:
     """The tiles' matched surfaces as the scene's own; where a tile has none, the coarse one without confidence."""
-    from sattools.prior.files import CONFIDENCE, DSM, SURROUNDINGS, MapFiles
+    from sattools.prior.files import CONFIDENCE, DSM, SURROUNDINGS, WATER, MapFiles
 
     whole = plan.scene.require_grid()
     rough, rough_grid = read_raster(plan.root(COARSE) / DSM)
+
+    def water_of(name: str, part: Grid) -> np.ndarray:
+        path = plan.root(name) / WATER  # tiles of an earlier version have none
+        return read_on(path, part)[0] if path.exists() else np.zeros(part.shape, np.float32)
 
     def piece(tile: Tile) -> Piece:
         folder = plan.root(tile.name)
         grid = raster_grid(folder / DSM) if tile.name in names else tile.grid
 
-        def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        def read(rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             part = grid.part(rows, slice(0, grid.width))
             if tile.name in names:
                 height, confidence = (read_raster(folder / href, part)[0][0] for href in (DSM, CONFIDENCE))
-                return height, confidence
+                return height, confidence, water_of(tile.name, part)
             height = sample_map(rough[0], rough_grid, part)
-            return height, np.zeros_like(height)
+            return height, np.zeros_like(height), water_of(COARSE, part)
 
         return Piece(tile, grid, read)
 
@@ -216,15 +220,15 @@ def _mosaic_priors(plan: Plan, names: list[str]) -> None:
         for first in range(0, whole.height, strip):
             last = min(first + strip, whole.height)
             rows = files.around(slice(first, last))
-            mosaics = FeatheredMosaic(whole, rows, 1), FeatheredMosaic(whole, rows, 1)
+            mosaics = [FeatheredMosaic(whole, rows, 1) for _ in range(3)]
             for one in pieces:
                 own = one.rows_within(whole, rows)
                 if own is not None:
                     share = one.share()
                     for mosaic, values in zip(mosaics, one.read(own), strict=True):
                         mosaic.add(one.tile, share, values, own)
-            height, confidence = (mosaic.done()[..., 0] for mosaic in mosaics)
-            files.write(height, confidence, slice(first, last))
+            height, confidence, water = (mosaic.done()[..., 0] for mosaic in mosaics)
+            files.write(height, confidence, slice(first, last), water >= 0.5)  # of its height, at least
     around = plan.root(COARSE) / SURROUNDINGS
     if around.exists():  # coarse ones do for shadows
         write_bytes(plan.scene.output(SURROUNDINGS), around.read_bytes())

@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 FINE_ENOUGH = 4  # times a tile's cells: cells up to which a fit of the whole shows shadows and shifts of the images
 LEAST_SHOWN = 0.1  # of a tile that an image must show to be used there
 ONLY_COARSE = ("lines of sight are parallel only", "strayed from the prior")  # notes of a coarse fit
-PRIOR = ("prior_dsm", "prior_confidence", "prior_normals", "prior_surroundings")
+PRIOR = ("prior_dsm", "prior_confidence", "prior_normals", "prior_surroundings", "prior_water")
 # of an option, what does not change the result
 _HOUSEKEEPING = ("resume", "part", "device")
 
