@@ -45,6 +45,7 @@ def test_the_real_tile(data_dir: Path, tmp_path: Path) -> None:
     assert abs(found["near_steps"]["signed"]) < 0.15  # a gain of one sign by the other is none
 
 
+@pytest.mark.slow
 def test_a_city_of_another_simulator(data_dir: Path, tmp_path: Path) -> None:
     city = data_dir / "external/city_214"
     images = sorted((city / "images").glob("*.tif"))
@@ -93,7 +94,14 @@ def hills(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return scene
 
 
-@pytest.mark.parametrize(("brdf", "psnr"), [("hapke", 42.02), ("rpv", 41.03), ("lambert", 32.92)])
+@pytest.mark.parametrize(
+    ("brdf", "psnr"),
+    [
+        ("hapke", 42.02),
+        pytest.param("rpv", 41.03, marks=pytest.mark.slow),
+        pytest.param("lambert", 32.92, marks=pytest.mark.slow),
+    ],
+)
 def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, brdf: str, psnr: float) -> None:
     truth = data_dir / "external/natural_12/truth"
     run("fit", "--overwrite", "--brdf", brdf, "--resolution", 2, hills)

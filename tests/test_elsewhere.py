@@ -17,9 +17,11 @@ from sattools.scene.stored import StoredMap
 
 # Libraries first: they have their own ways. Then everything of POSIX that Windows lacks goes, and folders cannot be
 # opened; `shutil` has a way without that.
+OF_COMMANDS = "cv2, filelock, matplotlib, numba, psutil, pyproj, rasterio, scipy.ndimage, torch"
+OF_LOCKS = "filelock, numpy, psutil"
 WITHOUT_POSIX = """
 import asyncio, multiprocessing.resource_tracker, os, shutil, signal, subprocess, sys, tempfile
-import cv2, filelock, matplotlib, numba, psutil, pyproj, rasterio, scipy.ndimage, torch
+import LIBRARIES
 
 from fcntl import F_GETFL, fcntl as ask
 sync_file = os.fsync
@@ -53,38 +55,48 @@ sys.platform = here
 """
 
 
-def without_posix(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a process that lacks what Windows lacks."""
-    return subprocess.run([sys.executable, "-c", WITHOUT_POSIX + code, *arguments], capture_output=True, text=True)
+def without_posix(code: str, *arguments: str, libraries: str) -> list[str]:
+    """The command that runs code in a process that lacks what Windows lacks."""
+    return [sys.executable, "-c", WITHOUT_POSIX.replace("LIBRARIES", libraries) + code, *arguments]
+
+
+def done(command: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True)
 
 
 def test_a_scene_goes_through_every_step_without_what_posix_systems_have(tmp_path: Path) -> None:
     pytest.importorskip("psutil")
-    done = without_posix("from sattools.cli import entry; entry()", "doctor", "--try")
-    assert done.returncode == 0, done.stderr
-    assert "trying compare" in done.stderr
+    tried = done(without_posix("from sattools.cli import entry; entry()", "doctor", "--try", libraries=OF_COMMANDS))
+    assert tried.returncode == 0, tried.stderr
+    assert "trying compare" in tried.stderr
 
 
 def test_two_processes_without_locks_of_folders_still_write_one_after_the_other(tmp_path: Path) -> None:
     code = "from pathlib import Path; from sattools.system import alone\n"
     holding = code + "with alone(Path(sys.argv[1]), print):\n    print('has it', flush=True); sys.stdin.read()"
     with subprocess.Popen(
-        [sys.executable, "-c", WITHOUT_POSIX + holding, str(tmp_path)],
+        without_posix(holding, str(tmp_path), libraries=OF_LOCKS),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as holds:  # fmt: skip
         assert holds.stdout is not None
         assert holds.stdout.readline() == "has it\n"
-        waiting = without_posix(
-            f"{code}import os\n"
-            "def waits():\n    print('waits', flush=True)\n    os._exit(3)\n"
-            "with alone(Path(sys.argv[1]), waits):\n    print('has it', flush=True)\n",
-            str(tmp_path),
+        waiting = done(
+            without_posix(
+                f"{code}import os\n"
+                "def waits():\n    print('waits', flush=True)\n    os._exit(3)\n"
+                "with alone(Path(sys.argv[1]), waits):\n    print('has it', flush=True)\n",
+                str(tmp_path),
+                libraries=OF_LOCKS,
+            )
         )
         assert (waiting.returncode, waiting.stdout) == (3, "waits\n")
         holds.communicate("")
-    after = without_posix(
-        f"{code}with alone(Path(sys.argv[1]), lambda: print('waits')) as held:\n    print(held)\n",
-        str(tmp_path),
+    after = done(
+        without_posix(
+            f"{code}with alone(Path(sys.argv[1]), lambda: print('waits')) as held:\n    print(held)\n",
+            str(tmp_path),
+            libraries=OF_LOCKS,
+        )
     )
     assert after.stdout == "True\n"
 

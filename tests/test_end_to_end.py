@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash
 PIPE = """
 set -euo pipefail
 sattools prep town/images/*.tif --metadata town/metadata --id TOWN --out work \
-    | sattools fit --epochs 24 --epochs 12 --epochs 4 --resolution 1 \
+    | sattools fit --epochs 4 --epochs 2 --epochs 2 --resolution 1 \
     | sattools export \
     | tee scene.json \
     | sattools compare --dsm town/truth/TOWN_DSM.tif --classes town/truth/TOWN_CLS.tif 2> table.txt > errors.json
@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from sattools.simulate import SimulateOptions, simulate
 
     folder = tmp_path_factory.mktemp("pipe")
-    simulate(SimulateOptions(id="TOWN", size=64.0, views=7, dates=3, bias_px=2.0), folder / "town")
+    simulate(SimulateOptions(id="TOWN", size=64.0, views=5, dates=3, bias_px=2.0), folder / "town")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "-c", PIPE], cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True

@@ -47,7 +47,7 @@ class State:
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("tiny")
-    options = ["--size", "48", "--views", "4", "--dates", "3", "--gsd", "1", "--id", "TINY", "--out", str(folder)]
+    options = ["--size", "40", "--views", "4", "--dates", "3", "--gsd", "1", "--id", "TINY", "--out", str(folder)]
     assert invoke("simulate", *options).exit_code == 0
     document = json.loads((folder / "TINY/scene.json").read_text())
     document["sattools"]["root"] = "."  # copies are scenes of their own
@@ -119,7 +119,7 @@ def known() -> Any:
     return {}
 
 
-@sequences(examples=4, length=5)
+@sequences(examples=3, length=3)
 def test_a_reported_number_is_that_of_a_fresh_scene(
     tiny: Any, known: Any, tmp_path_factory: pytest.TempPathFactory, begin: Any, more: Any
 ) -> None:

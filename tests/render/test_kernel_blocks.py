@@ -138,18 +138,22 @@ print(hashlib.sha256(b"".join(parts)).hexdigest())
 """
 
 
-def test_neither_the_number_of_threads_nor_a_first_run_changes_pictures_or_gradients(tmp_path: Path) -> None:
-    """A process has its threads for life, and compiles only where it finds no compiled kernels."""
+def digest(threads: int, **environment: str) -> str:
+    run = [sys.executable, "-c", DIGEST, str(threads)]
+    found = subprocess.run(run, env=os.environ | environment, capture_output=True, text=True, check=True).stdout
+    assert len(found.strip()) == 64
+    return found
 
-    def digest(threads: Any, cache: Any) -> Any:
-        run = [sys.executable, "-c", DIGEST, str(threads)]
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / cache)}
-        return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
 
-    first = digest(1, "one")
-    assert len(first.strip()) == 64
-    assert digest(1, "one") == first  # now from the cache
-    assert digest(2, "one") == first
+def test_the_number_of_threads_changes_neither_pictures_nor_gradients() -> None:
+    """A process has its threads for life."""
+    assert digest(1) == digest(2)
+
+
+@pytest.mark.slow
+def test_a_first_run_which_compiles_changes_neither_pictures_nor_gradients(tmp_path: Path) -> None:
+    first = digest(1, NUMBA_CACHE_DIR=str(tmp_path))
+    assert digest(1, NUMBA_CACHE_DIR=str(tmp_path)) == first  # now from the cache
 
 
 @pytest.mark.parametrize(("thickness", "error"), [(0.5, 1e-6), (1 / 1.5, 1e-6), (1.0, 1e-6), (2.0, 3e-6)])
