@@ -58,6 +58,7 @@ def scheduler(tmp_path: Path) -> Path:
     return program.parent
 
 
+@pytest.mark.slow
 def test_a_slurm_cluster_makes_what_one_machine_makes(make_town: Any, scheduler: Path, tmp_path: Path) -> None:
     alone, spread = make_town("ALONE"), make_town("SPREAD")
     fit(alone, FitOptions(tile=32.0, overlap=8.0, resolution=2.0, coarsest=2.0, prior_weight=0.0))

@@ -150,6 +150,7 @@ def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
         process.communicate(timeout=HANGING_S)
 
 
+@pytest.mark.slow
 def test_of_two_batches_in_a_folder_the_second_waits_and_finds_all_done(folder: Any) -> None:
     (folder / "cut.toml").write_text("[fit]\nepochs = [2]\ntile = 32\noverlap = 8\n")
     call = ("A/scene.json", "--config", "cut.toml", "--out", "twice", "--workers", "1")
