@@ -63,7 +63,7 @@ def write_terrain(
         pieces = blocks(maps.grid, edge=EDGE)
         for k, block in enumerate(pieces):
             progress(k / len(pieces), "ground")
-            surface, ground, validity = _terrain_of(maps, block, width)
+            surface, ground, validity = terrain_of(maps, block, width)
             writers["dtm"].write(ground, block.rows, block.cols)
             writers["dtm_validity"].write(validity, block.rows, block.cols)
             writers["ndsm"].write(surface - ground, block.rows, block.cols)
@@ -75,7 +75,7 @@ def write_terrain(
     }
 
 
-def _terrain_of(
+def terrain_of(
     maps: Maps, block: Block, width: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
     """Surface, ground [m] and its validity ``[h, w]`` of a block; no-data where the surface has none.
@@ -113,4 +113,4 @@ def _ground(maps: Maps, rows: slice, cols: slice, width: float) -> tuple[NDArray
     return surface, bare_ground(surface, trusted, maps.grid.cell_size, width)
 
 
-__all__ = ["INTERPOLATED", "SEEN", "write_terrain"]
+__all__ = ["INTERPOLATED", "SEEN", "terrain_of", "write_terrain"]
