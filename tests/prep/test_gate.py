@@ -267,7 +267,11 @@ def test_an_image_that_cannot_be_tied_to_the_others_is_set_aside(town: Any, kind
     assert roles(scene) == ["train", "unused", "train", "train"]
     if kind == "one bit":
         assert any("grey levels only" in note for note in scene.history[-1]["notes"])
-    # and nothing that comes after it uses the image
+
+
+def test_nothing_that_comes_after_uses_an_image_that_was_set_aside(town: Any) -> None:
+    town.pixels(2, SPOILT["noise"])
+    scene = Scene.from_json(prep(town).stdout)
     for command, *options in (
         ("normalise",),
         ("prior", "--resolution", "2", "--rough-passes", "0"),
