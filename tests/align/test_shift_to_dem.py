@@ -150,9 +150,10 @@ def test_other_ground_is_no_reference() -> None:
 
 
 def test_a_move_that_makes_it_worse_is_refused() -> None:
-    height = surface(GRID) + np.random.default_rng(0).normal(0, 0.5, GRID.shape).astype(np.float32)
+    grid = GRID.resized(4.0)  # as with cells of 1 m, of which sixteen times as many are moved until the last step
+    height = surface(grid) + np.random.default_rng(0).normal(0, 0.5, grid.shape).astype(np.float32)
     with pytest.raises(InputError, match=r"fits it worse once it is moved \(NMAD \d\.\d+ m, \d\.\d+ m before\)"):
-        shift_to_dem(height, GRID, 0.3 * surface(GRID), GRID)  # as a map that only resembles the ground
+        shift_to_dem(height, grid, 0.3 * surface(grid), grid)  # as a map that only resembles the ground
 
 
 def test_what_is_left_of_heights_in_another_unit_is_told() -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -46,39 +47,68 @@ def scene_with(folder: Path, products: dict[str, Any], rendered: float) -> str:
     return str(scene.write())
 
 
-@pytest.fixture
-def call(tmp_path: Path) -> Any:
+def inputs(folder: Path) -> list[str]:
     """The command on three fits: Hapke 10 % off in w and 5 degrees in theta, RPV, Lambert."""
     fits = {
-        "Hpk": scene_with(tmp_path / "a", {**TRUTH, "w": (0.33, 0.44, 0.55), "theta": (25.0,)}, 0.01),
+        "Hpk": scene_with(folder / "a", {**TRUTH, "w": (0.33, 0.44, 0.55), "theta": (25.0,)}, 0.01),
         "RPV": scene_with(
-            tmp_path / "b", {"rho0": (0.1, 0.1, 0.1), "k": (0.9,), "asymmetry": (-0.1,), "rhoc": (0.8,)}, 0.02
+            folder / "b", {"rho0": (0.1, 0.1, 0.1), "k": (0.9,), "asymmetry": (-0.1,), "rhoc": (0.8,)}, 0.02
         ),
-        "Lam": scene_with(tmp_path / "c", {"albedo": (0.1, 0.2, 0.3)}, 0.1),
+        "Lam": scene_with(folder / "c", {"albedo": (0.1, 0.2, 0.3)}, 0.1),
     }
     heights = np.zeros(GRID.shape, np.float32)
     heights[10:20, 5:25] = 6
-    write_cog(tmp_path / "truth_dsm.tif", heights, GRID)
-    arguments = ["compare", "--register", "none", "--dsm", str(tmp_path / "truth_dsm.tif"), "--views"]
+    write_cog(folder / "truth_dsm.tif", heights, GRID)
+    arguments = ["compare", "--register", "none", "--dsm", str(folder / "truth_dsm.tif"), "--views"]
     for name, values in TRUTH.items():
-        write_cog(tmp_path / f"{name}.tif", image(values), GRID)
-        arguments += ["--map", f"{name}={tmp_path / name}.tif"]
-    (tmp_path / "points.csv").write_text("name,x,y,w_1\nmeadow,500010.5,5000010.5,0.22\nscree,500030.5,5000020.5,\n")
+        write_cog(folder / f"{name}.tif", image(values), GRID)
+        arguments += ["--map", f"{name}={folder / name}.tif"]
+    (folder / "points.csv").write_text("name,x,y,w_1\nmeadow,500010.5,5000010.5,0.22\nscree,500030.5,5000020.5,\n")
     for name, path in fits.items():
         arguments += ["--fit", f"{name}={path}"]
+    return arguments
 
+
+def files(folder: Path) -> dict[Path, bytes]:
+    """Those of the fits, with what is in them."""
+    return {path: path.read_bytes() for path in folder.glob("[abc]/**/*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The command on fits that tests leave as they are."""
+    return inputs(tmp_path_factory.mktemp("fits"))
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The folder of an evaluation with points, to be looked at only, its result, and the fits before and after it."""
+    folder = tmp_path_factory.mktemp("evaluated")
+    arguments = [*inputs(folder), "--out", str(folder / "eval"), "--points", str(folder / "points.csv")]
+    before = files(folder)
+    result = CliRunner().invoke(main, arguments)
+    return folder / "eval", result, before, files(folder)
+
+
+@pytest.fixture
+def call(shared: list[str], tmp_path: Path) -> Any:
     def run(*more: str) -> Any:
-        return CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "eval"), *more])
+        return CliRunner().invoke(main, [*shared, "--out", str(tmp_path / "eval"), *more])
 
     return run
 
 
-def test_tables_and_figures_of_all_fits(call: Any, tmp_path: Path) -> None:
-    before = {path: path.read_bytes() for path in tmp_path.glob("[abc]/**/*") if path.is_file()}
-    result = call("--points", str(tmp_path / "points.csv"))
+@pytest.fixture
+def evaluation(evaluated: Any, tmp_path: Path) -> Path:
+    """A copy of the evaluation's folder."""
+    return Path(shutil.copytree(evaluated[0], tmp_path / "eval"))
+
+
+def test_tables_and_figures_of_all_fits(evaluated: Any) -> None:
+    folder, result, before, after = evaluated
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
-    assert found == json.loads((tmp_path / "eval/evaluation.json").read_text())
+    assert found == json.loads((folder / "evaluation.json").read_text())
     assert list(found["fits"]) == ["Hpk", "RPV", "Lam"]
     assert [found["fits"][n]["psnr"] for n in ("Hpk", "RPV", "Lam")] == pytest.approx([40.0, 33.979, 20.0], abs=1e-2)
     assert [f["mae"] for f in found["fits"].values()] == pytest.approx([0.5] * 3)
@@ -95,18 +125,19 @@ def test_tables_and_figures_of_all_fits(call: Any, tmp_path: Path) -> None:
     assert found["brdf"]["sun"] == pytest.approx([120.0, 40.0])
     assert found["brdf"]["views"] == [[10.0, 0.0], [10.0, 10.0]]  # the held-out one was not fitted
     assert found["brdf"]["errors"]["scree"]["Hpk"]["nrmse"] < found["brdf"]["errors"]["scree"]["Lam"]["nrmse"]
-    rows = list(csv.DictReader((tmp_path / "eval/views.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((folder / "views.csv").read_text().splitlines()))
     assert [(row["fit"], round(float(row["psnr"]), 1)) for row in rows] == [("Hpk", 40.0), ("RPV", 34.0), ("Lam", 20.0)]
-    assert len((tmp_path / "eval/points.csv").read_text().splitlines()) == 1 + 2 * (6 + 3)
-    assert (tmp_path / "eval/brdf_02.png").read_bytes()[:4] == b"\x89PNG"
-    assert "| Hpk | theta | theta | 0.250 |" in (tmp_path / "eval/evaluation.md").read_text()
-    after = {path: path.read_bytes() for path in tmp_path.glob("[abc]/**/*") if path.is_file()}
+    assert len((folder / "points.csv").read_text().splitlines()) == 1 + 2 * (6 + 3)
+    assert (folder / "brdf_02.png").read_bytes()[:4] == b"\x89PNG"
+    assert "| Hpk | theta | theta | 0.250 |" in (folder / "evaluation.md").read_text()
+    assert before
     assert after == before  # scenes are only read
 
 
-def test_a_fit_that_claims_no_c_has_no_figures_of_it(call: Any, tmp_path: Path) -> None:
+def test_a_fit_that_claims_no_c_has_no_figures_of_it(tmp_path: Path) -> None:
+    arguments = [*inputs(tmp_path), "--out", str(tmp_path / "eval"), "--points", str(tmp_path / "points.csv")]
     write_cog(tmp_path / "a/export/c.tif", image((np.nan,)), GRID)
-    result = call("--points", str(tmp_path / "points.csv"))
+    result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["fits"]["Hpk"]["parameters"]["c"] == {"product": "c", **dict.fromkeys(MAP_FIGURES), "n": 0}
@@ -131,11 +162,10 @@ def test_a_second_call_replaces_nothing_unasked(call: Any) -> None:
     assert call("--overwrite").exit_code == 0
 
 
-def test_the_report_shows_it(call: Any, tmp_path: Path) -> None:
-    assert call("--points", str(tmp_path / "points.csv")).exit_code == 0
-    result = CliRunner().invoke(main, ["report", str(tmp_path / "eval")])
+def test_the_report_shows_it(evaluation: Path) -> None:
+    result = CliRunner().invoke(main, ["report", str(evaluation)])
     assert result.exit_code == 0, result.output
-    page = (tmp_path / "eval/report.html").read_text()
+    page = (evaluation / "report.html").read_text()
     assert page.count('alt="Polar plots of the reflectance of') == 2
     assert "avg_geometric" in page
 
@@ -148,15 +178,14 @@ SPOILT: list[Callable[[Any], Any]] = [
 ]
 
 
-def test_a_spoilt_evaluation_is_one_line(call: Any, tmp_path: Path) -> None:
-    assert call("--points", str(tmp_path / "points.csv")).exit_code == 0
-    path = tmp_path / "eval/evaluation.json"
+def test_a_spoilt_evaluation_is_one_line(evaluation: Path) -> None:
+    path = evaluation / "evaluation.json"
     whole = path.read_text()
     for spoil in SPOILT:
         data = json.loads(whole)
         spoil(data)
         path.write_text(json.dumps(data))
-        result = CliRunner().invoke(main, ["report", str(tmp_path / "eval")])
+        result = CliRunner().invoke(main, ["report", str(evaluation)])
         assert result.exit_code == 1
         assert result.stderr.count("\n") == 1
         assert "expected" in result.stderr

@@ -221,6 +221,16 @@ def town(town_source: Any, tmp_path: Path) -> Any:
     return Town(tmp_path, town_source, 5)
 
 
+@pytest.fixture(scope="module")
+def cloudy(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A town with a cloud in its third image, which has `before`: what `prep` makes with copies, and without them."""
+    town = Town(tmp_path_factory.mktemp("cloudy"), town_source, 5)
+    town.pixels(3, cloud_over(30.0))
+    before = town.image(3).read_bytes()
+    copied, referred = prep(town), prep(town, "--no-copy", "--out", town.folder / "referred")
+    return SimpleNamespace(town=town, before=before, copied=copied, referred=referred)
+
+
 def cloud_over(radius_m: float) -> Any:
     def change(values: Any) -> Any:
         rows, cols = np.indices(values.shape[1:])
@@ -236,11 +246,10 @@ def masked(town: Any, number: int) -> float:
         return float((data.dataset_mask() == 0).mean())
 
 
-def test_prep_masks_a_cloud_in_its_copy_and_says_so(town: Any) -> None:
-    town.pixels(3, cloud_over(30.0))
-    with rasterio.open(town.image(3)) as data:
+def test_prep_masks_a_cloud_in_its_copy_and_says_so(cloudy: Any) -> None:
+    town, result = cloudy.town, cloudy.copied
+    with rasterio.MemoryFile(cloudy.before) as file, file.open() as data:
         before = data.read()
-    result = prep(town)
     assert result.exit_code == 0, result.output
     said = [line for line in result.stderr.splitlines() if "clouds or glare hide" in line]
     assert len(said) == 1
@@ -266,13 +275,11 @@ def test_clouds_stay_where_the_user_wants_them(town: Any) -> None:
     assert masked(town, 3) == 0.0
 
 
-def test_clouds_of_images_that_are_not_copied_are_masked_too(town: Any) -> None:
+def test_clouds_of_images_that_are_not_copied_are_masked_too(cloudy: Any) -> None:
     """The originals stay as they are; whatever reads them for the scene reads the mask as well."""
-    town.pixels(3, cloud_over(30.0))
-    before = town.image(3).read_bytes()
-    copied, referred = prep(town), prep(town, "--no-copy", "--overwrite")
+    town, copied, referred = cloudy.town, cloudy.copied, cloudy.referred
     assert referred.exit_code == 0, referred.output
-    assert town.image(3).read_bytes() == before
+    assert town.image(3).read_bytes() == cloudy.before
     items = [Scene.from_json(result.stdout).items[2] for result in (copied, referred)]
     assert "clouds" not in items[0].assets
     mask = items[1].assets["clouds"]
@@ -284,7 +291,7 @@ def test_clouds_of_images_that_are_not_copied_are_masked_too(town: Any) -> None:
         assert 0.2 < there.mean() < 0.98
         plain = read_image(town.image(3), window and _moved(window, items[1]), reduce)
         np.testing.assert_array_equal(own[:, ~there], plain[:, ~there])
-    with rasterio.open(town.folder / "out/Q/images/TOWN_003.tif") as data:  # of the first run
+    with rasterio.open(town.folder / "out/Q/images/TOWN_003.tif") as data:  # the copy
         hidden = data.dataset_mask() == 0
     whole = np.isnan(image_part(scene, items[1]).read()).all(axis=0)
     np.testing.assert_array_equal(whole, hidden)
@@ -298,9 +305,8 @@ def _moved(window: Any, item: Any) -> Any:
 
 
 @pytest.mark.parametrize(("blocks", "words"), [(None, "found no 'sattools:blocks'"), ([0, 0, 0], "blocks of 0 pixels")])
-def test_a_mask_whose_place_is_not_told_is_refused(town: Any, blocks: Any, words: str) -> None:
-    town.pixels(3, cloud_over(30.0))
-    scene = Scene.from_json(prep(town, "--no-copy").stdout)
+def test_a_mask_whose_place_is_not_told_is_refused(cloudy: Any, blocks: Any, words: str) -> None:
+    scene = Scene.from_json(cloudy.referred.stdout)
     extra = scene.items[2].assets["clouds"].extra
     del extra["sattools:blocks"]
     if blocks is not None:

@@ -42,7 +42,7 @@ def test_slanting_views_of_the_area_stay_whatever_the_range_of_heights(tmp_path:
     assert [item.role for item in scene.items] == ["train"] * 3
 
 
-@pytest.mark.parametrize("column", [108, 130])
+@pytest.mark.parametrize("column", [108, pytest.param(130, marks=pytest.mark.slow)])
 def test_an_image_beside_the_bounds_is_set_aside_unless_too_few_are_left(tmp_path: Path, column: int) -> None:
     """One from column 108 on reaches them halfway up the range of heights, but not where the ground usually lies."""
     ground = texture()

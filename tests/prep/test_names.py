@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from sattools.errors import InputError
-from sattools.prep.names import check_ids, image_id
+from sattools.prep.dfc2019 import find_images
+from sattools.prep.names import check_ids, common_name, image_id
 
 
 def test_letters_of_other_scripts_are_their_numbers() -> None:
@@ -38,3 +39,21 @@ def test_names_that_differ_only_in_what_an_id_leaves_out_are_told_so(tmp_path: P
         image.touch()
     with pytest.raises(InputError, match="expected names that differ in their first 128 letters a to z, digits"):
         check_ids(images)
+
+
+def test_names_of_scenes() -> None:
+    assert common_name(["JAX_068_001_RGB", "JAX_068_016_RGB"]) == "JAX_068"
+    assert common_name(["a", "b"]) == "scene"
+
+
+def test_contest_images_are_found_by_area(tmp_path: Path) -> None:
+    for name in ("Track3-RGB-1/JAX_068_002_RGB.tif", "Track3-RGB-1/JAX_004_001_RGB.tif", "rpc_raw/JAX_068/x.json"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    images, folder = find_images(tmp_path, "JAX_068")
+    assert [p.name for p in images] == ["JAX_068_002_RGB.tif"]
+    assert folder == tmp_path / "rpc_raw/JAX_068"
+    with pytest.raises(InputError, match="found no Track3-RGB"):
+        find_images(tmp_path, "OMA_001")
+    with pytest.raises(InputError, match="expected an area of the contest"):
+        find_images(tmp_path, "../../etc")

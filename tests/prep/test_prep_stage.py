@@ -16,8 +16,6 @@ from sattools.camera import RPC
 from sattools.camera.ground import from_geographic, to_geographic
 from sattools.cli import main
 from sattools.errors import InputError, OutputExistsError, SattoolsError
-from sattools.prep.dfc2019 import find_images
-from sattools.prep.names import common_name
 from sattools.prep.options import PrepOptions
 from sattools.prep.stage import prepare
 from sattools.radiometry.options import NormaliseOptions
@@ -45,14 +43,24 @@ def pixels() -> Any:
     return [render(ground, r).clip(1, 2047).astype(np.uint16) for r in RUNS]
 
 
-@pytest.fixture
-def images(tmp_path: Path, pixels: Any) -> Any:
-    folder = tmp_path / "in"
+def written(folder: Path, pixels: Any) -> Any:
     folder.mkdir()
     return [
         write(folder / f"city_{k}.tif", p, parallel_rpc(r).shifted(0, 5.0 * (k == 2)))
         for k, (p, r) in enumerate(zip(pixels, RUNS, strict=True))
     ]
+
+
+@pytest.fixture
+def images(tmp_path: Path, pixels: Any) -> Any:
+    return written(tmp_path / "in", pixels)
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory, pixels: Any) -> Any:
+    """The scene of the images with no option given, and what its history says; to be looked at only."""
+    folder = tmp_path_factory.mktemp("prepared")
+    return prepare(written(folder / "in", pixels), PrepOptions(out=str(folder / "out")))
 
 
 @pytest.fixture
@@ -124,8 +132,8 @@ def test_metadata_beside_the_images_are_found_from_another_folder(
         np.testing.assert_allclose(after.read(), before.read() * 0.001, rtol=1e-6)
 
 
-def test_relative_errors_of_cameras_are_undone(images: Any, options: Any) -> None:
-    scene, _ = prepare(images, options)
+def test_relative_errors_of_cameras_are_undone(prepared: Any) -> None:
+    scene, _ = prepared
     shifts = np.array([i.properties["sattools:rpc_shift_px"] for i in scene.items])
     undone = shifts + np.array([[0, 0], [0, 0], [0, 5.0]])
     design = np.array([[[2, 0, -2 * x], [0, -2, 2 * y]] for x, y in RUNS], float).reshape(-1, 3)
@@ -165,11 +173,13 @@ def test_an_area_crops_images_and_their_cameras(images: Any, options: Any) -> No
             assert 0 <= row <= height - 1
 
 
-def test_an_area_far_larger_than_the_images_is_cut_to_what_two_of_them_show(images: Any, options: Any) -> None:
-    whole, _ = prepare(images, options)
+def test_an_area_far_larger_than_the_images_is_cut_to_what_two_of_them_show(
+    images: Any, options: Any, prepared: Any
+) -> None:
+    whole, _ = prepared
     x, y = from_geographic("EPSG:32633", LON0, LAT0)
     far = [x - 3000, y - 3000, x + 3000, y + 3000]
-    scene, extra = prepare(images, replace(options, crs="EPSG:32633", bounds=far), overwrite=True)
+    scene, extra = prepare(images, replace(options, crs="EPSG:32633", bounds=far))
     assert "less than half of the area lies where two images show it: cut to that" in extra["notes"]
     assert 1.0 <= scene.grid.width * scene.grid.height / (whole.grid.width * whole.grid.height) < 1.5
     assert scene.grid.bounds[0] < x < scene.grid.bounds[2]
@@ -298,24 +308,6 @@ def test_wrong_options_are_refused(images: Any, options: Any, change: Any, words
     refused(images, replace(options, **change), words)
 
 
-def test_names_of_scenes() -> None:
-    assert common_name(["JAX_068_001_RGB", "JAX_068_016_RGB"]) == "JAX_068"
-    assert common_name(["a", "b"]) == "scene"
-
-
-def test_contest_images_are_found_by_area(tmp_path: Path) -> None:
-    for name in ("Track3-RGB-1/JAX_068_002_RGB.tif", "Track3-RGB-1/JAX_004_001_RGB.tif", "rpc_raw/JAX_068/x.json"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("")
-    images, folder = find_images(tmp_path, "JAX_068")
-    assert [p.name for p in images] == ["JAX_068_002_RGB.tif"]
-    assert folder == tmp_path / "rpc_raw/JAX_068"
-    with pytest.raises(InputError, match="found no Track3-RGB"):
-        find_images(tmp_path, "OMA_001")
-    with pytest.raises(InputError, match="expected an area of the contest"):
-        find_images(tmp_path, "../../etc")
-
-
 def test_the_command_prints_one_scene_line(images: Any, tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["prep", *map(str, images), "--out", str(tmp_path / "o"), "--id", "town"])
     assert result.exit_code == 0, result.output
@@ -362,8 +354,8 @@ def test_an_output_folder_that_is_a_file_is_refused_before_any_work(images: Any,
         prepare(images, options)
 
 
-def test_the_history_says_of_every_pair_how_its_images_see_the_place(images: Any, options: Any) -> None:
-    _, extra = prepare(images, options)
+def test_the_history_says_of_every_pair_how_its_images_see_the_place(prepared: Any) -> None:
+    scene, extra = prepared
     pairs = extra["adjustment"]["pairs"]
     sights = {f"city_{k}": np.array([*run, 1.0]) / np.hypot(1.0, np.hypot(*run)) for k, run in enumerate(RUNS)}
     assert {tuple(row["images"]) for row in pairs} == {("city_0", "city_1"), ("city_0", "city_2"), ("city_1", "city_2")}
@@ -374,14 +366,12 @@ def test_the_history_says_of_every_pair_how_its_images_see_the_place(images: Any
         assert row["after_px"] < 0.5
         if "city_2" in row["images"]:  # five pixels off; what lies along the line of sight, the ground takes
             assert 0.5 < row["before_px"] < 5.0
-    folder = Path(options.out) / "city"
-    assert json.loads((folder / "adjustment.json").read_text())["pairs"] == pairs
-    assert "city_0" in (folder / "adjustment.txt").read_text().split("angle")[1]
+    assert json.loads(scene.path("adjustment.json").read_text())["pairs"] == pairs
+    assert "city_0" in scene.path("adjustment.txt").read_text().split("angle")[1]
 
 
-def test_the_report_keeps_some_residuals_of_every_image(images: Any, options: Any) -> None:
-    prepare(images, options)
-    views = json.loads((Path(options.out) / "city/adjustment.json").read_text())["views"]
+def test_the_report_keeps_some_residuals_of_every_image(prepared: Any) -> None:
+    views = json.loads(prepared[0].path("adjustment.json").read_text())["views"]
     for view in views:
         rows = np.array(view["residuals"])
         assert rows.shape[1] == 4
@@ -389,7 +379,7 @@ def test_the_report_keeps_some_residuals_of_every_image(images: Any, options: An
         assert np.median(np.hypot(rows[:, 2], rows[:, 3])) == pytest.approx(view["median_after_px"], rel=0.5, abs=0.05)
 
 
-def test_images_in_sensor_geometry_claim_no_crs(images: Any, options: Any) -> None:
-    scene, _ = prepare(images, options)
+def test_images_in_sensor_geometry_claim_no_crs(prepared: Any) -> None:
+    scene, _ = prepared
     assert all("proj:code" in item.properties for item in scene.items)
     assert [item.properties["proj:code"] for item in scene.items] == [None, None, None]

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -73,6 +74,7 @@ def result(scene: Any, name: Any = "i0") -> Any:
     return read_image(scene.path(f"radiance/{name}.tif"))[:, 0]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_numbers_are_divided_by_the_full_scale_and_nothing_is_clipped(make_scene: Any) -> None:
     scene = make_scene(numbers(100, 30, 2046))
     found = normalise(scene, NormaliseOptions(black=50))
@@ -157,21 +159,23 @@ def test_matching_sees_saturated_roofs_and_the_fit_does_not(make_town: Any) -> N
 @pytest.mark.parametrize(
     "wrong", [{"bands": [1, 2, 9]}, {"gain": [1.0]}, {"bands": [1], "gain": [1.0], "offset": [0.0]}]
 )
-def test_a_conversion_of_another_image_is_told(make_town: Any, caplog: Any, wrong: Any) -> None:
+def test_a_conversion_of_another_image_is_told(saturated_town: Scene, caplog: Any, wrong: Any) -> None:
     from sattools.views import load_sources
 
-    scene = make_town()
-    normalise(scene, NormaliseOptions(saturation=300))
+    scene = Scene.from_json(saturated_town.to_json())
     scene.items[0].assets["radiance"].extra["sattools:saturated"] |= wrong
     assert [source.saturated is None for source in load_sources(scene, scene.items)[:2]] == [True, False]
     assert "saturated pixels stay unknown: found an image of 3 bands" in caplog.text
 
 
-def test_a_missing_original_costs_no_more_than_its_saturated_pixels(make_town: Any, caplog: Any) -> None:
+def test_a_missing_original_costs_no_more_than_its_saturated_pixels(
+    saturated_town: Scene, tmp_path: Path, caplog: Any
+) -> None:
     from sattools.views import load_sources
 
-    scene = make_town()
-    normalise(scene, NormaliseOptions(saturation=300))
+    scene = Scene.from_json(saturated_town.to_json())
+    scene.root = tmp_path / "TOWN"
+    shutil.copytree(saturated_town.root, scene.root)
     item = scene.items[0]
     scene.path(item.assets["image"].href).unlink()
     source = load_sources(scene, scene.items)[0]
@@ -292,6 +296,7 @@ def test_dates_are_brought_to_the_first_one(make_scene: Any) -> None:
     assert np.abs(a - b).max() < 2 / 2047  # the second image was rounded to whole numbers, then doubled
 
 
+@pytest.mark.usefixtures("drawn")  # tiny numbers along its axes
 def test_dates_of_tiny_numbers_are_brought_to_the_first_one_too(make_scene: Any) -> None:
     first = (np.random.default_rng(0).integers(200, 900, (2, 40, 50)) * 1e-9).astype(np.float32)
     scene = make_scene(first, first * np.float32(0.5), **{"sattools:bits": 1})

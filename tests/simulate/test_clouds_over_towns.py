@@ -13,7 +13,7 @@ from sattools.simulate import SimulateOptions, simulate
 from sattools.simulate.camera import Pushbroom
 from sattools.simulate.clouds import WHITE, CloudLayer
 
-OPTIONS = SimulateOptions(size=48.0, views=4, dates=2, seed=5)
+OPTIONS = SimulateOptions(size=32.0, views=4, dates=2, seed=5)
 UP = np.array([0.0, 0.0, 1.0])
 
 

@@ -79,12 +79,12 @@ def test_every_image_has_its_cars_elsewhere_on_the_streets() -> None:
     assert np.array_equal(first.classes, world.classes)
 
 
-@pytest.mark.parametrize(("cars", "told"), [("3", False), ("2000", True)])
+@pytest.mark.parametrize(("cars", "told"), [("3", False), ("500", True)])
 def test_cars_that_found_no_room_are_told(tmp_path: Path, cars: str, told: bool) -> None:
     given = ["--id", "C", "--size", "48", "--views", "2", "--dates", "1", "--test-views", "0", "--seed", "5"]
     result = CliRunner().invoke(main, ["simulate", "--cars", cars, *given, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.stderr
-    words = r"--cars: found room for (\d+)(?: to (\d+))? of 2000 in each image, which show no more\n"
+    words = r"--cars: found room for (\d+)(?: to (\d+))? of 500 in each image, which show no more\n"
     found = re.search(words, result.stderr)
     assert (found is not None) == told
     if found:
