@@ -18,4 +18,4 @@ def copied(source: Scene, root: Path) -> Scene:
 
 def matched(source: Scene, root: Path) -> Scene:
     """A copy that has the prior that `fit` would make of it."""
-    return api.prior(copied(source, root))
+    return api.match(copied(source, root))
