@@ -10,6 +10,7 @@ import pytest
 import rasterio
 import torch
 
+from sattools import api
 from sattools.compare import compare_dsm, read_reference
 from sattools.errors import SceneError
 from sattools.export.options import ExportOptions
@@ -175,6 +176,7 @@ RELIEF = {"terrain": "natural", "size": 64.0, "gsd": 1.0, "off_nadir": 20.0}
 
 
 def check_every_field(scene: Scene) -> None:
+    scene = api.match(scene)  # once for all of them
     for name, options in FIELDS.items():
         fit(scene, options)
         model = fitted(scene)
