@@ -10,6 +10,7 @@ import pytest
 import rasterio
 import torch
 
+from sattools import api
 from sattools.compare import compare_dsm, read_reference
 from sattools.errors import SceneError
 from sattools.export.options import ExportOptions
@@ -41,8 +42,8 @@ def test_the_field_brings_its_own_values_and_what_is_given_wins() -> None:
     assert resolve("fast", {}).guided == 0
 
 
-def test_it_begins_at_the_priors_error_and_exports_what_it_holds(make_town: Callable[..., Scene]) -> None:
-    scene = make_town()
+def test_it_begins_at_the_priors_error_and_exports_what_it_holds(make_matched_hamlet: Callable[..., Scene]) -> None:
+    scene = make_matched_hamlet()
     fit(scene, tiny())
     model = fitted(scene)
     assert model.field == "neural"
@@ -67,8 +68,8 @@ def test_it_begins_at_the_priors_error_and_exports_what_it_holds(make_town: Call
     assert np.corrcoef(picture[:, known].ravel(), pixels[:, known].ravel())[0, 1] > 0.4
 
 
-def test_a_model_gives_its_field_back(make_town: Callable[..., Scene]) -> None:
-    scene = make_town()
+def test_a_model_gives_its_field_back(make_matched_hamlet: Callable[..., Scene]) -> None:
+    scene = make_matched_hamlet()
     fit(scene, tiny())
     model = fitted(scene)
     field = restored_field(model)
@@ -76,12 +77,14 @@ def test_a_model_gives_its_field_back(make_town: Callable[..., Scene]) -> None:
         assert torch.equal(tensor, model.extra[f"field.{name}"])
 
 
-def test_interrupted_it_goes_on_bit_for_bit(make_town: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_it_goes_on_bit_for_bit(
+    make_matched_hamlet: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from sattools.fit.rays import job as rays_job
 
     monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 0.0)
     monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
-    whole, broken = make_town("WHOLE"), make_town("BROKEN")
+    whole, broken = make_matched_hamlet("WHOLE"), make_matched_hamlet("BROKEN")
     options = tiny(steps=30)
     fit(whole, options)
 
@@ -108,9 +111,9 @@ def test_interrupted_it_goes_on_bit_for_bit(make_town: Callable[..., Scene], mon
         ({"shadow": "auto"}, "expected --field surface"),
     ],
 )
-def test_what_cannot_work_is_refused(make_town: Callable[..., Scene], options: Any, message: str) -> None:
+def test_what_cannot_work_is_refused(make_matched_hamlet: Callable[..., Scene], options: Any, message: str) -> None:
     with pytest.raises(SceneError, match=message):
-        fit(make_town(), tiny(**options))
+        fit(make_matched_hamlet(), tiny(**options))
 
 
 # ---- scenes that are hard, for every field ------------------------------------------------------------------
@@ -173,6 +176,7 @@ RELIEF = {"terrain": "natural", "size": 64.0, "gsd": 1.0, "off_nadir": 20.0}
 
 
 def check_every_field(scene: Scene) -> None:
+    scene = api.match(scene)  # once for all of them
     for name, options in FIELDS.items():
         fit(scene, options)
         model = fitted(scene)
@@ -184,8 +188,8 @@ def check_every_field(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("hard", [grazing_sun, opposition, saturation, partial_overlap, two_views])
-def test_every_field_gives_finite_maps_of_a_hard_scene(make_town: Callable[..., Scene], hard: Any) -> None:
-    scene = make_town()
+def test_every_field_gives_finite_maps_of_a_hard_scene(make_hamlet: Callable[..., Scene], hard: Any) -> None:
+    scene = make_hamlet()
     hard(scene)
     check_every_field(scene)
 

@@ -96,8 +96,8 @@ def test_the_command_prints_the_resolved_preset() -> None:
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_every_preset_runs_and_its_model_can_be_exported(make_town: Any, preset: Any) -> None:
-    scene = make_town()
+def test_every_preset_runs_and_its_model_can_be_exported(make_matched_hamlet: Any, preset: Any) -> None:
+    scene = make_matched_hamlet()
     found = fit(scene, tiny(preset))
     tensors, meta = load(scene.path("fit/model.safetensors"))
     assert (meta["field"], meta["network"]) == ("mlp", resolve(preset, {}).network)
@@ -110,9 +110,9 @@ def test_every_preset_runs_and_its_model_can_be_exported(make_town: Any, preset:
     assert scene.path(scene.products["dsm"]).is_file()
 
 
-def test_a_voxel_field_stays_by_the_prior(make_town: Any) -> None:
+def test_a_voxel_field_stays_by_the_prior(make_matched_hamlet: Any) -> None:
     """A free density grid drifts away from it: 300 steps took the error of such a town from 1.2 to 2.1 m."""
-    scene = make_town()
+    scene = make_matched_hamlet()
     fit(scene, FitOptions(field="voxel", resolution=2.0, rays=256, samples=32, steps=40))
     tensors, meta = load(scene.path("fit/model.safetensors"))
     truth = read_reference(str(scene.path(scene.products["truth_dsm"])))
@@ -122,8 +122,8 @@ def test_a_voxel_field_stays_by_the_prior(make_town: Any) -> None:
     assert error < 0.4 * flat
 
 
-def test_an_interrupted_fit_goes_on_to_the_same_end(make_town: Any) -> None:
-    whole, broken = make_town("WHOLE"), make_town("BROKEN")
+def test_an_interrupted_fit_goes_on_to_the_same_end(make_matched_hamlet: Any) -> None:
+    whole, broken = make_matched_hamlet("WHOLE"), make_matched_hamlet("BROKEN")
     options = tiny("eonerf", steps=40)
     fit(whole, options)
 
@@ -142,8 +142,8 @@ def test_an_interrupted_fit_goes_on_to_the_same_end(make_town: Any) -> None:
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_a_budget_stops_the_training(make_town: Any) -> None:
-    scene = make_town()
+def test_a_budget_stops_the_training(make_matched_hamlet: Any) -> None:
+    scene = make_matched_hamlet()
     found = fit(scene, tiny("eonerf", steps=100000, budget=0.5))
     assert found["notes"][0].startswith("stopped by the budget of 0.5 s at step ")
 
@@ -164,17 +164,17 @@ def test_a_budget_stops_the_training(make_town: Any) -> None:
         ({"preset": "hapke-nerf", "field": "voxel"}, "--brdf hapke: a voxel field has no head for it"),
     ],
 )
-def test_what_cannot_work_is_refused(make_town: Any, options: Any, message: Any) -> None:
+def test_what_cannot_work_is_refused(make_matched_hamlet: Any, options: Any, message: Any) -> None:
     with pytest.raises(SceneError, match=message):
-        fit(make_town(), tiny(**options))
+        fit(make_matched_hamlet(), tiny(**options))
 
 
 @pytest.mark.parametrize("preset", ["eonerf", "fast"])
-def test_steps_of_more_samples_than_memory_holds_are_refused(make_town: Any, preset: Any) -> None:
+def test_steps_of_more_samples_than_memory_holds_are_refused(make_matched_hamlet: Any, preset: Any) -> None:
     field = "mlp" if preset == "eonerf" else "voxel"
     options = FitOptions(preset=preset, field=field, rays=1 << 20, samples=4096)
     with pytest.raises(SattoolsError, match=r"--rays 1048576: 4294967296 samples a step: .*fewer --rays or --samples"):
-        fit(make_town(), options)
+        fit(make_matched_hamlet(), options)
 
 
 @pytest.mark.parametrize(
@@ -187,9 +187,9 @@ def test_steps_of_more_samples_than_memory_holds_are_refused(make_town: Any, pre
     ],
 )
 def test_a_head_of_the_reflectance_model_learns_only_while_the_model_is_asked_for(
-    make_town: Any, options: Any, moved: Any
+    make_matched_hamlet: Any, options: Any, moved: Any
 ) -> None:
-    scene, heads = make_town(), []
+    scene, heads = make_matched_hamlet(), []
     for run in ({"steps": 1, "rate": 0.0}, {"steps": 2, **options}):
         fit(scene, tiny("hapke-nerf", **run))
         heads.append(load(scene.path("fit/model.safetensors"))[0]["field.theta.0.weight"])

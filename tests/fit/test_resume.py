@@ -14,6 +14,7 @@ import pytest
 import rasterio
 import torch
 from click.testing import CliRunner
+from towns import copied
 
 from sattools import api
 from sattools.camera import RPC
@@ -29,7 +30,9 @@ from sattools.scene import Scene
 from sattools.scene.raster import write_cog
 
 SHORT = FitOptions(resolution=2.0, coarsest=4.0, epochs=[10, 9], prior_weight=0.0)
-FLAGS = ["--resolution", "2", "--coarsest", "4", "--epochs", "20", "--epochs", "20", "--prior-weight", "0"]
+FLAGS = ["--resolution", "2", "--coarsest", "4", "--epochs", "10", "--epochs", "9", "--prior-weight", "0"]
+# so long that it is killed before its end
+LONGER = ["--resolution", "2", "--coarsest", "4", "--epochs", "30", "--epochs", "30", "--prior-weight", "0"]
 
 
 class Interrupted(Exception):
@@ -56,25 +59,46 @@ def assert_same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> None:
         assert torch.equal(a[name], b[name]), name
 
 
-@pytest.fixture
-def whole(make_town: Any) -> Any:
-    scene = make_town("TOWN")
+@pytest.fixture(scope="module")
+def fitted(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The small scene fitted without interruption; tests must leave its files alone."""
+    scene = copied(hamlet_source, tmp_path_factory.mktemp("fitted") / "HAMLET")
     fit(scene, SHORT)
-    return model(scene)
+    return scene
 
 
-def test_the_same_seed_gives_the_same_model_and_another_seed_does_not(whole: Any, make_town: Any) -> None:
-    again, other = make_town("AGAIN"), make_town("OTHER")
+@pytest.fixture(scope="module")
+def whole(fitted: Scene) -> dict[str, torch.Tensor]:
+    return model(fitted)
+
+
+@pytest.fixture(scope="module")
+def begun_source(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The small scene whose fit was interrupted; tests must leave its files alone."""
+    scene = copied(hamlet_source, tmp_path_factory.mktemp("begun") / "HAMLET")
+    with pytest.raises(Interrupted):
+        fit(scene, SHORT, interrupt_after(6))
+    return scene
+
+
+@pytest.fixture
+def begun(begun_source: Scene, tmp_path: Path) -> Scene:
+    """A copy of the interrupted fit."""
+    return copied(begun_source, tmp_path / "BEGUN")
+
+
+def test_the_same_seed_gives_the_same_model_and_another_seed_does_not(whole: Any, make_hamlet: Any) -> None:
+    again, other = make_hamlet("AGAIN"), make_hamlet("OTHER")
     fit(again, SHORT)
     fit(other, replace(SHORT, seed=1))
     assert_same(model(again), whole)
     assert not torch.equal(model(other)["height"], whole["height"])
 
 
-def test_interrupted_anywhere_and_resumed(whole: Any, make_town: Any) -> None:
+def test_interrupted_anywhere_and_resumed(whole: Any, make_hamlet: Any) -> None:
     """In the first stage before and after a checkpoint, between the stages, in the second, and twice in a row."""
     for number, calls in enumerate([(2,), (5,), (10,), (16,), (6, 3, 8)]):
-        scene = make_town(f"CUT{number}")
+        scene = make_hamlet(f"CUT{number}")
         for count in calls:
             with pytest.raises(Interrupted):
                 fit(scene, replace(SHORT, resume=True), interrupt_after(count))
@@ -85,15 +109,15 @@ def test_interrupted_anywhere_and_resumed(whole: Any, make_town: Any) -> None:
         assert len(rows) == 1 + 10 + 9
 
 
-def test_killed_at_random_moments_and_resumed(make_town: Any) -> None:
-    reference, scene = make_town("WHOLE"), make_town("KILLED")
-    command = [sys.executable, "-m", "sattools", "--threads", "1", "--progress", "json", "fit", *FLAGS]
-    done = subprocess.run([*command, str(reference.root / "scene.json")], capture_output=True, text=True, check=True)
+def test_killed_at_random_moments_and_resumed(make_hamlet: Any) -> None:
+    reference, scene = make_hamlet("WHOLE"), make_hamlet("KILLED")
+    command = ["--threads", "1", "--progress", "json", "fit", *LONGER]
+    done = CliRunner().invoke(main, [*command, str(reference.root / "scene.json")])
     records = len(done.stderr.splitlines())
     rng = random.Random(0)
     for _ in range(2):
         process = subprocess.Popen(
-            [*command, "--resume", str(scene.root / "scene.json")],
+            [sys.executable, "-m", "sattools", *command, "--resume", str(scene.root / "scene.json")],
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             text=True,
@@ -107,45 +131,39 @@ def test_killed_at_random_moments_and_resumed(make_town: Any) -> None:
         if "model" in Scene.from_file(scene.root / "scene.json").products:
             break  # a machine so busy that the fit was done before it was killed
     else:
-        subprocess.run([*command, "--resume", str(scene.root / "scene.json")], capture_output=True, check=True)
+        assert CliRunner().invoke(main, [*command, "--resume", str(scene.root / "scene.json")]).exit_code == 0
     assert_same(model(scene), model(reference))
     assert json.loads((scene.root / "scene.json").read_text())["sattools"]["history"][-1]["command"] == "fit"
 
 
-def test_resuming_with_other_options_is_refused(make_town: Any) -> None:
-    scene = make_town()
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
+def test_resuming_with_other_options_is_refused(begun: Scene) -> None:
     why = r"fit/checkpoint\.safetensors: found a checkpoint of other options \(--seed 0\), expected --seed 3; give"
     with pytest.raises(SceneError, match=why):
-        fit(scene, replace(SHORT, resume=True, seed=3))
+        fit(begun, replace(SHORT, resume=True, seed=3))
 
 
-def test_an_interrupted_fit_is_given_up_only_where_that_is_asked_for(whole: Any, make_town: Any) -> None:
+def test_an_interrupted_fit_is_given_up_only_where_that_is_asked_for(whole: Any, begun: Scene) -> None:
     """A call from the history of a shell, without --resume, would cost hours of a fit that was nearly done."""
-    scene = make_town("AGAIN")
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
-    path = scene.root / "fit/checkpoint.safetensors"
+    path = begun.root / "fit/checkpoint.safetensors"
     before = path.read_bytes()
     said = r"found an interrupted fit after \d+ s \(4 m, epoch 4\); give --resume to go on, or --overwrite to fit anew"
     for options in (SHORT, replace(SHORT, seed=1), replace(SHORT, tile=32.0, overlap=4.0)):
         for begin in (check_start, fit):
             with pytest.raises(OutputExistsError, match=rf"fit/checkpoint\.safetensors: {said}"):
-                begin(scene, options, overwrite=False)
+                begin(begun, options, overwrite=False)
     assert path.read_bytes() == before
-    check_start(scene, SHORT, overwrite=True)
-    check_start(scene, replace(SHORT, resume=True), overwrite=False)
-    api.fit(scene, replace(SHORT, resume=True))
-    assert_same(model(scene), whole)
+    check_start(begun, SHORT, overwrite=True)
+    check_start(begun, replace(SHORT, resume=True), overwrite=False)
+    api.fit(begun, replace(SHORT, resume=True))
+    assert_same(model(begun), whole)
 
 
 @pytest.mark.parametrize("dry", [["--dry-run"], []])
-def test_what_is_refused_for_its_checkpoint_is_told_before_images_are_read(make_town: Any, dry: list[str]) -> None:
+def test_what_is_refused_for_its_checkpoint_is_told_before_images_are_read(
+    begun: Scene, make_hamlet: Any, dry: list[str]
+) -> None:
     """Of scenes on a pipe it costs the others nothing."""
-    begun, other = make_town("BEGUN"), make_town("OTHER")
-    with pytest.raises(Interrupted):
-        fit(begun, SHORT, interrupt_after(6))
+    other = make_hamlet("OTHER")
     shutil.rmtree(begun.root / "images")
     before = (begun.root / "fit/checkpoint.safetensors").read_bytes()
     text = "".join((scene.root / "scene.json").read_text() for scene in (begun, other))
@@ -158,8 +176,8 @@ def test_what_is_refused_for_its_checkpoint_is_told_before_images_are_read(make_
     assert "OTHER" in result.stdout
 
 
-def test_a_file_in_the_place_of_a_checkpoint_is_replaced_only_where_that_is_asked_for(make_town: Any) -> None:
-    scene = make_town()
+def test_a_file_in_the_place_of_a_checkpoint_is_replaced_only_where_that_is_asked_for(make_hamlet: Any) -> None:
+    scene = make_hamlet()
     path = scene.root / "fit/checkpoint.safetensors"
     path.parent.mkdir()
     path.write_text("somebody's")
@@ -168,9 +186,9 @@ def test_a_file_in_the_place_of_a_checkpoint_is_replaced_only_where_that_is_aske
     assert path.read_text() == "somebody's"
 
 
-def test_a_fit_that_is_interrupted_after_its_prior_leaves_the_one_before_as_it_was(make_town: Any) -> None:
+def test_a_fit_that_is_interrupted_after_its_prior_leaves_the_one_before_as_it_was(make_hamlet: Any) -> None:
     """The prior of other images had taken the place of that of which the old model was made."""
-    scene, said = make_town(), []
+    scene, said = make_hamlet(), []
     document, given = scene.root / "scene.json", replace(SHORT, prior_weight=0.2)
     api.fit(document, given)
     before = {path: path.read_bytes() for path in scene.root.rglob("*") if path.is_file() and path.suffix != ".log"}
@@ -188,7 +206,7 @@ def test_a_fit_that_is_interrupted_after_its_prior_leaves_the_one_before_as_it_w
     assert not list(scene.root.rglob(".*tmp-sattools*"))
     again = api.export(api.fit(document, replace(held, resume=True)))
     assert [list(entry["made"]) for entry in again.history] == [["prior", "fit"], ["prior", "fit"], ["export"]]
-    whole = make_town("WHOLE")
+    whole = make_hamlet("WHOLE")
     api.fit(whole, held)
     assert_same(model(scene), model(whole))
 
@@ -203,14 +221,11 @@ def darken(scene: Scene) -> None:
         data.write((data.read() * 0.9).astype(data.dtypes[0]))
 
 
-def test_resuming_with_another_image_is_refused(make_town: Any) -> None:
+def test_resuming_with_another_image_is_refused(begun: Scene) -> None:
     """Its pixels are no more the same: known when they have been read."""
-    scene = make_town()
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
-    darken(scene)
+    darken(begun)
     with pytest.raises(SceneError, match="found a checkpoint of other options, images or cameras"):
-        fit(scene, replace(SHORT, resume=True))
+        fit(begun, replace(SHORT, resume=True))
 
 
 def another_height_range(scene: Scene) -> None:
@@ -235,22 +250,19 @@ def another_sun(scene: Scene) -> None:
     ],
 )
 def test_a_checkpoint_of_another_scene_is_refused_before_an_image_is_read(
-    make_town: Any, monkeypatch: pytest.MonkeyPatch, change: Any, why: str
+    begun: Scene, monkeypatch: pytest.MonkeyPatch, change: Any, why: str
 ) -> None:
-    scene = make_town()
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
-    change(scene)
+    change(begun)
     monkeypatch.setattr(whole_fit, "load_sources", lambda *_: pytest.fail("an image was read"))
     for begin in (check_start, fit):
         with pytest.raises(
             SceneError, match=f"found a checkpoint of {why}, expected the same; give --overwrite in place of --resume"
         ):
-            begin(scene, replace(SHORT, resume=True))
+            begin(begun, replace(SHORT, resume=True))
 
 
-def test_resuming_on_another_prior_is_refused(make_town: Any) -> None:
-    scene = make_town()
+def test_resuming_on_another_prior_is_refused(make_hamlet: Any) -> None:
+    scene = make_hamlet()
     with_prior = replace(SHORT, prior_weight=1.0)
     shutil.copy(scene.path(scene.products["truth_dsm"]), scene.root / "prior.tif")
     write_cog(scene.root / "sure.tif", np.ones(scene.require_grid().shape), scene.require_grid())
@@ -262,29 +274,27 @@ def test_resuming_on_another_prior_is_refused(make_town: Any) -> None:
         fit(scene, replace(with_prior, resume=True))
 
 
-def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(whole: Any, make_town: Any) -> None:
-    scene = make_town("AGAIN")
-    fit(scene, SHORT)
+def test_a_finished_fit_is_not_resumed_but_fitted_anew_when_asked(fitted: Scene, tmp_path: Path) -> None:
+    scene = copied(fitted, tmp_path / "AGAIN")
     with pytest.raises(OutputExistsError, match=r"found a finished fit, expected an interrupted one for --resume"):
         fit(scene, replace(SHORT, resume=True), overwrite=False)
     fit(scene, replace(SHORT, resume=True), overwrite=True)
-    assert_same(model(scene), whole)
+    assert_same(model(scene), model(fitted))
 
 
-def test_a_fit_that_ended_before_it_was_noted_is_resumed(whole: Any, make_town: Any) -> None:
+def test_a_fit_that_ended_before_it_was_noted_is_resumed(fitted: Scene, make_hamlet: Any) -> None:
     """Killed between the model and the scene's document, which then names no model."""
-    scene = make_town("AGAIN")
-    fit(make_town("OTHER"), SHORT)
-    shutil.copytree(scene.root.parent / "OTHER/fit", scene.root / "fit")
+    scene = make_hamlet("AGAIN")
+    shutil.copytree(fitted.root / "fit", scene.root / "fit")
     with pytest.raises(OutputExistsError):
         fit(scene, SHORT, overwrite=False)
     fit(scene, replace(SHORT, resume=True), overwrite=False)
-    assert_same(model(scene), whole)
+    assert_same(model(scene), model(fitted))
 
 
-def test_a_finished_fit_that_is_out_of_date_is_replaced_only_where_that_is_asked_for(make_town: Any) -> None:
+def test_a_finished_fit_that_is_out_of_date_is_replaced_only_where_that_is_asked_for(make_hamlet: Any) -> None:
     """`normalise` has put it out of date, so that the document names its model no more; there is nothing to resume."""
-    scene = api.normalise(api.fit(make_town("TOWN"), SHORT))
+    scene = api.normalise(api.fit(make_hamlet(), SHORT))
     before = (scene.root / "fit/model.safetensors").read_bytes()
     with pytest.raises(OutputExistsError, match=r"fit/model.safetensors: exists already; give overwrite=True"):
         api.fit(scene, replace(SHORT, resume=True))
@@ -294,10 +304,10 @@ def test_a_finished_fit_that_is_out_of_date_is_replaced_only_where_that_is_asked
 
 
 def test_a_fit_whose_end_cannot_be_noted_is_not_lost(
-    whole: Any, make_town: Any, monkeypatch: pytest.MonkeyPatch
+    whole: Any, make_hamlet: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its checkpoint is there until the document names the model, and the little that is left is done again."""
-    scene, write = make_town("AGAIN"), Scene.write
+    scene, write = make_hamlet("AGAIN"), Scene.write
 
     def fails(scene: Scene) -> Path:
         raise SattoolsError("scene.json: cannot be written (No space left on device)")
@@ -316,41 +326,32 @@ def test_a_fit_whose_end_cannot_be_noted_is_not_lost(
 
 
 @pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
-def test_a_flipped_byte_in_a_checkpoint_is_noticed(make_town: Any, place: Any) -> None:
-    scene = make_town()
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
-    path = scene.root / "fit/checkpoint.safetensors"
+def test_a_flipped_byte_in_a_checkpoint_is_noticed(begun: Scene, place: Any) -> None:
+    path = begun.root / "fit/checkpoint.safetensors"
     data = bytearray(path.read_bytes())
     data[int(place * len(data))] ^= 1
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"checkpoint\.safetensors: found other content than was written"):
-        fit(scene, replace(SHORT, resume=True))
+        fit(begun, replace(SHORT, resume=True))
 
 
-def test_tensors_of_another_type_in_a_checkpoint_are_noticed(make_town: Any) -> None:
+def test_tensors_of_another_type_in_a_checkpoint_are_noticed(begun: Scene) -> None:
     from safetensors import safe_open
     from safetensors.torch import save_file
 
-    scene = make_town()
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
-    path = scene.root / "fit/checkpoint.safetensors"
+    path = begun.root / "fit/checkpoint.safetensors"
     with safe_open(path, framework="pt") as file:
         about, tensors = file.metadata(), {k: file.get_tensor(k).double() for k in file.keys()}  # noqa: SIM118
     save_file(tensors, path, metadata=about)
     with pytest.raises(InputError, match="found other content than was written"):
-        fit(scene, replace(SHORT, resume=True))
+        fit(begun, replace(SHORT, resume=True))
 
 
-def test_a_damaged_checkpoint_is_named(make_town: Any) -> None:
-    scene = make_town()
-    with pytest.raises(Interrupted):
-        fit(scene, SHORT, interrupt_after(6))
-    path = scene.root / "fit/checkpoint.safetensors"
+def test_a_damaged_checkpoint_is_named(begun: Scene) -> None:
+    path = begun.root / "fit/checkpoint.safetensors"
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InputError, match=r"checkpoint\.safetensors: found no sattools model"):
-        fit(scene, replace(SHORT, resume=True))
+        fit(begun, replace(SHORT, resume=True))
 
 
 def test_a_model_file_survives_a_round_trip_and_others_are_refused(tmp_path: Path) -> None:

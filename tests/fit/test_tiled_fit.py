@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from towns import copied
 
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
@@ -25,13 +26,14 @@ from sattools.fit.tiles.shared import Coarse
 from sattools.prior import PriorOptions
 from sattools.prior.files import read_prior
 from sattools.prior.gate import grids
-from sattools.prior.stage import prior
 from sattools.render import sun_visibility
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
 
 WHOLE = FitOptions(resolution=1.0, epochs=[8])
 TILED = replace(WHOLE, tile=32.0, overlap=8.0)
+SMALL = replace(WHOLE, tile=16.0, overlap=4.0)  # of the small scene, four tiles too
+SHORT = replace(SMALL, epochs=[2])
 
 
 def model(scene: Any) -> Any:
@@ -47,12 +49,17 @@ def both(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The simulated town fitted at once and in four tiles."""
     scenes = []
     for name, options in (("WHOLE", WHOLE), ("TILED", TILED)):
-        root = tmp_path_factory.mktemp("tiles") / name
-        shutil.copytree(town_source.root, root)
-        scene = Scene.from_json(town_source.to_json())
-        scene.root = root
+        scene = copied(town_source, tmp_path_factory.mktemp("tiles") / name)
         scenes.append((scene, fit(scene, options)))
     return scenes
+
+
+@pytest.fixture(scope="module")
+def joined(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, torch.Tensor]:
+    """The model of the small scene's tiles, fitted one after the other."""
+    scene = copied(hamlet_source, tmp_path_factory.mktemp("joined") / "HAMLET")
+    fit(scene, SMALL)
+    return model(scene)[0]
 
 
 def test_tiles_leave_what_a_fit_of_the_whole_leaves(both: Any) -> None:
@@ -83,8 +90,8 @@ def test_tiles_are_as_good_as_the_whole_and_show_no_seam(both: Any) -> None:
         assert steps[seam] <= np.percentile(np.delete(steps, seam), 95)
 
 
-def test_an_interrupted_tiled_fit_does_only_what_is_left(both: Any, make_town: Any) -> None:
-    scene = make_town("CUT")
+def test_an_interrupted_tiled_fit_does_only_what_is_left(joined: Any, make_hamlet: Any) -> None:
+    scene = make_hamlet("CUT")
     said = []
 
     def stop(fraction: Any, message: Any) -> None:
@@ -93,7 +100,7 @@ def test_an_interrupted_tiled_fit_does_only_what_is_left(both: Any, make_town: A
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        fit(scene, TILED, stop)
+        fit(scene, SMALL, stop)
     shares = [share for share, _ in said]
     assert shares == sorted(shares)
     assert said[0][1].startswith("whole area, coarsely: ")
@@ -104,33 +111,33 @@ def test_an_interrupted_tiled_fit_does_only_what_is_left(both: Any, make_town: A
             SceneError,
             match="found a checkpoint of other options, images or cameras, expected the same; give",
         ):
-            begin(scene, replace(TILED, seed=1, resume=True))
-    check_start(scene, replace(TILED, resume=True))
-    fit(scene, replace(TILED, resume=True), lambda share, message: said.append((share, message)))
+            begin(scene, replace(SMALL, seed=1, resume=True))
+    check_start(scene, replace(SMALL, resume=True))
+    fit(scene, replace(SMALL, resume=True), lambda share, message: said.append((share, message)))
     assert {message.split(":")[0] for _, message in said if ":" in message} == {"tile 3 of 4", "tile 4 of 4"}
     # the same as without interruption, bit for bit
-    found, expected = model(scene)[0], model(both[1][0])[0]
+    found, expected = model(scene)[0], joined
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(both: Any, make_town: Any) -> None:
-    scene = make_town("PARTS")
-    documents = fit(scene, replace(TILED, part="split"))["tiles"]
+def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(joined: Any, make_hamlet: Any) -> None:
+    scene = make_hamlet("PARTS")
+    documents = fit(scene, replace(SMALL, part="split"))["tiles"]
     assert documents == ["r0c0", "r0c1", "r1c0", "r1c1"]
     with pytest.raises(SceneError, match=r"r0c0/fit/model\.safetensors: no such file, expected the model of a fitted"):
-        fit(scene, replace(TILED, part="mosaic"))
+        fit(scene, replace(SMALL, part="mosaic"))
     for name in reversed(documents):
-        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), TILED)
-    fit(scene, replace(TILED, part="mosaic"))
-    found, expected = model(scene)[0], model(both[1][0])[0]
+        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), SMALL)
+    fit(scene, replace(SMALL, part="mosaic"))
+    found, expected = model(scene)[0], joined
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_images_have_the_same_colours_and_poses_in_all_tiles(make_town: Any) -> None:
-    scene = make_town("SHARED")
-    names = fit(scene, replace(TILED, part="split", epochs=[2]))["tiles"]
+def test_images_have_the_same_colours_and_poses_in_all_tiles(make_matched_hamlet: Any) -> None:
+    scene = make_matched_hamlet("SHARED")
+    names = fit(scene, replace(SHORT, part="split"))["tiles"]
     for name in names[:2]:
-        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), replace(TILED, epochs=[2]))
+        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), SHORT)
     one, two = (load(scene.root / f"fit/tiles/{name}/fit/model.safetensors")[0] for name in names[:2])
     common = load(scene.root / "fit/tiles/common.safetensors")[0]
     for name in ("gain", "offset", "ambient", "pose"):
@@ -145,10 +152,12 @@ def test_the_coarse_fit_of_the_whole_is_matched_on_its_own_cells(make_town: Any)
     assert grids(coarse, coarse.items, PriorOptions()) == (coarse.grid, coarse.grid)
 
 
-def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(
+    make_matched_hamlet: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
-    scene = make_town("PILOTS")
-    fit(scene, replace(TILED, part="split", epochs=[2]))
+    scene = make_matched_hamlet("PILOTS")
+    fit(scene, replace(SHORT, part="split"))
     pilots = sorted(path.name for path in (scene.root / "fit/tiles").glob("pilot.*"))
     assert pilots == ["pilot.r0c0", "pilot.r0c1", "pilot.r1c0", "pilot.r1c1"]
     own = [load(scene.root / f"fit/tiles/{name}/fit/model.safetensors")[0] for name in pilots]
@@ -157,16 +166,18 @@ def test_pilot_tiles_settle_what_the_coarse_fit_cannot_see(make_town: Any, monke
         assert torch.equal(common[name], torch.stack([t[name] for t in own]).median(dim=0).values)
 
 
-def test_pilots_may_be_fitted_by_commands_of_their_own(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pilots_may_be_fitted_by_commands_of_their_own(
+    make_matched_hamlet: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
-    options = replace(TILED, epochs=[2])
-    whole, apart = make_town("WHOLE"), make_town("APART")
+    options = SHORT
+    whole, apart = make_matched_hamlet("WHOLE"), make_matched_hamlet("APART")
     fit(whole, replace(options, part="split"))
     names = fit(apart, replace(options, part="coarse"))["pilots"]
     assert names == ["pilot.r0c0", "pilot.r0c1", "pilot.r1c0", "pilot.r1c1"]
     assert not list((apart.root / "fit/tiles").glob("r*"))
     for name in names:
-        # 40 m wide with what they share, and told of tiles of 32 m as a batch tells them
+        # 20 m wide with what they share, and told of tiles of 16 m as a batch tells them
         fit(Scene.from_file(apart.root / f"fit/tiles/{name}/scene.json"), options)
     begun = {name: (apart.root / f"fit/tiles/{name}/fit/model.safetensors").stat().st_mtime_ns for name in names}
     found = fit(apart, replace(options, part="split", resume=True))["tiles"]
@@ -178,12 +189,11 @@ def test_pilots_may_be_fitted_by_commands_of_their_own(make_town: Any, monkeypat
 
 
 def test_no_part_reads_more_of_a_given_prior_than_shows_its_own_ground(
-    make_town: Any, monkeypatch: pytest.MonkeyPatch
+    make_matched_town: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Memory must not grow with the area, and a prior of 100 million cells is larger than all else."""
     monkeypatch.setattr(tile_plan, "FINE_ENOUGH", 1)
-    scene = make_town("GIVEN")
-    prior(scene, PriorOptions(rough_passes=0))
+    scene = make_matched_town("GIVEN")
     read = []
 
     def noting(*args: Any) -> Any:
@@ -200,10 +210,12 @@ def test_no_part_reads_more_of_a_given_prior_than_shows_its_own_ground(
     assert all(cells[name] <= (40 / 64) ** 2 * cells_of(scene) for name in names)
 
 
-def test_a_scene_moved_with_unfinished_tiles_goes_on_with_its_own_files(make_town: Any, tmp_path: Any) -> None:
+def test_a_scene_moved_with_unfinished_tiles_goes_on_with_its_own_files(
+    make_matched_hamlet: Any, tmp_path: Any
+) -> None:
     """With those of the place where it was cut, a copy would show whatever has become of the original since."""
-    options = replace(TILED, epochs=[2])
-    whole, cut = make_town("ONCE"), make_town("CUT")
+    options = SHORT
+    whole, cut = make_matched_hamlet("ONCE"), make_matched_hamlet("CUT")
     fit(whole, options)
     fit(cut, replace(options, part="split"))
     cut.write()
@@ -220,10 +232,10 @@ def test_a_scene_moved_with_unfinished_tiles_goes_on_with_its_own_files(make_tow
     assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_what_is_put_back_in_the_coarse_fit_is_no_news(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_put_back_in_the_coarse_fit_is_no_news(make_matched_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of 24 m lie 2 m off their prior wherever the ground slopes, and nothing of them is in the result."""
     monkeypatch.setattr(job, "WORTH_SAYING", 0.0)
-    said = fit(make_town("STRAY"), replace(TILED, epochs=[1]))["notes"]
+    said = fit(make_matched_town("STRAY"), replace(TILED, epochs=[1]))["notes"]
     told = [text for text in said if "strayed from the prior" in text]
     assert len(told) == 4
     assert all(text.startswith("tile r") for text in told)
@@ -313,19 +325,19 @@ def test_what_does_not_go_with_tiles_is_one_line(make_town: Any, options: Any, w
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-def test_a_tile_size_of_0_is_a_fit_at_once(make_town: Any) -> None:
-    scene = make_town("ZERO")
+def test_a_tile_size_of_0_is_a_fit_at_once(make_matched_hamlet: Any) -> None:
+    scene = make_matched_hamlet("ZERO")
     fit(scene, replace(WHOLE, tile=0.0, epochs=[1]))
     assert not any(json.loads(text).get("tiles") for text in [json.dumps(model(scene)[1])])
     assert not (scene.root / "fit/tiles").exists()
 
 
-def test_strips_of_any_height_join_to_the_same_model(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strips_of_any_height_join_to_the_same_model(make_hamlet: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     for rows in (256, 7):
-        scene = make_town(f"STRIPS{rows}")
+        scene = make_hamlet(f"STRIPS{rows}")
         monkeypatch.setattr(mosaic, "STRIP_ROWS", rows)
-        fit(scene, replace(TILED, epochs=[2]))
+        fit(scene, SHORT)
         made.append((model(scene)[0], [read_raster(scene.root / f"prior/{n}.tif")[0] for n in ("dsm", "normals")]))
     (one, maps), (other, other_maps) = made
     assert one.keys() == other.keys()
@@ -336,20 +348,20 @@ def test_strips_of_any_height_join_to_the_same_model(make_town: Any, monkeypatch
 
 
 def test_what_was_begun_in_tiles_goes_on_in_them_without_their_size(
-    both: Any, make_town: Any, caplog: pytest.LogCaptureFixture
+    joined: Any, make_hamlet: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As where `fit` had chosen it by the memory that was free then."""
-    scene = make_town("OPEN")
+    scene = make_hamlet("OPEN")
 
     def stop(fraction: Any, message: Any) -> None:
         if "tile 2 of 4" in message:
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        fit(scene, TILED, stop)
+        fit(scene, SMALL, stop)
     said = []
-    fit(scene, replace(TILED, tile=None, resume=True), lambda share, message: said.append(message))
-    assert "goes on in the tiles of 32 m that were begun" in caplog.text
+    fit(scene, replace(SMALL, tile=None, resume=True), lambda share, message: said.append(message))
+    assert "goes on in the tiles of 16 m that were begun" in caplog.text
     assert not any(message.startswith(("whole area", "tile 1 of 4")) for message in said)
-    found, expected = model(scene)[0], model(both[1][0])[0]
+    found, expected = model(scene)[0], joined
     assert all(torch.equal(found[name], expected[name]) for name in expected)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from towns import copied
 
 from sattools import api
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
@@ -12,16 +13,16 @@ from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
 from sattools.scene import Scene
 
-TILED = FitOptions(resolution=1.0, epochs=[8], tile=32.0, overlap=8.0)
+TILED = FitOptions(resolution=1.0, epochs=[8], tile=16.0, overlap=4.0)
 
 
 class Interrupted(Exception):
     """Stands for whatever ends a process."""
 
 
-def test_finished_tiles_are_removed_only_where_that_is_asked_for(make_town: Any) -> None:
+def test_finished_tiles_are_removed_only_where_that_is_asked_for(make_matched_hamlet: Any) -> None:
     """A call from the history of a shell, without --resume, would cost hours of an area that was nearly done."""
-    scene, plain = make_town("NEARLY"), replace(TILED, epochs=[2])
+    scene, plain = make_matched_hamlet("NEARLY"), replace(TILED, epochs=[2])
     first, *_ = fit(scene, replace(plain, part="split"))["tiles"]
     fit(Scene.from_file(scene.root / f"fit/tiles/{first}/scene.json"), plain)
     for begin in (check_start, fit):
@@ -34,9 +35,9 @@ def test_finished_tiles_are_removed_only_where_that_is_asked_for(make_town: Any)
     check_start(scene, replace(plain, resume=True), overwrite=False)
 
 
-def test_what_was_begun_all_at_once_does_not_go_on_in_tiles(make_town: Any) -> None:
+def test_what_was_begun_all_at_once_does_not_go_on_in_tiles(make_matched_hamlet: Any) -> None:
     """At its end the checkpoint would go."""
-    scene = make_town()
+    scene = make_matched_hamlet()
 
     def stop(share: float, message: str) -> None:
         if "epoch 6" in message:
@@ -55,9 +56,9 @@ def test_what_was_begun_all_at_once_does_not_go_on_in_tiles(make_town: Any) -> N
     "name", ["scene.json", "tiles.json", "common.safetensors", "r0c1/scene.json", "coarse/fit/trace.csv"]
 )
 def test_files_of_other_origin_in_the_place_of_tiles_are_replaced_only_where_that_is_asked_for(
-    make_town: Any, name: str, flags: Any
+    make_hamlet: Any, name: str, flags: Any
 ) -> None:
-    scene = make_town()
+    scene = make_hamlet()
     path = scene.root / "fit/tiles" / name
     path.parent.mkdir(parents=True)
     path.write_text("somebody's")
@@ -69,8 +70,8 @@ def test_files_of_other_origin_in_the_place_of_tiles_are_replaced_only_where_tha
     assert path.read_text() == "somebody's"
 
 
-def test_what_is_no_tile_stays_beside_tiles_and_in_them(make_town: Any) -> None:
-    scene = make_town()
+def test_what_is_no_tile_stays_beside_tiles_and_in_them(make_hamlet: Any) -> None:
+    scene = make_hamlet()
     own = {"notes.txt", "sketches/r0c0.svg", "r0c1/mine.txt", "r0c1/fit/mine.csv", "r9c9.bak/scene.json"}
 
     def put(share: float, message: str) -> None:
@@ -91,8 +92,8 @@ def test_what_is_no_tile_stays_beside_tiles_and_in_them(make_town: Any) -> None:
     assert {(scene.root / "fit/tiles" / name).read_text() for name in own} == {"somebody's"}
 
 
-def test_nothing_is_removed_behind_a_link_that_leads_out_of_the_scene(make_town: Any, tmp_path: Path) -> None:
-    scene = make_town()
+def test_nothing_is_removed_behind_a_link_that_leads_out_of_the_scene(make_hamlet: Any, tmp_path: Path) -> None:
+    scene = make_hamlet()
     (scene.root / "fit").mkdir()
     (tmp_path / "other").mkdir()
     (tmp_path / "other/scene.json").write_text("somebody's")
@@ -103,9 +104,9 @@ def test_nothing_is_removed_behind_a_link_that_leads_out_of_the_scene(make_town:
 
 
 def test_tiles_stay_until_the_document_names_what_they_were_joined_to(
-    make_town: Any, monkeypatch: pytest.MonkeyPatch
+    make_hamlet: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, write = make_town("NEARLY"), Scene.write
+    scene, write = make_hamlet("NEARLY"), Scene.write
 
     def fails(scene: Scene) -> Path:
         if scene.id != "NEARLY":
@@ -123,14 +124,23 @@ def test_tiles_stay_until_the_document_names_what_they_were_joined_to(
     assert not (scene.root / "fit/tiles").exists()
 
 
-@pytest.mark.parametrize("last", [{"tile": 0.0}, {"part": "mosaic"}])
-def test_tiles_that_are_left_are_no_reason_to_replace_a_finished_fit(make_town: Any, last: Any) -> None:
-    scene, plain = make_town("LEFT"), replace(TILED, epochs=[2])
+@pytest.fixture(scope="module")
+def fitted_tiles(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The small scene with four finished tiles that nobody has joined; tests must leave its files alone."""
+    scene, plain = copied(matched_hamlet_source, tmp_path_factory.mktemp("tiles") / "LEFT"), replace(TILED, epochs=[2])
     for name in fit(scene, replace(plain, part="split"))["tiles"]:
         fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), plain)
+    return scene
+
+
+@pytest.mark.parametrize("last", [{"tile": 0.0}, {"part": "mosaic"}])
+def test_tiles_that_are_left_are_no_reason_to_replace_a_finished_fit(
+    fitted_tiles: Scene, tmp_path: Path, last: Any
+) -> None:
+    scene, plain = copied(fitted_tiles, tmp_path / "LEFT"), replace(TILED, epochs=[2])
     fit(scene, replace(plain, **last))
     before = (scene.root / "fit/model.safetensors").read_bytes()
-    for tile in (None, 32.0, 0.0):
+    for tile in (None, 16.0, 0.0):
         with pytest.raises(OutputExistsError, match="found a finished fit, expected an interrupted one for --resume"):
             fit(scene, replace(plain, tile=tile, resume=True), overwrite=False)
     assert (scene.root / "fit/model.safetensors").read_bytes() == before

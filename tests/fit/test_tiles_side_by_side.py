@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import torch
 from patience import HANGING_S
+from towns import copied
 
 from sattools.cli.safety import explain
 from sattools.errors import SattoolsError, SceneError
@@ -26,7 +27,7 @@ from sattools.fit.tiles import crew, helper
 from sattools.fit.tiles import plan as tile_plan
 from sattools.scene import Scene
 
-TILED = FitOptions(resolution=1.0, epochs=[8], tile=32.0, overlap=8.0)
+TILED = FitOptions(resolution=1.0, epochs=[8], tile=16.0, overlap=4.0)
 Towns = Callable[[str], Scene]
 
 
@@ -58,22 +59,17 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen]:
 
 
 @pytest.fixture(scope="module")
-def expected(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, torch.Tensor]:
+def expected(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, torch.Tensor]:
     """The model of tiles that were fitted one after the other in this process."""
-    import shutil
-
-    root = tmp_path_factory.mktemp("one") / "TOWN"
-    shutil.copytree(town_source.root, root)
-    scene = Scene.from_json(town_source.to_json())
-    scene.root = root
+    scene = copied(hamlet_source, tmp_path_factory.mktemp("one") / "HAMLET")
     fit(scene, TILED)
     return model(scene)
 
 
 def test_the_surface_is_the_same_to_the_bit(
-    make_town: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
+    make_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
 ) -> None:
-    scene, said = make_town("TWO"), []
+    scene, said = make_hamlet("TWO"), []
     fit(scene, TILED, lambda share, message: said.append((share, message)))
     assert len(started) == 2
     assert [process.wait(HANGING_S) for process in started] == [0, 0]
@@ -84,9 +80,9 @@ def test_the_surface_is_the_same_to_the_bit(
 
 
 def test_a_lost_process_costs_its_tile_only(
-    make_town: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor], caplog: Any
+    make_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor], caplog: Any
 ) -> None:
-    scene, lost = make_town("LOST"), []
+    scene, lost = make_hamlet("LOST"), []
 
     def kill(fraction: float, message: str) -> None:
         if message.startswith("tile 1 of 4") and "epoch" in message and not lost:
@@ -100,10 +96,10 @@ def test_a_lost_process_costs_its_tile_only(
 
 
 def test_a_tile_whose_processes_are_always_lost_ends_the_fit(
-    make_town: Towns, started: list[subprocess.Popen], monkeypatch: pytest.MonkeyPatch
+    make_hamlet: Towns, started: list[subprocess.Popen], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tile_plan, "side_by_side", lambda scene, options, tiles: 2)
-    scene = make_town("ALWAYS")
+    scene = make_hamlet("ALWAYS")
 
     def kill(fraction: float, message: str) -> None:
         if message.startswith("tile 1 of 4"):
@@ -116,9 +112,9 @@ def test_a_tile_whose_processes_are_always_lost_ends_the_fit(
 
 
 def test_an_interrupt_ends_all_processes_and_resume_goes_on(
-    make_town: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
+    make_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
 ) -> None:
-    scene, said = make_town("CUT"), []
+    scene, said = make_hamlet("CUT"), []
 
     def stop(fraction: float, message: str) -> None:
         if message.startswith("tile 2 of 4") and "epoch 4" in message:
@@ -133,8 +129,8 @@ def test_an_interrupt_ends_all_processes_and_resume_goes_on(
     assert equal(model(scene), expected)
 
 
-def test_an_error_in_a_process_is_that_of_the_command(make_town: Towns, started: list[subprocess.Popen]) -> None:
-    scene = make_town("BROKEN")
+def test_an_error_in_a_process_is_that_of_the_command(make_hamlet: Towns, started: list[subprocess.Popen]) -> None:
+    scene = make_hamlet("BROKEN")
     fit(scene, replace(TILED, part="split"))
     path = scene.root / "fit/tiles/r0c1/scene.json"
     part = json.loads(path.read_text())
@@ -181,7 +177,7 @@ def test_messages_of_the_processes_are_told_once(
     for item in scene.items[2:]:
         item.properties["sattools:role"] = "test"  # two views leave ground that one of them does not show
     with caplog.at_level(logging.INFO, "sattools"):
-        result = fit(scene, replace(TILED, epochs=[2]))
+        result = fit(scene, replace(TILED, epochs=[2], tile=32.0, overlap=8.0))
     told = [record.getMessage() for record in caplog.records if ".r0c" in record.getMessage()]
     assert len(told) == len(set(told))
     assert all(

@@ -1,0 +1,21 @@
+"""Copies of simulated scenes, with what was made of them."""
+
+import shutil
+from pathlib import Path
+
+from sattools import api
+from sattools.scene import Scene
+
+
+def copied(source: Scene, root: Path) -> Scene:
+    """The scene and all its files in a folder of its own, which gives it its name."""
+    shutil.copytree(source.root, root)
+    scene = Scene.from_json(source.to_json())
+    scene.id, scene.root = root.name, root
+    (root / "scene.json").write_text(scene.to_json() + "\n")
+    return scene
+
+
+def matched(source: Scene, root: Path) -> Scene:
+    """A copy that has the prior that `fit` would make of it."""
+    return api.match(copied(source, root))
