@@ -18,9 +18,8 @@ set_threads(1)
 
 # Files that take a minute or more, the longest first: begun last, they would leave all cores but one idle at the end.
 LONG = (
-    "test_accuracy.py", "test_batch_run.py", "test_campaigns.py", "test_tiles_side_by_side.py",
-    "test_networks_from_the_prior.py", "test_nothing_lost.py", "test_in_qgis.py", "test_tutorials.py",
-    "test_tiled_fit.py", "test_report.py",
+    "test_accuracy.py", "test_batch_run.py", "test_in_qgis.py", "test_tiles_side_by_side.py", "test_nothing_lost.py",
+    "test_tiled_fit.py", "test_report.py", "test_networks_from_the_prior.py", "test_tutorials.py",
 )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.slow
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
@@ -22,20 +23,15 @@ def campaign(tmp_path: Path, name: Any, *options: Any) -> Any:
     return found["table" if name == "fuzz" else "jobs"]
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(24, marks=pytest.mark.slow)])
-def test_damaged_inputs_break_nothing(count: int, tmp_path: Path) -> None:
-    table = campaign(tmp_path, "fuzz", "--count", str(count), "--seed", "1")
-    assert sum(sum(results.values()) for results in table.values()) == count
+def test_damaged_inputs_break_nothing(tmp_path: Path) -> None:
+    table = campaign(tmp_path, "fuzz", "--count", "24", "--seed", "1")
+    assert sum(sum(results.values()) for results in table.values()) == 24
 
 
-@pytest.mark.parametrize(
-    ("kills", "jobs"), [("2", ["normalise"]), pytest.param("4", ["normalise", "export"], marks=pytest.mark.slow)]
-)
-def test_killed_commands_and_full_disks_leave_nothing_damaged(kills: str, jobs: list[str], tmp_path: Path) -> None:
-    found = campaign(tmp_path, "faults", "--kills", kills, "--clusters", "0", "--jobs", *jobs)
-    assert sum(row["full_disks"] for row in found.values()) > 5 * len(jobs)
+def test_killed_commands_and_full_disks_leave_nothing_damaged(tmp_path: Path) -> None:
+    jobs = campaign(tmp_path, "faults", "--kills", "4", "--clusters", "0", "--jobs", "normalise", "export")
+    assert sum(row["full_disks"] for row in jobs.values()) > 10
 
 
-@pytest.mark.slow
 def test_a_batch_survives_a_cluster_that_dies(tmp_path: Path) -> None:
     campaign(tmp_path, "faults", "--kills", "0", "--clusters", "2", "--jobs", "batch")
