@@ -2,11 +2,11 @@
 
 import logging
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from towns import copied
 
 from sattools.cli import set_threads
 from sattools.scene import Scene
@@ -57,12 +57,7 @@ def make_town(town_source: Scene, tmp_path: Path) -> Callable[[str], Scene]:
     """Makes copies of the simulated scene below `tmp_path`, each with its own root of the given name."""
 
     def make(name: str = "TOWN") -> Scene:
-        root = tmp_path / name
-        shutil.copytree(town_source.root, root)
-        scene = Scene.from_json(town_source.to_json())
-        scene.id, scene.root = name, root
-        (root / "scene.json").write_text(scene.to_json() + "\n")
-        return scene
+        return copied(town_source, tmp_path / name)
 
     return make
 

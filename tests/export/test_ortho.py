@@ -11,6 +11,7 @@ import rasterio
 import torch
 from scipy.ndimage import binary_dilation
 from skimage.registration import phase_cross_correlation
+from towns import copied
 
 from sattools.camera.ground import grid_direction
 from sattools.errors import SceneError
@@ -32,13 +33,8 @@ COARSE = 2  # the model's cells over the images' pixels
 @pytest.fixture(scope="module")
 def exported(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The town with a model that is the truth in cells of 1 m; the images have pixels of 0.5 m."""
-    import shutil
-
-    root = tmp_path_factory.mktemp("ortho") / "TOWN"
-    shutil.copytree(town_source.root, root)
-    scene = Scene.from_json(town_source.to_json())
-    scene.root = root
-    model_of(scene).save(root / "model.safetensors")
+    scene = copied(town_source, tmp_path_factory.mktemp("ortho") / "TOWN")
+    model_of(scene).save(scene.root / "model.safetensors")
     scene.products["model"] = "model.safetensors"
     export(scene, ExportOptions(products=["ortho"]))
     return scene

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from towns import copied
 
 from sattools.export.blocks import Surroundings, blocks
 from sattools.export.options import ExportOptions
@@ -28,10 +29,7 @@ QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0)
 
 @pytest.fixture(scope="module")
 def fitted_source(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    root = tmp_path_factory.mktemp("fitted") / "TOWN"
-    shutil.copytree(town_source.root, root)
-    scene = Scene.from_json(town_source.to_json())
-    scene.root = root
+    scene = copied(town_source, tmp_path_factory.mktemp("fitted") / "TOWN")
     fit(scene, QUICK)
     return scene
 

@@ -1,10 +1,10 @@
 """Fixtures of the tests of `normalise`."""
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
+from towns import copied
 
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import normalise
@@ -15,10 +15,7 @@ from sattools.scene.files import write_bytes
 @pytest.fixture(scope="module")
 def saturated_town(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A town normalised with saturation at 300; tests change copies of its document, and of its folder."""
-    root = tmp_path_factory.mktemp("saturated") / "TOWN"
-    shutil.copytree(town_source.root, root)
-    scene = Scene.from_json(town_source.to_json())
-    scene.root = root
+    scene = copied(town_source, tmp_path_factory.mktemp("saturated") / "TOWN")
     normalise(scene, NormaliseOptions(saturation=300))
     return scene
 
