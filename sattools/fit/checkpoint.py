@@ -123,9 +123,7 @@ def describe(path: Path) -> JsonObject:
         with open(path, "rb") as file:
             table, _ = _table(file)
         description = dict(json.loads(table["__metadata__"][KEY]))
-        expected = description.get(CHECKSUM)
-        if expected is not None and expected != _checksum_of(path):
-            raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
+        _compare(path, description, lambda: _checksum_of(path))
         return description
     except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
         raise InputError(f"{path}: found no sattools model ({error})") from error
@@ -181,14 +179,18 @@ def load(path: Path) -> tuple[dict[str, Tensor], Mapping[str, Any]]:
         raise InputError(f"{path}: found no sattools model ({error})") from error
     if not isinstance(description, dict):
         raise InputError(f"{path}: found no sattools model (its description is no JSON object)")
-    # older models have none
-    expected = description.pop(CHECKSUM, None)
-    if expected is not None and expected != _checksum(tensors, description):
-        raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
+    _compare(path, description, lambda: _checksum(tensors, description))
+    description.pop(CHECKSUM, None)
     if description.pop(VERSION, None) is None:
         tensors = {_present(name): tensor for name, tensor in tensors.items()}
         description = {_FORMERLY.get(name, name): value for name, value in description.items()}
     return tensors, description
+
+
+def _compare(path: Path, description: Mapping[str, Any], checksum: Callable[[], str]) -> None:
+    """Whether a file is what was written; models of before checksums had no version either."""
+    if (CHECKSUM in description or VERSION in description) and description.get(CHECKSUM) != checksum():
+        raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
 
 
 def _present(name: str) -> str:
@@ -197,8 +199,9 @@ def _present(name: str) -> str:
 
 
 def _checksum(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> str:
-    """SHA-256 of the description, and of names, types, shapes and bytes of the tensors."""
-    known = hashlib.sha256(json.dumps(description, sort_keys=True).encode())
+    """SHA-256 of the description without its own checksum, and of names, types, shapes and bytes of the tensors."""
+    described = {key: value for key, value in description.items() if key != CHECKSUM}
+    known = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
     for name in sorted(tensors):
         tensor = tensors[name]
         known.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())

@@ -23,6 +23,20 @@ def test_a_model_survives_its_file(tmp_path: Path) -> None:
     assert torch.equal(again["height"], tensors["height"])
 
 
+def test_no_byte_of_a_model_can_change_unnoticed(tmp_path: Path) -> None:
+    """Not of its header either, which names the checksum."""
+    path = tmp_path / "m.safetensors"
+    checkpoint.save(path, {"height": torch.arange(6.0).reshape(2, 3)}, {"shadow": "none"})
+    whole = path.read_bytes()
+    for place in range(len(whole)):
+        data = bytearray(whole)
+        data[place] ^= 1
+        path.write_bytes(data)
+        for read in (checkpoint.load, checkpoint.verify):
+            with pytest.raises(InputError, match=r"m\.safetensors: found "):
+                read(path)
+
+
 def test_a_file_of_version_1_is_read_under_the_present_names(tmp_path: Path) -> None:
     names = ["amount", "members", "shares", "lines", "height", "adam.amount.exp_avg", "light.features", "field.members"]
     save_file(

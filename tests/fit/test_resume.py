@@ -329,7 +329,8 @@ def test_a_fit_whose_end_cannot_be_noted_is_not_lost(
 def test_a_flipped_byte_in_a_checkpoint_is_noticed(begun: Scene, place: Any) -> None:
     path = begun.root / "fit/checkpoint.safetensors"
     data = bytearray(path.read_bytes())
-    data[int(place * len(data))] ^= 1
+    tensors = 8 + int.from_bytes(data[:8], "little")  # behind the header, whose length stands in eight bytes
+    data[tensors + int(place * (len(data) - tensors))] ^= 1
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"checkpoint\.safetensors: found other content than was written"):
         fit(begun, replace(SHORT, resume=True))
