@@ -14,25 +14,25 @@ from sattools.compiled import njit
 MAGIC = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to an integer, which the last bits then hold
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def at_least(value, bound):
     """Max that keeps NaN."""
     return bound if value < bound else value
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def at_most(value, bound):
     """Min that keeps NaN."""
     return bound if value > bound else value
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def sign(value):
     """-1, 0 or 1."""
     return 1.0 if value > 0 else (-1.0 if value < 0 else 0.0)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def _exp_parts(x):
     """2^k and expm1(r) with x = k ln 2 + r; for -200 < x <= 0."""
     shifted = x * 1.4426950408889634 + MAGIC
@@ -48,21 +48,21 @@ def _exp_parts(x):
     return power, p * r
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def exp(x):
     """For -200 < x <= 0."""
     power, rest = _exp_parts(x)
     return power + power * rest
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def expm1(x):
     """For -200 < x <= 0, with all digits near 0."""
     power, rest = _exp_parts(x)
     return power * rest + (power - 1.0)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def log(x):
     """For normal x > 0."""
     bits = np.float64(x).view(np.int64)
@@ -78,7 +78,7 @@ def log(x):
     return k * 0.6931471805599453 + 2.0 * u * p
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def angle(y, x):
     """atan2(y, x) for y >= 0."""
     wide = abs(x)
@@ -97,7 +97,7 @@ def angle(y, x):
     return math.pi - angle if x < 0 else angle
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def tan(x):
     """For 0 <= x < 1.5."""
     a = 0.5 * x

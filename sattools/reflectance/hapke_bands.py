@@ -29,7 +29,7 @@ G_K, G_LO, G_HI, G_P, G_COS, G_N0, G_N1, G_N2, G_B, G_C, G_THETA, G_ROWS = range
 SLOPES = 4  # derivatives of a cell and band: by w, b, c, theta-bar
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def _angles(n0, n1, n2, pair):
     """Both cosines and the triple product of a facet; pair: sun, view, their cross product."""
     mu0 = n0 * pair[0] + n1 * pair[1] + n2 * pair[2]
@@ -37,7 +37,7 @@ def _angles(n0, n1, n2, pair):
     return mu0, mu, n0 * pair[6] + n1 * pair[7] + n2 * pair[8]
 
 
-@njit(cache=True)
+@njit
 def _open(pair, state):
     """What all bands of a block of cells share, into its state; K with the cosine of incidence, 0 where unlit."""
     plus2, minus2 = pair[9], pair[10]
@@ -51,7 +51,7 @@ def _open(pair, state):
         state[P * LANES + j], state[COS * LANES + j] = p, at_least(mu0, 0.0)
 
 
-@njit(cache=True)
+@njit
 def _band(state, w, value):
     """BRF cos i of one band of a block."""
     for j in range(LANES):
@@ -60,7 +60,7 @@ def _band(state, w, value):
         value[j] = state[COS * LANES + j] * state[K * LANES + j] * ww * (state[P * LANES + j] + (hlo * hhi - 1))
 
 
-@njit(cache=True)
+@njit
 def _band_back(state, w, grad, g_w, rates):
     """Gradient of w of one band of a block, from that of the value; those of what bands share are added to `rates`."""
     for j in range(LANES):
@@ -82,7 +82,7 @@ def _band_back(state, w, grad, g_w, rates):
         rates[G_COS * LANES + j] += grad[j] * k * ww * inner
 
 
-@njit(cache=True)
+@njit
 def _close(pair, state, rates):
     """From the gradients of what bands share to those of normal and shape, in `rates`."""
     plus2, minus2 = pair[9], pair[10]
@@ -104,7 +104,7 @@ def _close(pair, state, rates):
         rates[G_B * LANES + j], rates[G_C * LANES + j], rates[G_THETA * LANES + j] = g_b, g_c, g_theta
 
 
-@njit(cache=True)
+@njit
 def _load(n, b, c, theta, start, size, state):
     """Facets of a block; what is missing from a full block repeats the last one."""
     for j in range(LANES):
@@ -113,7 +113,7 @@ def _load(n, b, c, theta, start, size, state):
         state[B * LANES + j], state[C * LANES + j], state[THETA * LANES + j] = b[i], c[i], theta[i]
 
 
-@njit(cache=True)
+@njit
 def _column(values, band, start, size, target):
     """One band of a block of ``[N, C]``."""
     for j in range(LANES):

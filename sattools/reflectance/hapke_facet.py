@@ -32,7 +32,7 @@ DEGREE = math.pi / 180
 TINY = float(np.finfo(np.float64).tiny)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def facet(mu0, mu, triple, plus2, minus2, theta):
     """K and the effective cosines of a rough facet, and what `facet_reverse` needs of them.
 
@@ -78,7 +78,7 @@ def facet(mu0, mu, triple, plus2, minus2, theta):
     return k, shrink * a_lo, shrink * a_hi, shrink, (ends, turn, rest)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def facet_reverse(known, mu0, mu, triple, theta, k, shrink, g_k, x_lo, x_hi):
     """Gradients of theta-bar, both cosines, triple product and |sun +- view|^2, from those of `facet`'s first three."""
     ends, turn, rest = known
@@ -130,7 +130,7 @@ def facet_reverse(known, mu0, mu, triple, theta, k, shrink, g_k, x_lo, x_hi):
     return g_theta, mean + half, mean - half, g_triple, 0.25 * g_x
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def lobes(b, c, plus2, minus2):
     """The phase function p(g), and what `lobes_reverse` needs of it."""
     bb = at_most(at_least(b, -B_MAX), B_MAX)
@@ -141,7 +141,7 @@ def lobes(b, c, plus2, minus2):
     return width * (front3 + c * (back3 - front3)), (bb, width, front2, back2, front3, back3)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def lobes_reverse(known, b, c, plus2, minus2, g_p):
     """Gradients of b, c, |sun + view|^2 and |sun - view|^2 from that of p(g)."""
     bb, width, front2, back2, front3, back3 = known
@@ -156,13 +156,13 @@ def lobes_reverse(known, b, c, plus2, minus2, g_p):
     return g_b, g_c, fall_a * bb, fall_z * bb
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def log_of(x):
     """ln((1 + x) / x) of an effective cosine."""
     return log((1 + x) / x)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def h_functions(w, xlo, xhi, log_lo, log_hi):
     """H of both effective cosines, and the bounded w, r0 and gamma that they share."""
     ww = at_most(w, W_MAX)
@@ -173,7 +173,7 @@ def h_functions(w, xlo, xhi, log_lo, log_hi):
     return hlo, hhi, ww, r0, gamma
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def h_reverse(w, r0, slope, x, log_x, h, g_h):
     """Gradients of x and w through H(x); slope: gamma (1 + gamma)^2."""
     g_f = -g_h * h * h

@@ -33,7 +33,7 @@ LANES = 128  # samples side by side
 PART = 8192  # samples of one task of a thread
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def _sample(n0, n1, n2, s0, s1, s2, v0, v1, v2, w, b, c, theta, b0, h):
     """BRF of a sample and its 15 derivatives."""
     mu0, mu = n0 * s0 + n1 * s1 + n2 * s2, n0 * v0 + n1 * v1 + n2 * v2
@@ -92,7 +92,7 @@ def _sample(n0, n1, n2, s0, s1, s2, v0, v1, v2, w, b, c, theta, b0, h):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit
 def _lanes(known, results):
     """`_sample` of `LANES` samples, operands and results side by side; free of branches, so that it becomes vectors."""
     for j in range(LANES):
@@ -109,7 +109,7 @@ def _lanes(known, results):
         )  # fmt: skip
 
 
-@njit(cache=True)
+@njit
 def _load(values, start, size, known, row):
     """Part of ``[N]`` or ``[1]`` into a row; what is missing from a full row repeats the last."""
     last = len(values) - 1
@@ -117,7 +117,7 @@ def _load(values, start, size, known, row):
         known[row * LANES + j] = values[min(start + min(j, size - 1), last)]
 
 
-@njit(cache=True)
+@njit
 def _load3(vectors, start, size, known, row):
     last = len(vectors) - 1
     for j in range(LANES):
@@ -129,13 +129,13 @@ def _load3(vectors, start, size, known, row):
         )
 
 
-@njit(cache=True)
+@njit
 def _store(results, row, start, size, target):
     for j in range(size):
         target[start + j] = results[row * LANES + j]
 
 
-@njit(cache=True)
+@njit
 def _store3(results, row, start, size, target):
     for j in range(size):
         target[start + j, 0], target[start + j, 1] = results[row * LANES + j], results[(row + 1) * LANES + j]
