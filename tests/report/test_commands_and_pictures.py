@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 from matplotlib.colors import to_rgb
 
 from sattools.batch.table import write_tables
 from sattools.cli import main
 from sattools.compare.picture import line_styles
+from sattools.report import page as page_module
 from sattools.report.batch import batch_page
 from sattools.report.commands import command_line, pipeline
 from sattools.report.figures import new_figure
@@ -63,7 +65,11 @@ def test_a_batchs_page_names_the_coarse_fit_and_the_split_that_an_earlier_run_ha
     ]
 
 
-def test_a_page_that_would_be_too_large_has_coarser_pictures() -> None:
+def test_a_page_that_would_be_too_large_has_coarser_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three pictures and 0.7 MB in the place of a dozen and 3 MB."""
+    assert page_module.LARGEST == 3_000_000
+    monkeypatch.setattr(page_module, "LARGEST", 700_000)
+
     def page(count: int) -> str:
         rng = np.random.default_rng(0)
         pictures = []
@@ -73,9 +79,9 @@ def test_a_page_that_would_be_too_large_has_coarser_pictures() -> None:
             pictures.append(Picture(figure, "noise", "noise"))
         return render("Noise", [Section("Pictures", list(pictures))])
 
-    one, many = page(1), page(12)
-    assert len(many) < 3_000_000
-    assert len(many) < 0.8 * 12 * len(one)
+    one, many = page(1), page(3)
+    assert len(many) < 700_000
+    assert len(many) < 0.8 * 3 * len(one)
 
 
 def test_lines_of_many_images_can_be_told_apart() -> None:

@@ -16,7 +16,6 @@ from patience import HANGING_S
 
 from sattools.batch.table import write_tables
 from sattools.cli import main
-from sattools.errors import InputError
 from sattools.report.batch import batch_page
 from sattools.report.commands import pipeline
 from sattools.report.page import Section, render
@@ -155,6 +154,7 @@ def test_a_scenes_page_shows_all_that_is_known(finished: Any) -> None:
         assert words in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     scene = make_town("TOWN")
     for item in scene.items:
@@ -165,6 +165,7 @@ def test_what_a_scene_does_not_have_is_left_out(make_town: Any) -> None:
     assert Page((scene.root / "page.html").read_text()).headings == ["Images", "Files"]  # the truth of the town
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_links_the_log(make_town: Any) -> None:
     scene = make_town("TOWN")
     (scene.root / "sattools.log").write_text("x")
@@ -172,6 +173,7 @@ def test_the_page_links_the_log(make_town: Any) -> None:
     assert "sattools.log" in Page((scene.root / "report.html").read_text()).links
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_existing_page_is_kept_unless_it_may_be_replaced(finished: Any) -> None:
     page = finished.root / "report.html"
     assert run(finished.root).exit_code == 0
@@ -210,6 +212,7 @@ def test_a_batchs_page_shows_the_table_the_front_and_the_commands(batch: Any) ->
     assert "said something" not in page.text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_batchs_page_shows_nothing_that_an_earlier_run_has_left_in_the_folder(batch: Any, finished: Any) -> None:
     """A map of errors and commands of before, where the configuration has changed since."""
     folder = batch / "runs/fast/A"
@@ -237,6 +240,7 @@ def test_a_table_that_is_none_is_one_line_on_stderr(tmp_path: Path, text: Any) -
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> None:
     """`fit` stood before the `normalise` that it was run again for, with the prior and the notes of before."""
     seconds = {"seconds": 100.0}
@@ -255,6 +259,7 @@ def test_the_same_again_is_told_without_what_was_done_in_vain(finished: Any) -> 
     assert "amplitudes are relative" not in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_images_that_were_set_aside_are_not_said_to_be_held_out(finished: Any) -> None:
     finished.items[0].properties["sattools:role"] = "unused"
     finished.items[1].properties["sattools:fit_role"] = "test"
@@ -296,37 +301,7 @@ def test_a_broken_image_and_a_script_error_would_be_noticed(tmp_path: Path, open
     assert any("Content Security Policy" in line for line in said)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda d: d["near_steps"].update(signed="x"), "signed"),
-        (lambda d: d.update(mae_centred=[1]), "mae_centred"),
-        (lambda d: d["classes"]["ground"].update(near_steps=3), "near_steps"),
-    ],
-)
-def test_a_score_that_is_no_number_is_named(tmp_path: Path, change: Any, words: Any) -> None:
-    from sattools.report.errors import _ERRORS
-
-    place = {"signed": 0.1, "absolute": 0.2, "share": 0.3}
-    figures = {"near_steps": place, "away_from_steps": place, "mae_centred": 0.3, "mae_capped_5m": 0.2}
-    found = {**figures, "classes": {"ground": dict(figures)}, "shift_m": [0, 0, 0], "protocol": "dsm", "reference": "R",
-             "mask": "", "completeness": 1.0, "within_1m": 1.0}  # fmt: skip
-    _ERRORS.check(found, "errors.json")
-    found = json.loads(json.dumps(found))
-    change(found)
-    with pytest.raises(InputError, match=words):
-        _ERRORS.check(found, "errors.json")
-
-
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
-def test_a_batch_table_of_no_numbers_is_refused(tmp_path: Path, value: Any) -> None:
-    from sattools.report.batch import read_rows
-
-    (tmp_path / "table.csv").write_text(f"scene,configuration,status,seconds,mae_m\nA,b,done,{value},1.0\n")
-    with pytest.raises(InputError, match=r"table\.csv: found seconds -?(nan|inf) of A, expected a finite number"):
-        read_rows(tmp_path / "table.csv")
-
-
+@pytest.mark.usefixtures("undrawn")
 def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finished: Any) -> None:
     grid = Grid("EPSG:32617", 436500.0, 3357800.0, 0.5, 800, 700)  # more cells than a picture shows
     write_cog(finished.output("export/dsm.tif"), np.zeros(grid.shape, np.float32), grid)
@@ -334,6 +309,7 @@ def test_the_cells_that_it_names_are_those_of_the_file_not_of_the_picture(finish
     assert "cells of 0.5 m, drawn as means over 1 m." in Page((finished.root / "report.html").read_text()).text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_batchs_heights_are_those_after_align_and_above_what_their_files_say(
     batch: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -360,15 +336,16 @@ def test_a_batchs_heights_are_those_after_align_and_above_what_their_files_say(
     assert shown == [31.0]
 
 
-def test_a_page_of_many_maps_is_small(finished: Any) -> None:
-    grid = finished.require_grid()
+def test_a_page_of_many_maps_is_small(make_town: Any) -> None:
+    scene = make_town()
+    grid = scene.require_grid()
     rng = np.random.default_rng(1)
     for name in ("albedo", "w", "b", "c", "theta", "dsm_std", "probability", "rho0", "k", "rhoc"):
-        write_cog(finished.output(f"export/{name}.tif"), rng.random((3, *grid.shape), np.float32), grid)
-        finished.products[name] = f"export/{name}.tif"
-    (finished.root / "scene.json").write_text(finished.to_json())
-    assert run(finished.root).exit_code == 0
-    assert (finished.root / "report.html").stat().st_size < 3_000_000  # noise packs worse than any map
+        write_cog(scene.output(f"export/{name}.tif"), rng.random((3, *grid.shape), np.float32), grid)
+        scene.products[name] = f"export/{name}.tif"
+    (scene.root / "scene.json").write_text(scene.to_json())
+    assert run(scene.root).exit_code == 0
+    assert (scene.root / "report.html").stat().st_size < 3_000_000  # noise packs worse than any map
 
 
 @pytest.mark.parametrize(("width", "columns"), [(390, 1), (1600, 2)])
