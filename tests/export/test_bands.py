@@ -33,8 +33,8 @@ def eight_bands(scene: Scene) -> Scene:
     return scene
 
 
-def test_a_fit_of_eight_bands_has_eight_albedos_with_their_names(make_town: Callable[[], Scene]) -> None:
-    scene = eight_bands(make_town())
+def test_a_fit_of_eight_bands_has_eight_albedos_with_their_names(make_hamlet: Callable[[], Scene]) -> None:
+    scene = eight_bands(make_hamlet())
     normalise(scene, NormaliseOptions(bands=list(range(1, 9))))
     fit(scene, QUICK)
     export(scene, ExportOptions())
@@ -48,15 +48,15 @@ def test_a_fit_of_eight_bands_has_eight_albedos_with_their_names(make_town: Call
     assert abs(ratio - 1.0 / 0.3) < 0.35  # few epochs, and a mean colour that pulls
 
 
-def test_three_bands_of_eight_are_red_green_and_blue(make_town: Callable[[], Scene]) -> None:
-    scene = eight_bands(make_town())
+def test_three_bands_of_eight_are_red_green_and_blue(make_hamlet: Callable[[], Scene]) -> None:
+    scene = eight_bands(make_hamlet())
     normalise(scene, NormaliseOptions())
     bands = scene.items[0].assets["radiance"].extra["eo:bands"]
     assert [band["common_name"] for band in bands] == ["red", "green", "blue"]
 
 
-def test_bands_that_files_name_are_named_in_maps_without_normalise(make_town: Callable[[], Scene]) -> None:
-    scene = make_town()
+def test_bands_that_files_name_are_named_in_maps_without_normalise(make_hamlet: Callable[[], Scene]) -> None:
+    scene = make_hamlet()
     for item in scene.items:
         item.assets["image"].extra.update(named_bands(None, ["blue", "green", "red"]))
     fit(scene, replace(QUICK, bands=["red", "blue"]))
@@ -65,16 +65,16 @@ def test_bands_that_files_name_are_named_in_maps_without_normalise(make_town: Ca
         assert data.descriptions == ("albedo red", "albedo blue")
 
 
-def test_bands_without_names_keep_their_numbers_in_the_images(make_town: Callable[[], Scene]) -> None:
-    scene = make_town()
+def test_bands_without_names_keep_their_numbers_in_the_images(make_hamlet: Callable[[], Scene]) -> None:
+    scene = make_hamlet()
     fit(scene, replace(QUICK, bands=["3", "1"]))
     export(scene, ExportOptions())
     with rasterio.open(scene.path(scene.products["albedo"])) as data:
         assert data.descriptions == ("albedo 3", "albedo 1")
 
 
-def test_red_green_and_blue_of_eight_are_those_that_the_files_name(make_town: Callable[[], Scene]) -> None:
-    scene = eight_bands(make_town())
+def test_red_green_and_blue_of_eight_are_those_that_the_files_name(make_hamlet: Callable[[], Scene]) -> None:
+    scene = eight_bands(make_hamlet())
     names = ["coastal", "blue", "nir", "green", "yellow", "red", "rededge", "nir08"]  # another sensor's
     for item in scene.items:
         item.properties["platform"] = None
@@ -86,8 +86,8 @@ def test_red_green_and_blue_of_eight_are_those_that_the_files_name(make_town: Ca
     np.testing.assert_allclose(read_image(scene.path("radiance/TOWN_001.tif")), wanted, rtol=1e-5)
 
 
-def test_pictures_under_another_sun_name_their_bands_and_their_scale(make_town: Callable[[], Scene]) -> None:
-    scene = make_town()
+def test_pictures_under_another_sun_name_their_bands_and_their_scale(make_hamlet: Callable[[], Scene]) -> None:
+    scene = make_hamlet()
     for item in scene.items:
         item.assets["image"].extra.update(named_bands(None, ["blue", "green", "red"]))
     fit(scene, QUICK)

@@ -45,9 +45,9 @@ def test_learned_shadows_reach_five_degrees_from_the_suns_of_the_training() -> N
 
 @pytest.mark.parametrize("preset", ["satnerf", "eonerf-learned-shadow"])
 def test_the_volume_casts_the_shadows_of_a_sun_that_is_far_from_all_it_has_learned(
-    make_town: Any, caplog: pytest.LogCaptureFixture, preset: str
+    make_matched_town: Any, caplog: pytest.LogCaptureFixture, preset: str
 ) -> None:
-    scene = make_town()
+    scene = make_matched_town()
     fit(scene, resolve(preset, {"width": 16, "rays": 64, "steps": 4, "resolution": 1.0}))
     item = scene.items[0].id
     with caplog.at_level(logging.WARNING):

@@ -30,9 +30,9 @@ def tags(scene: Scene, name: str) -> dict[str, Any]:
     ],
 )
 def test_a_network_whose_heights_were_put_back_says_so(
-    make_town: Callable[..., Scene], caplog: pytest.LogCaptureFixture, preset: Any, start: str, words: str
+    make_matched_hamlet: Callable[..., Scene], caplog: pytest.LogCaptureFixture, preset: Any, start: str, words: str
 ) -> None:
-    scene = make_town()
+    scene = make_matched_hamlet()
     fit(scene, resolve(preset, {**TINY, "start": start, "rate": 0.0}))
     with caplog.at_level(logging.WARNING):
         entry = export(scene, ExportOptions())
@@ -42,8 +42,8 @@ def test_a_network_whose_heights_were_put_back_says_so(
     assert tags(scene, "dsm_std")["METHOD"] == "of the prior, see prior_dsm_std"
 
 
-def test_a_field_with_heights_of_its_own_says_nothing_of_the_kind(make_town: Callable[..., Scene]) -> None:
-    scene = make_town()
+def test_a_field_with_heights_of_its_own_says_nothing_of_the_kind(make_hamlet: Callable[..., Scene]) -> None:
+    scene = make_hamlet()
     fit(scene, FitOptions(field="voxel", prior_weight=0.0, rays=64, steps=4, samples=8, resolution=2.0))
     entry = export(scene, ExportOptions())
     assert "HEIGHTS" not in tags(scene, "dsm")
@@ -51,8 +51,10 @@ def test_a_field_with_heights_of_its_own_says_nothing_of_the_kind(make_town: Cal
     assert tags(scene, "dsm_std")["METHOD"].startswith("spread of the height at which vertical rays lose their light")
 
 
-def test_the_deviations_of_a_surface_without_a_prior_are_those_of_its_loss(make_town: Callable[..., Scene]) -> None:
-    scene = make_town()
+def test_the_deviations_of_a_surface_without_a_prior_are_those_of_its_loss(
+    make_hamlet: Callable[..., Scene],
+) -> None:
+    scene = make_hamlet()
     fit(scene, FitOptions(prior_weight=0.0, resolution=2.0, coarsest=2.0, epochs=[2]))
     export(scene, ExportOptions())
     assert tags(scene, "dsm_std")["METHOD"].startswith("curvature of the photometric loss")

@@ -30,9 +30,9 @@ WATER = slice(0, 60)  # columns
 
 
 @pytest.fixture
-def fitted(make_town: Any) -> Scene:
+def fitted(make_hamlet: Any) -> Scene:
     """Whose prior says that the western third of it was laid level."""
-    scene = make_town()
+    scene = make_hamlet()
     grid = scene.require_grid().resized(2.0)
     height = np.full(grid.shape, float(np.mean(scene.require_height_range())), np.float32)
     water = np.zeros(grid.shape, np.uint8)

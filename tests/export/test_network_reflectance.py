@@ -26,9 +26,9 @@ def read(scene: Scene, name: str) -> tuple[np.ndarray, dict[str, str]]:
     [("hapke-nerf", "w", ["b", "c", "theta"]), ("rpv-nerf", "rho0", ["k", "asymmetry", "rhoc"])],
 )
 def test_what_the_images_did_not_determine_is_no_data_of_a_network_too(
-    make_town: Callable[..., Scene], preset: str, amplitude: str, shapes: list[str]
+    make_matched_hamlet: Callable[..., Scene], preset: str, amplitude: str, shapes: list[str]
 ) -> None:
-    scene = make_town()
+    scene = make_matched_hamlet()
     history = fit(scene, resolve(preset, TINY))
     assert any("the surface fit that the network started from" in note for note in history["notes"])
     export(scene, ExportOptions())
@@ -47,8 +47,8 @@ def test_what_the_images_did_not_determine_is_no_data_of_a_network_too(
     assert all(np.isfinite(read(scene, name)[0][0][np.isfinite(known[0])]).all() for name in shapes)
 
 
-def test_the_albedo_of_a_network_is_its_reflectance_of_level_ground(make_town: Callable[..., Scene]) -> None:
-    scene = make_town()
+def test_the_albedo_of_a_network_is_its_reflectance_of_level_ground(make_matched_hamlet: Callable[..., Scene]) -> None:
+    scene = make_matched_hamlet()
     fit(scene, resolve("rpv-nerf", TINY))
     export(scene, ExportOptions())
     albedo, reflectance, rho0 = (read(scene, name)[0] for name in ("albedo", "reflectance", "rho0"))
@@ -56,8 +56,10 @@ def test_the_albedo_of_a_network_is_its_reflectance_of_level_ground(make_town: C
     assert np.nanmax(abs(albedo - rho0)) > 0.005
 
 
-def test_a_network_from_noise_says_that_nothing_is_known_of_its_parameters(make_town: Callable[..., Scene]) -> None:
-    scene = make_town()
+def test_a_network_from_noise_says_that_nothing_is_known_of_its_parameters(
+    make_matched_hamlet: Callable[..., Scene],
+) -> None:
+    scene = make_matched_hamlet()
     given: dict[str, Any] = {**TINY, "start": "prior"}
     history = fit(scene, resolve("hapke-nerf", given))
     words = "no uncertainty of the reflectance's parameters is known: the network started from no surface fit"

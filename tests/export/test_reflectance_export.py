@@ -31,7 +31,7 @@ from sattools.simulate import SimulateOptions, simulate
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    options = SimulateOptions(terrain="natural", id="HILL", size=160.0, views=9, units=2, seed=5, off_nadir=30.0)
+    options = SimulateOptions(terrain="natural", id="HILL", size=96.0, views=9, units=2, seed=5, off_nadir=30.0)
     scene = simulate(options, tmp_path_factory.mktemp("hill") / "HILL")
     fit(scene, FitOptions(brdf="hapke", resolution=2.0, epochs=[8]))
     export(scene, ExportOptions(view=["HILL_001", "HILL_005"], sun=(250.0, 35.0), undetermined="prior"))

@@ -1,10 +1,12 @@
 """Views of large models are rendered part by part, and show no joints."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
+from towns import copied
 
 from sattools.errors import SceneError
 from sattools.export import parts
@@ -16,13 +18,18 @@ from sattools.scene import Scene, stored
 from sattools.scene.raster import read_image, read_raster
 
 
-@pytest.fixture
-def fitted(make_town: Any) -> Any:
-    """A town of 64 m on cells of 1 m, of which one image was held out."""
-    scene = make_town("TOWN")
+@pytest.fixture(scope="module")
+def fitted_source(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A town of 64 m on cells of 1 m, of which one image was held out of the fit."""
+    scene = copied(town_source, tmp_path_factory.mktemp("fitted") / "TOWN")
     scene.items[0].properties["sattools:role"] = "test"
     fit(scene, FitOptions(resolution=1.0, coarsest=4.0, epochs=[6]))
     return scene
+
+
+@pytest.fixture
+def fitted(fitted_source: Scene, tmp_path: Path) -> Scene:
+    return copied(fitted_source, tmp_path / "TOWN")
 
 
 @pytest.fixture
