@@ -1,21 +1,21 @@
 """The prior of a large area is matched in tiles that belong together."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from towns import copied
 
 from sattools.compare import compare_dsm, read_reference
 from sattools.prior import PriorOptions, matched, tiled
 from sattools.prior import stage as priors
 from sattools.prior.stage import prior
-from sattools.scene import Grid, stored
+from sattools.scene import Grid, Scene, stored
 from sattools.scene.raster import read_raster
 from sattools.scene.tiles import make_tiles
 
 
-@pytest.fixture
-def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tiles of 48 cells that reach 12 into their neighbours, and maps of 4 kB that go to files."""
     monkeypatch.setattr(priors, "AT_ONCE", 1000)
     for name, value in {"TILE_CELLS": 48, "OVERLAP_M": 6.0, "OVERLAP_CELLS": 12}.items():
@@ -24,19 +24,49 @@ def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(stored, name, value)
 
 
+@pytest.fixture
+def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    cut_small(monkeypatch)
+
+
+class Tiled(NamedTuple):
+    """A town that was matched in tiles, what was told of that, and the tone curves of the tiles."""
+
+    scene: Scene
+    found: dict[str, Any]
+    said: list[str]
+    tones: list[float]
+
+
+@pytest.fixture(scope="module")
+def in_tiles(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Tiled:
+    scene = copied(town_source, tmp_path_factory.mktemp("tiles") / "TOWN")
+    said: list[str] = []
+    tones: list[float] = []
+    tone_curve = matched.toned_views
+
+    def noted(sources: Any, views: Any, tone: Any) -> Any:
+        if sources[0].balance is not None:
+            tones.append(tone)
+        return tone_curve(sources, views, tone)
+
+    with pytest.MonkeyPatch.context() as change:
+        cut_small(change)
+        change.setattr(matched, "toned_views", noted)
+        found = prior(scene, PriorOptions(), lambda _, text: said.append(text))["prior"]
+    return Tiled(scene, found, said, tones)
+
+
 def mae(scene: Any) -> float:
     height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
     truth = read_reference(scene.path(scene.products["truth_dsm"]))
     return float(compare_dsm(height[0], truth, grid, method="none").figures["mae"])
 
 
-def test_tiles_find_the_surface_that_the_whole_has(make_town: Any, request: pytest.FixtureRequest) -> None:
-    scene = make_town()
-    expected = prior(scene, PriorOptions())["prior"]
-    whole = mae(scene)
-    request.getfixturevalue("small_tiles")
-    said: list[str] = []
-    found = prior(scene, PriorOptions(), lambda _, text: said.append(text))["prior"]
+def test_tiles_find_the_surface_that_the_whole_has(in_tiles: Tiled, matched_town_source: Scene) -> None:
+    scene, found, said, _ = in_tiles
+    expected = matched_town_source.history[-1]["prior"]
+    whole = mae(matched_town_source)
     assert any(text.startswith("tile 2 of ") for text in said)
     # tiles of 24 m see less around them than an area has that is cut for its size
     assert mae(scene) < whole + 0.15
@@ -49,38 +79,25 @@ def test_tiles_find_the_surface_that_the_whole_has(make_town: Any, request: pyte
         assert np.isfinite(array).all()
 
 
-@pytest.mark.usefixtures("small_tiles")
-def test_tiles_agree_on_the_tone_curve(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    tones = []
-    tone_curve = matched.toned_views
-
-    def spy(sources: Any, views: Any, tone: Any) -> Any:
-        if sources[0].balance is not None:
-            tones.append(tone)
-        return tone_curve(sources, views, tone)
-
-    monkeypatch.setattr(matched, "toned_views", spy)
-    prior(make_town(), PriorOptions())
-    assert len(tones) > 1
-    assert set(tones) == {1 / 2.2}
+def test_tiles_agree_on_the_tone_curve(in_tiles: Tiled) -> None:
+    assert len(in_tiles.tones) > 1
+    assert set(in_tiles.tones) == {1 / 2.2}
 
 
 @pytest.mark.usefixtures("small_tiles")
 def test_cells_so_fine_that_tiles_are_small_beside_their_overlap(
-    make_town: Any, monkeypatch: pytest.MonkeyPatch
+    make_hamlet: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene = make_town()
+    scene = make_hamlet()
     monkeypatch.setattr(tiled, "OVERLAP_M", 48.0)  # beside tiles of 48 cells: as 32 m beside 512 cells of a decimetre
     prior(scene, PriorOptions())
     assert mae(scene) < 2.0
 
 
-@pytest.mark.usefixtures("small_tiles")
-def test_normals_are_those_of_the_joined_heights_also_where_pieces_of_it_meet(make_town: Any) -> None:
+def test_normals_are_those_of_the_joined_heights_also_where_pieces_of_it_meet(in_tiles: Tiled) -> None:
     from sattools.prior.normals import normals
 
-    scene = make_town()
-    prior(scene, PriorOptions())
+    scene = in_tiles.scene
     height, grid = read_raster(scene.path(scene.products["prior_dsm"]))
     slant, _ = read_raster(scene.path(scene.products["prior_normals"]))
     np.testing.assert_allclose(slant, normals(height[0], grid.cell_size), atol=1e-6)

@@ -156,7 +156,7 @@ class _Along(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, maps: Tensor, stop: Tensor, taps: Tensor) -> Tensor:
         """Maps ``[H, W]``."""
-        ctx.given = stop.numpy(), taps.numpy()
+        ctx.given = stop.contiguous().numpy(), taps.numpy()
         out = torch.empty_like(maps)
         _means(maps.detach().numpy(), *ctx.given, out.numpy())
         return out

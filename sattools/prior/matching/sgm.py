@@ -78,7 +78,7 @@ def _along_rows(score, look, small, edge, more, steep, total, first_group, end_g
     most = min(ROWS_AT_ONCE, rows)
     room, scratch = np.zeros((2, cols, depth, most), np.float32), np.empty((2 * depth + 2, most), np.float32)
     shown, state = np.zeros((cols, depth, most + 2), np.float32), np.empty((2, depth + 2, most + 2), np.float32)
-    least = np.empty((2, most + 2), np.float32)
+    least, straight = np.empty((2, most + 2), np.float32), np.int64(1)  # no constant: `_step` would be compiled twice
     for group in range(first_group, end_group):
         top = group * ROWS_AT_ONCE
         n = min(ROWS_AT_ONCE, rows - top)
@@ -97,8 +97,8 @@ def _along_rows(score, look, small, edge, more, steep, total, first_group, end_g
             for m in range(cols):
                 col, now = cols - 1 - m if way else m, m % 2
                 _step(
-                    state[1 - now], 1, least[1 - now], shown[last], shown[col], agreed[col], small, edge, more, steep,
-                    scratch, state[now], least[now], result[col],
+                    state[1 - now], straight, least[1 - now], shown[last], shown[col], agreed[col], small, edge, more,
+                    steep, scratch, state[now], least[now], result[col],
                 )  # fmt: skip
                 last = col
         for k in range(depth):

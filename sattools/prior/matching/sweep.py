@@ -134,10 +134,17 @@ def sweep_blocks(
         if guide is not None and len(blocks) > 1:
             near = narrow(guide[top:bottom, left:right].ravel(), near, KEEP_PLANES * step, step)
         window = (slice(None), slice(top, bottom + 2 * margin), slice(left, right + 2 * margin))
-        piece = replace(task, frame=replace(frame, images=frame.images[window], masks=frame.masks[window]))
-        inside = Visibility(
-            visibility.first_hit_height[window], visibility.shadow_height[:, top:bottom, left:right], visibility.dark
-        )
+        shaded = (slice(None), slice(top, bottom), slice(left, right))
+        # in memory's order, as the whole is: kernels would be compiled anew for parts of it
+        images, masks, hit, shadow = (
+            np.ascontiguousarray(array[part])
+            for array, part in (
+                (frame.images, window), (frame.masks, window), (visibility.first_hit_height, window),
+                (visibility.shadow_height, shaded),
+            )
+        )  # fmt: skip
+        piece = replace(task, frame=replace(frame, images=images, masks=masks))
+        inside = Visibility(hit, shadow, visibility.dark)
         heights = planes(near, step)
         near_block = (slice(top, bottom), slice(left, right))
         below = None if ceiling is None else ceiling[near_block]
