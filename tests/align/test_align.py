@@ -17,6 +17,7 @@ import rasterio.warp
 from affine import Affine
 from align_ground import CRS
 from click.testing import CliRunner, Result
+from towns import copied
 
 from sattools.align.estimate import ControlPoint, shift_to_points
 from sattools.align.options import AlignOptions
@@ -104,14 +105,20 @@ def test_control_points_in_one_image_leave_a_direction_open(town_source: Scene) 
         shift_to_points(points, cameras(town_source), town_source.require_grid().crs)
 
 
-@pytest.fixture
-def exported(make_town: Any) -> Scene:
-    scene: Scene = make_town()
+@pytest.fixture(scope="module")
+def exported_source(town_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    scene = copied(town_source, tmp_path_factory.mktemp("exported") / "TOWN")
     document = scene.output("scene.json")
     quick = ("--resolution", 2, "--coarsest", 2, "--epochs", 1, "--prior-weight", 0)
     assert run("fit", *quick, document).exit_code == 0
     assert run("export", document).exit_code == 0
     return Scene.from_file(document)
+
+
+@pytest.fixture
+def exported(exported_source: Scene, tmp_path: Path) -> Scene:
+    """A town with its surface model; a copy for every test."""
+    return copied(exported_source, tmp_path / "TOWN")
 
 
 def reference_of(scene: Scene, path: Path) -> Path:
