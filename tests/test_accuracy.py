@@ -82,35 +82,49 @@ def test_a_glossy_tower_keeps_its_roof(tmp_path: Path) -> None:
     assert found["mae_capped_5m"] < 1.03 * 0.412
 
 
-@pytest.fixture(scope="module")
-def hills(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ground(data_dir: Path, root: Path, *area: object) -> Path:
     """Steep natural ground with known reflectance, one view held out; with its prior."""
-    ground, root = data_dir / "external/natural_12", tmp_path_factory.mktemp("hills")
-    images = sorted((ground / "images").glob("*.tif"))
-    run("prep", *images, "--metadata", ground / "metadata", "--holdout", "HAP_003", "--id", "HAP", "--out", root)
+    given = data_dir / "external/natural_12"
+    images = sorted((given / "images").glob("*.tif"))
+    run("prep", *images, "--metadata", given / "metadata", "--holdout", "HAP_003", "--id", "HAP", "--out", root, *area)
     scene = root / "HAP/scene.json"
     run("normalise", "--quantity", "toa_reflectance", "--scale", 1 / 4095, scene)
     run("prior", scene)
     return scene
 
 
-@pytest.mark.parametrize(
-    ("brdf", "psnr"),
-    [
-        ("hapke", 42.02),
-        pytest.param("rpv", 41.03, marks=pytest.mark.slow),
-        pytest.param("lambert", 32.92, marks=pytest.mark.slow),
-    ],
-)
-def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, brdf: str, psnr: float) -> None:
+def errors_of_ground(data_dir: Path, scene: Path, brdf: str) -> Any:
+    """Of the view that was held out, and of what Hapke's model says of the ground."""
     truth = data_dir / "external/natural_12/truth"
-    run("fit", "--overwrite", "--brdf", brdf, "--resolution", 2, hills)
-    run("export", "--overwrite", "--undetermined", "prior", "--view", "HAP_003", hills)
+    run("fit", "--overwrite", "--brdf", brdf, "--resolution", 2, scene)
+    run("export", "--overwrite", "--undetermined", "prior", "--view", "HAP_003", scene)
     maps = [f"--map={name}={truth / name}.tif" for name in ("w", "b", "theta")] if brdf == "hapke" else []
-    run("compare", "--overwrite", "--views", "--dsm", truth / "HAP_DSM.tif", *maps, hills)
-    found = errors(hills)
+    run("compare", "--overwrite", "--views", "--dsm", truth / "HAP_DSM.tif", *maps, scene)
+    return errors(scene)
+
+
+def test_hapkes_parameters_of_steep_ground_and_a_view_that_was_held_out(data_dir: Path, tmp_path: Path) -> None:
+    """Of the middle quarter of the area, in a third of the time; limits: what it had when this was written, and 3 %."""
+    middle = "--crs", "EPSG:32719", "--bounds", 586550, 7462750, 586850, 7463050
+    found = errors_of_ground(data_dir, ground(data_dir, tmp_path, *middle), "hapke")
+    assert found["mae"] < 1.03 * 0.486
+    assert found["views"]["HAP_003"]["psnr"] > 45.15 - 0.3
+    for name, nrmse in {"w": 0.168, "b": 0.225, "theta": 0.177}.items():
+        assert found["parameters"][name]["nrmse"] < 1.03 * nrmse, name
+
+
+@pytest.fixture(scope="module")
+def hills(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return ground(data_dir, tmp_path_factory.mktemp("hills"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("brdf", "psnr"), [("hapke", 42.02), ("rpv", 41.03), ("lambert", 32.92)])
+def test_a_view_of_steep_ground_that_was_held_out(data_dir: Path, hills: Path, brdf: str, psnr: float) -> None:
+    """As published; of the whole area, which takes a minute for each model."""
+    found = errors_of_ground(data_dir, hills, brdf)
     assert found["views"]["HAP_003"]["psnr"] > psnr - 0.3
-    for name, nrmse in {"w": 0.160, "b": 0.239, "theta": 0.238}.items() if maps else ():
+    for name, nrmse in {"w": 0.160, "b": 0.239, "theta": 0.238}.items() if brdf == "hapke" else ():
         assert found["parameters"][name]["nrmse"] < 1.03 * nrmse, name
 
 
