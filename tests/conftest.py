@@ -2,10 +2,11 @@
 
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from forked import server
 from towns import copied
 
 from sattools.cli import set_threads
@@ -50,6 +51,13 @@ def town_source(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     scene = simulate(options, tmp_path_factory.mktemp("town") / "TOWN")
     write_text(scene.output("scene.json"), scene.to_json() + "\n")
     return scene
+
+
+@pytest.fixture(scope="session")
+def python_m() -> Iterator[list[str]]:
+    """What stands for `python -m` where the start of a process is not what is tested; see `forked`."""
+    with server() as command:
+        yield command
 
 
 @pytest.fixture
