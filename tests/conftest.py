@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from forked import server
+from forked import program, server
 from towns import copied
 
 from sattools.cli import set_threads
@@ -58,6 +58,12 @@ def python_m() -> Iterator[list[str]]:
     """What stands for `python -m` where the start of a process is not what is tested; see `forked`."""
     with server() as command:
         yield command
+
+
+@pytest.fixture(scope="session")
+def quick_program(python_m: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for `PATH` with a program `sattools` that begins without importing."""
+    return program(python_m, tmp_path_factory.mktemp("bin"))
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 PASSED_ON = (signal.SIGINT, signal.SIGTERM)
 
@@ -38,6 +39,16 @@ def server() -> Iterator[list[str]]:
         finally:
             process.kill()
             process.wait()
+
+
+def program(python_m: list[str], folder: Path) -> Path:
+    """The program `sattools`, for a `PATH`; gives the folder."""
+    import shlex
+
+    path = folder / "sattools"
+    path.write_text(f'#!/bin/sh\nexec {shlex.join([*python_m, "sattools"])} "$@"\n', encoding="utf-8")
+    path.chmod(0o755)
+    return folder
 
 
 def serve(address: str) -> None:
