@@ -2,10 +2,11 @@
 
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from forked import program, server
 from towns import copied, matched
 
 from sattools.cli import set_threads
@@ -50,6 +51,19 @@ def town_source(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     scene = simulate(options, tmp_path_factory.mktemp("town") / "TOWN")
     write_text(scene.output("scene.json"), scene.to_json() + "\n")
     return scene
+
+
+@pytest.fixture(scope="session")
+def python_m() -> Iterator[list[str]]:
+    """What stands for `python -m` where the start of a process is not what is tested; see `forked`."""
+    with server() as command:
+        yield command
+
+
+@pytest.fixture(scope="session")
+def quick_program(python_m: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for `PATH` with a program `sattools` that begins without importing."""
+    return program(python_m, tmp_path_factory.mktemp("bin"))
 
 
 @pytest.fixture

@@ -16,9 +16,11 @@ def test_the_notebook_runs_and_leaves_what_it_shows(tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     names: dict = {}
-    for cell in cells:
-        if cell["cell_type"] == "code":
-            exec(compile("".join(cell["source"]), str(NOTEBOOK), "exec"), names)  # noqa: S102
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    smaller = code[0].replace('"size": 192.0, "views": 9', '"size": 96.0, "views": 6')  # a fourth of the seconds
+    assert smaller != code[0]
+    for cell in (smaller, *code[1:]):
+        exec(compile(cell, str(NOTEBOOK), "exec"), names)  # noqa: S102
     scene = names["scene"]
     assert {"dsm", "w", "theta", "relit", "errors"} <= set(scene.products)
     assert (tmp_path / "notebook/hill.png").stat().st_size > 10_000

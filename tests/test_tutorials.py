@@ -28,9 +28,9 @@ def lines(page: str, language: str = "bash", **settings: str) -> str:
     return code
 
 
-def run(page: str, folder: Path, **settings: str) -> str:
-    """Run a page's lines in a folder; returns what they printed."""
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+def run(page: str, folder: Path, program: Path = Path(sys.executable).parent, **settings: str) -> str:
+    """Run a page's lines in a folder, with the `sattools` of another one; returns what they printed."""
+    path = f"{program}:{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", lines(page, **settings)],
         cwd=folder, env={**os.environ, "PATH": path}, capture_output=True, text=True,
@@ -45,10 +45,10 @@ def share_with_data(path: Path) -> float:
 
 
 @needs_data
-def test_the_stereo_pair_becomes_a_surface_points_and_an_orthophoto(tmp_path: Path) -> None:
+def test_the_stereo_pair_becomes_a_surface_points_and_an_orthophoto(tmp_path: Path, quick_program: Path) -> None:
     images = Path(str(DATA)) / "pleiades/marseille_triplet"
     pair = f"{images}/img_01.tif {images}/img_03.tif"
-    run("pleiades", tmp_path, IMAGES=pair, AREA="5.4405 43.2605 5.4417 43.2614")
+    run("pleiades", tmp_path, quick_program, IMAGES=pair, AREA="5.4405 43.2605 5.4417 43.2614")
     export = tmp_path / "work/QUARRY/export"
     assert share_with_data(export / "dsm.tif") > 0.8
     for name in ("points.laz", "ortho.tif", "validity.tif", "contours.gpkg"):
@@ -69,8 +69,8 @@ def test_the_city_of_many_dates_is_scored_against_lidar(tmp_path: Path) -> None:
     assert "Map of the height differences" in (tmp_path / "work/JAX_068/report.html").read_text()
 
 
-def test_the_deserts_parameters_are_scored_against_the_truth(tmp_path: Path) -> None:
-    run("desert", tmp_path, SIZE="96", VIEWS="8", EPOCHS="4")
+def test_the_deserts_parameters_are_scored_against_the_truth(tmp_path: Path, quick_program: Path) -> None:
+    run("desert", tmp_path, quick_program, SIZE="96", VIEWS="8", EPOCHS="4")
     errors = json.loads((tmp_path / "errors.json").read_text())
     assert errors["parameters"]["w"]["correlation"] > 0.8
     assert {"w", "theta"} <= set(errors["parameters"])

@@ -3,16 +3,20 @@
 import csv
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from done_here import batch_here
 from patience import HANGING_S
+from towns import copied, matched
+
+from sattools.scene import Scene
 
 pytest.importorskip("distributed", reason="needs the extra `batch`")
 
@@ -21,18 +25,14 @@ MEASURED = {"scene", "seconds", "fit_s", "fit_prior_s", "export_s", "peak_memory
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenes with the same images under two names, and a configuration of two epochs."""
-    from sattools.scene import Scene
-    from sattools.scene.files import write_text
+    """Two scenes with the same images under two names, one of half the area, all matched; two epochs."""
     from sattools.simulate import SimulateOptions, simulate
 
     root = tmp_path_factory.mktemp("batch")
-    scene = simulate(SimulateOptions(id="A", size=48.0, views=4, dates=2), root / "A")
-    write_text(scene.output("scene.json"), scene.to_json() + "\n")
-    shutil.copytree(root / "A", root / "B")
-    other = Scene.from_file(root / "A/scene.json")
-    other.id, other.root = "B", root / "B"
-    (root / "B/scene.json").write_text(other.to_json() + "\n")
+    made = simulate(SimulateOptions(id="A", size=32.0, views=4, dates=2), root / "made")
+    copied(matched(made, root / "A"), root / "B")
+    made.grid = replace(made.grid, height=made.grid.height // 2)
+    matched(made, root / "HALF")
     (root / "quick.toml").write_text("[fit]\nepochs = [2]\n")
     return root
 
@@ -83,71 +83,23 @@ def test_a_lost_worker_costs_its_task_only_and_finished_work_is_not_done_again(f
     assert '"message": "batch: 2 of 2 done' in said
 
     before = (folder / "out/table.csv").read_bytes()
-    again = start(folder, *call)
-    out, said = again.communicate(timeout=HANGING_S)
-    assert again.returncode == 0, said
-    assert [json.loads(line)["id"] for line in out.splitlines()] == ["A", "B"]
+    again = batch_here(folder, *call)
+    assert again.exit_code == 0, again.stderr
+    assert [json.loads(line)["id"] for line in again.stdout.splitlines()] == ["A", "B"]
     assert [len(attempts(folder, name)) for name in "AB"] == [1, 2]
     assert (folder / "out/table.csv").read_bytes() == before
 
 
 def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder: Any) -> None:
-    from sattools.scene import Scene
-
     broken = Scene.from_file(folder / "B/scene.json")
     broken.id, broken.items[0].assets["image"].href = "C", "images/nowhere.tif"
     (folder / "C.json").write_text(broken.to_json())
     names = [str(folder / name) for name in ("C.json", "A/scene.json")]
-    running = start(folder, *names, "--config", "quick.toml", "--out", "out", "--workers", "1")
-    _, said = running.communicate(timeout=HANGING_S)
-    assert running.returncode == 3, said
+    done = batch_here(folder, *names, "--config", "quick.toml", "--out", "out")
+    assert done.exit_code == 3, done.stderr
     assert [(row["scene"], row["status"]) for row in table(folder)[:2]] == [("C", "failed"), ("A", "done")]
     assert [row["scene"] for row in table(folder)[2:]] == ["B"]  # of a batch before
     assert "images/nowhere.tif: cannot be read" in table(folder)[0]["error"]
-
-
-def test_a_command_that_needs_too_much_memory_is_stopped_and_named(
-    folder: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from sattools.batch.plan import Task
-    from sattools.batch.task import perform
-
-    source = str(folder / "A/scene.json")
-    task = Task("A/big", str(folder / "big"), "key", "A", "big", str(folder), [["fit", "{scene}"]], "", source)
-    # Python with numpy and torch takes more than 100 MB before it does anything; looked at 200 times a second, as a
-    # fast machine has the command itself say that its images need more, before it is looked at for the first time
-    monkeypatch.setattr("sattools.batch.task._WATCH_S", 0.005)
-    result = perform(task, 1, 100.0, lambda share, message: None)
-    assert result["status"] == "failed"
-    assert result["error"] == "sattools fit: needed more than 100 MB of memory and was stopped"
-    assert not (folder / "big/task.json").exists()
-
-
-def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
-    import threading
-
-    from sattools.batch.task import _watch
-
-    # two processes, each with 60 MB of its own
-    code = "import subprocess, sys; a = b'x' * 60_000_000\nsubprocess.run([sys.executable, '-c', {!r}])"
-    inner = "import sys; a = b'x' * 60_000_000; print('there', flush=True); sys.stdin.read()"
-    for limit, stopped in ((1000.0, False), (100.0, True)):
-        command = [sys.executable, "-c", code.format(inner)]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        process.stdout.readline()
-        too_much, over = threading.Event(), threading.Event()
-        watching = threading.Thread(target=_watch, args=(process.pid, limit, too_much, over))
-        watching.start()
-        if stopped:
-            watching.join(HANGING_S)
-        else:
-            time.sleep(0.5)  # it looks several times
-        assert too_much.is_set() == stopped
-        over.set()
-        watching.join(HANGING_S)
-        process.kill()
-        process.communicate(timeout=HANGING_S)
 
 
 @pytest.mark.slow
@@ -208,13 +160,15 @@ def test_ctrl_c_at_a_terminal_which_all_processes_hear_is_no_traceback(folder: A
 
 
 def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(folder: Any) -> None:
-    """One of the two workers dies with its tile; the run equals `fit --tile` by hand."""
+    """One of the two workers dies with its tile of two; the run equals `fit --tile` by hand."""
+    from sattools import api
+
     (folder / "tiled.toml").write_text(
-        "[fit]\nepochs = [2]\ntile = 32.0\noverlap = 8.0\n[export]\nvertical = 'ellipsoid'\n"
+        "[fit]\nepochs = [2]\ntile = 16.0\noverlap = 4.0\n[export]\nvertical = 'ellipsoid'\n"
     )
-    call = ("A/scene.json", "--config", "tiled.toml", "--out", "cut", "--workers", "2")
+    call = ("HALF/scene.json", "--config", "tiled.toml", "--out", "cut", "--workers", "2")
     running = start(folder, *call)
-    run = folder / "cut/runs/tiled/A"
+    run = folder / "cut/runs/tiled/HALF"
 
     def begun() -> list[dict]:
         found = [path.read_text().splitlines() for path in run.glob("fit/tiles/*/attempts.jsonl")]
@@ -226,32 +180,27 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     os.kill(begun()[0]["pid"], signal.SIGKILL)
     out, said = running.communicate(timeout=HANGING_S)
     assert running.returncode == 0, said
-    assert [json.loads(line)["id"] for line in out.splitlines()] == ["A"]
-    names = ("r0c0", "r0c1", "r1c0", "r1c1")
+    assert [json.loads(line)["id"] for line in out.splitlines()] == ["HALF"]
+    names = ("r0c0", "r0c1")
+    assert sorted(path.name for path in (run / "fit/tiles").glob("r*")) == list(names)
     tries = {name: len((run / f"fit/tiles/{name}/attempts.jsonl").read_text().splitlines()) for name in names}
     # the tile of the lost worker, and no other, was begun twice
-    assert sorted(tries.values()) == [1, 1, 1, 2]
+    assert sorted(tries.values()) == [1, 2]
 
-    shutil.copytree(folder / "A", folder / "hand", dirs_exist_ok=True)
-    scene = json.loads((folder / "A/scene.json").read_text())
-    scene["sattools"]["root"] = str(folder / "hand")
-    (folder / "hand/scene.json").write_text(json.dumps(scene))
-    options = ("--tile", "32", "--overlap", "8", "--epochs", "2")
-    command = [sys.executable, "-m", "sattools", "--threads", "1", "fit", *options, str(folder / "hand/scene.json")]
-    subprocess.run(command, check=True, capture_output=True)
-    assert (run / "fit/model.safetensors").read_bytes() == (folder / "hand/fit/model.safetensors").read_bytes()
+    hand = copied(Scene.from_file(folder / "HALF/scene.json"), folder / "hand")
+    api.fit(hand, {"tile": 16.0, "overlap": 4.0, "epochs": [2]})
+    assert (run / "fit/model.safetensors").read_bytes() == (hand.root / "fit/model.safetensors").read_bytes()
 
     # another way of scoring needs the run, but neither the split nor a tile
     with open(folder / "tiled.toml", "a") as file:
         file.write("[compare]\nregister = 'z'\n")
-    again = start(folder, *call)
-    _, said = again.communicate(timeout=HANGING_S)
-    assert again.returncode == 0, said
+    again = batch_here(folder, *call)
+    assert again.exit_code == 0, again.stderr
     assert tries == {n: len((run / f"fit/tiles/{n}/attempts.jsonl").read_text().splitlines()) for n in names}
     assert len((run / "attempts.jsonl").read_text().splitlines()) == 4  # coarse, split, run, run
     with open(folder / "cut/table.csv", newline="") as file:
         [row] = csv.DictReader(file)
-    assert row["status"] == "done", said
+    assert row["status"] == "done", again.stderr
     # the seconds of the split and of the tiles count
     assert float(row["fit_s"]) > sum(
         json.loads((run / f"fit/tiles/{name}/scene.json").read_text())["sattools"]["history"][-1]["seconds"]
@@ -259,21 +208,19 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     )
 
 
-def test_scenes_are_aligned_and_joined(folder: Any) -> None:
+def test_scenes_are_aligned_and_joined(folder: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Both scenes show the same area; B is brought onto a reference that stands 3 m higher, and so is A."""
-    from sattools.scene import Scene
     from sattools.scene.raster import read_raster, write_cog
 
     scene = Scene.from_file(folder / "A/scene.json")
     heights, grid = read_raster(scene.path(scene.products["truth_dsm"]))
     write_cog(folder / "dem.tif", heights + 3, grid.moved(1.0, -2.0))
     (folder / "onto.toml").write_text('[fit]\nepochs = [2]\n[align]\nto = "dem.tif"\n')
-    call = ("A/scene.json", "B/scene.json", "--config", "onto.toml", "--out", "joint", "--workers", "1", "--join")
-    running = start(folder, *call)
-    out, said = running.communicate(timeout=HANGING_S)
-    assert running.returncode == 0, said
-    assert "2 scenes joined; largest step 0.00 m, between A and B" in said
-    shifts = [json.loads(line)["sattools"]["history"] for line in out.splitlines()]
+    call = ("A/scene.json", "B/scene.json", "--config", "onto.toml", "--out", "joint", "--join")
+    done = batch_here(folder, *call)
+    assert done.exit_code == 0, done.stderr
+    assert "2 scenes joined; largest step 0.00 m, between A and B" in done.stderr
+    shifts = [json.loads(line)["sattools"]["history"] for line in done.stdout.splitlines()]
     for history in shifts:
         (entry,) = [entry for entry in history if entry["command"] == "align"]
         assert entry["shift"]["up"] == pytest.approx(3.0, abs=0.5)
@@ -283,17 +230,15 @@ def test_scenes_are_aligned_and_joined(folder: Any) -> None:
     assert known.size > 0.5 * there.width * there.height
     assert json.loads((folder / "joint/joined/onto/seams.json").read_text())["scenes"] == ["A", "B"]
     # joined anew from what is done
-    again = start(folder, *call)
-    _, said = again.communicate(timeout=HANGING_S)
-    assert again.returncode == 0, said
+    again = batch_here(folder, *call)
+    assert again.exit_code == 0, again.stderr
     assert len((folder / "joint/runs/onto/A/attempts.jsonl").read_text().splitlines()) == 1
     # of A by other options now, and not joined again: the row of B and the joined surface are of those of before
     (folder / "onto.toml").write_text('[fit]\nepochs = [1]\n[align]\nto = "dem.tif"\n')
-    last = start(folder, "A/scene.json", *call[2:-1])
-    _, said = last.communicate(timeout=HANGING_S)
-    assert last.returncode == 0, said
-    assert "onto: has other options than in an earlier call" in said
-    assert "left out of the table: give B again, too" in said
-    assert "joint/joined/onto/dsm.tif: is still of what A had before this call; --join makes it anew" in said
+    last = batch_here(folder, "A/scene.json", *call[2:-1])
+    assert last.exit_code == 0, last.stderr
+    assert "onto: has other options than in an earlier call" in caplog.text
+    assert "left out of the table: give B again, too" in caplog.text
+    assert "joint/joined/onto/dsm.tif: is still of what A had before this call; --join makes it anew" in caplog.text
     with open(folder / "joint/table.csv", newline="") as file:
         assert [row["scene"] for row in csv.DictReader(file)] == ["A"]

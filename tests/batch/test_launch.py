@@ -1,13 +1,19 @@
 """Commands of a batch begin without importing, and are processes of their own nevertheless."""
 
+import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from patience import HANGING_S
 
 from sattools.batch.launch import Launcher, end
+from sattools.batch.plan import Task
+from sattools.batch.task import _watch, perform
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="on Linux only; elsewhere Python starts every time")
 HANGS = ["info", "-"]  # waits for a document, were its input not empty
@@ -79,15 +85,60 @@ def test_a_command_that_is_not_heard_to_its_end_is_ended(launcher: Launcher, mak
     assert run(launcher, "--version")[2] == 0
 
 
-def test_another_gpu_is_that_of_another_process() -> None:
+def test_a_command_that_needs_too_much_memory_is_stopped_and_named(
+    launcher: Launcher, make_town: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("psutil", reason="needs the extra `batch`")
+    source, folder = str(make_town().root / "scene.json"), str(tmp_path / "big")
+    task = Task("TOWN/big", folder, "key", "TOWN", "big", str(tmp_path), [["fit", "{scene}"]], "", source)
+    # Python with numpy and torch takes more than 100 MB before it does anything; looked at 200 times a second, as a
+    # fast machine has the command itself say that its images need more, before it is looked at for the first time
+    monkeypatch.setattr("sattools.batch.task._WATCH_S", 0.005)
+    result = perform(task, 1, 100.0, lambda *_: None, launcher=launcher)
+    assert result["status"] == "failed"
+    assert result["error"] == "sattools fit: needed more than 100 MB of memory and was stopped"
+    assert not (tmp_path / "big/task.json").exists()
+
+
+def test_memory_of_a_task_is_that_of_its_processes_together() -> None:
+    pytest.importorskip("psutil", reason="needs the extra `batch`")
+    # two processes, each with 60 MB of its own
+    code = "import subprocess, sys; a = b'x' * 60_000_000\nsubprocess.run([sys.executable, '-c', {!r}])"
+    inner = "import sys; a = b'x' * 60_000_000; print('there', flush=True); sys.stdin.read()"
+    for limit, stopped in ((1000.0, False), (100.0, True)):
+        command = [sys.executable, "-c", code.format(inner)]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        process.stdout.readline()
+        too_much, over = threading.Event(), threading.Event()
+        watching = threading.Thread(target=_watch, args=(process.pid, limit, too_much, over))
+        watching.start()
+        if stopped:
+            watching.join(HANGING_S)
+        else:
+            time.sleep(0.5)  # it looks several times
+        assert too_much.is_set() == stopped
+        over.set()
+        watching.join(HANGING_S)
+        process.kill()
+        process.communicate(timeout=HANGING_S)
+
+
+def test_another_gpu_is_that_of_another_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+
+    def popen(module: list[str], environment: dict[str, str], stdin: int) -> subprocess.Popen[str]:
+        """One that has nothing to import, and answers all that it is asked."""
+        seen.append(environment["CUDA_VISIBLE_DEVICES"])
+        answers = "import sys\nfor line in sys.stdin: print('{\"ended\": 0}', file=sys.stderr, flush=True)"
+        return subprocess.Popen([sys.executable, "-c", answers], stdin=stdin, stderr=subprocess.PIPE, text=True)
+
+    monkeypatch.setattr("sattools.batch.launch._popen", popen)
     launcher = Launcher()
     try:
-        list(launcher.run(["--version"], 1, "0", lambda process: None))
-        one = launcher._forking
-        list(launcher.run(["--version"], 1, "0", lambda process: None))
-        assert launcher._forking is one
-        list(launcher.run(["--version"], 1, "1", lambda process: None))
-        assert launcher._forking is not one
+        for gpu, processes in (("0", ["0"]), ("0", ["0"]), ("1", ["0", "1"])):
+            assert list(launcher.run(["--version"], 1, gpu, lambda process: None)) == [0]
+            assert seen == processes
     finally:
         launcher.close()
 

@@ -20,13 +20,12 @@ BEGUN = "import sys; from sattools.cli import compare_letters_plainly as begin; 
 PARENT = "import subprocess; subprocess.run([sys.executable, '-c', sys.argv[2], sys.argv[1]], check=True)\n"
 
 
-@pytest.fixture
-def turkish(tmp_path: Path) -> dict[str, str]:
+@pytest.fixture(scope="module")
+def turkish(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment of Turkish, in which I is no capital of i."""
     if shutil.which("localedef") is None:
         pytest.skip("needs localedef")
-    folder = tmp_path / "locales"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("locales")
     subprocess.run(["localedef", "-i", "tr_TR", "-f", "UTF-8", str(folder / "tr_TR.UTF-8")], capture_output=True)
     if not (folder / "tr_TR.UTF-8").exists():
         pytest.skip("needs the sources of locales")

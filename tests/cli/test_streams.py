@@ -31,11 +31,19 @@ def document(make_town: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
-def test_work_is_done_with_closed_streams(document: Path, closed: str) -> None:
-    done = shell(f'{SATTOOLS} prior "{document}" {closed}')
+@pytest.mark.parametrize(
+    ("command", "product", "closed"),
+    [
+        ("--quiet normalise", "radiance/TOWN_001.tif", ">&-"),
+        ("normalise", "radiance/TOWN_001.tif", "2>&-"),
+        ("normalise", "radiance/TOWN_001.tif", ">&- 2>&-"),
+        ("prior", "prior/dsm.tif", "<&- >&- 2>&-"),  # which imports all there is
+    ],
+)
+def test_work_is_done_with_closed_streams(document: Path, command: str, product: str, closed: str) -> None:
+    done = shell(f'{SATTOOLS} {command} "{document}" {closed}')
     assert (done.returncode, done.stderr) == (0, b"")
-    assert (document.parent / "prior/dsm.tif").is_file()
+    assert (document.parent / product).is_file()
     if closed == "2>&-":
         assert json.loads(done.stdout)["id"] == "TOWN"
 
@@ -53,7 +61,7 @@ def test_a_wrong_call_is_an_error_without_stderr_too(document: Path) -> None:
 
 @pytest.mark.parametrize("variables", [ASCII, C_LOCALE, LATIN])
 def test_documents_are_json_whatever_the_encoding_of_stdout(document: Path, variables: dict[str, str]) -> None:
-    done = shell(f'{SATTOOLS} prior "{document}"', **variables)
+    done = shell(f'{SATTOOLS} normalise "{document}"', **variables)
     assert done.returncode == 0, done.stderr
     scene = json.loads(done.stdout.decode("utf-8"))
     assert scene["features"][0]["properties"]["place"] == "Zürich 𝄞"

@@ -43,14 +43,14 @@ def equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
     return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
 
 
-@pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen]:
+def noted(monkeypatch: pytest.MonkeyPatch, python_m: list[str]) -> list[subprocess.Popen]:
     """Two processes for four small tiles, which would not be worth it by themselves; those that were started."""
     found: list[subprocess.Popen] = []
 
     class Noted(subprocess.Popen):
-        def __init__(self, *arguments: Any, **options: Any) -> None:
-            super().__init__(*arguments, **options)
+        def __init__(self, command: list[str], **options: Any) -> None:
+            assert command[:2] == [sys.executable, "-m"]
+            super().__init__([*python_m, *command[2:]], **options)
             found.append(self)
 
     monkeypatch.setattr(crew.subprocess, "Popen", Noted)
@@ -58,31 +58,47 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen]:
     return found
 
 
+@pytest.fixture
+def really_started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen]:
+    """As the command starts them."""
+    return noted(monkeypatch, [sys.executable, "-m"])
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch, python_m: list[str]) -> list[subprocess.Popen]:
+    """Without importing all anew."""
+    return noted(monkeypatch, python_m)
+
+
 @pytest.fixture(scope="module")
-def expected(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, torch.Tensor]:
+def expected(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, torch.Tensor]:
     """The model of tiles that were fitted one after the other in this process."""
-    scene = copied(hamlet_source, tmp_path_factory.mktemp("one") / "HAMLET")
+    scene = copied(matched_hamlet_source, tmp_path_factory.mktemp("one") / "HAMLET")
     fit(scene, TILED)
     return model(scene)
 
 
-def test_the_surface_is_the_same_to_the_bit(
-    make_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
-) -> None:
+def test_the_surface_is_the_same_to_the_bit(make_hamlet: Towns, really_started: list[subprocess.Popen]) -> None:
+    """Every tile is matched first."""
     scene, said = make_hamlet("TWO"), []
     fit(scene, TILED, lambda share, message: said.append((share, message)))
-    assert len(started) == 2
-    assert [process.wait(HANGING_S) for process in started] == [0, 0]
-    assert equal(model(scene), expected)
+    assert len(really_started) == 2
+    assert [process.wait(HANGING_S) for process in really_started] == [0, 0]
+    alone = make_hamlet("ONE")
+    with pytest.MonkeyPatch.context() as context:
+        context.setattr(tile_plan, "side_by_side", lambda scene, options, tiles: 1)
+        fit(alone, TILED)
+    assert len(really_started) == 2
+    assert equal(model(scene), model(alone))
     shares = [share for share, _ in said]
     assert shares == sorted(shares)
     assert {f"tile {k} of 4" for k in range(1, 5)} <= {message.split(":")[0] for _, message in said}
 
 
 def test_a_lost_process_costs_its_tile_only(
-    make_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor], caplog: Any
+    make_matched_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor], caplog: Any
 ) -> None:
-    scene, lost = make_hamlet("LOST"), []
+    scene, lost = make_matched_hamlet("LOST"), []
 
     def kill(fraction: float, message: str) -> None:
         if message.startswith("tile 1 of 4") and "epoch" in message and not lost:
@@ -96,10 +112,10 @@ def test_a_lost_process_costs_its_tile_only(
 
 
 def test_a_tile_whose_processes_are_always_lost_ends_the_fit(
-    make_hamlet: Towns, started: list[subprocess.Popen], monkeypatch: pytest.MonkeyPatch
+    make_matched_hamlet: Towns, started: list[subprocess.Popen], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tile_plan, "side_by_side", lambda scene, options, tiles: 2)
-    scene = make_hamlet("ALWAYS")
+    scene = make_matched_hamlet("ALWAYS")
 
     def kill(fraction: float, message: str) -> None:
         if message.startswith("tile 1 of 4"):
@@ -112,9 +128,9 @@ def test_a_tile_whose_processes_are_always_lost_ends_the_fit(
 
 
 def test_an_interrupt_ends_all_processes_and_resume_goes_on(
-    make_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
+    make_matched_hamlet: Towns, started: list[subprocess.Popen], expected: dict[str, torch.Tensor]
 ) -> None:
-    scene, said = make_hamlet("CUT"), []
+    scene, said = make_matched_hamlet("CUT"), []
 
     def stop(fraction: float, message: str) -> None:
         if message.startswith("tile 2 of 4") and "epoch 4" in message:
@@ -129,8 +145,10 @@ def test_an_interrupt_ends_all_processes_and_resume_goes_on(
     assert equal(model(scene), expected)
 
 
-def test_an_error_in_a_process_is_that_of_the_command(make_hamlet: Towns, started: list[subprocess.Popen]) -> None:
-    scene = make_hamlet("BROKEN")
+def test_an_error_in_a_process_is_that_of_the_command(
+    make_matched_hamlet: Towns, started: list[subprocess.Popen]
+) -> None:
+    scene = make_matched_hamlet("BROKEN")
     fit(scene, replace(TILED, part="split"))
     path = scene.root / "fit/tiles/r0c1/scene.json"
     part = json.loads(path.read_text())
@@ -171,14 +189,15 @@ def test_what_nobody_has_foreseen_in_a_process_is_no_traceback(
 
 
 def test_messages_of_the_processes_are_told_once(
-    make_town: Towns, started: list[subprocess.Popen], caplog: Any
+    make_hamlet: Towns, started: list[subprocess.Popen], caplog: Any
 ) -> None:
-    scene = make_town("TOLD")
+    scene = make_hamlet("TOLD")
     for item in scene.items[2:]:
         item.properties["sattools:role"] = "test"  # two views leave ground that one of them does not show
     with caplog.at_level(logging.INFO, "sattools"):
-        result = fit(scene, replace(TILED, epochs=[2], tile=32.0, overlap=8.0))
+        result = fit(scene, replace(TILED, epochs=[2]))
     told = [record.getMessage() for record in caplog.records if ".r0c" in record.getMessage()]
+    assert told != []
     assert len(told) == len(set(told))
     assert all(
         note in caplog.text for note in [note.partition(": ")[2] for note in result["notes"]] if "tile r" in note

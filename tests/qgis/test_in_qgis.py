@@ -11,8 +11,10 @@ from typing import Any
 
 import psutil
 import pytest
+from click.testing import CliRunner
 from patience import HANGING_S
 
+from sattools.cli import main
 from sattools.scene.raster import read_raster, write_cog
 
 QGIS = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
@@ -21,7 +23,7 @@ pytestmark = [pytest.mark.qgis, pytest.mark.skipif(QGIS is None, reason="QGIS is
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def environment(tmp_path_factory: pytest.TempPathFactory, quick_program: Path) -> Any:
     """Variables for a QGIS of its own profile that finds the plugin and the executable."""
     folder = tmp_path_factory.mktemp("qgis")
     runtime = folder / "runtime"
@@ -33,7 +35,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Any:
         "QGIS_CUSTOM_CONFIG_PATH": str(folder / "profile"),
         "QGIS_PLUGINPATH": str(ROOT / "qgis_plugin"),
         # QGIS takes the first python3 on PATH for its own: the system's has to come before any other
-        "PATH": f"/usr/bin:/bin:{Path(sys.executable).parent}",
+        "PATH": f"/usr/bin:/bin:{quick_program}",
     }
     subprocess.run([QGIS, "plugins", "enable", "sattools_qgis"], env=found, check=True, capture_output=True)
     return found
@@ -48,8 +50,9 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def sattools(*arguments: Any) -> Any:
-    command = [sys.executable, "-m", "sattools", "-q", *map(str, arguments)]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    done = CliRunner().invoke(main, ["-q", *map(str, arguments)])
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
 
 
 def process(environment: Any, algorithm: Any, **parameters: Any) -> Any:
@@ -327,8 +330,9 @@ def test_cancelling_a_fit_leaves_no_process_and_no_half_file(environment: Any, c
         "print('finished', well)\n"
         "provider = algorithm = None; late.cancel(); app.exitQgis()\n"
     )
+    installed = environment | {"PATH": f"/usr/bin:/bin:{Path(sys.executable).parent}"}
     done = subprocess.run(
-        ["/usr/bin/python3", "-c", program], env=environment, capture_output=True, text=True, timeout=HANGING_S
+        ["/usr/bin/python3", "-c", program], env=installed, capture_output=True, text=True, timeout=HANGING_S
     )
     assert "finished False" in done.stdout, done.stdout + done.stderr
     left = [p.info["cmdline"] for p in psutil.process_iter(["cmdline"]) if str(scene) in (p.info["cmdline"] or [])]
