@@ -116,6 +116,18 @@ def make_matched_hamlet(matched_hamlet_source: Scene, tmp_path: Path) -> Callabl
     return lambda name="HAMLET": copied(matched_hamlet_source, tmp_path / name)
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages whose pictures are of one pixel, for what does not depend on them: drawing takes longer than all the rest."""
+    import io
+
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.new("RGB", (1, 1)).save(stream, "png")
+    monkeypatch.setattr("sattools.report.page._png", lambda figure, dpi: stream.getvalue())
+
+
 @pytest.fixture(autouse=True)
 def _own_loudness() -> None:
     """How much a command is asked to tell (`--quiet`) by another test, or by a fixture of many, is not asked of a test.
