@@ -118,7 +118,7 @@ def make_matched_hamlet(matched_hamlet_source: Scene, tmp_path: Path) -> Callabl
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages whose pictures are of one pixel, for what does not depend on them: drawing takes longer than all the rest."""
+    """Pages whose pictures are of one pixel, for what does not depend on them: drawing takes most of the time."""
     import io
 
     from PIL import Image
