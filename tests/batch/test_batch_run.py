@@ -104,7 +104,7 @@ def test_a_failed_scene_is_named_and_does_not_stop_the_others(folder: Any) -> No
 
 @pytest.mark.slow
 def test_of_two_batches_in_a_folder_the_second_waits_and_finds_all_done(folder: Any) -> None:
-    (folder / "cut.toml").write_text("[fit]\nepochs = [2]\ntile = 32\noverlap = 8\n")
+    (folder / "cut.toml").write_text("[fit]\nepochs = [2]\ntile = 16\noverlap = 4\n")
     call = ("A/scene.json", "--config", "cut.toml", "--out", "twice", "--workers", "1")
     first = start(folder, *call)
     while not (folder / "twice/digests.json").exists():
