@@ -53,20 +53,12 @@ def program(python_m: list[str], folder: Path) -> Path:
 
 def serve(address: str) -> None:
     """Import all there is, and fork for everyone who asks."""
-    import gc
-    from importlib import import_module
-
-    from sattools.cli.commands import COMMANDS, WORK
+    from sattools.cli.forking import import_all
+    from sattools.fit.tiles import helper  # noqa: F401  # the module that tiles side by side ask for
     from sattools.system import end_with_parent
 
     end_with_parent()
-    for name in (*WORK.values(), *(f"sattools.cli.{command}" for command in COMMANDS), *WHEN_FIRST_USED):
-        import_module(name)
-    import numba
-
-    numba.njit(lambda: 0)()  # the first kernel imports more
-    gc.collect()
-    gc.freeze()
+    import_all()
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(address)
         listener.listen()
@@ -80,11 +72,6 @@ def serve(address: str) -> None:
             with suppress(ChildProcessError):
                 while os.waitpid(-1, os.WNOHANG)[0]:  # keepers that have ended
                     pass
-
-
-WHEN_FIRST_USED = (
-    "matplotlib.backends.backend_agg", "matplotlib.figure", "safetensors.torch", "sattools.fit.tiles.helper",
-)  # fmt: skip
 
 
 def keep(asking: socket.socket) -> None:

@@ -17,6 +17,7 @@ from importlib import import_module
 
 from sattools.cli import entry
 from sattools.cli.commands import COMMANDS, WORK
+from sattools.compiled import get_ready
 from sattools.system import end_with_parent
 
 
@@ -36,14 +37,21 @@ def _call_it(command: str) -> None:
         name.write(f"sattools {command}"[:15])
 
 
+def import_all() -> None:
+    """Import what commands need, also what they import only when they come to use it."""
+    used = ("matplotlib.backends.backend_agg", "matplotlib.figure", "safetensors.torch")
+    for name in (*WORK.values(), *(f"sattools.cli.{command}" for command in COMMANDS), *used):
+        import_module(name)
+    get_ready()
+    gc.collect()
+    gc.freeze()  # what is here stays, and looking at it would copy its pages into every command
+
+
 def main() -> None:
     """Serve on stdin."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the batch's to hear
-    for name in (*WORK.values(), *(f"sattools.cli.{command}" for command in COMMANDS)):
-        import_module(name)
-    gc.collect()
-    gc.freeze()  # what is here stays, and looking at it would copy its pages into every command
+    import_all()
     for line in sys.stdin:
         process = os.fork()
         if not process:
