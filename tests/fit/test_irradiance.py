@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from towns import copied
 
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
@@ -16,6 +17,7 @@ from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.losses import GAMMA, photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.fit.surface import light, light_selection
 from sattools.fit.surface.light import (
     FIRST_EPOCH,
     WARM_UP_EPOCHS,
@@ -26,7 +28,7 @@ from sattools.fit.surface.light import (
 from sattools.fit.surface.light_selection import Shown, transient_share
 from sattools.prior.files import read_prior
 from sattools.render import sun_visibility
-from sattools.scene import Grid
+from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
 from sattools.simulate import SimulateOptions, simulate
 
@@ -134,9 +136,28 @@ def test_all_losses_weigh_a_pixel_of_typical_brightness_the_same(name: Any) -> N
     assert found == pytest.approx(1e-4 * slope / 0.1, rel=2e-3)
 
 
-def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(make_matched_hamlet: Any) -> None:
-    scene = make_matched_hamlet()
-    fit(scene, replace(QUICK, epochs=[12], shadow="learned", transient="on"))
+LEARNED = replace(QUICK, epochs=[12], shadow="learned", transient="on")
+
+
+@pytest.fixture
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few steps begin learned shadows and choose a model of the light: nothing here asks how well."""
+    monkeypatch.setattr(light, "FOLLOW_STEPS", 60)
+    monkeypatch.setattr(light_selection, "STEPS", 10)
+
+
+@pytest.fixture(scope="module")
+def learned(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The small scene fitted with learned shadows and transients; tests must leave its files alone."""
+    scene = copied(matched_hamlet_source, tmp_path_factory.mktemp("learned") / "HAMLET")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(light, "FOLLOW_STEPS", 60)
+        fit(scene, LEARNED)
+    return scene
+
+
+def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(learned: Scene, tmp_path: Path) -> None:
+    scene = copied(learned, tmp_path / "HAMLET")
     tensors, meta = load(scene.path("fit/model.safetensors"))
     assert (meta["shadow"], meta["transient"]) == ("learned", "on")
     assert tensors["s_net"].shape == tensors["tau"].shape == (4, 16, 16)
@@ -162,22 +183,22 @@ def test_the_start_of_learned_shadows_is_an_option(make_matched_hamlet: Any) -> 
     assert apart[0] < 0.5 * apart[1]
 
 
-def test_a_fit_with_learned_shadows_can_be_resumed(make_matched_hamlet: Any) -> None:
-    whole, broken = make_matched_hamlet("WHOLE"), make_matched_hamlet("BROKEN")
-    options = replace(QUICK, epochs=[6], shadow="learned", transient="on")
-    fit(whole, options)
+@pytest.mark.usefixtures("few_steps")
+def test_a_fit_with_learned_shadows_can_be_resumed(learned: Scene, make_matched_hamlet: Any) -> None:
+    broken = make_matched_hamlet("BROKEN")
 
     def stop(fraction: Any, message: Any) -> None:
-        if "epoch 5" in message:
+        if "epoch 5/" in message:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit(broken, options, stop)
-    fit(broken, replace(options, resume=True))
+        fit(broken, LEARNED, stop)
+    fit(broken, replace(LEARNED, resume=True))
     for name in ("height", "s_net", "tau"):
-        assert torch.equal(*(load(s.path("fit/model.safetensors"))[0][name] for s in (whole, broken))), name
+        assert torch.equal(*(load(s.path("fit/model.safetensors"))[0][name] for s in (learned, broken))), name
 
 
+@pytest.mark.usefixtures("few_steps")
 def test_auto_settles_the_light_and_says_why(tmp_path: Path) -> None:
     # six views: of fewer too few would be left to learn from
     scene = simulate(SimulateOptions(id="SIX", size=32.0, views=6, dates=3), tmp_path / "SIX")

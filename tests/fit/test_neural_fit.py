@@ -164,7 +164,8 @@ def change_pixels(scene: Scene, change: Callable[..., np.ndarray], nodata: int |
 FIELDS: dict[str, FitOptions] = {
     "surface": FitOptions(resolution=2.0, epochs=[4]),
     "voxel": FitOptions(field="voxel", resolution=2.0, rays=64, samples=12, steps=12),
-    "mlp": resolve("eonerf", {"width": 16, "rays": 64, "steps": 12, "resolution": 2.0}),
+    # one begins as the prior, the other as the surface that a fit finds
+    "mlp": resolve("eonerf", {"width": 16, "rays": 64, "steps": 12, "resolution": 2.0, "start": "prior"}),
     "neural": tiny(),
 }
 
@@ -176,7 +177,7 @@ def opposition(scene: Scene) -> None:
         item.properties["view:sun_elevation"] = 90.0 - item.properties["view:off_nadir"]
 
 
-RELIEF = {"terrain": "natural", "size": 64.0, "gsd": 1.0, "off_nadir": 20.0}
+RELIEF = {"terrain": "natural", "gsd": 1.0, "off_nadir": 20.0}
 
 
 def check_every_field(scene: Scene) -> None:
