@@ -143,7 +143,7 @@ def test_steps_of_more_samples_than_memory_holds_are_refused(make_matched_hamlet
 @pytest.fixture(scope="module")
 def theta_at_the_start(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> torch.Tensor:
     scene = copied(matched_hamlet_source, tmp_path_factory.mktemp("start") / "HAMLET")
-    fit(scene, tiny("hapke-nerf", steps=1, rate=0.0, start="prior"))
+    fit(scene, tiny("hapke-nerf", steps=1, rate=0.0))
     return theta(scene)
 
 
@@ -165,7 +165,7 @@ def test_a_head_of_the_reflectance_model_learns_only_while_the_model_is_asked_fo
     theta_at_the_start: torch.Tensor, make_matched_hamlet: Any, options: Any, moved: Any
 ) -> None:
     scene = make_matched_hamlet()
-    fit(scene, tiny("hapke-nerf", steps=2, start="prior", **options))
+    fit(scene, tiny("hapke-nerf", steps=2, **options))
     assert torch.equal(theta(scene), theta_at_the_start) != moved
 
 
