@@ -1,6 +1,7 @@
 """Copies of simulated scenes, with what was made of them."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 from sattools import api
@@ -19,3 +20,9 @@ def copied(source: Scene, root: Path) -> Scene:
 def matched(source: Scene, root: Path) -> Scene:
     """A copy that has the prior that `fit` would make of it."""
     return api.match(copied(source, root))
+
+
+def northern_half(scene: Scene) -> Scene:
+    """The same images of half of the area: as many tiles side by side as the whole has in a row."""
+    grid = scene.require_grid()
+    return replace(scene, grid=grid.part(slice(0, grid.height // 2), slice(0, grid.width)))

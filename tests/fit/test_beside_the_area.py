@@ -1,11 +1,13 @@
 """What stands around an area casts its shadows into it, and what images show of it is not of the area."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from towns import copied
 
 from sattools.align.options import AlignOptions
 from sattools.align.stage import align
@@ -27,16 +29,20 @@ from sattools.views import View
 QUICK = FitOptions(resolution=1.0, coarsest=1.0, epochs=[5])
 
 
-@pytest.fixture
-def middle(make_town: Any) -> Any:
+@pytest.fixture(scope="module")
+def middle_source(town_source: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The middle of a town, whose images show all of it, with its prior; not fitted."""
-    scene = make_town("MIDDLE")
-    grid = scene.require_grid()
+    grid = town_source.require_grid()
     quarter = grid.width // 4
     part = slice(quarter, grid.height - quarter), slice(quarter, grid.width - quarter)
-    scene = replace(scene, grid=grid.part(*part))
+    scene = copied(replace(town_source, grid=grid.part(*part)), tmp_path_factory.mktemp("middle") / "MIDDLE")
     prior(scene, PriorOptions())
     return scene
+
+
+@pytest.fixture
+def middle(middle_source: Any, tmp_path: Path) -> Any:
+    return copied(middle_source, tmp_path / "MIDDLE")
 
 
 def shadows(scene: Any) -> np.ndarray:

@@ -19,9 +19,9 @@ TINY = {"width": 16, "rays": 64, "steps": 40, "resolution": 2.0}
 
 @pytest.mark.parametrize("preset", ["satnerf", "eonerf", "hapke-nerf"])
 def test_a_budget_without_room_for_a_step_leaves_the_surface_that_a_network_starts_from(
-    make_town: Any, caplog: pytest.LogCaptureFixture, preset: str
+    make_matched_hamlet: Any, caplog: pytest.LogCaptureFixture, preset: str
 ) -> None:
-    scene = make_town()
+    scene = make_matched_hamlet()
     with caplog.at_level(logging.WARNING):
         notes = fit(scene, resolve(preset, {**TINY, "budget": 0.001}))["notes"]
     assert "stopped by the budget of 0.001 s at step 0 of 40" in notes
@@ -35,11 +35,11 @@ def test_a_budget_without_room_for_a_step_leaves_the_surface_that_a_network_star
 
 
 def test_an_interrupted_network_that_has_used_its_budget_is_judged_and_read_off_without_another_step(
-    make_town: Any, monkeypatch: pytest.MonkeyPatch
+    make_matched_hamlet: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 0.0)
     monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
-    scene, options = make_town(), resolve("satnerf", TINY)
+    scene, options = make_matched_hamlet(), resolve("satnerf", TINY)
 
     def stop(fraction: float, message: str) -> None:
         if message.startswith("step 12/"):

@@ -89,9 +89,8 @@ def test_where_there_is_no_prior_the_fit_stands() -> None:
     torch.testing.assert_close(found[12:18, 6:10], a_prior().height[12:18, 6:10] + 0.5, atol=0.06, rtol=0)
 
 
-def test_the_default_surface_has_the_priors_cells(make_town: Any) -> None:
-    scene = make_town()
-    prior(scene, PriorOptions(rough_passes=1, pairs=4))
+def test_the_default_surface_has_the_priors_cells(make_matched_hamlet: Any) -> None:
+    scene = make_matched_hamlet()
     fit(scene, FitOptions(epochs=[2]))
     export(scene, ExportOptions())
     model = FittedModel.load(scene.path(scene.products["model"]))
@@ -107,17 +106,15 @@ def test_the_default_surface_has_the_priors_cells(make_town: Any) -> None:
     ("options", "cell"),
     [({"resolution": 1.0}, 1.0), ({"prior_weight": 0.0}, 1.0), ({"brdf": "rpv"}, 1.0), ({"resolution": 0.5}, 0.5)],
 )
-def test_what_has_cells_of_its_own_keeps_them(make_town: Any, options: Any, cell: Any) -> None:
-    scene = make_town()
-    if options.get("prior_weight") != 0.0:
-        prior(scene, PriorOptions(rough_passes=0, pairs=2, resolution=0.5))
+def test_what_has_cells_of_its_own_keeps_them(make_matched_hamlet: Any, options: Any, cell: Any) -> None:
+    scene = make_matched_hamlet()
     fit(scene, replace(FitOptions(epochs=[2], coarsest=options.get("resolution", 1.0)), **options))
     assert FittedModel.load(scene.path(scene.products["model"])).grid.cell_size == cell
 
 
-def test_tiles_have_the_cells_of_a_fit_at_once(make_town: Any) -> None:
-    scene = make_town()
-    fit(scene, FitOptions(epochs=[2], tile=32.0, overlap=8.0))
+def test_tiles_have_the_cells_of_a_fit_at_once(make_matched_row: Any) -> None:
+    scene = make_matched_row()
+    fit(scene, FitOptions(epochs=[2], tile=16.0, overlap=4.0))
     model = FittedModel.load(scene.path(scene.products["model"]))
     assert model.grid == scene.grid
     height, _ = read_raster(scene.path(scene.products["prior_dsm"]))
@@ -143,13 +140,13 @@ BETTER = (
     ],
     ids=str,
 )
-def test_cells_finer_than_the_priors_are_warned_of(make_town: Any, caplog: Any, options: Any, told: Any) -> None:
-    check_start(make_town(), replace(FitOptions(), **options))
+def test_cells_finer_than_the_priors_are_warned_of(make_hamlet: Any, caplog: Any, options: Any, told: Any) -> None:
+    check_start(make_hamlet("TOWN"), replace(FitOptions(), **options))
     assert [line for line in caplog.messages if "finer than the prior" in line] == told
 
 
-def test_a_prior_of_the_fits_own_cells_is_not_warned_of(make_town: Any, caplog: Any) -> None:
-    scene = make_town()
+def test_a_prior_of_the_fits_own_cells_is_not_warned_of(make_hamlet: Any, caplog: Any) -> None:
+    scene = make_hamlet()
     prior(scene, PriorOptions(rough_passes=0, pairs=2, resolution=1.0))
     fit(scene, FitOptions(epochs=[1], coarsest=0.9, resolution=0.92))
     assert "finer than the prior" not in caplog.text
@@ -157,8 +154,8 @@ def test_a_prior_of_the_fits_own_cells_is_not_warned_of(make_town: Any, caplog: 
     assert "--resolution 0.5 is finer than the prior, which has cells of 1 m" in caplog.text
 
 
-def test_tiles_are_warned_of_a_coarse_prior_once(make_town: Any, caplog: Any) -> None:
-    scene = make_town()
-    prior(scene, PriorOptions(rough_passes=0, pairs=2, resolution=2.0))
-    fit(scene, FitOptions(epochs=[1], resolution=1.0, tile=32.0, overlap=8.0))
-    assert caplog.text.count("finer than the prior, which has cells of 2 m") == 1
+def test_tiles_are_warned_of_a_coarse_prior_once(make_row: Any, caplog: Any) -> None:
+    scene = make_row()
+    prior(scene, PriorOptions(rough_passes=0, pairs=2, resolution=1.0))
+    fit(scene, FitOptions(epochs=[1], resolution=0.5, tile=16.0, overlap=4.0))
+    assert caplog.text.count("finer than the prior, which has cells of 1 m") == 1

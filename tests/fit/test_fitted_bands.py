@@ -58,8 +58,10 @@ def test_bands_are_known_by_number_and_name() -> None:
 
 
 @pytest.mark.parametrize("name", list(QUICK))
-def test_a_field_of_two_bands_shows_those_and_is_compared_with_them(make_town: Callable[..., Scene], name: str) -> None:
-    scene = make_town()
+def test_a_field_of_two_bands_shows_those_and_is_compared_with_them(
+    make_matched_hamlet: Callable[..., Scene], name: str
+) -> None:
+    scene = make_matched_hamlet()
     fit(scene, resolve("fast", {**QUICK[name], "bands": ["3", "1"]}))
     model = FittedModel.load(scene.path("fit/model.safetensors"))
     assert model.bands == ["3", "1"]
@@ -79,8 +81,8 @@ def test_a_field_of_two_bands_shows_those_and_is_compared_with_them(make_town: C
     assert np.isfinite(compare_views(again)["psnr"])
 
 
-def test_all_eight_bands_are_fitted(make_town: Callable[..., Scene]) -> None:
-    scene = in_eight_bands(make_town())
+def test_all_eight_bands_are_fitted(make_hamlet: Callable[..., Scene]) -> None:
+    scene = in_eight_bands(make_hamlet())
     fit(scene, resolve("fast", QUICK["surface"]))
     model = FittedModel.load(scene.path("fit/model.safetensors"))
     assert model.albedo.shape[-1] == 8
@@ -94,6 +96,6 @@ def test_all_eight_bands_are_fitted(make_town: Callable[..., Scene]) -> None:
         assert np.corrcoef(found, albedo[:, band])[0, 1] > 0.9
 
 
-def test_a_band_that_is_not_there_is_told(make_town: Callable[..., Scene]) -> None:
+def test_a_band_that_is_not_there_is_told(make_hamlet: Callable[..., Scene]) -> None:
     with pytest.raises(SceneError, match="--bands: found 'nir'"):
-        fit(make_town(), resolve("fast", {**QUICK["surface"], "bands": ["nir"]}))
+        fit(make_hamlet(), resolve("fast", {**QUICK["surface"], "bands": ["nir"]}))

@@ -21,7 +21,7 @@ FIT = FitOptions(brdf="hapke", resolution=4.0, epochs=[8])
 
 
 def scene_of(tmp_path: Path, **changed: Any) -> Scene:
-    options = {"terrain": "natural", "id": "HARD", "size": 128.0, "views": 7, "units": 2, "seed": 2, "off_nadir": 16.0}
+    options = {"terrain": "natural", "id": "HARD", "size": 64.0, "views": 7, "units": 2, "seed": 2, "off_nadir": 16.0}
     return simulate(SimulateOptions(**{**options, **changed}), tmp_path / "HARD")
 
 

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from towns import copied
 
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
@@ -15,6 +17,7 @@ from sattools.fit.depth_prior import DepthPrior
 from sattools.fit.losses import GAMMA, photometric, robust_scale
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
+from sattools.fit.surface import light, light_selection
 from sattools.fit.surface.light import (
     FIRST_EPOCH,
     WARM_UP_EPOCHS,
@@ -25,8 +28,9 @@ from sattools.fit.surface.light import (
 from sattools.fit.surface.light_selection import Shown, transient_share
 from sattools.prior.files import read_prior
 from sattools.render import sun_visibility
-from sattools.scene import Grid
+from sattools.scene import Grid, Scene
 from sattools.scene.raster import read_raster
+from sattools.simulate import SimulateOptions, simulate
 
 QUICK = FitOptions(resolution=2.0, coarsest=2.0, epochs=[4])
 SUN = (0.0, 0.6, 0.8)
@@ -132,12 +136,31 @@ def test_all_losses_weigh_a_pixel_of_typical_brightness_the_same(name: Any) -> N
     assert found == pytest.approx(1e-4 * slope / 0.1, rel=2e-3)
 
 
-def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(make_town: Any) -> None:
-    scene = make_town()
-    fit(scene, replace(QUICK, epochs=[12], shadow="learned", transient="on"))
+LEARNED = replace(QUICK, epochs=[12], shadow="learned", transient="on")
+
+
+@pytest.fixture
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few steps begin learned shadows and choose a model of the light: nothing here asks how well."""
+    monkeypatch.setattr(light, "FOLLOW_STEPS", 60)
+    monkeypatch.setattr(light_selection, "STEPS", 10)
+
+
+@pytest.fixture(scope="module")
+def learned(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The small scene fitted with learned shadows and transients; tests must leave its files alone."""
+    scene = copied(matched_hamlet_source, tmp_path_factory.mktemp("learned") / "HAMLET")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(light, "FOLLOW_STEPS", 60)
+        fit(scene, LEARNED)
+    return scene
+
+
+def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(learned: Scene, tmp_path: Path) -> None:
+    scene = copied(learned, tmp_path / "HAMLET")
     tensors, meta = load(scene.path("fit/model.safetensors"))
     assert (meta["shadow"], meta["transient"]) == ("learned", "on")
-    assert tensors["s_net"].shape == tensors["tau"].shape == (6, 32, 32)
+    assert tensors["s_net"].shape == tensors["tau"].shape == (4, 16, 16)
     assert 0 <= float(tensors["s_net"].min()) < 0.5 < float(tensors["s_net"].max()) <= 1
     assert 0 <= float(tensors["tau"].min()) < 1
     export(scene, ExportOptions())
@@ -146,12 +169,12 @@ def test_the_fit_learns_shadows_and_the_model_and_the_export_hold_them(make_town
     assert "shadow" in scene.items[0].assets
 
 
-def test_the_start_of_learned_shadows_is_an_option(make_town: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_start_of_learned_shadows_is_an_option(make_matched_hamlet: Any) -> None:
     """After one epoch s_net lies nearer to the shadows that the prior's surface casts where it began at them."""
-    monkeypatch.setattr("sattools.prior.stage.with_surroundings", lambda grid, *_: grid)  # nothing else casts any
     apart = []
     for start in ("geometric", "lit"):
-        scene = make_town(start.upper())
+        scene = make_matched_hamlet(start.upper())
+        del scene.products["prior_surroundings"]  # nothing else casts any
         fit(scene, replace(QUICK, epochs=[1], shadow="learned", shadow_start=start))
         tensors, meta = load(scene.path("fit/model.safetensors"))
         prior = DepthPrior.from_arrays(*read_prior(scene)).on(Grid.from_dict(meta["grid"]))
@@ -160,24 +183,25 @@ def test_the_start_of_learned_shadows_is_an_option(make_town: Any, monkeypatch: 
     assert apart[0] < 0.5 * apart[1]
 
 
-def test_a_fit_with_learned_shadows_can_be_resumed(make_town: Any) -> None:
-    whole, broken = make_town("WHOLE"), make_town("BROKEN")
-    options = replace(QUICK, epochs=[6], shadow="learned", transient="on")
-    fit(whole, options)
+@pytest.mark.usefixtures("few_steps")
+def test_a_fit_with_learned_shadows_can_be_resumed(learned: Scene, make_matched_hamlet: Any) -> None:
+    broken = make_matched_hamlet("BROKEN")
 
     def stop(fraction: Any, message: Any) -> None:
-        if "epoch 5" in message:
+        if "epoch 5/" in message:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit(broken, options, stop)
-    fit(broken, replace(options, resume=True))
+        fit(broken, LEARNED, stop)
+    fit(broken, replace(LEARNED, resume=True))
     for name in ("height", "s_net", "tau"):
-        assert torch.equal(*(load(s.path("fit/model.safetensors"))[0][name] for s in (whole, broken))), name
+        assert torch.equal(*(load(s.path("fit/model.safetensors"))[0][name] for s in (learned, broken))), name
 
 
-def test_auto_settles_the_light_and_says_why(make_town: Any) -> None:
-    scene = make_town()
+@pytest.mark.usefixtures("few_steps")
+def test_auto_settles_the_light_and_says_why(tmp_path: Path) -> None:
+    # six views: of fewer too few would be left to learn from
+    scene = simulate(SimulateOptions(id="SIX", size=32.0, views=6, dates=3), tmp_path / "SIX")
     found = fit(scene, replace(QUICK, epochs=[1], shadow="auto", transient="auto"))
     meta = load(scene.path("fit/model.safetensors"))[1]
     shadow, transient = found["notes"][:2]

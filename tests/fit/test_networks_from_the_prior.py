@@ -1,15 +1,20 @@
 """Networks that start from the prior: what they begin with, what they show, and that their time is honest."""
 
 import dataclasses
+import functools
 import itertools
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 import torch
+from towns import copied
 
 from sattools.compare import compare_dsm, read_reference
+from sattools.errors import SceneError
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.field.mlp import MlpField
@@ -19,17 +24,36 @@ from sattools.field.surface_base import KnownLight, SurfaceBase, before_sigmoid,
 from sattools.fit.depth_prior import DepthPrior, depth_std_m
 from sattools.fit.materials.scene import ReflectiveScene
 from sattools.fit.model import FittedModel
+from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.losses import BETA_MIN
 from sattools.fit.rays.start import restored_field
-from sattools.fit.stage import fit
+from sattools.fit.stage import check_start, fit
 from sattools.fit.trace import Trace
 from sattools.prior.files import read_prior
 from sattools.render import sun_visibility
+from sattools.scene import Scene
 
 PAPERS = [name for name in PRESETS if name != "fast"]
 TINY = {"width": 16, "rays": 64, "steps": 12, "resolution": 2.0}
+STEPS = {"eonerf": 40}  # so many that not every step has a row of its own in the trace
 BOX = Box((0.0, -8.0, 0.0), (8.0, 0.0, 20.0))
+
+
+def tiny(preset: str) -> FitOptions:
+    return resolve(preset, {**TINY, "resolution": 1.0, "steps": STEPS.get(preset, TINY["steps"])})
+
+
+@pytest.fixture(scope="module")
+def trained(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
+    """Trains `tiny` networks of the small scene, each once: the scene and what was found; tests must leave it alone."""
+
+    @functools.cache
+    def train(preset: str) -> tuple[Scene, dict[str, Any]]:
+        scene = copied(matched_hamlet_source, tmp_path_factory.mktemp(preset) / "HAMLET")
+        return scene, fit(scene, tiny(preset))
+
+    return train
 
 
 def slope_base(softness: float = 0.5) -> SurfaceBase:
@@ -114,12 +138,14 @@ def test_light_is_kept_with_the_surface() -> None:
     assert SurfaceBase.restored(slope_base().tensors(), BOX).light is None
 
 
-def test_learned_shadows_of_a_network_begin_as_the_surface_casts_them(make_matched_hamlet: Any) -> None:
+def test_learned_shadows_of_a_network_begin_as_the_surface_casts_them(
+    trained: Callable[[str], Any], make_matched_hamlet: Callable[..., Scene]
+) -> None:
     """And are no better than noise where they begin as the papers have it."""
     agreement = {}
-    for begun in ("geometric", "lit"):
-        scene = make_matched_hamlet(begun)
-        fit(scene, resolve("satnerf", {**TINY, "steps": 3, "shadow_start": begun}))
+    lit = make_matched_hamlet("LIT")
+    fit(lit, dataclasses.replace(tiny("satnerf"), shadow_start="lit"))
+    for begun, scene in (("geometric", trained("satnerf")[0]), ("lit", lit)):
         model = FittedModel.load(scene.path("fit/model.safetensors"))
         assert model.s_net is not None
         cast = torch.stack([sun_visibility(model.height, model.grid.cell_size, sun) for sun in model.suns if sun])
@@ -150,16 +176,24 @@ def test_the_surest_heights_are_searched_closest() -> None:
 
 
 @pytest.mark.parametrize("preset", PAPERS)
-def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_matched_town: Any, preset: Any) -> None:
-    scene = make_matched_town()
-    fit(scene, resolve(preset, TINY))
+def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(
+    trained: Callable[[str], Any], tmp_path: Path, preset: str
+) -> None:
+    source, found = trained(preset)
+    scene = copied(source, tmp_path / "HAMLET")
+    assert found["fit"]["epochs"] == (20 if preset == "eonerf" else 12)  # rows of the trace
     truth = read_reference(str(scene.path(scene.products["truth_dsm"])))
     model = FittedModel.load(scene.path("fit/model.safetensors"))
+    assert (model.field, model.network) == ("mlp", tiny(preset).network)
+    low, high = scene.require_height_range()
+    assert low <= float(model.height.min()) <= float(model.height.max()) <= high
+    for name in ("height", "height_std", "albedo", "gain"):
+        assert torch.isfinite(getattr(model, name)).all(), name
     prior = DepthPrior.from_arrays(*read_prior(scene)).on(model.grid)
     error, start = (
         compare_dsm(height.numpy(), truth, model.grid).figures["mae"] for height in (model.height, prior.height)
     )
-    # twelve steps of a tiny network change next to nothing: what is left is how a volume is read off
+    # few steps of a tiny network change next to nothing: what is left is how a volume is read off
     assert error < start + 0.05
     item = scene.items[0].id
     export(scene, ExportOptions(view=[item], sun=(180.0, 45.0), undetermined="prior"))
@@ -168,7 +202,7 @@ def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_ma
     with rasterio.open(scene.path(scene.items[0].assets["image"].href)) as image:
         pixels = image.read().astype(np.float32) / np.iinfo(image.dtypes[0]).max
     known = np.isfinite(picture).all(axis=0)
-    assert known.mean() > 0.4  # the image shows more ground than the model has
+    assert known.mean() > 0.2  # the image shows more ground than the model has, the more so of a small area
     correlation = np.corrcoef(picture[:, known].ravel(), pixels[:, known].ravel())[0, 1]
     # without shadows, or before it has learned them, a network has one colour for a place lit in one image and shaded
     # in another
@@ -194,19 +228,17 @@ def test_every_paper_begins_at_the_priors_error_and_exports_its_own_maps(make_ma
     with rasterio.open(scene.path(scene.items[0].assets["rendered_height"].href)) as data:
         seen = data.read(1)
     assert np.array_equal(np.isfinite(seen), known)
-    low, high = scene.require_height_range()
     assert low - 1 <= np.nanmin(seen) <= np.nanmax(seen) <= high + 1
 
 
-def test_a_model_gives_its_field_back(make_matched_hamlet: Any) -> None:
-    scene = make_matched_hamlet()
-    fit(scene, resolve("eonerf", TINY))
+def test_a_model_gives_its_field_back(trained: Callable[[str], Any]) -> None:
+    scene, _ = trained("eonerf")
     model = FittedModel.load(scene.path("fit/model.safetensors"))
     field = restored_field(model)
     for name, tensor in field.named_tensors().items():
         assert torch.equal(tensor, model.extra[f"field.{name}"])
     x, y = 20.0, -20.0  # on level ground, far from the wall that stands at 10 m
-    ground = float(model.height[10, 10])
+    ground = float(model.height[20, 20])
     sigma, _ = field.density(torch.tensor([[x, y, ground + 6.0], [x, y, ground - 6.0]]))
     above, below = sigma.tolist()
     assert above < 0.1 < below
@@ -247,25 +279,30 @@ ALIKE = {"spsnerf", "rpv-nerf"}  # their checkpoints hold nothing that those of 
     "preset", [pytest.param(name, marks=[pytest.mark.slow] if name in ALIKE else []) for name in PAPERS]
 )
 def test_an_interrupted_network_goes_on_bit_for_bit_from_any_step(
-    make_matched_hamlet: Any, monkeypatch: Any, preset: str
+    trained: Callable[[str], Any], make_matched_hamlet: Callable[..., Scene], monkeypatch: Any, preset: str
 ) -> None:
     from sattools.fit.rays import job as rays_job
 
     monkeypatch.setattr(rays_job, "SAVE_EVERY_S", 0.0)
     monkeypatch.setattr(rays_job, "TELL_EVERY_S", 0.0)
-    options = resolve(preset, {**TINY, "steps": 40})
-    whole, broken = make_matched_hamlet("WHOLE"), make_matched_hamlet("BROKEN")
-    uninterrupted = fit(whole, options)
+    options, broken = tiny(preset), make_matched_hamlet("BROKEN")
+    whole, uninterrupted = trained(preset)
+    half = options.steps // 2
+    # told before it is kept: the step before it is, with eonerf one between two rows of the trace
+    last = 24 if preset == "eonerf" else 9
 
     def stop(fraction: float, message: str) -> None:
-        if message.startswith("step 23/"):  # between two rows of the trace
+        if message.startswith(f"step {last}/"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         fit(broken, options, stop)
+    assert not broken.path("fit/model.safetensors").exists()
+    with pytest.raises(SceneError, match=r"found a checkpoint of other options \(--seed 0\), expected --seed 1"):
+        check_start(broken, dataclasses.replace(options, resume=True, seed=1))
     resumed = fit(broken, dataclasses.replace(options, resume=True))
-    assert uninterrupted["notes"][-1].endswith("; its colours alone from step 20 on")
-    assert resumed["notes"][-1] == "mlp: its colours alone were trained from step 20 on"
+    assert uninterrupted["notes"][-1].endswith(f"; its colours alone from step {half} on")
+    assert resumed["notes"][-1] == f"mlp: its colours alone were trained from step {half} on"
     one, other = (FittedModel.load(s.path("fit/model.safetensors")) for s in (whole, broken))
     assert torch.equal(one.height, other.height)
     assert all(torch.equal(one.extra[name], other.extra[name]) for name in one.extra)
@@ -288,8 +325,6 @@ def test_at_every_sample_the_reflectance_model_sees_the_parameters_there(make_ma
 
 
 def test_a_network_begins_as_the_surface_that_the_fit_makes(make_matched_hamlet: Any) -> None:
-    from sattools.fit.options import FitOptions
-
     first, network = make_matched_hamlet("FIRST"), make_matched_hamlet("NETWORK")
     fit(first, FitOptions(pose=False))
     fit(network, resolve("eonerf", {**TINY, "resolution": None, "steps": 1, "rate": 0.0}))
@@ -302,8 +337,6 @@ def test_a_network_begins_as_the_surface_that_the_fit_makes(make_matched_hamlet:
 
 
 def test_a_network_begins_with_the_reflectance_that_the_fit_finds(make_matched_hamlet: Any) -> None:
-    from sattools.fit.options import FitOptions
-
     first, network = make_matched_hamlet("FIRST"), make_matched_hamlet("NETWORK")
     fit(first, FitOptions(pose=False, brdf="hapke", resolution=1.0))
     fit(network, resolve("hapke-nerf", {**TINY, "resolution": 1.0, "steps": 1, "rate": 0.0}))

@@ -44,7 +44,7 @@ SHORT = FitOptions(brdf="hapke", resolution=4.0, epochs=[10], pretrain=0.2)
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    options = SimulateOptions(terrain="natural", id="HILL", size=192.0, views=9, units=3, seed=3)
+    options = SimulateOptions(terrain="natural", id="HILL", size=128.0, views=9, units=3, seed=3)
     return simulate(options, tmp_path_factory.mktemp("hill") / "HILL")
 
 
@@ -196,7 +196,7 @@ def test_a_fit_finds_reflectance_with_its_uncertainty_and_resumes_exactly(make_h
     assert (tensors["offset"] == 0).all()
     truth = read_raster(whole.path(whole.products["truth_w"]))[0]
     w = AMPLITUDE["hapke"].bounded(tensors["amplitude"]).permute(2, 0, 1).numpy()
-    truth = truth.reshape(3, 48, 2, 48, 2).mean((2, 4))
+    truth = truth.reshape(3, 32, 2, 32, 2).mean((2, 4))
     # cells twice as large as the truth's; the target for the scene as a whole is 0.1 (benchmarks/reflectance_recovery)
     assert np.sqrt(((w - truth) ** 2).mean()) / truth.mean() < 0.2
     assert np.corrcoef(w.ravel(), truth.ravel())[0, 1] > 0.9

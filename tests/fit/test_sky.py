@@ -170,7 +170,7 @@ def test_gradients_of_light_with_a_sky() -> None:
 def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: float) -> None:
     """On the true heights of steep ground under a low sun."""
     options = SimulateOptions(
-        terrain="natural", id="SKY", size=128.0, views=3, train=3, units=2, seed=5, slope=40.0, off_nadir=10.0,
+        terrain="natural", id="SKY", size=96.0, views=3, train=3, units=2, seed=5, slope=40.0, off_nadir=10.0,
         sun_elevation=35.0, sky=sky,
     )  # fmt: skip
     scene = simulate(options, tmp_path / "SKY")

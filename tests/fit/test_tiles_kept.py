@@ -5,46 +5,33 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from in_tiles import TILED, Interrupted, until
 from towns import copied
 
 from sattools import api
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
-from sattools.fit.options import FitOptions
 from sattools.fit.stage import check_start, fit
 from sattools.scene import Scene
 
-TILED = FitOptions(resolution=1.0, epochs=[8], tile=16.0, overlap=4.0)
 
-
-class Interrupted(Exception):
-    """Stands for whatever ends a process."""
-
-
-def test_finished_tiles_are_removed_only_where_that_is_asked_for(make_matched_hamlet: Any) -> None:
+def test_finished_tiles_are_removed_only_where_that_is_asked_for(begun_tiles: Scene, tmp_path: Path) -> None:
     """A call from the history of a shell, without --resume, would cost hours of an area that was nearly done."""
-    scene, plain = make_matched_hamlet("NEARLY"), replace(TILED, epochs=[2])
-    first, *_ = fit(scene, replace(plain, part="split"))["tiles"]
-    fit(Scene.from_file(scene.root / f"fit/tiles/{first}/scene.json"), plain)
+    scene = copied(begun_tiles, tmp_path / "NEARLY")
     for begin in (check_start, fit):
         with pytest.raises(
             OutputExistsError, match=r"r0c0: found a finished tile .* give --resume to go on, or --over"
         ):
-            begin(scene, plain, overwrite=False)
-    assert (scene.root / f"fit/tiles/{first}/fit/model.safetensors").exists()
-    check_start(scene, plain, overwrite=True)
-    check_start(scene, replace(plain, resume=True), overwrite=False)
+            begin(scene, TILED, overwrite=False)
+    assert (scene.root / "fit/tiles/r0c0/fit/model.safetensors").exists()
+    check_start(scene, TILED, overwrite=True)
+    check_start(scene, replace(TILED, resume=True), overwrite=False)
 
 
 def test_what_was_begun_all_at_once_does_not_go_on_in_tiles(make_matched_hamlet: Any) -> None:
     """At its end the checkpoint would go."""
     scene = make_matched_hamlet()
-
-    def stop(share: float, message: str) -> None:
-        if "epoch 6" in message:
-            raise Interrupted
-
     with pytest.raises(Interrupted):
-        fit(scene, replace(TILED, tile=None), stop)
+        fit(scene, replace(TILED, tile=None), until("epoch 6")[1])
     for begin in (check_start, fit):
         with pytest.raises(SceneError, match="found a checkpoint of a fit all at once, expected one in tiles; give"):
             begin(Scene.from_file(scene.root / "scene.json"), replace(TILED, resume=True))
@@ -70,12 +57,12 @@ def test_files_of_other_origin_in_the_place_of_tiles_are_replaced_only_where_tha
     assert path.read_text() == "somebody's"
 
 
-def test_what_is_no_tile_stays_beside_tiles_and_in_them(make_hamlet: Any) -> None:
-    scene = make_hamlet()
+def test_what_is_no_tile_stays_beside_tiles_and_in_them(make_matched_row: Any) -> None:
+    scene = make_matched_row()
     own = {"notes.txt", "sketches/r0c0.svg", "r0c1/mine.txt", "r0c1/fit/mine.csv", "r9c9.bak/scene.json"}
 
     def put(share: float, message: str) -> None:
-        if message.startswith("tile 4"):
+        if message.startswith("tile 2"):
             for name in own:
                 (scene.root / "fit/tiles" / name).parent.mkdir(parents=True, exist_ok=True)
                 (scene.root / "fit/tiles" / name).write_text("somebody's")
@@ -104,9 +91,9 @@ def test_nothing_is_removed_behind_a_link_that_leads_out_of_the_scene(make_hamle
 
 
 def test_tiles_stay_until_the_document_names_what_they_were_joined_to(
-    make_hamlet: Any, monkeypatch: pytest.MonkeyPatch
+    finished_tiles: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, write = make_hamlet("NEARLY"), Scene.write
+    scene, write, given = copied(finished_tiles, tmp_path / "NEARLY"), Scene.write, replace(TILED, resume=True)
 
     def fails(scene: Scene) -> Path:
         if scene.id != "NEARLY":
@@ -115,32 +102,22 @@ def test_tiles_stay_until_the_document_names_what_they_were_joined_to(
 
     monkeypatch.setattr(Scene, "write", fails)
     with pytest.raises(SattoolsError, match="No space left"):
-        api.fit(scene, replace(TILED, epochs=[2]))
+        api.fit(scene, given)
     monkeypatch.setattr(Scene, "write", write)
-    said: list[str] = []
-    given = replace(TILED, epochs=[2], resume=True)
-    api.fit(scene.root / "scene.json", given, progress=lambda _, text: said.append(text))
-    assert [text for text in said if "epoch" in text] == []
+    said, progress = until()
+    api.fit(scene.root / "scene.json", given, progress=progress)
+    assert [text for _, text in said if "epoch" in text] == []
     assert not (scene.root / "fit/tiles").exists()
-
-
-@pytest.fixture(scope="module")
-def fitted_tiles(matched_hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    """The small scene with four finished tiles that nobody has joined; tests must leave its files alone."""
-    scene, plain = copied(matched_hamlet_source, tmp_path_factory.mktemp("tiles") / "LEFT"), replace(TILED, epochs=[2])
-    for name in fit(scene, replace(plain, part="split"))["tiles"]:
-        fit(Scene.from_file(scene.root / f"fit/tiles/{name}/scene.json"), plain)
-    return scene
 
 
 @pytest.mark.parametrize("last", [{"tile": 0.0}, {"part": "mosaic"}])
 def test_tiles_that_are_left_are_no_reason_to_replace_a_finished_fit(
-    fitted_tiles: Scene, tmp_path: Path, last: Any
+    finished_tiles: Scene, tmp_path: Path, last: Any
 ) -> None:
-    scene, plain = copied(fitted_tiles, tmp_path / "LEFT"), replace(TILED, epochs=[2])
-    fit(scene, replace(plain, **last))
+    scene = copied(finished_tiles, tmp_path / "LEFT")
+    fit(scene, replace(TILED, **last))
     before = (scene.root / "fit/model.safetensors").read_bytes()
-    for tile in (None, 16.0, 0.0):
+    for size in (None, 16.0, 0.0):
         with pytest.raises(OutputExistsError, match="found a finished fit, expected an interrupted one for --resume"):
-            fit(scene, replace(plain, tile=tile, resume=True), overwrite=False)
+            fit(scene, replace(TILED, tile=size, resume=True), overwrite=False)
     assert (scene.root / "fit/model.safetensors").read_bytes() == before
