@@ -7,14 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from done_here import batch_here
 from patience import HANGING_S
-from towns import copied, matched
+from towns import copied, matched, northern_half
 
 from sattools.scene import Scene
 
@@ -31,8 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("batch")
     made = simulate(SimulateOptions(id="A", size=32.0, views=4, dates=2), root / "made")
     copied(matched(made, root / "A"), root / "B")
-    made.grid = replace(made.grid, height=made.grid.height // 2)
-    matched(made, root / "HALF")
+    matched(northern_half(made), root / "HALF")
     (root / "quick.toml").write_text("[fit]\nepochs = [2]\n")
     return root
 
