@@ -83,7 +83,7 @@ def test_red_green_and_blue_of_eight_are_those_that_the_files_name(make_hamlet: 
     assert [b["name"] for b in scene.items[0].assets["radiance"].extra["eo:bands"]] == ["red", "green", "blue"]
     with rasterio.open(scene.path(scene.items[0].assets["image"].href)) as numbers:
         wanted = numbers.read([6, 4, 2]) / 2047
-    np.testing.assert_allclose(read_image(scene.path("radiance/TOWN_001.tif")), wanted, rtol=1e-5)
+    np.testing.assert_allclose(read_image(scene.path("radiance/HAMLET_001.tif")), wanted, rtol=1e-5)
 
 
 def test_pictures_under_another_sun_name_their_bands_and_their_scale(make_hamlet: Callable[[], Scene]) -> None:
@@ -91,7 +91,7 @@ def test_pictures_under_another_sun_name_their_bands_and_their_scale(make_hamlet
     for item in scene.items:
         item.assets["image"].extra.update(named_bands(None, ["blue", "green", "red"]))
     fit(scene, QUICK)
-    export(scene, ExportOptions(view=["TOWN_002"], sun=(200.0, 40.0)))
+    export(scene, ExportOptions(view=["HAMLET_002"], sun=(200.0, 40.0)))
     words = ("radiance blue", "radiance green", "radiance red")
     with rasterio.open(scene.path(scene.products["relit"])) as relit:
         assert (relit.descriptions, relit.tags()["SCALE"][:9]) == (words, "relative:")
