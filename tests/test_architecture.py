@@ -1,6 +1,7 @@
 """Who may import whom: one way through the house, and heavy libraries only where they are needed."""
 
 import ast
+import functools
 import re
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,8 @@ def room_of(path: Path) -> str:
     return relative.parts[0] if len(relative.parts) > 1 else relative.stem
 
 
-def imports(path: Path) -> set[str]:
+@functools.cache
+def imports(path: Path) -> frozenset[str]:
     """All modules that a file imports, anywhere in it, by their full names."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -46,7 +48,7 @@ def imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def top_level_imports(path: Path) -> set[str]:
@@ -158,11 +160,19 @@ NAMED_IN_TEXTS = {
 }
 
 
-def modules_used(path: Path, known: dict[str, Path]) -> set[str]:
+@functools.cache
+def modules() -> dict[str, Path]:
+    """All files of the package by the full names of their modules."""
+    return {full_name(path): path for path in FILES}
+
+
+@functools.cache
+def modules_used(path: Path) -> frozenset[str]:
     """Modules of the package that a file imports or names in a text, also inside functions.
 
     What only types need does not count. Whoever imports a module imports the packages that it lies in, too.
     """
+    known = modules()
     tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
         id(inner)
@@ -185,7 +195,7 @@ def modules_used(path: Path, known: dict[str, Path]) -> set[str]:
     around = {full_name(above / "__init__.py") for above in path.parents if above.is_relative_to(PACKAGE)}
     found = {name for name in found if name in known}
     packages = {name.rsplit(".", levels)[0] for name in found for levels in range(1, name.count(".") + 1)}
-    return found | (packages & known.keys() - around)
+    return frozenset(found | (packages & known.keys() - around))
 
 
 def full_name(path: Path) -> str:
@@ -203,15 +213,13 @@ def on_circles(graph: dict[str, set[str]]) -> list[str]:
 
 def test_no_module_imports_itself_through_others_not_even_inside_a_function() -> None:
     """`fit` imported `compare`, that a helper which looked up `sattools.api` by its name, and that `fit`."""
-    known = {full_name(path): path for path in FILES}
-    assert on_circles({module: modules_used(path, known) for module, path in known.items()}) == []
+    assert on_circles({module: set(modules_used(path)) for module, path in modules().items()}) == []
 
 
 def test_no_room_imports_itself_through_others_not_even_inside_a_function() -> None:
-    known = {full_name(path): path for path in FILES}
     rooms: dict[str, set[str]] = {}
     for path in FILES:
-        used = {room_of(known[module]) for module in modules_used(path, known)}
+        used = {room_of(modules()[module]) for module in modules_used(path)}
         rooms.setdefault(room_of(path), set()).update(used)
     assert on_circles(rooms) == []
 
@@ -234,7 +242,7 @@ def declared(path: Path) -> set[str] | None:
 
 def test_what_other_modules_import_is_declared() -> None:
     """A reader of `__all__` must be able to trust that all else may be changed."""
-    known = {full_name(path): path for path in FILES}
+    known = modules()
     names = {module: declared(path) for module, path in known.items()}
     hidden = set()
     for path in FILES:
