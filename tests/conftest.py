@@ -17,7 +17,7 @@ from sattools.scene import Scene
 set_threads(1)
 
 
-# Files that take half a minute or more, the longest first: begun last, they would leave all cores but one idle at the end.
+# Files that take half a minute or more, the longest first: begun last, they would leave all cores but one idle.
 LONG = (
     "test_accuracy.py", "test_batch_run.py", "test_in_qgis.py", "test_tutorials.py", "test_tiles_side_by_side.py",
     "test_networks_from_the_prior.py", "test_stale_results.py", "test_nothing_lost.py", "test_evaluation.py",
