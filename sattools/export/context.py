@@ -9,6 +9,7 @@ import numpy as np
 from sattools.fit.described import Description, Sun
 from sattools.radiometry.bands import chosen_bands
 from sattools.scene import Scene
+from sattools.scene.dependencies import current_entry
 from sattools.scene.jsonio import JsonObject
 
 RELIT = "export/relit.tif"
@@ -84,6 +85,15 @@ def _bands_of(scene: Scene, model: Description) -> list[JsonObject]:
     return []
 
 
+def follows_prior(scene: Scene) -> bool:
+    """Whether the fit has used the scene's prior: what that says of its heights says nothing of others."""
+    options = (current_entry(scene, "fit") or {}).get("options")
+    if not isinstance(options, dict):
+        return True
+    begun = options.get("field") != "surface" and options.get("start") == "prior"
+    return begun or options.get("prior_weight") != 0
+
+
 def view_href(name: str, item_id: str) -> str:
     """Where a map or picture of an image goes."""
     return f"export/{name}/{item_id}.tif"
@@ -96,4 +106,4 @@ def shadow_suns(model: Description) -> list[tuple[str, Sun]]:
     return [(name, sun) for name, sun in zip(model.items, model.suns, strict=True) if sun is not None]
 
 
-__all__ = ["RELIT", "Exported", "band_names", "radiance_scale", "shadow_suns", "view_href"]
+__all__ = ["RELIT", "Exported", "band_names", "follows_prior", "radiance_scale", "shadow_suns", "view_href"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sattools.errors import InputError
 from sattools.export.blocks import Block, Surroundings
-from sattools.export.context import Exported, band_names, radiance_scale, shadow_suns, view_href
+from sattools.export.context import Exported, band_names, follows_prior, radiance_scale, shadow_suns, view_href
 from sattools.export.datum import datum_name, to_datum, vertical_crs
 from sattools.export.hillshade import write_picture
 from sattools.fit.described import Description
@@ -93,7 +93,8 @@ class SurfaceFiles:
         if validity:
             tags = {"MEANING": MEANING, **_SOFTWARE}
             about[VALIDITY] = {"dtype": np.uint8, "nodata": None, "tags": tags, "descriptions": ["validity"]}
-        self._prior = {href: scene.path(scene.products[n]) for n, href in OF_PRIOR.items() if n in scene.products}
+        said = OF_PRIOR.items() if follows_prior(scene) else ()
+        self._prior = {href: scene.path(scene.products[name]) for name, href in said if name in scene.products}
         for product, href in OF_PRIOR.items():
             if href in self._prior:
                 about[href] = _ABOUT_PRIOR[href] | {"tags": {"METHOD": f"of the prior, see {product}", **_SOFTWARE}}
@@ -197,12 +198,13 @@ def heights_of_start(about: Description) -> str | None:
 def with_water(scene: Scene, validity: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
     """Validity ``[h, w]`` on a part of the ground, with water that the prior laid level.
 
-    Two images may see it, but its height is an assumption. Priors of other programs and older versions do not say.
+    Two images may see it, but its height is an assumption. Priors of other programs and older versions do not say, and
+    those that the fit has not used say nothing of its heights.
 
     Raises:
         InputError: the map cannot be read.
     """
-    if WATER not in scene.products:
+    if WATER not in scene.products or not follows_prior(scene):
         return validity
     laid = _one_band(scene.path(scene.products[WATER]), grid) >= 0.5  # of a cell, at least
     known = (validity == MEASURED) | (validity == FILLED)

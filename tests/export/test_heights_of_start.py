@@ -2,11 +2,14 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import laspy
 import pytest
 import rasterio
 
+from sattools import api
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.options import FitOptions
@@ -22,6 +25,12 @@ TINY = {"width": 16, "rays": 64, "steps": 6, "resolution": 2.0}
 def tags(scene: Scene, name: str) -> dict[str, Any]:
     with rasterio.open(scene.path(scene.products[name])) as data:
         return dict(data.tags())
+
+
+def points_of(scene: Scene) -> set[str]:
+    """Dimensions of the points of `export`."""
+    with laspy.open(scene.path(scene.products["points"])) as file:
+        return set(file.header.point_format.dimension_names)
 
 
 @pytest.mark.parametrize(
@@ -51,6 +60,24 @@ def test_a_field_with_heights_of_its_own_says_nothing_of_the_kind(make_hamlet: C
     assert "HEIGHTS" not in tags(scene, "dsm")
     assert not any("heights" in note for note in entry["notes"])
     assert tags(scene, "dsm_std")["METHOD"].startswith("spread of the height at which vertical rays lose their light")
+
+
+def test_a_prior_that_the_fit_has_not_used_says_nothing_of_its_heights(
+    make_matched_hamlet: Callable[..., Scene],
+) -> None:
+    """They had the prior's deviations and probabilities, which are those of other heights."""
+    quick = FitOptions(resolution=2.0, coarsest=2.0, epochs=[2])
+    of_prior = {"probability", "dsm_error95"}
+    scene = api.export(
+        api.fit(make_matched_hamlet(), replace(quick, prior_weight=0.0)), ExportOptions(products=["laz"])
+    )
+    assert tags(scene, "dsm_std")["METHOD"].startswith("curvature of the photometric loss")
+    assert not of_prior & scene.products.keys()
+    assert "confidence" not in points_of(scene)
+    scene = api.export(api.fit(scene, quick, overwrite=True), ExportOptions(products=["laz"]), overwrite=True)
+    assert tags(scene, "dsm_std")["METHOD"] == "of the prior, see prior_dsm_std"
+    assert of_prior <= scene.products.keys()
+    assert "confidence" in points_of(scene)
 
 
 def test_the_deviations_of_a_surface_without_a_prior_are_those_of_its_loss(

@@ -9,6 +9,7 @@ import laspy
 import numpy as np
 import pytest
 
+from sattools import api
 from sattools.export.blocks import blocks
 from sattools.export.options import ExportOptions
 from sattools.export.products.maps import Maps
@@ -61,6 +62,12 @@ def test_water_that_two_images_see_is_not_called_measured(fitted: Scene) -> None
     assert made["validity"]["water"] == pytest.approx((found == LEVELLED).mean(), abs=1e-4)
     dsm = read_raster(fitted.path(fitted.products["dsm"]))[0][0]
     assert np.isfinite(dsm[found == LEVELLED]).all()
+
+
+def test_water_of_a_prior_that_the_fit_has_not_used_is_not_that_of_its_surface(fitted: Scene) -> None:
+    scene = api.fit(fitted, FitOptions(resolution=2.0, coarsest=2.0, epochs=[2], prior_weight=0.0), overwrite=True)
+    assert "prior_water" in scene.products
+    assert not (codes(api.export(scene)) == LEVELLED).any()
 
 
 def test_priors_that_do_not_say_what_they_laid_level_are_exported_as_before(fitted: Scene) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from sattools.errors import extra
+from sattools.export.context import follows_prior
 from sattools.export.datum import vertical_crs
 from sattools.export.products.maps import Maps
 from sattools.export.products.names import FILES, LIBRARIES
@@ -63,7 +64,8 @@ def write_products(scene: Scene, stored: StoredModel, wanted: Wanted, progress: 
         part = subprogress(progress, k / len(wanted.names), (k + 1) / len(wanted.names))
         part(0.0, name)
         files = {product: scene.output(href) for product, href in FILES[name].items()}
-        maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in scene.products})
+        known = {name for name in scene.products if follows_prior(scene) or not name.startswith("prior_")}
+        maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in known})
         notes[name] = _MAKERS[name](_Order(scene, stored, maps, files, wanted, part))
         scene.products.update(FILES[name])
     return notes
