@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import importlib.util
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -168,11 +167,14 @@ def _python() -> list[Finding]:
 
 
 def _packages() -> list[Finding]:
+    from packaging.requirements import Requirement
+
     findings = []
     for line in importlib.metadata.requires("sattools") or []:
-        if "extra ==" in line:
-            continue
-        name = re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0]
+        wanted = Requirement(line)
+        if wanted.marker is not None and not wanted.marker.evaluate({"extra": ""}):
+            continue  # of an extra, or of another system
+        name = wanted.name
         try:
             findings.append(Finding(name, "ok", importlib.metadata.version(name)))
         except importlib.metadata.PackageNotFoundError:

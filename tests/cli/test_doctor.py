@@ -1,6 +1,7 @@
 """`sattools doctor` says what is there, what is not, and what to do about it."""
 
 import contextlib
+import importlib.metadata
 import json
 import warnings
 from pathlib import Path
@@ -23,6 +24,18 @@ def test_this_installation_is_sound() -> None:
     assert findings["rasterio"]["state"] == "ok"
     assert findings["GDAL"]["text"].startswith("3.")
     assert "missing" not in {row["state"] for row in findings.values()}
+
+
+def test_what_only_other_systems_and_extras_need_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fresh installation on Linux lacks psutil, which is of an extra there; `make demo` ended with that."""
+    lines = [
+        "numpy>=1.26", "not-there>=1; sys_platform == 'nowhere'", "nor-this>=1; extra == 'batch'",
+        "but-this>=1; python_version >= '3'",
+    ]  # fmt: skip
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: lines)
+    found = {finding.name: finding for finding in doctor._packages()}
+    assert {name: finding.state for name, finding in found.items()} == {"numpy": "ok", "but-this": "missing"}
+    assert "but-this>=1" in str(found["but-this"].remedy)
 
 
 def test_people_read_a_line_per_thing_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
