@@ -1,11 +1,21 @@
 """Copies of simulated scenes, with what was made of them."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from sattools import api
 from sattools.scene import Scene
+
+
+@dataclass(frozen=True)
+class Done:
+    """A scene on which a stage was run, what that found, and what it told on the way; tests must leave it alone."""
+
+    scene: Scene
+    found: dict[str, Any]
+    told: list[tuple[float, str]]
 
 
 def copied(source: Scene, root: Path) -> Scene:

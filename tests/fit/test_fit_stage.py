@@ -1,14 +1,14 @@
 """The stage `fit`: what it needs, what it leaves out, what it writes."""
 
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from towns import copied
+from towns import Done, copied
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, OutputExistsError, SceneError
@@ -30,23 +30,15 @@ def height(scene: Any) -> Any:
     return load(scene.root / "fit/model.safetensors")[0]["height"]
 
 
-@dataclass(frozen=True)
-class Quick:
-    """The small scene fitted without a prior that was given: what that found and told; tests must leave it alone."""
-
-    scene: Scene
-    found: dict[str, Any]
-    told: list[tuple[float, str]]
-
-
 @pytest.fixture(scope="module")
-def quick(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Quick:
+def quick(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    """The small scene fitted without a prior that was given."""
     scene, told = copied(hamlet_source, tmp_path_factory.mktemp("quick") / "HAMLET"), []
     found = fit(scene, QUICK, lambda share, message: told.append((round(share, 3), message)))
-    return Quick(scene, found, told)
+    return Done(scene, found, told)
 
 
-def test_model_and_trace_are_written_and_named(quick: Quick) -> None:
+def test_model_and_trace_are_written_and_named(quick: Done) -> None:
     scene = quick.scene
     assert scene.products["model"] == "fit/model.safetensors"
     tensors, meta = load(scene.path(scene.products["model"]))
@@ -91,7 +83,7 @@ def test_one_image_is_not_enough(make_hamlet: Any) -> None:
         fit(scene, QUICK)
 
 
-def test_watching_the_error_does_not_change_the_fit(quick: Quick, make_hamlet: Any) -> None:
+def test_watching_the_error_does_not_change_the_fit(quick: Done, make_hamlet: Any) -> None:
     watched = make_hamlet("WATCHED")
     fit(watched, replace(QUICK, reference=str(watched.path(watched.products["truth_dsm"]))))
     assert torch.equal(height(quick.scene), height(watched))
@@ -108,13 +100,13 @@ def test_a_budget_stops_the_fit_and_keeps_what_it_has(make_matched_hamlet: Any) 
     assert torch.isfinite(height(scene)).all()
 
 
-def test_a_fit_says_how_long_its_own_prior_took(quick: Quick, make_matched_hamlet: Any, tmp_path: Path) -> None:
+def test_a_fit_says_how_long_its_own_prior_took(quick: Done, make_matched_hamlet: Any, tmp_path: Path) -> None:
     assert quick.found["prior_seconds"] > 0
     for other in (make_matched_hamlet("GIVEN"), copied(quick.scene, tmp_path / "OWN")):  # which has one now
         assert "prior_seconds" not in fit(other, replace(QUICK, epochs=[1]))
 
 
-def test_a_fit_tells_that_it_solves_for_albedo_and_how_long_that_took(quick: Quick) -> None:
+def test_a_fit_tells_that_it_solves_for_albedo_and_how_long_that_took(quick: Done) -> None:
     last = quick.told[-8:]
     # 0.2 of the whole made the prior, 0.8 of the rest found heights
     assert last == [
@@ -132,7 +124,7 @@ def test_a_reflectance_model_has_its_albedo_from_the_descent(make_matched_hamlet
     assert "albedo_seconds" not in fit(make_matched_hamlet(), replace(QUICK, brdf="rpv", epochs=[1]))
 
 
-def test_an_existing_model_needs_overwrite(quick: Quick) -> None:
+def test_an_existing_model_needs_overwrite(quick: Done) -> None:
     with pytest.raises(OutputExistsError, match="--overwrite"):
         fit(quick.scene, QUICK, overwrite=False)
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from click.testing import CliRunner
 from in_tiles import TILED, Interrupted, assert_same, model, tile, until
-from towns import copied
+from towns import Done, copied
 
 from sattools.cli import main
 from sattools.compare import compare_dsm, read_reference
@@ -36,15 +36,6 @@ SHORT = replace(TILED, epochs=[2])
 GO_ON = replace(TILED, resume=True)
 
 
-@dataclass(frozen=True)
-class Joined:
-    """A fit of the small scene in four tiles, one after the other: its scene, what it found and what it told."""
-
-    scene: Scene
-    found: dict[str, Any]
-    said: list[tuple[float, str]]
-
-
 @pytest.fixture(scope="module")
 def whole(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The small scene fitted at once; tests must leave its files alone."""
@@ -54,16 +45,16 @@ def whole(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Sce
 
 
 @pytest.fixture(scope="module")
-def joined(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Joined:
-    """The small scene fitted in tiles; tests must leave its files alone. Every cell that is put back is told."""
+def joined(hamlet_source: Scene, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    """The small scene fitted in four tiles, one after the other. Every cell that is put back is told."""
     scene = copied(hamlet_source, tmp_path_factory.mktemp("joined") / "HAMLET")
     said, progress = until()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(job, "WORTH_SAYING", 0.0)
-        return Joined(scene, fit(scene, TILED, progress), said)
+        return Done(scene, fit(scene, TILED, progress), said)
 
 
-def test_tiles_leave_what_a_fit_of_the_whole_leaves(whole: Scene, joined: Joined) -> None:
+def test_tiles_leave_what_a_fit_of_the_whole_leaves(whole: Scene, joined: Done) -> None:
     tiled = joined.scene
     (one, about), (other, about_other) = model(whole), model(tiled)
     assert {name: t.shape for name, t in one.items()} == {name: t.shape for name, t in other.items()}
@@ -76,7 +67,7 @@ def test_tiles_leave_what_a_fit_of_the_whole_leaves(whole: Scene, joined: Joined
         assert (tiled.root / f"prior/{name}.tif").exists()
 
 
-def test_tiles_are_as_good_as_the_whole_and_show_no_seam(whole: Scene, joined: Joined) -> None:
+def test_tiles_are_as_good_as_the_whole_and_show_no_seam(whole: Scene, joined: Done) -> None:
     truth = read_reference(whole.path(whole.products["truth_dsm"]))
     grid = whole.require_grid().resized(1.0)
     heights = [model(scene)[0]["height"].numpy() for scene in (whole, joined.scene)]
@@ -90,13 +81,13 @@ def test_tiles_are_as_good_as_the_whole_and_show_no_seam(whole: Scene, joined: J
         assert steps[seam] <= np.percentile(np.delete(steps, seam), 95)
 
 
-def test_a_fit_in_tiles_tells_how_far_it_is(joined: Joined) -> None:
-    shares = [share for share, _ in joined.said]
+def test_a_fit_in_tiles_tells_how_far_it_is(joined: Done) -> None:
+    shares = [share for share, _ in joined.told]
     assert shares == sorted(shares)
-    assert joined.said[0][1].startswith("whole area, coarsely: ")
+    assert joined.told[0][1].startswith("whole area, coarsely: ")
 
 
-def test_an_interrupted_tiled_fit_does_only_what_is_left(begun_tiles: Scene, joined: Joined, tmp_path: Path) -> None:
+def test_an_interrupted_tiled_fit_does_only_what_is_left(begun_tiles: Scene, joined: Done, tmp_path: Path) -> None:
     scene = copied(begun_tiles, tmp_path / "CUT")
     for begin in (check_start, fit):
         with pytest.raises(
@@ -116,7 +107,7 @@ def test_an_interrupted_tiled_fit_does_only_what_is_left(begun_tiles: Scene, joi
 
 
 def test_tiles_fitted_one_by_one_anywhere_are_joined_to_the_same(
-    begun_tiles: Scene, finished_tiles: Scene, joined: Joined, tmp_path: Path
+    begun_tiles: Scene, finished_tiles: Scene, joined: Done, tmp_path: Path
 ) -> None:
     with pytest.raises(SceneError, match=r"r1c0/fit/model\.safetensors: no such file, expected the model of a fitted"):
         fit(copied(begun_tiles, tmp_path / "HALF"), replace(TILED, part="mosaic"))
@@ -229,7 +220,7 @@ def test_a_scene_moved_with_unfinished_tiles_goes_on_with_its_own_files(
     assert len(said) == 1
 
 
-def test_what_is_put_back_in_the_coarse_fit_is_no_news(joined: Joined) -> None:
+def test_what_is_put_back_in_the_coarse_fit_is_no_news(joined: Done) -> None:
     """Cells of 2 m lie 2 m off their prior wherever a wall stands, and nothing of them is in the result."""
     told = [text for text in joined.found["notes"] if "strayed from the prior" in text]
     assert len(told) == 4
@@ -323,7 +314,7 @@ def test_a_tile_size_of_0_is_a_fit_at_once(make_matched_hamlet: Any) -> None:
 
 
 def test_strips_of_any_height_join_to_the_same_model(
-    finished_tiles: Scene, joined: Joined, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finished_tiles: Scene, joined: Done, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All that has been joined so far was one strip."""
     assert joined.scene.require_grid().height < mosaic.STRIP_ROWS

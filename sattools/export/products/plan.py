@@ -60,12 +60,12 @@ def write_products(scene: Scene, stored: StoredModel, wanted: Wanted, progress: 
     if not wanted.names:
         return {}
     notes: JsonObject = {}
+    kept = [name for name in READ if follows_prior(scene) or not name.startswith("prior_")]
     for k, name in enumerate(wanted.names):
         part = subprogress(progress, k / len(wanted.names), (k + 1) / len(wanted.names))
         part(0.0, name)
         files = {product: scene.output(href) for product, href in FILES[name].items()}
-        known = {name for name in scene.products if follows_prior(scene) or not name.startswith("prior_")}
-        maps = Maps.of({name: scene.path(scene.products[name]) for name in READ if name in known})
+        maps = Maps.of({name: scene.path(scene.products[name]) for name in kept if name in scene.products})
         notes[name] = _MAKERS[name](_Order(scene, stored, maps, files, wanted, part))
         scene.products.update(FILES[name])
     return notes
