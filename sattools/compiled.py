@@ -11,9 +11,10 @@ import logging
 import os
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from sattools import system
@@ -84,7 +85,9 @@ def _settle() -> bool:
 _KEPT = _settle()
 
 import numba  # noqa: E402
+import numpy as np  # noqa: E402
 from numba.core import event  # noqa: E402
+from numba.core.dispatcher import Dispatcher  # noqa: E402
 
 
 class _FirstRun(event.Listener):
@@ -120,9 +123,15 @@ def njit(*arguments: Any, **options: Any) -> Callable[..., Any]:
 
 
 def _forgiving(kernel: Any) -> Any:
-    """A kernel that runs although it cannot be kept, as on a full disk."""
+    """A kernel that is compiled anew when what it is made of has changed, and runs where it cannot be kept."""
     cache = kernel._cache
-    save = cache.save_overload
+    load, save = cache.load_overload, cache.save_overload
+
+    def load_if_fresh(signature: Any, context: Any) -> Any:
+        # not before the first call, when all modules are imported
+        if isinstance(kept := getattr(cache, "_cache_file", None), numba.core.caching.IndexDataCacheFile):
+            kept._source_stamp = (cache._impl.locator.get_source_stamp(), *made_of(kernel))
+        return load(signature, context)
 
     def try_to_save(signature: Any, data: Any) -> None:
         try:
@@ -130,8 +139,42 @@ def _forgiving(kernel: Any) -> Any:
         except OSError as error:
             log.info("%s: compiled, but cannot be kept (%s)", kernel.__name__, error.strerror)
 
-    cache.save_overload = try_to_save
+    cache.load_overload, cache.save_overload = load_if_fresh, try_to_save
     return kernel
+
+
+def made_of(kernel: Dispatcher) -> list[str]:
+    """What the machine code of a kernel depends on: options, constants, and the kernels that it calls, with theirs.
+
+    numba looks at the kernel's own file alone, and would go on using what it has compiled when another file has become
+    another one: after an update a kernel would call what its helpers were before it.
+    """
+    found: dict[Dispatcher, list[str]] = {}
+    _look_into(kernel, found)
+    return [line for lines in found.values() for line in lines]
+
+
+def _look_into(kernel: Dispatcher, found: dict[Dispatcher, list[str]]) -> None:
+    function = kernel.py_func
+    # the order of a set differs from run to run
+    options = {name: sorted(value) if isinstance(value, set) else value for name, value in kernel.targetoptions.items()}
+    lines = found[kernel] = [f"{function.__name__} {sorted(options.items())}"]
+    with suppress(OSError):
+        status = os.stat(function.__code__.co_filename)
+        lines.append(f"{status.st_mtime_ns} {status.st_size}")
+    for name in sorted(set(_names(function.__code__))):
+        value = function.__globals__.get(name)
+        if isinstance(value, Dispatcher) and value not in found:
+            _look_into(value, found)
+        elif isinstance(value, (bool, int, float, complex, str, tuple, np.generic)):
+            lines.append(f"{name} {value!r}")
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
 
 
 def get_ready() -> None:

@@ -111,6 +111,43 @@ def test_without_a_home_and_with_a_read_only_installation(container: Any) -> Non
     assert [p.name for p in Path(container["TMPDIR"]).iterdir()] == [f"sattools-cache-{os.getuid()}"]
 
 
+INNER = """
+from sattools.compiled import njit
+
+{constant}
+
+@njit
+def by(x):
+    return {value}
+"""
+OUTER = """
+from sattools.compiled import FASTMATH, njit
+from inner import by, STEP
+
+@njit(cache=True, fastmath=FASTMATH)
+def more(x):
+    return x + by(x) * STEP
+"""
+
+
+def test_a_kernel_is_compiled_anew_when_what_it_calls_has_changed(tmp_path: Path) -> None:
+    (tmp_path / "outer.py").write_text(OUTER)
+    call = [sys.executable, "-c", "from outer import more; print(more(1))"]
+    environment = {**os.environ, "PYTHONPATH": f"{PACKAGE.parent}:{tmp_path}", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+    said, written = [], ""
+    for seed, inner in enumerate([("STEP = 1", 1), ("STEP = 1", 1), ("STEP = 1", 4), ("STEP = 3", 4)]):
+        if (text := INNER.format(constant=inner[0], value=inner[1])) != written:
+            (tmp_path / "inner.py").write_text(written := text)
+        # sets (here of options) are in another order with every seed
+        run = subprocess.run(
+            call, env={**environment, "PYTHONHASHSEED": str(seed)}, capture_output=True, text=True, check=True
+        )
+        said.append((run.stdout, "compiling" in run.stderr))
+    # numba alone goes on with 2: the file of `more` is the same
+    assert said == [("2\n", True), ("2\n", False), ("5\n", True), ("13\n", True)]
+
+
 def test_without_any_folder_kernels_are_compiled_for_this_run(container: Any) -> None:
     site = Path(container["PYTHONPATH"])
     (site / "sattools/tiny.py").write_text(
