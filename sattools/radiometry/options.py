@@ -44,6 +44,15 @@ class NormaliseOptions:
         None, "Undo this exponent on 8-bit tone-mapped images, linear = (DN / 255)^gamma (default: leave them).",
         minimum=0.1, maximum=10,
     )  # fmt: skip
+    atmosphere: Literal["none", "dark-object", "rayleigh"] = option(
+        "none",
+        "What the air does is taken off reflectances, image by image: dark-object = what the darkest thousandth of a "
+        "band has beyond --dark-reflectance; rayleigh = that, and divided by what air that adds so much lets through.",
+    )
+    dark_reflectance: float = option(
+        0.01, "With --atmosphere: of the darkest ground (shade, water), pi L / (E cos sun zenith).",
+        minimum=0, maximum=0.2,
+    )  # fmt: skip
     match: bool = option(False, "Bring all dates to the first one by gain and offset per band (16 and 84 % quantiles).")
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
+from sattools.radiometry.atmosphere import Air, air_of, check_air
 from sattools.radiometry.bands import eo_bands, red_green_blue
 from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
@@ -40,7 +41,7 @@ FIGURE = "normalise/histogram.png"
 RGB_OF_EIGHT = [5, 3, 2]
 EIGHT_BAND_PLATFORMS = ("WorldView-2", "WorldView-3", None)  # None: eight bands are WorldView's unless somebody says so
 SAMPLE = 20000  # pixels per image and band in the histogram
-TOLD = 4_000_000  # pixels that tell an image's middle and spread for --match
+TOLD = 4_000_000  # pixels that tell an image's middle and spread for --match, and its darkest
 LABELS = {
     "toa_reflectance": "reflectance at the top of the atmosphere, pi L / (E cos sun zenith)",
     "reflectance_factor": "reflectance factor, pi L / E",
@@ -58,6 +59,7 @@ class _Job:
     scales: dict[str, ImageScale]
     bits: dict[str, int]
     reference: np.ndarray | None = None  # [2, C] middle and spread of the first image, for --match
+    air: JsonObject = field(default_factory=dict)  # per image, for the history
     flat: dict[str, list[str]] = field(default_factory=dict)  # bands without a gain for --match -> images
     alike: dict[str, list[str]] = field(default_factory=dict)  # notes that images may share -> images
     numbers: list[list[np.ndarray]] = field(default_factory=list)
@@ -95,7 +97,8 @@ def normalise(
         progress(k / len(items), item.id)
         shares[item.id] = _one(job, item, paths[f"radiance/{item.id}.tif"], notes)
     pooled = [[np.concatenate(band) for band in zip(*part, strict=True)] for part in (job.numbers, job.radiance)]
-    label = LABELS[job.quantity] + (", brought to the first image" if options.match else "")
+    label = LABELS[job.quantity] + (", without the air" if job.air else "")
+    label += ", brought to the first image" if options.match else ""
     histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", paths[FIGURE])
     scene.products["radiance_histogram"] = FIGURE
     notes += _shared(job)
@@ -104,7 +107,8 @@ def normalise(
     progress(1.0, "normalised")
     made = record(scene, "normalise", items, read)
     quantity = "relative" if options.match else job.quantity
-    return {"notes": notes, "quantity": quantity, "images": shares, MADE: made}
+    found: JsonObject = {"notes": notes, "quantity": quantity, "images": shares, MADE: made}
+    return found | ({"atmosphere": job.air} if job.air else {})
 
 
 def check_start(scene: Scene, options: NormaliseOptions, overwrite: bool = True) -> None:
@@ -129,6 +133,8 @@ def _started(scene: Scene, options: NormaliseOptions) -> tuple[_Job, list[str], 
     notes = contradictions(scene, items, options)
     scales = image_scales(scene, items, options)
     quantity = choose_quantity(scene, scales, options, notes)
+    if options.atmosphere != "none":
+        check_air(scene, items, quantity, options)
     if options.match and quantity != "relative":
         notes.append(f"--match: found {quantity}, which the other images are no longer: all are taken as relative")
     bits, darker = _bits(items, options)
@@ -149,6 +155,7 @@ class _Blocks:
         self.tone_mapped = picture and job.bits[item.id] <= 8 and job.scales[item.id].reflectance is None
         wanted = job.options.saturated
         self.masks = wanted == "mask" or (wanted == "auto" and not self.tone_mapped)
+        self._air: Air | None = None
         self._matched: tuple[np.ndarray, np.ndarray] | None = None
         height, width = part.shape
         self._places = np.divmod(job.rng.integers(height * width, size=min(SAMPLE, height * width)), width)
@@ -165,7 +172,8 @@ class _Blocks:
         """Radiance of digital numbers ``[C, h, w]``, but for --match."""
         options, scale = self.job.options, self.job.scales[self.item.id]
         if self.job.quantity != "relative":
-            return scale.apply(values - options.black, self.chosen, self.job.quantity)
+            above = scale.apply(values - options.black, self.chosen, self.job.quantity)
+            return above if self._air is None else self._air.through(above)
         radiance = linear_radiance(values, self.job.bits[self.item.id], options.black)
         return undo_gamma(radiance, options.gamma) if self.tone_mapped and options.gamma is not None else radiance
 
@@ -180,19 +188,28 @@ class _Blocks:
             gain, offset = gain * self._matched[0], offset * self._matched[0] + self._matched[1]
         return Conversion(self.chosen, gain.tolist(), offset.tolist())
 
-    def match(self) -> list[int]:
-        """Bring the image to the first one's middle and spread, which pixels at even distances tell.
-
-        Returns:
-            Bands, from 1, of which one of the two has no spread, so that no gain is known.
-        """
+    def _told(self) -> np.ndarray:
+        """Radiance ``[C, N]`` of pixels at even distances, but for --match."""
         height, width = self.part.shape
         step = math.ceil(math.sqrt(height * width / TOLD))
         some = [
             self._values(rows, slice(0, width))[1][:, -rows.start % step :: step, ::step].reshape(len(self.chosen), -1)
             for rows in pieces((height, width * len(self.chosen)))
         ]
-        told = np.concatenate(some, axis=1)
+        return np.concatenate(some, axis=1)
+
+    def look_through_air(self) -> Air | None:
+        """Take the air off from now on, as pixels at even distances tell it; None where none has a value."""
+        self._air = air_of(self.item, self._told(), self.job.quantity, self.job.options)
+        return self._air
+
+    def match(self) -> list[int]:
+        """Bring the image to the first one's middle and spread, which pixels at even distances tell.
+
+        Returns:
+            Bands, from 1, of which one of the two has no spread, so that no gain is known.
+        """
+        told = self._told()
         if not np.isfinite(told).any():
             return []  # an image without a valid pixel is refused later on
         low, middle, high = np.nanpercentile(told, [16, 50, 84], axis=1)
@@ -231,6 +248,9 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
     options, bits = job.options, job.bits[item.id]
     part = image_part(job.scene, item)
     blocks = _Blocks(job, item, part)
+    item.properties.pop("sattools:atmosphere", None)
+    if options.atmosphere != "none" and (air := blocks.look_through_air()) is not None:
+        job.air[item.id] = item.properties["sattools:atmosphere"] = air.to_dict()
     if options.match and (flat := blocks.match()):
         job.flat.setdefault(", ".join(map(str, flat)), []).append(item.id)
     bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, blocks.chosen)

@@ -330,7 +330,9 @@ def _image(scene: Scene, item: Item, stage: str) -> list[Any]:
     names = _pixels(item, stage), "rpc"
     own = [digest(scene.path(item.assets[n].href)) if n in item.assets else None for n in names]
     # `normalise` says by properties what its numbers are
-    others = {FIT_ROLE, "sattools:role", *(("sattools:radiance", "sattools:tone") if stage == "normalise" else ())}
+    others = {FIT_ROLE, "sattools:role"}
+    if stage == "normalise":
+        others |= {"sattools:radiance", "sattools:tone", "sattools:atmosphere"}
     properties = {k: v for k, v in item.properties.items() if k not in others}
     return [item.id, *own, properties]
 

@@ -69,6 +69,9 @@ PROPERTIES: Mapping[str, Any] = {
     "sattools:source": Maybe(Text()),
     "sattools:radiance": Maybe(Text(("toa_reflectance", "reflectance_factor", "relative"))),
     "sattools:tone": Maybe(Text(("linear", "tone-mapped"))),
+    "sattools:atmosphere": Maybe(
+        Table({"path": Items(Number(), 1), "transmittance": Items(Number(0, 1), 1)}, ("path", "transmittance"), None)
+    ),
     "sattools:sun": Maybe(Text()),
     "sattools:sun_direction": Maybe(_VECTOR),
     "sattools:view_direction": Maybe(_VECTOR),

@@ -40,30 +40,6 @@ DIMAP = """<Dimap_Document><Radiometric_Data><Radiometric_Calibration><Instrumen
 <Raster_Index><BAND_ID>B0</BAND_ID><BAND_INDEX>2</BAND_INDEX></Raster_Index></Raster_Index_List></Dimap_Document>"""
 
 
-@pytest.fixture
-def make_scene(tmp_path: Path) -> Any:
-    """Makes a scene of images given as arrays ``[C, H, W]``; they all have RPC tags."""
-
-    def make(*arrays: Any, **properties: Any) -> Scene:
-        scene = Scene("N", tmp_path / "N")
-        for k, array in enumerate(arrays):
-            name = f"i{k}"
-            path = scene.output(f"images/{name}.tif")
-            with rasterio.open(
-                path, "w", driver="GTiff", dtype=array.dtype, count=array.shape[0], height=array.shape[1],
-                width=array.shape[2],
-            ) as data:  # fmt: skip
-                data.write(array)
-                data.update_tags(ns="RPC", **CAMERA.to_tags())
-            known = {"sattools:bits": 11, "sattools:dtype": str(array.dtype), "sattools:bands": array.shape[0]}
-            known |= {"datetime": "2015-05-02T16:19:43Z", "platform": "WorldView-3"}
-            known |= {"view:sun_azimuth": 110.0, "view:sun_elevation": 30.0, **properties}
-            scene.items.append(Item(name, None, None, known, {"image": Asset(f"images/{name}.tif")}))
-        return scene
-
-    return make
-
-
 def numbers(*values: Any, bands: Any = 1) -> Any:
     """An image of one row; value times band number."""
     row = np.array(values, np.uint16)
