@@ -30,6 +30,8 @@ def check_combination(options: FitOptions, bands: int) -> None:
 def check_sky(options: FitOptions, bands: int) -> None:
     """Raise SceneError where a sky is asked for without a reflectance model, or of another number of bands."""
     if options.sky == "none" and not options.sky_share:
+        if options.bounce:
+            raise SceneError("--bounce: found no sky, expected --sky fitted, --sky auto or --sky-share")
         return
     if options.brdf == "lambert" or options.field != "surface":
         raise SceneError(

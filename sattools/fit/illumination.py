@@ -228,7 +228,11 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor], sky: str = "n
         known = (
             f"from shade, {scene.sky_ratio:.0f} standard deviations from none" if scene.sky_ratio else "as it was set"
         )
-        notes.append(f"sky light {share} % of the sun's in the bands ({known})")
+        note = f"sky light {share} % of the sun's in the bands ({known})"
+        if scene.opened.numel():
+            hidden = 100 * (1 - float(scene.opened.mean()))
+            note += f"; where other ground hides it ({hidden:.0f} %), that ground's light"
+        notes.append(note)
     return ["; ".join(notes), *_without_sky(scene, sky)]
 
 

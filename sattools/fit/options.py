@@ -58,6 +58,7 @@ class FitOptions(RayOptions):
         minimum=0,
         maximum=0.6,
     )
+    bounce: bool = option(False, "With --sky or --sky-share: so does the ground around, by what it reflects.")
     pretrain: float = option(
         0.2, "Share of the last stage's epochs before the reflectance model comes in.", minimum=0, maximum=0.9
     )

@@ -22,6 +22,9 @@ from sattools.scene.jsonio import JsonObject
 
 DARKEST = 0.1  # [%] of the pixels, which are in deep shade or wet: fewer are noise
 ROUNDS = 4  # dark ground is seen through the air as well; each round leaves less than a tenth of the error
+ENOUGH = 1000  # pixels of which one is the darkest
+BRIGHT = 0.03  # shade and water reach it under air that counts
+HAZY = f"the darkest thousandth has a reflectance above {BRIGHT:g}: of the air? (--atmosphere dark-object takes it off)"
 MOST = 0.9  # of the reflectance of an endless path of molecules, where an optical depth is no longer told
 
 
@@ -45,6 +48,11 @@ class Air:
     def to_dict(self) -> JsonObject:
         """JSON form: what is added in the quantity of the image, and what is let through, band by band."""
         return {"path": self.path.round(6).tolist(), "transmittance": self.transmittance.round(6).tolist()}
+
+
+def hazy(values: np.ndarray) -> bool:
+    """Whether a band of reflectances ``[C, N]`` (NaN = unknown) has nothing dark, where they are enough to tell."""
+    return bool((np.isfinite(values).sum(axis=1) >= ENOUGH).all() and (darkest(values) > BRIGHT).any())
 
 
 def check_air(scene: Scene, items: Sequence[Item], quantity: str, options: NormaliseOptions) -> None:
@@ -99,7 +107,7 @@ def air_of(item: Item, values: np.ndarray, quantity: str, options: NormaliseOpti
 
 def darkest(values: np.ndarray) -> np.ndarray:
     """The darkest ``[C]`` that counts of values ``[C, N]`` (NaN = unknown)."""
-    return np.asarray(np.nanpercentile(values, DARKEST, axis=1))
+    return np.asarray(np.nanpercentile(values, DARKEST, axis=1), np.float64)
 
 
 def rayleigh_transmittance(path: np.ndarray, sun: np.ndarray, view: np.ndarray) -> np.ndarray:
@@ -123,4 +131,4 @@ def rayleigh_transmittance(path: np.ndarray, sun: np.ndarray, view: np.ndarray) 
     return np.minimum(through, 1.0)  # rounding
 
 
-__all__ = ["DARKEST", "Air", "air_of", "check_air", "darkest", "rayleigh_transmittance"]
+__all__ = ["DARKEST", "HAZY", "Air", "air_of", "check_air", "darkest", "hazy", "rayleigh_transmittance"]

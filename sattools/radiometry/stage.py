@@ -12,7 +12,7 @@ import numpy as np
 from sattools.camera.rpc import RPC
 from sattools.errors import SceneError
 from sattools.progress import Progress, silent
-from sattools.radiometry.atmosphere import Air, air_of, check_air
+from sattools.radiometry.atmosphere import HAZY, Air, air_of, check_air, hazy
 from sattools.radiometry.bands import eo_bands, red_green_blue
 from sattools.radiometry.histogram import histogram_figure
 from sattools.radiometry.kind import ImageScale, choose_quantity, contradictions, image_scales
@@ -272,6 +272,8 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
         job.alike.setdefault(f"8-bit numbers: found a tone-mapped image, {what}", []).append(item.id)
     elif options.gamma is not None:
         job.alike.setdefault("--gamma is for 8-bit images, not applied", []).append(item.id)
+    if job.quantity != "relative" and options.atmosphere == "none" and hazy(blocks.radiance):
+        job.alike.setdefault(HAZY, []).append(item.id)
     job.numbers.append(list(blocks.numbers))
     job.radiance.append(list(blocks.radiance))
     if not blocks.counts["known"]:

@@ -1,6 +1,7 @@
 """Light of the sky on lit and shaded ground."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from sattools.fit.combinations import check_sky
 from sattools.fit.illumination import material_notes
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, diffuse
 from sattools.fit.materials.scene import ReflectiveScene, restored
-from sattools.fit.materials.sky import deep_shade, share_in_shade, sky_directions, sky_gain
+from sattools.fit.materials.sky import deep_shade, light_of_ground, share_in_shade, sky_directions, sky_gain
 from sattools.fit.materials.start import ambient_in_shade, reflective
 from sattools.fit.options import FitOptions
 from sattools.fit.surface.scene import start_scene
@@ -42,7 +43,9 @@ def test_open_white_ground_sends_all_of_it_back() -> None:
     height, normal = level(5, 6)
     amplitude = torch.full((5, 6, 2), 0.4, dtype=torch.float64)
     shape = tuple(p.to(height).expand(5, 6) for p in LAMBERT)
-    assert sky_gain("rpv", height, normal, 2.0, amplitude, shape).numpy() == pytest.approx(np.ones((5, 6, 2)))
+    gain, opened = sky_gain("rpv", height, normal, 2.0, amplitude, shape)
+    assert gain.numpy() == pytest.approx(np.ones((5, 6, 2)))
+    assert opened.numpy() == pytest.approx(np.ones((5, 6)))
 
 
 def test_ground_beside_a_wall_sees_half_the_sky() -> None:
@@ -50,9 +53,36 @@ def test_ground_beside_a_wall_sees_half_the_sky() -> None:
     height[:, 30:] = 400.0  # a cliff, as good as infinite
     amplitude = torch.full((41, 60, 1), 0.4, dtype=torch.float64)
     shape = tuple(p.to(height).expand(41, 60) for p in LAMBERT)
-    gain = sky_gain("rpv", height, normal, 2.0, amplitude, shape)[20, :, 0]
-    assert float(gain[29]) == pytest.approx(0.5, abs=0.05)
-    assert float(gain[45]) == pytest.approx(1.0)
+    gain, opened = sky_gain("rpv", height, normal, 2.0, amplitude, shape)
+    assert float(gain[20, 29, 0]) == pytest.approx(0.5, abs=0.05)
+    assert float(gain[20, 45, 0]) == pytest.approx(1.0)
+    assert opened[20].numpy() == pytest.approx(gain[20, :, 0].numpy())
+
+
+@pytest.mark.parametrize("slope_deg", [10.0, 30.0, 60.0])
+def test_a_slope_without_end_sees_the_share_of_the_sky_that_its_tilt_leaves(slope_deg: float) -> None:
+    """(1 + cos) / 2; the rest is the ground at its foot."""
+    tilt = np.radians(slope_deg)
+    east = 2.0 * torch.arange(40, dtype=torch.float64)
+    height = (-np.tan(tilt) * east).expand(9, 40).contiguous()
+    normal = height.new_tensor([np.sin(tilt), 0.0, np.cos(tilt)]).expand(9, 40, 3)
+    amplitude = torch.full((9, 40, 1), 0.4, dtype=torch.float64)
+    shape = tuple(p.to(height).expand(9, 40) for p in LAMBERT)
+    _, opened = sky_gain("rpv", height, normal, 2.0, amplitude, shape)
+    assert float(opened[4, 20]) == pytest.approx((1 + np.cos(tilt)) / 2, abs=0.01)  # a quadrature of 24 directions
+
+
+def test_ground_in_place_of_the_sky_sends_what_the_ground_around_reflects() -> None:
+    opened = torch.tensor([[1.0, 0.75, 0.5]]).expand(3, 3)
+    irradiance, reflected = torch.full((3, 3, 2), 0.8), torch.tensor([0.1, 0.5]).expand(3, 3, 2)
+    light = light_of_ground(opened, irradiance, reflected, 2.0)
+    assert light[1, 0].tolist() == [0.0, 0.0]
+    assert light[1, 1].tolist() == pytest.approx([0.25 * 0.08, 0.25 * 0.4])
+    assert light[1, 2].tolist() == pytest.approx([0.5 * 0.08, 0.5 * 0.4])
+    # what is bright on one side lights the other, too: 40 m are 20 cells of these
+    reflected = torch.cat([torch.full((20, 60, 1), 0.6), torch.zeros(20, 60, 1)], 0)
+    light = light_of_ground(torch.full((40, 60), 0.5), torch.ones(40, 60, 1), reflected, 2.0)
+    assert 0.05 < float(light[35, 30, 0]) < float(light[5, 30, 0]) < 0.3
 
 
 def test_a_dark_rough_surface_sends_less_up_than_its_diffusive_reflectance() -> None:
@@ -67,7 +97,7 @@ def test_a_dark_rough_surface_sends_less_up_than_its_diffusive_reflectance() -> 
     height, normal = level(3, 3)
     amplitude = torch.full((3, 3, 1), w, dtype=torch.float64)
     values = tuple(height.new_tensor(v).expand(3, 3) for v in shape)
-    found = sky_gain("hapke", height, normal, 2.0, amplitude, values) * diffuse("hapke", amplitude)
+    found = sky_gain("hapke", height, normal, 2.0, amplitude, values)[0] * diffuse("hapke", amplitude)
     assert float(found[1, 1, 0]) == pytest.approx(expected, rel=0.02)  # two quadratures of 24 and 72 directions
     assert expected < 0.75 * float(diffuse("hapke", amplitude)[0, 0, 0])
 
@@ -120,6 +150,24 @@ def test_sky_light_is_added_to_lit_and_shaded_ground_alike() -> None:
     scene.sky = torch.zeros(0)
     assert with_sky.numpy() == pytest.approx((scene.light(sun, up, None, scene.ambient[0]) + sky).numpy())
     assert "ambient" in scene.trainable()
+
+
+def test_light_of_the_ground_around_is_added_to_lit_and_shaded_ground_alike() -> None:
+    scene = small_scene()
+    sun, up = (torch.tensor(v, dtype=torch.float64) for v in ((0.6, 0.0, 0.8), (0.0, 0.0, 1.0)))
+    half = torch.cat([torch.ones(2, 5), torch.zeros(2, 5)]).double()
+    plain = scene.light(sun, up, half, scene.ambient[0])
+    scene.opened = torch.ones(4, 5).double()
+    assert torch.equal(scene.light(sun, up, half, scene.ambient[0]), plain)  # open ground gets none
+    scene.opened = torch.full((4, 5), 0.9).double()
+    reflected = diffuse("hapke", AMPLITUDE["hapke"].bounded(scene.amplitude))
+    around = scene.bounced(sun, half)
+    assert bool((around > 0).all())
+    assert float(around.max()) < 0.1 * float(reflected.max())  # a tenth of the hemisphere, at most all lit
+    found = scene.light(sun, up, half, scene.ambient[0])
+    assert found.numpy() == pytest.approx((plain + around * reflected).numpy())
+    again = restored(scene.tensors(), "hapke", 2.0, 0.0, True)
+    assert torch.equal(again.light(sun, up, half, scene.ambient[0]), found)
 
 
 def test_a_sky_that_is_asked_for_and_not_found_is_said(caplog: pytest.LogCaptureFixture) -> None:
@@ -179,9 +227,19 @@ def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: flo
     views = views_on(load_sources(scene, scene.items), grid, float(height.mean()), z_range)
     ones = torch.ones(3, 3)
     start = start_scene(height, torch.zeros(*height.shape, 3), ones, 0 * ones, 0.4, absolute=True)
-    found, _ = reflective(start, "hapke", views, [1.0] * 3, 2.0, endmembers=4, smooth=0.0, seed=0, sky="auto")
+    asked: dict[str, Any] = {"endmembers": 4, "smooth": 0.0, "seed": 0, "sky": "auto"}
+    found, _ = reflective(start, "hapke", views, [1.0] * 3, 2.0, **asked)
     assert found.has_sky == (sky > 0)
+    bounced, _ = reflective(start, "hapke", views, [1.0] * 3, 2.0, **asked, bounce=True)
+    assert (bounced.opened.numel() > 0) == (sky > 0)
     if sky:
+        given = asked | {"sky": found.sky_share.tolist()}
+        alone, bounced = (
+            reflective(start, "hapke", views, [1.0] * 3, 2.0, **given, bounce=bounce)[0] for bounce in (False, True)
+        )
+        # the mean slope is 40 degrees; what other ground lights is not taken for the ground's own reflectance
+        assert 0.7 < float(bounced.opened.mean()) < 0.97
+        assert 0.001 < float(alone.values()[0].mean() - bounced.values()[0].mean()) < 0.05
         # the simulator's red, green, blue; the ground in shade is taken for its material's mean
         assert found.sky_share.numpy() == pytest.approx(0.08 * np.array([0.75, 1.0, 1.3]), rel=0.2)
         (note,) = material_notes(found, {p.name: found.height for p in SHAPE["hapke"]})
@@ -197,6 +255,7 @@ def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: flo
         (FitOptions(brdf="hapke", sky_share=[0.03, 0.04]), "found 2 values, expected 1 or 3"),
         (FitOptions(sky="auto"), "found --brdf lambert"),
         (FitOptions(sky_share=[0.03], brdf="hapke", field="mlp"), "--field mlp"),
+        (FitOptions(brdf="hapke", bounce=True), "--bounce: found no sky"),
     ],
 )
 def test_a_sky_that_cannot_be_is_refused(options: FitOptions, message: str) -> None:

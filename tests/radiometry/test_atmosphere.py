@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sattools.camera.ground import direction
 from sattools.errors import SceneError
-from sattools.radiometry.atmosphere import darkest, rayleigh_transmittance
+from sattools.radiometry.atmosphere import HAZY, darkest, rayleigh_transmittance
 from sattools.radiometry.options import NormaliseOptions
 from sattools.radiometry.stage import check_start, normalise
 from sattools.scene import Scene
@@ -47,6 +47,15 @@ def test_the_darkest_ground_tells_what_the_air_adds(make_scene: Any) -> None:
     normalise(scene, DECLARED)
     assert "sattools:atmosphere" not in scene.items[0].properties
     assert np.abs(read_image(scene.path("radiance/i0.tif")) - hazy / 10000).max() < 1e-6
+
+
+def test_images_without_anything_dark_are_told_of_in_one_line(make_scene: Any) -> None:
+    true = ground(np.random.default_rng(4))
+    hazy = as_numbers(true + np.array([0.0, 0.01, 0.05])[:, None, None])
+    scene = make_scene(hazy, as_numbers(true), hazy)
+    assert normalise(scene, DECLARED)["notes"] == [f"i0, i2: {HAZY}"]
+    assert HAZY.startswith("the darkest thousandth has a reflectance above 0.03")
+    assert normalise(scene, NormaliseOptions(**vars(DECLARED) | {"atmosphere": "dark-object"}))["notes"] == []
 
 
 def test_the_share_of_dark_ground_is_in_the_unit_of_the_images(make_scene: Any) -> None:

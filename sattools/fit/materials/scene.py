@@ -21,7 +21,14 @@ from sattools.fit.materials.inversion import (
 )
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse, radiance_factor
 from sattools.fit.materials.shading import told_apart
-from sattools.fit.materials.sky import LEAST_RATIO, LEAST_SHARE, deep_shade, share_in_shade, sky_gain
+from sattools.fit.materials.sky import (
+    LEAST_RATIO,
+    LEAST_SHARE,
+    deep_shade,
+    light_of_ground,
+    share_in_shade,
+    sky_gain,
+)
 from sattools.fit.materials.steps import NORMAL_CELLS, smooth_heights, smooth_normals
 from sattools.fit.materials.uncertainty import known_share, parameter_std, shape_correlation
 from sattools.fit.surface.scene import SurfaceScene
@@ -46,7 +53,7 @@ class ReflectiveScene(SurfaceScene):
     The radiance of a cell towards image j is gain_j scale_j (v BRF cos i + (1 - v) ambient_j r) + offset_j with the
     sun's visibility v and the surface's diffuse reflectance r; scale_j is 1 for reflectance factors pi L / E and
     1 / sin(sun elevation) for top-of-atmosphere reflectance. With a sky, which lights all ground, lit or not, the
-    second term is sky_share sky r.
+    second term is sky_share sky r; with a bounce, r times the light of the ground around is added.
 
     Attributes:
         kind: model.
@@ -60,6 +67,7 @@ class ReflectiveScene(SurfaceScene):
         identifiable: ``[H, W, 3]`` share of the shapes' prior variance that the images took away; or empty.
         sky: ``[H, W, C]`` gain of the sky's light, see `sattools.fit.materials.sky`; empty = no sky.
         sky_share: ``[C]`` of the sky; what shade shows at the start, or as given.
+        opened: ``[H, W]`` open sky of every cell, whose rest is ground that sends light as well; empty = it sends none.
     """
 
     kind: Kind = "hapke"
@@ -75,6 +83,7 @@ class ReflectiveScene(SurfaceScene):
     identifiable: Tensor = field(default_factory=lambda: torch.zeros(0))
     sky: Tensor = field(default_factory=lambda: torch.zeros(0))
     sky_share: Tensor = field(default_factory=lambda: torch.zeros(0))
+    opened: Tensor = field(default_factory=lambda: torch.zeros(0))
     correlation: float = field(default=0.0, init=False)  # of the errors of the first two shape parameters
     sky_ratio: float = field(default=0.0, init=False)  # share over its standard deviation, in the surest band
 
@@ -117,11 +126,23 @@ class ReflectiveScene(SurfaceScene):
         light = radiance_factor(self.kind, self.normals(), sun, towards, amplitude, shape)
         if self.has_sky:
             light = light if visibility is None else visibility[..., None] * light
-            return light + self.sky_share * self.sky * diffuse(self.kind, amplitude)
+            around = self.sky_share * self.sky
+            if self.opened.numel():
+                around = around + self.bounced(sun, visibility)
+            return light + around * diffuse(self.kind, amplitude)
         if visibility is None:
             return light
         v = visibility[..., None]
         return v * light + (1 - v) * ambient * diffuse(self.kind, amplitude)
+
+    @torch.no_grad()
+    def bounced(self, sun: Tensor, visibility: Tensor | None) -> Tensor:
+        """Irradiance ``[H, W, C]`` by the ground around under a sun ``[3]``, of which ``[H, W]`` is visible."""
+        direct = (self.normals() @ sun).clamp_min(0)
+        direct = direct if visibility is None else visibility * direct
+        irradiance = direct[..., None] + self.opened[..., None] * self.sky_share
+        reflected = diffuse(self.kind, AMPLITUDE[self.kind].bounded(self.amplitude))
+        return light_of_ground(self.opened, irradiance, reflected, self.cell_size)
 
     def trainable(self) -> dict[str, Tensor]:
         """Tensors that gradient descent changes: heights [m], colours, the unbounded amplitude."""
@@ -141,6 +162,8 @@ class ReflectiveScene(SurfaceScene):
             own["identifiable"] = self.identifiable
         if self.has_sky:
             own |= {"sky": self.sky, "sky_share": self.sky_share}
+        if self.opened.numel():
+            own["opened"] = self.opened
         return {**super().tensors(), **own}
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
@@ -173,9 +196,11 @@ class ReflectiveScene(SurfaceScene):
             east, north = self.pose[j].tolist()
             picture, shown = shown_on(view, height.cpu().numpy(), self.cell_size, (east, north))
             light = (torch.from_numpy(picture).to(height) - self.offset[j]) / (self.gain[j] * self.scale[j])
-            seen.append(light)
             lit = torch.from_numpy(shown[..., 0]).to(height)
             v = visibility[j]
+            if self.opened.numel():
+                light = light - self.bounced(self.suns[j], v) * diffuse(self.kind, self.values()[0])
+            seen.append(light)
             lit = lit * (torch.from_numpy(picture).to(height).amax(-1) < SATURATED)
             weight.append(lit if v is None else lit * (v > LIT))
         count = height.numel()
@@ -191,24 +216,28 @@ class ReflectiveScene(SurfaceScene):
         )
 
     @torch.no_grad()
-    def add_sky(self, views: Sequence[View], visibility: Sequence[Tensor | None], sky: Sky) -> None:
+    def add_sky(
+        self, views: Sequence[View], visibility: Sequence[Tensor | None], sky: Sky, bounce: bool = False
+    ) -> None:
         """Let the sky light the ground, and find materials and amplitudes anew.
 
         Args:
             views: the views.
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
             sky: `fitted`, `auto` or its share per band, or one for all.
+            bounce: so does the ground around.
         """
         bands = self.amplitude.shape[-1]
         self.sky = torch.ones_like(self.amplitude)  # until `_look_up` knows better
         self.sky_share = self.amplitude.new_tensor([0.0] if isinstance(sky, str) else sky).expand(bands).clone()
+        self.opened = torch.ones_like(self.height) if bounce else torch.zeros(0)
         for _ in range(2):  # amplitudes found without the sky are too bright, and the shade beside them too dark
             whole = self._look_up(self.samples(views, visibility))
             if isinstance(sky, str):
                 self._read_shade(whole, visibility)
                 faint = self.sky_ratio < LEAST_RATIO or float(self.sky_share.max()) < LEAST_SHARE
                 if (sky == "auto" and faint) or self.sky_ratio == 0.0:
-                    self.sky, self.sky_share = torch.zeros(0), torch.zeros(0)
+                    self.sky, self.sky_share, self.opened = torch.zeros(0), torch.zeros(0), torch.zeros(0)
             self.solve(views, visibility, 4, amplitudes=True)
             if not self.has_sky:
                 return
@@ -228,7 +257,9 @@ class ReflectiveScene(SurfaceScene):
         """The samples with the sky's gain, for the present heights and materials."""
         amplitude, shape = self.values()
         height, normal = self.casting().detach(), self.normals().detach()
-        self.sky = sky_gain(self.kind, height, normal, self.cell_size, amplitude.detach(), shape)
+        self.sky, opened = sky_gain(self.kind, height, normal, self.cell_size, amplitude.detach(), shape)
+        if self.opened.numel():
+            self.opened = opened
         return replace(whole, sky=self.sky.reshape(whole.normal.shape[0], -1), share=self.sky_share)
 
     @torch.no_grad()

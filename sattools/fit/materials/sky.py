@@ -1,8 +1,11 @@
-"""Light of an even sky: how much of it every cell sends up, past the ground that hides a part of it.
+"""Light of an even sky: how much of it every cell sends up, past ground that hides a part of it; and that ground's.
 
 The sky gives unobstructed level ground the irradiance `share` times that of the sun across its beam. A cell sends
 share * gain * diffuse(amplitude) of it up, where `gain` is the model's own reflectance for the part of the sky that the
 cell sees, over the plain `diffuse`: so the light follows the amplitude while the gain stays as it is.
+
+Where ground takes the place of the sky it sends light of its own (one bounce): as much as the ground around does in the
+mean, for it is not asked which cell sees which (Dozier and Frew 1990; Sandmeier and Itten 1997).
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from sattools.fit.materials.blocks import blocks_of, typical
+from sattools.fit.materials.blur import blurred
 from sattools.fit.materials.parameters import Kind, diffuse, radiance_factor
 
 SPOKES = 8
@@ -23,6 +27,9 @@ LEAST_RATIO = 3.0  # a sky is taken where its share is more than so many standar
 LEAST_SHARE = 0.005  # and lights the ground by more than what strays into shade anyway
 LEAST_BLOCKS = 5  # of ground in deep shade; fewer say nothing
 SHADE = 0.05  # visibility of the sun below which a cell shows the sky's light alone
+AROUND_M = (
+    40.0  # standard deviation of the mean over the ground around: slopes face each other over some tens of metres
+)
 EDGE_CELLS = 2  # shade is deep so far from its border, where neither optics nor a wrong place bring in sunlight
 
 
@@ -50,8 +57,11 @@ def sky_gain(
     cell_size: float,
     amplitude: Tensor,
     shape: tuple[Tensor, Tensor, Tensor],
-) -> Tensor:
-    """Light ``[H, W, C]`` that a cell sends up of a sky of share 1, over `diffuse` of its amplitude.
+) -> tuple[Tensor, Tensor]:
+    """Light ``[H, W, C]`` that a cell sends up of a sky of share 1, over `diffuse` of its amplitude, and its open sky.
+
+    The latter ``[H, W]`` is the irradiance over that of level ground under the whole sky; what it lacks to 1 falls on
+    the cell from other ground.
 
     Args:
         kind: reflectance model.
@@ -64,12 +74,27 @@ def sky_gain(
     from sattools.render import sun_visibility
 
     up = normal.new_tensor([0.0, 0.0, 1.0])
-    total = torch.zeros_like(amplitude)
+    total, opened = torch.zeros_like(amplitude), torch.zeros_like(height)
     for direction, weight in sky_directions():
-        seen = sun_visibility(height, cell_size, direction)
-        light = radiance_factor(kind, normal, normal.new_tensor(direction), up, amplitude, shape)
+        seen, towards = sun_visibility(height, cell_size, direction), normal.new_tensor(direction)
+        light = radiance_factor(kind, normal, towards, up, amplitude, shape)
         total += weight * seen[..., None] * light
-    return total / diffuse(kind, amplitude).clamp_min(1e-4)
+        opened += weight * seen * (normal @ towards).clamp_min(0)
+    return total / diffuse(kind, amplitude).clamp_min(1e-4), opened.clamp_max(1.0)
+
+
+@torch.no_grad()
+def light_of_ground(opened: Tensor, irradiance: Tensor, reflected: Tensor, cell_size: float) -> Tensor:
+    """Irradiance ``[H, W, C]`` by the ground around, over that of the sun across its beam.
+
+    Args:
+        opened: ``[H, W]`` open sky of `sky_gain`.
+        irradiance: ``[H, W, C]`` by sun and sky.
+        reflected: ``[H, W, C]`` share of it that is sent back.
+        cell_size: edge of a cell [m].
+    """
+    around = blurred((irradiance * reflected).movedim(-1, 0), AROUND_M / cell_size).movedim(0, -1)
+    return (1 - opened)[..., None] * around
 
 
 def deep_shade(visibility: Tensor) -> Tensor:
@@ -103,4 +128,12 @@ def share_in_shade(ratio: Tensor, shade: Tensor, shape: tuple[int, ...]) -> tupl
     return share, max(value / max(error, 1e-9) for value, error in found)
 
 
-__all__ = ["LEAST_RATIO", "LEAST_SHARE", "deep_shade", "share_in_shade", "sky_directions", "sky_gain"]
+__all__ = [
+    "LEAST_RATIO",
+    "LEAST_SHARE",
+    "deep_shade",
+    "light_of_ground",
+    "share_in_shade",
+    "sky_directions",
+    "sky_gain",
+]

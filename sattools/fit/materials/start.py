@@ -35,6 +35,7 @@ def reflective(
     seed: int,
     solve: bool = True,
     sky: Sky = "none",
+    bounce: bool = False,
     cast: Cast = sun_visibility,
 ) -> tuple[ReflectiveScene, list[Tensor]]:
     """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
@@ -51,6 +52,7 @@ def reflective(
         seed: of the clustering.
         solve: find endmembers and amplitudes, too.
         sky: light of the sky: none, fitted, auto = fitted and kept if it is surely there, or its share per band.
+        bounce: with a sky, the ground around sends light as well.
         cast: sun visibility of heights on cells under a sun.
 
     Returns:
@@ -85,7 +87,7 @@ def reflective(
     if solve:
         modelled.solve(views, visibility, 8, amplitudes=True)
         if sky != "none":
-            modelled.add_sky(views, visibility, sky)
+            modelled.add_sky(views, visibility, sky, bounce)
         modelled.ambient = ambient_in_shade(modelled, shaded)
     return modelled, visibility
 

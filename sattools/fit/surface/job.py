@@ -215,6 +215,7 @@ class SurfaceJob:
             smooth=options.material_smooth,
             seed=options.seed,
             sky=options.sky_share or options.sky,
+            bounce=options.bounce,
             cast=self._cast,
         )
         return modelled
