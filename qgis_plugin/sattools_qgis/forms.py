@@ -42,7 +42,7 @@ ALGORITHMS = {
 # options that show at once, in this order; all others fold away as advanced
 PLAIN = {
     "prep": ("metadata", "aoi", "bounds", "crs", "cell-size", "mask", "id", "out"),
-    "normalise": ("quantity", "scale", "offset", "bits"),
+    "normalise": ("quantity", "scale", "offset", "bits", "atmosphere"),
     "prior": ("resolution", "memory"),
     "fit": ("preset", "resolution", "brdf", "shadow", "tile", "budget", "reference"),
     "export": ("vertical", "products", "contours", "fill"),
