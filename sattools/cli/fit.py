@@ -37,8 +37,8 @@ class FitCommand(GroupedCommand):
     }  # fmt: skip
     expert = frozenset(
         ("coarsest", "epochs", "softness", "smooth", "height_rate", "robust", "shadow_weight", "shadow_start",
-         "brdf_at", "pretrain", "normals", "materials", "material_smooth", "network", "width", "rays", "samples",
-         "guided", "steps", "rate", "depth_weight", "beta", "solar_weight", "part")
+         "brdf_at", "pretrain", "normals", "materials", "material_smooth", "bounce", "network", "width", "rays",
+         "samples", "guided", "steps", "rate", "depth_weight", "beta", "solar_weight", "part")
     )  # fmt: skip
 
 
