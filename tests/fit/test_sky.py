@@ -1,5 +1,6 @@
 """Light of the sky on lit and shaded ground."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.surface.scene import start_scene
 from sattools.scene.raster import read_raster
 from sattools.simulate import SimulateOptions, simulate
-from sattools.views import load_sources, views_on
+from sattools.views import View, load_sources, views_on
 
 LAMBERT = (torch.tensor(1.0), torch.tensor(0.0), torch.tensor(1.0))  # k, asymmetry, rhoc of RPV
 
@@ -214,6 +215,14 @@ def test_gradients_of_light_with_a_sky() -> None:
     assert "ambient" not in scene.trainable()
 
 
+def true_ground(options: SimulateOptions, folder: Path) -> tuple[torch.Tensor, list[View]]:
+    """The true heights of a simulated scene, and its views."""
+    scene = simulate(options, folder / "SKY")
+    height = torch.from_numpy(read_raster(scene.path(scene.products["truth_dsm"]))[0][0].astype(np.float32))
+    grid, z_range = scene.require_grid(), scene.require_height_range()
+    return height, list(views_on(load_sources(scene, scene.items), grid, float(height.mean()), z_range))
+
+
 @pytest.mark.parametrize("sky", [0.0, 0.08])
 def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: float) -> None:
     """On the true heights of steep ground under a low sun."""
@@ -221,10 +230,7 @@ def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: flo
         terrain="natural", id="SKY", size=96.0, views=3, train=3, units=2, seed=5, slope=40.0, off_nadir=10.0,
         sun_elevation=35.0, sky=sky,
     )  # fmt: skip
-    scene = simulate(options, tmp_path / "SKY")
-    height = torch.from_numpy(read_raster(scene.path(scene.products["truth_dsm"]))[0][0].astype(np.float32))
-    grid, z_range = scene.require_grid(), scene.require_height_range()
-    views = views_on(load_sources(scene, scene.items), grid, float(height.mean()), z_range)
+    height, views = true_ground(options, tmp_path)
     ones = torch.ones(3, 3)
     start = start_scene(height, torch.zeros(*height.shape, 3), ones, 0 * ones, 0.4, absolute=True)
     asked: dict[str, Any] = {"endmembers": 4, "smooth": 0.0, "seed": 0, "sky": "auto"}
@@ -247,6 +253,27 @@ def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: flo
         again = restored(found.tensors(), "hapke", 2.0, 0.0, absolute=True)
         lights = [s.light(s.suns[0], s.view_vectors[0], None, s.ambient[0]) for s in (found, again)]
         assert torch.equal(*lights)  # a model's file holds the sky
+
+
+def test_shade_that_no_view_shows_says_nothing_of_the_sky(tmp_path: Path) -> None:
+    """It would be black, and where images end most of the ground in deep shade may lie beyond them."""
+    options = SimulateOptions(
+        terrain="natural", id="SKY", size=96.0, views=3, train=3, units=2, seed=5, slope=40.0, off_nadir=10.0,
+        sun_elevation=35.0, sky=0.08,
+    )  # fmt: skip
+    height, views = true_ground(options, tmp_path)
+    inside = np.zeros(height.shape, bool)
+    inside[:, : height.shape[1] * 2 // 5] = True
+    cut = [
+        replace(v, target=np.where(inside[..., None], v.target, 0).astype(v.target.dtype),
+                mask=np.where(inside, v.mask, 0).astype(v.mask.dtype))
+        for v in views
+    ]  # fmt: skip
+    ones = torch.ones(3, 3)
+    start = start_scene(height, torch.zeros(*height.shape, 3), ones, 0 * ones, 0.4, absolute=True)
+    found, _ = reflective(start, "hapke", cut, [1.0] * 3, 2.0, endmembers=4, smooth=0.0, seed=0, sky="auto")
+    assert found.has_sky
+    assert found.sky_share.numpy() == pytest.approx(0.08 * np.array([0.75, 1.0, 1.3]), rel=0.25)
 
 
 @pytest.mark.parametrize(

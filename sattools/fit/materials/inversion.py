@@ -32,6 +32,7 @@ class Samples:
         suns, views: unit vectors ``[3]``, one per view.
         sky: ``[N, C]`` gain of the sky's light, see `sattools.fit.materials.sky`, or None = no sky.
         share: ``[C]`` of the sky.
+        shown: ``[V, N]`` 1 = the view has a value there, in shade as well; or None = not told.
     """
 
     normal: Tensor
@@ -42,6 +43,7 @@ class Samples:
     views: Sequence[Tensor]
     sky: Tensor | None = None
     share: Tensor = field(default_factory=lambda: torch.zeros(0))
+    shown: Tensor | None = None
 
     def subset(self, index: Tensor) -> Samples:
         """Some of the cells."""
@@ -52,6 +54,7 @@ class Samples:
             seen=self.seen[:, index],
             weight=self.weight[:, index],
             sky=None if self.sky is None else self.sky[index],
+            shown=None if self.shown is None else self.shown[:, index],
         )
 
 

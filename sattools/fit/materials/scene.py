@@ -191,12 +191,13 @@ class ReflectiveScene(SurfaceScene):
             visibility: per view, ``[H, W]`` in [0, 1], or None = all lit.
         """
         height = self.height.detach()
-        seen, weight = [], []
+        seen, weight, values = [], [], []
         for j, view in enumerate(views):
             east, north = self.pose[j].tolist()
             picture, shown = shown_on(view, height.cpu().numpy(), self.cell_size, (east, north))
             light = (torch.from_numpy(picture).to(height) - self.offset[j]) / (self.gain[j] * self.scale[j])
-            lit = torch.from_numpy(shown[..., 0]).to(height)
+            values.append(torch.from_numpy(shown[..., 0]).to(height))
+            lit = values[-1]
             v = visibility[j]
             if self.opened.numel():
                 light = light - self.bounced(self.suns[j], v) * diffuse(self.kind, self.values()[0])
@@ -213,6 +214,7 @@ class ReflectiveScene(SurfaceScene):
             list(self.view_vectors),
             self.sky.reshape(count, -1) if self.has_sky else None,
             self.sky_share,
+            torch.stack(values).reshape(len(views), count),
         )
 
     @torch.no_grad()
@@ -248,10 +250,10 @@ class ReflectiveScene(SurfaceScene):
         flat = self.amplitude.detach().reshape(whole.seen.shape[1:])
         usual = AMPLITUDE[self.kind].bounded(material_mean(whole.abundances, flat, told.to(flat)))
         deep = torch.stack([torch.zeros_like(self.height) if v is None else deep_shade(v) for v in visibility])
-        assert whole.sky is not None  # the caller has looked up
+        assert whole.sky is not None and whole.shown is not None  # the caller has looked up
         ratio = whole.seen / (whole.sky * diffuse(self.kind, usual)).clamp_min(1e-5)
         shape = (self.height.shape[0], self.height.shape[1])
-        self.sky_share, self.sky_ratio = share_in_shade(ratio, deep.reshape(whole.weight.shape), shape)
+        self.sky_share, self.sky_ratio = share_in_shade(ratio, whole.shown * deep.reshape(whole.shown.shape), shape)
 
     def _look_up(self, whole: Samples) -> Samples:
         """The samples with the sky's gain, for the present heights and materials."""
