@@ -250,7 +250,8 @@ class ReflectiveScene(SurfaceScene):
         flat = self.amplitude.detach().reshape(whole.seen.shape[1:])
         usual = AMPLITUDE[self.kind].bounded(material_mean(whole.abundances, flat, told.to(flat)))
         deep = torch.stack([torch.zeros_like(self.height) if v is None else deep_shade(v) for v in visibility])
-        assert whole.sky is not None and whole.shown is not None  # the caller has looked up
+        assert whole.sky is not None  # the caller has looked up
+        assert whole.shown is not None
         ratio = whole.seen / (whole.sky * diffuse(self.kind, usual)).clamp_min(1e-5)
         shape = (self.height.shape[0], self.height.shape[1])
         self.sky_share, self.sky_ratio = share_in_shade(ratio, whole.shown * deep.reshape(whole.shown.shape), shape)

@@ -15,13 +15,14 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn.functional import max_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from sattools.fit.materials.blocks import blocks_of, typical
 from sattools.fit.materials.blur import blurred
 from sattools.fit.materials.parameters import Kind, diffuse, radiance_factor
 
 SPOKES = 8
+EVERY = 2  # cells along each side of a place at which the sky is looked at: its light changes slowly
 BRIGHTEST = 0.25  # share of a sky under a clear sun; what is brighter is no shade, but lit ground whose height is wrong
 LEAST_RATIO = 3.0  # a sky is taken where its share is more than so many standard deviations from none
 LEAST_SHARE = 0.005  # and lights the ground by more than what strays into shade anyway
@@ -73,14 +74,28 @@ def sky_gain(
     """
     from sattools.render import sun_visibility
 
+    rows, cols = height.shape
+    height, normal, amplitude = (_thinned(part) for part in (height, normal, amplitude))
+    normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    shape = (_thinned(shape[0]), _thinned(shape[1]), _thinned(shape[2]))
     up = normal.new_tensor([0.0, 0.0, 1.0])
     total, opened = torch.zeros_like(amplitude), torch.zeros_like(height)
     for direction, weight in sky_directions():
-        seen, towards = sun_visibility(height, cell_size, direction), normal.new_tensor(direction)
+        seen, towards = sun_visibility(height, EVERY * cell_size, direction), normal.new_tensor(direction)
         light = radiance_factor(kind, normal, towards, up, amplitude, shape)
         total += weight * seen[..., None] * light
         opened += weight * seen * (normal @ towards).clamp_min(0)
-    return total / diffuse(kind, amplitude).clamp_min(1e-4), opened.clamp_max(1.0)
+    found = total / diffuse(kind, amplitude).clamp_min(1e-4), opened.clamp_max(1.0)
+    gain, opened = (part.repeat_interleave(EVERY, 0).repeat_interleave(EVERY, 1)[:rows, :cols] for part in found)
+    return gain, opened
+
+
+def _thinned(values: Tensor) -> Tensor:
+    """Means ``[H / EVERY, W / EVERY, ...]`` of cells ``[H, W, ...]``; at an edge, of those that there are."""
+    rows, cols = values.shape[:2]
+    flat = values.reshape(1, rows, cols, -1).movedim(-1, 1)
+    means = avg_pool2d(flat, EVERY, EVERY, ceil_mode=True, count_include_pad=False)
+    return means.movedim(1, -1)[0].reshape(*means.shape[2:], *values.shape[2:])
 
 
 @torch.no_grad()
