@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.2.0"
 
 if TYPE_CHECKING:
+    from inspect import Signature
+
     from sattools.api import match, normalise, prepare
     from sattools.camera.rpc import RPC
     from sattools.scene import Grid, Scene
@@ -37,7 +40,27 @@ class _Stage(ModuleType):
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         """Call ``sattools.api.NAME``; see its documentation."""
-        return getattr(importlib.import_module(_API), self.__name__.rpartition(".")[2])(*arguments, **options)
+        return self._function()(*arguments, **options)
+
+    def _function(self) -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(importlib.import_module(_API), self.__name__.rpartition(".")[2])
+        return function
+
+    @property
+    def __signature__(self) -> Signature:
+        """Of the function, for `inspect` and notebooks."""
+        from inspect import signature
+
+        return signature(self._function())
+
+    @property
+    def __doc__(self) -> str:  # type: ignore[override]
+        """What the package is, and what the function takes, for `help`."""
+        from inspect import getdoc
+
+        name = self.__name__
+        called = f"Called, it is `{_API}.{name.rpartition('.')[2]}`:\n\n    {name}{self.__signature__}\n"
+        return f"{self.__dict__['__doc__']}\n\n{called}\n{getdoc(self._function())}"
 
     def __reduce__(self) -> tuple[Any, tuple[str]]:
         """By its name, as a function is: pools of processes hand it on."""

@@ -24,7 +24,7 @@ State = Literal["ok", "note", "missing"]
 PYTHON = ((3, 11), (3, 13))
 DRIVERS = ("GTiff", "COG", "NITF", "JP2OpenJPEG")
 EXTRAS = {
-    "dask": ("tiles and batches on several machines", "pip install 'sattools[batch]'"),
+    "dask": ("`batch`, on this machine or several", "pip install 'sattools[batch]'"),
     "xarray": ("products as DataArray", "pip install 'sattools[notebook]'"),
     "laspy": ("point clouds of `export --products laz`", "pip install 'sattools[products]'"),
     "trimesh": ("meshes of `export --products mesh`", "pip install 'sattools[products]'"),

@@ -1,6 +1,8 @@
 """The suite from Python does what its commands do, history included."""
 
+import inspect
 import json
+import pydoc
 import subprocess
 import sys
 from dataclasses import asdict
@@ -45,6 +47,16 @@ def test_a_stage_is_a_package_and_a_function_whatever_was_imported_before() -> N
     code = "import sattools.fit.stage, sattools; print(callable(sattools.fit), sattools.fit.stage.MODEL)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "fit/model.safetensors"]
+
+
+@pytest.mark.parametrize("name", ["fit", "export", "align", "compare", "change", "simulate"])
+def test_help_on_a_stage_says_what_the_function_takes(name: str) -> None:
+    stage, function = getattr(sattools, name), getattr(sattools.api, name)
+    assert inspect.signature(stage) == inspect.signature(function)
+    shown = pydoc.plain(pydoc.render_doc(stage))
+    assert inspect.getdoc(function).splitlines()[0] in shown
+    assert f"sattools.{name}({next(iter(inspect.signature(function).parameters))}: " in shown
+    assert "overwrite: replace" in shown
 
 
 def test_python_does_what_the_commands_do(make_town: Any) -> None:
@@ -139,6 +151,8 @@ def test_a_name_that_is_empty_is_not_the_current_folder(tmp_path: Path, monkeypa
         sattools.change("a.tif", "b.tif", {"out": ""})
     with pytest.raises(InputError, match=r"^found an empty text, expected a file or folder$"):
         sattools.prepare([""])
+    with pytest.raises(SceneError, match=r"^found an empty text, expected the path of a scene document$"):
+        sattools.fit("")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -156,4 +156,4 @@ def _correlations(around: np.ndarray, part: np.ndarray) -> np.ndarray:
     return np.where(usable, both / np.sqrt(product), -1.0)
 
 
-__all__ = ["shift_within"]
+__all__ = ["LEAST_COMMON", "shift_within"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.align.estimate import Method, chosen
-from sattools.align.far import shift_within
+from sattools.align.far import LEAST_COMMON, shift_within
 from sattools.align.means import LEAST_PARTS
 from sattools.align.options import AlignOptions
 from sattools.align.reference import heights_around
@@ -109,8 +109,17 @@ def shift_to_raster(
             f"found nothing measured in {surface.dsm}, expected heights to register by: filled ones and water that was "
             "laid level say nothing (`validity`)"
         )
-    onto, onto_grid = heights_around(reference, grid, options.max_shift, step)
-    return _shift(height, error, own, (onto, onto_grid), options, progress)
+    onto = heights_around(reference, grid, options.max_shift, step)
+    try:
+        return _shift(height, error, own, onto, options, progress)
+    except InputError as wrong:
+        measured = float(np.isfinite(height).mean())
+        if measured >= LEAST_COMMON:
+            raise
+        raise InputError(
+            f"{wrong} ({100 * measured:.1f} % of the surface is measured: filled ground and water that was laid level "
+            "say nothing)"
+        ) from None
 
 
 def _shift(

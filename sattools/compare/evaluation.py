@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 EVALUATION, TABLES = "evaluation.json", ("views.csv", "maps.csv", "points.csv")
 VIEW_COLUMNS = ("fit", *FIGURES, "dsm_mae_m", "dsm_median_m", "fit_seconds", "fit_prior_seconds")
 MAP_COLUMNS = ("fit", "map", "product", "nrmse", "nrmse_constant", "nrmse_scaled", "correlation", "rmse", "n")
-POINT_COLUMNS = ("fit", "point", "value", "map", "sample", "difference", "nrmse")
+POINT_COLUMNS = ("fit", "point", "value", "product", "map", "sample", "difference", "nrmse")
 TRUTH = "truth"
 
 
@@ -37,8 +37,8 @@ def evaluate(options: CompareOptions, overwrite: bool = False, progress: Progres
     """Score the exported scenes `options.fit` and write the tables and figures of all below `options.out`.
 
     The scenes are only read. A map that a model has not is left out of its rows; where the reference is Hapke's w or
-    RPV's rho0, the other model's amplitude takes its place, and `product` says so. Sample points without values of
-    their own get those of the reference maps.
+    RPV's rho0, the other model's amplitude takes its place, and `product` says so, at sample points, too. Sample
+    points without values of their own get those of the reference maps.
 
     Args:
         options: of the stage; those of a registration hold for every fit.
@@ -148,12 +148,12 @@ def _scored(
     if points:
         wanted = {key for point in points for key in point.values} | {f"{n}_1" for n in references} | set(references)
         names = wanted | {key.rpartition("_")[0] for key in wanted}
-        own_maps = {
-            name: filed(scene.path(scene.products[product]))
-            for name in sorted(names)
-            if (product := _product_of(scene, name)) is not None
-        }
+        own = {name: product for name in sorted(names) if (product := _product_of(scene, name)) is not None}
+        own_maps = {name: filed(scene.path(scene.products[product])) for name, product in own.items()}
         figures["points"] = compare_points(list(points), own_maps, (east, north))
+        for row in figures["points"]:
+            for key, value in row["values"].items():
+                value["product"] = own[str(band_of(key, own_maps)[0])]
     done: JsonObject = next((e for e in reversed(scene.history) if e["command"] == "fit"), {})
     # all of the command, and those of them in which it made the prior that nobody had made before
     figures |= {"fit_seconds": done.get("seconds"), "fit_prior_seconds": done.get(PRIOR_SECONDS)}
@@ -276,7 +276,7 @@ def point_rows(result: JsonObject) -> list[dict[str, Any]]:
             for key, value in row["values"].items():
                 stem, _, number = key.rpartition("_")
                 nrmse = own.get(key, own.get(stem) if number.isdigit() else None)
-                rows.append({"fit": name, "point": row["name"], "value": key, **value, "nrmse": nrmse})
+                rows.append({"fit": name, "point": row["name"], "value": key, "product": None, **value, "nrmse": nrmse})
     return rows
 
 

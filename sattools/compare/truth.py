@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from sattools.camera.ground import check_metres, utm_crs
 from sattools.compare.doubts import check_heights
-from sattools.compare.heights import WATER
+from sattools.compare.heights import CLASSES, WATER
 from sattools.compare.options import parse_region
 from sattools.errors import InputError, SceneError
 from sattools.scene.datums import horizontal
@@ -21,10 +22,13 @@ from sattools.scene.raster import raster_grid, read_image, read_raster
 from sattools.scene.stored import cut, map_like, new_map, pieces
 from sattools.scene.warped import ground_grid, read_warped
 
+log = logging.getLogger(__name__)
+
 DFC2019_CRS = {"JAX": "EPSG:32617", "OMA": "EPSG:32615"}  # Jacksonville and Omaha; the TIFFs carry none
 CORRECTED_CLASSES = ("JAX_004", "JAX_260")  # their first class map misses water; users of the contest mask with _v2
 HEIGHT_LIMITS_M = (-1000.0, 9500.0)  # anything else is some file's idea of "no data"
 UNLABELLED = 65
+_MEANT = {code: name for name, codes in CLASSES.items() for code in codes} | {WATER: "water"}
 
 
 @dataclass(frozen=True)
@@ -174,13 +178,17 @@ def open_reference(
     for rows, cols in cut(grid.shape):
         heights[rows, cols] = _heights_on(dsm, grid.part(rows, cols), own)
     if classes is not None:
-        codes, common = new_map(grid.shape, np.uint8, folder), False
+        codes, common, told = new_map(grid.shape, np.uint8, folder), False, False
         for rows, cols in cut(grid.shape):
             there = read_warped(Path(classes), grid.part(rows, cols), nearest=True)[0]
             common = common or bool(np.isfinite(there).any())
-            codes[rows, cols] = _class_codes(there, Path(classes))
+            part = _class_codes(there, Path(classes))
+            codes[rows, cols], told = part, told or bool(np.isin(part, list(_MEANT)).any())
         if not common:
             raise InputError(f"{classes}: found no class where {dsm} lies, expected a class map of the same ground")
+        if not told:  # it may be right, of a desert that nobody has classified
+            meant = ", ".join(f"{code} {name}" for code, name in _MEANT.items())
+            log.warning("%s: found none of the classes %s: all cells are scored alike, water too", classes, meant)
     return Truth(dsm.stem, "dsm", grid, heights, codes, path=dsm)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -52,6 +53,8 @@ def check_ids(images: Sequence[Path]) -> list[str]:
     twice = [i for i, n in Counter(ids).items() if n > 1]
     if twice:
         paths = [p for p, i in zip(images, ids, strict=True) if i == twice[0]]
+        if os.path.abspath(paths[0]) == os.path.abspath(paths[1]):
+            raise InputError(f"{paths[1]}: found this image twice, expected every image once")
         expected = "expected unique file names"
         if paths[0].stem != paths[1].stem:
             expected = f"expected names that differ in their first {_LONGEST} letters a to z, digits, '.', '_' and '-'"

@@ -10,7 +10,7 @@ from shapely.geometry import Polygon
 
 from sattools.camera import RPC
 from sattools.camera.ground import crop_window
-from sattools.errors import InputError
+from sattools.errors import InputError, some_of
 from sattools.prep.images import SourceImage
 from sattools.prep.layout import Bounds, ground_polygon, groups, outline, with_surroundings
 from sattools.prep.outputs import MARGIN_PX
@@ -23,6 +23,8 @@ _LEAST_WINDOW_PX = 64  # along an axis: less of an image ties it to no other
 _BIAS_MARGIN_PX = 150  # raw cameras may be off by that much; the corrected ones need far less
 _LEAST_HALF_M = 600.0  # of the search for tie points, whatever the cameras' ranges
 _STEPS = 24  # of the cameras' ranges at which images are looked for together
+
+_CHOICE = " (of images of several places, `--bounds` or `--aoi` take those that show an area)"
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def check_places(sources: Sequence[SourceImage], crs: str, given: Given = (None,
     if len(places[0]) == 1 or len(places[0]) == len(places[1]):
         raise InputError(
             f"{sources[places[1][0]].path}: found no overlap with {sources[places[0][0]].path}, "
-            "expected images of one place"
+            f"expected images of one place{_CHOICE if len(sources) > 2 else ''}"
         )
     stray = places[1][0]
     lon, lat = np.nanmean(outline(sources[stray].rpc, sources[stray].window, sources[stray].rpc.alt_offset), axis=0)
@@ -95,6 +97,7 @@ def check_places(sources: Sequence[SourceImage], crs: str, given: Given = (None,
     raise InputError(
         f"{sources[stray].path}: found its RPC at {lat:.4f} N {lon:.4f} E, {distance:.1f} km from the other images, "
         f"expected images that overlap (RPC from {sources[stray].metadata.rpc_source})"
+        f"{_CHOICE if len(places) > 2 or len(places[1]) > 1 else ''}"
     )
 
 
@@ -138,11 +141,11 @@ def cropped_to_area(
 
     Raises: InputError where fewer than two are left.
     """
-    kept = []
+    kept, left = [], []
     for s in sources:
         window = _window_of(s, crs, asked, given)
         if window is None:
-            notes.append(f"{s.id}: does not show the area, left out")
+            left.append(s.id)
             continue
         s.window = window
         kept.append(s)
@@ -152,6 +155,8 @@ def cropped_to_area(
             f"area {w:.1f} {south:.1f} {e:.1f} {n:.1f} ({crs}): found {len(kept)} of {len(sources)} images that show "
             "it, expected an area inside the images"
         )
+    if left:
+        notes.append(f"{some_of(left)}: {'does' if len(left) == 1 else 'do'} not show the area, left out")
     return kept
 
 

@@ -203,21 +203,32 @@ def survey(
     check_sources(sources)
     _warn([*check_metadata(sources, metadata_dir), *check_places_and_suns(sources)], notes)
     _warn(check_height_unit(sources), notes)
-    lon, lat = middle_of(sources)
-    crs = check_ground_crs(options.crs) if options.crs else utm_crs(lon, lat)
-    check_scale(crs, lon, lat)
+    crs = _ground_crs(options, sources)
     given = (options.min_height, options.max_height)
-    check_places(sources, crs, given)
+    left: list[str] = []
     try:
         asked = _asked_bounds(options, crs)
         if asked is not None:
-            sources = cropped_to_area(sources, crs, asked, given, notes)
+            sources = cropped_to_area(sources, crs, asked, given, left)
     except InputError as error:
         other = None if options.crs and options.bounds else exchanged_bounds(_area(options), crs)
         if other is None or not show(sources, crs, other, given):
             raise
         raise InputError(f"{error} (with its coordinates exchanged it is there: longitude comes first)") from None
+    _warn(left, notes)
+    if left and (own := _ground_crs(options, sources)) != crs:  # those of other places say nothing of the zone
+        crs, asked = own, _asked_bounds(options, own)
+        sources = cropped_to_area(sources, crs, asked, given, []) if asked else sources
+    check_places(sources, crs, given)
     return sources, crs, asked
+
+
+def _ground_crs(options: PrepOptions, sources: Sequence[SourceImage]) -> str:
+    """The CRS that is asked for, or that of the images' place."""
+    lon, lat = middle_of(sources)
+    crs = check_ground_crs(options.crs) if options.crs else utm_crs(lon, lat)
+    check_scale(crs, lon, lat)
+    return crs
 
 
 def _folder(metadata: str | None) -> Path | None:

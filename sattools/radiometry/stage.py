@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.camera.rpc import RPC
-from sattools.errors import SceneError
+from sattools.errors import SceneError, some_of
 from sattools.progress import Progress, silent
 from sattools.radiometry.atmosphere import HAZY, Air, air_of, check_air, hazy
 from sattools.radiometry.bands import eo_bands, red_green_blue
@@ -287,15 +287,11 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
 
 def _shared(job: _Job) -> list[str]:
     """Notes that many images may have, in one line each."""
-    notes = [f"{_named(ids)}: {text}" for text, ids in job.alike.items()]
+    notes = [f"{some_of(ids)}: {text}" for text, ids in job.alike.items()]
     if job.flat:
-        where = "; ".join(f"{_named(ids)}: band {bands}" for bands, ids in job.flat.items())
+        where = "; ".join(f"{some_of(ids)}: band {bands}" for bands, ids in job.flat.items())
         notes.append(f"{where}: most pixels here or in the first image are one number, no gain is known")
     return notes
-
-
-def _named(ids: list[str]) -> str:
-    return ", ".join(ids[:3]) + (f" and {len(ids) - 3} more" if len(ids) > 3 else "")
 
 
 def _doubts(job: _Job, item: Item, shares: dict[str, float], blocks: _Blocks) -> list[str]:

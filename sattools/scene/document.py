@@ -155,6 +155,10 @@ class Scene:
         check_id(self.id, "scene")
         self.root = Path(os.path.abspath(self.root))
 
+    def __repr__(self) -> str:
+        """In a line, as what a call in a notebook gives back is shown; `to_json` has everything."""
+        return f"Scene({self.id!r}, {str(self.root)!r}, {len(self.items)} images, products {list(self.products)})"
+
     # ---- JSON -------------------------------------------------------------------------------------------
 
     def to_dict(self, root: str | None = None) -> JsonObject:
@@ -237,6 +241,8 @@ class Scene:
         A folder that was moved is found again: where the recorded root is not there any more, or the document lies
         beside the files it names, the root is the folder of the document.
         """
+        if not str(path):  # of a variable that is not set; it would be the current folder
+            raise SceneError("found an empty text, expected the path of a scene document")
         try:
             text = read_text(path)
         except InputError as error:

@@ -33,3 +33,9 @@ def test_a_surface_of_nothing_but_water_is_told(tmp_path: Path, method: str) -> 
     files = flooded(surface_in(tmp_path), slice(0, None))
     with pytest.raises(InputError, match=r"^found nothing measured in .*dsm\.tif, expected heights to register by"):
         shift_to_raster(files, reference_in(tmp_path, 1.0), AlignOptions(method=method))
+
+
+def test_a_strip_of_land_that_does_not_suffice_is_told(tmp_path: Path) -> None:
+    files = flooded(surface_in(tmp_path), slice(2, None))
+    with pytest.raises(InputError, match=r"\(0\.\d % of the surface is measured: filled ground and water that was"):
+        shift_to_raster(files, reference_in(tmp_path, 1.0), AlignOptions())

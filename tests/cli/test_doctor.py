@@ -3,6 +3,7 @@
 import contextlib
 import importlib.metadata
 import json
+import sys
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,6 +37,13 @@ def test_what_only_other_systems_and_extras_need_is_not_missing(monkeypatch: pyt
     found = {finding.name: finding for finding in doctor._packages()}
     assert {name: finding.state for name, finding in found.items()} == {"numpy": "ok", "but-this": "missing"}
     assert "but-this>=1" in str(found["but-this"].remedy)
+
+
+def test_without_dask_there_is_no_batch_on_this_machine_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dask", None)
+    found = next(finding for finding in doctor.examine() if finding.name == "dask")
+    assert (found.state, found.text) == ("note", "not installed; for `batch`, on this machine or several")
+    assert found.remedy == "pip install 'sattools[batch]'"
 
 
 def test_people_read_a_line_per_thing_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -186,3 +186,17 @@ def test_a_class_map_of_another_place_is_refused(tmp_path: Path) -> None:
     write_cog(tmp_path / "dsm.tif", SLOPE, GRID)
     with pytest.raises(InputError, match=r"classes\.tif: found no class where .*dsm\.tif lies"):
         read_reference(tmp_path / "dsm.tif", tmp_path / "classes.tif")
+
+
+@pytest.mark.parametrize(("code", "told"), [(80, True), (0, True), (9, False), (6, False)])
+def test_a_class_map_with_other_numbers_says_that_it_says_nothing(
+    tmp_path: Path, caplog: Any, code: int, told: bool
+) -> None:
+    """80 is water to other makers of maps, 0 what no lidar's classes were made of."""
+    codes = np.full(GRID.shape, 65, np.uint8)
+    codes[:10] = code
+    write_cog(tmp_path / "classes.tif", codes, GRID)
+    write_cog(tmp_path / "dsm.tif", SLOPE, GRID)
+    read_reference(tmp_path / "dsm.tif", tmp_path / "classes.tif")
+    words = "found none of the classes 2 ground, 5 trees, 6 buildings, 9 water: all cells are scored alike, water too"
+    assert caplog.messages == ([f"{tmp_path / 'classes.tif'}: {words}"] if told else [])

@@ -127,7 +127,10 @@ def test_tables_and_figures_of_all_fits(evaluated: Any) -> None:
     assert found["brdf"]["errors"]["scree"]["Hpk"]["nrmse"] < found["brdf"]["errors"]["scree"]["Lam"]["nrmse"]
     rows = list(csv.DictReader((folder / "views.csv").read_text().splitlines()))
     assert [(row["fit"], round(float(row["psnr"]), 1)) for row in rows] == [("Hpk", 40.0), ("RPV", 34.0), ("Lam", 20.0)]
-    assert len((folder / "points.csv").read_text().splitlines()) == 1 + 2 * (6 + 3)
+    rows = list(csv.DictReader((folder / "points.csv").read_text().splitlines()))
+    assert len(rows) == 2 * (6 + 3)
+    there = {(row["fit"], row["value"], row["product"]) for row in rows if row["value"] in ("w_1", "theta")}
+    assert there == {("Hpk", "w_1", "w"), ("Hpk", "theta", "theta"), ("RPV", "w_1", "rho0")}
     assert (folder / "brdf_02.png").read_bytes()[:4] == b"\x89PNG"
     assert "| Hpk | theta | theta | 0.250 |" in (folder / "evaluation.md").read_text()
     assert before

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from sattools.prep.stage import prepare
 
 RUNS = [(0.3, 0.05), (-0.2, 0.2), (0.0, -0.3), (0.25, -0.2), (-0.1, 0.3)]
 COLUMNS = [(0, 260), (0, 120), (0, 120), (0, 120), (170, 260)]  # one image shows all, the last nothing of the others
+
+AROUND = [LON0 - 30 / EAST_M, LAT0 - 30 / NORTH_M, LON0 + 30 / EAST_M, LAT0 + 30 / NORTH_M]
 
 
 def test_an_image_beside_the_area_is_set_aside_and_the_fit_goes_on(tmp_path: Path) -> None:
@@ -60,3 +63,24 @@ def test_an_image_beside_the_bounds_is_set_aside_unless_too_few_are_left(tmp_pat
     with pytest.raises(InputError, match="found 1 for training that show the area, expected at least 2"):
         prepare(images, few)
     assert not list(Path(few.out).rglob("*.tif"))
+
+
+def test_images_of_other_places_are_left_out_where_an_area_is_asked_for(tmp_path: Path, caplog: Any) -> None:
+    """As of an archive: most of them lie elsewhere, and in the next UTM zone; their middle is not the area's."""
+    ground, images = texture(), []
+    for k, run in enumerate(RUNS[:3]):
+        pixels = render(ground, run).clip(1, 2047).astype(np.uint16)
+        images.append(write(tmp_path / f"city_{k}.tif", pixels, parallel_rpc(run)))
+        for shift in (0.2, 4.0, 4.1):
+            there = replace(parallel_rpc(run), lon_offset=LON0 + shift)
+            images.append(write(tmp_path / f"other_{k}_{shift:.0f}{shift % 1:.1f}.tif", pixels, there))
+    with pytest.raises(InputError, match=r"`--bounds` or `--aoi` take those that show an area"):
+        prepare(images, PrepOptions(out=str(tmp_path / "all")))
+    alone, _ = prepare(images[::4], PrepOptions(out=str(tmp_path / "alone"), bounds=AROUND))
+    caplog.clear()
+    scene, extra = prepare(images, PrepOptions(out=str(tmp_path / "out"), bounds=AROUND))
+    assert [item.id for item in scene.items] == ["city_0", "city_1", "city_2"]
+    assert scene.grid == alone.grid
+    told = "other_0_00.2, other_0_40.0, other_0_40.1 and 6 more: do not show the area, left out"
+    assert told in extra["notes"]
+    assert told in caplog.messages

@@ -41,6 +41,14 @@ def test_names_that_differ_only_in_what_an_id_leaves_out_are_told_so(tmp_path: P
         check_ids(images)
 
 
+def test_an_image_that_is_given_twice_is_told_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a folder and a file in it; it was said to have the id of itself, and to need another name."""
+    (tmp_path / "a.tif").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"a\.tif: found this image twice, expected every image once$"):
+        check_ids([tmp_path / "a.tif", Path("a.tif")])
+
+
 def test_names_of_scenes() -> None:
     assert common_name(["JAX_068_001_RGB", "JAX_068_016_RGB"]) == "JAX_068"
     assert common_name(["a", "b"]) == "scene"

@@ -90,6 +90,10 @@ def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
     assert data["sattools"]["history"][-1]["psnr"] == [None, 1.0]
 
 
+def test_a_scene_that_a_notebook_shows_is_one_line(tmp_path: Path) -> None:
+    assert repr(make_scene(tmp_path)) == f"Scene('a', '{tmp_path}', 2 images, products ['dsm'])"
+
+
 def test_items_are_stac_items(tmp_path: Path) -> None:
     data = json.loads(make_scene(tmp_path).to_json())
     assert data["type"] == "FeatureCollection"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sattools.errors import SceneError
+from sattools.errors import SceneError, some_of
 from sattools.fit.options import FitOptions
 from sattools.fit.stored import StoredModel
 from sattools.scene import Scene
@@ -65,9 +65,8 @@ def tell_other_options(options: FitOptions, scenes: Mapping[str, Scene]) -> list
                 found.setdefault((option, json.dumps(value)), []).append(name)
     notes = []
     for (option, value), names in found.items():
-        which = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
         notes.append(
-            f"{'tile' if len(names) == 1 else 'tiles'} {which}: found a fit with --{option.replace('_', '-')} "
+            f"{'tile' if len(names) == 1 else 'tiles'} {some_of(names)}: found a fit with --{option.replace('_', '-')} "
             f"{_shown(json.loads(value))}, expected {_shown(wanted[option])} as this fit is noted with"
         )
         log.warning(notes[-1])
