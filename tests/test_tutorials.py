@@ -95,11 +95,13 @@ def test_the_batch_compares_two_configurations_of_two_areas(tmp_path: Path) -> N
 
 @pytest.mark.qgis
 @pytest.mark.skipif(shutil.which("qgis_process.bin") is None, reason="QGIS is not installed")
-def test_qgis_without_a_window_makes_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_qgis_without_a_window_makes_the_same(
+    tmp_path: Path, quick_program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "runtime").mkdir(mode=0o700)
     for name in [n for n in os.environ if n.startswith(("PYTHON", "QT_", "GDAL_", "PROJ_", "LD_"))]:
         monkeypatch.delenv(name)
-    monkeypatch.setenv("PATH", f"/usr/bin:/bin:{Path(sys.executable).parent}")
+    monkeypatch.setenv("PATH", f"/usr/bin:/bin:{quick_program}")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
     monkeypatch.setenv("QGIS_CUSTOM_CONFIG_PATH", str(tmp_path / "profile"))
     monkeypatch.setenv("QGIS_PLUGINPATH", str(ROOT / "qgis_plugin"))

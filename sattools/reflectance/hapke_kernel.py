@@ -110,36 +110,32 @@ def _lanes(known, results):
 
 
 @njit
-def _load(values, start, size, known, row):
+def _load(values, start, size, row):
     """Part of ``[N]`` or ``[1]`` into a row; what is missing from a full row repeats the last."""
     last = len(values) - 1
     for j in range(LANES):
-        known[row * LANES + j] = values[min(start + min(j, size - 1), last)]
+        row[j] = values[min(start + min(j, size - 1), last)]
 
 
 @njit
-def _load3(vectors, start, size, known, row):
+def _load3(vectors, start, size, rows):
     last = len(vectors) - 1
     for j in range(LANES):
         i = min(start + min(j, size - 1), last)
-        known[row * LANES + j], known[(row + 1) * LANES + j], known[(row + 2) * LANES + j] = (
-            vectors[i, 0],
-            vectors[i, 1],
-            vectors[i, 2],
-        )
+        rows[j], rows[LANES + j], rows[2 * LANES + j] = vectors[i, 0], vectors[i, 1], vectors[i, 2]
 
 
 @njit
-def _store(results, row, start, size, target):
+def _store(row, start, size, target):
     for j in range(size):
-        target[start + j] = results[row * LANES + j]
+        target[start + j] = row[j]
 
 
 @njit
-def _store3(results, row, start, size, target):
+def _store3(rows, start, size, target):
     for j in range(size):
-        target[start + j, 0], target[start + j, 1] = results[row * LANES + j], results[(row + 1) * LANES + j]
-        target[start + j, 2] = results[(row + 2) * LANES + j]
+        target[start + j, 0], target[start + j, 1] = rows[j], rows[LANES + j]
+        target[start + j, 2] = rows[2 * LANES + j]
 
 
 @spread(lambda *arguments: math.ceil(len(arguments[10]) / PART))
@@ -156,46 +152,47 @@ def evaluate(n, s, v, w, b, c, theta, b0, h, needed, out, gn, gs, gv, gw, gb, gc
         results = np.empty(16 * LANES)
         for start in range(part * PART, min(count, (part + 1) * PART), LANES):
             size = min(LANES, count - start)
-            _load3(n, start, size, known, 0)
-            _load3(s, start, size, known, 3)
-            _load3(v, start, size, known, 6)
-            _load(w, start, size, known, 9)
-            _load(b, start, size, known, 10)
-            _load(c, start, size, known, 11)
-            _load(theta, start, size, known, 12)
-            _load(b0, start, size, known, 13)
-            _load(h, start, size, known, 14)
+            _load3(n, start, size, known[0 * LANES :])
+            _load3(s, start, size, known[3 * LANES :])
+            _load3(v, start, size, known[6 * LANES :])
+            _load(w, start, size, known[9 * LANES :])
+            _load(b, start, size, known[10 * LANES :])
+            _load(c, start, size, known[11 * LANES :])
+            _load(theta, start, size, known[12 * LANES :])
+            _load(b0, start, size, known[13 * LANES :])
+            _load(h, start, size, known[14 * LANES :])
             _lanes(known, results)
-            for j in range(size):
-                out[start + j] = results[0 * LANES + j]
+            _store(results, start, size, out)
             if needed[0]:
-                _store3(results, 1, start, size, gn)
+                _store3(results[1 * LANES :], start, size, gn)
             if needed[1]:
-                _store3(results, 4, start, size, gs)
+                _store3(results[4 * LANES :], start, size, gs)
             if needed[2]:
-                _store3(results, 7, start, size, gv)
+                _store3(results[7 * LANES :], start, size, gv)
             if needed[3]:
-                _store(results, 10, start, size, gw)
+                _store(results[10 * LANES :], start, size, gw)
             if needed[4]:
-                _store(results, 11, start, size, gb)
+                _store(results[11 * LANES :], start, size, gb)
             if needed[5]:
-                _store(results, 12, start, size, gc)
+                _store(results[12 * LANES :], start, size, gc)
             if needed[6]:
-                _store(results, 13, start, size, gt)
+                _store(results[13 * LANES :], start, size, gt)
             if needed[7]:
-                _store(results, 14, start, size, gb0)
+                _store(results[14 * LANES :], start, size, gb0)
             if needed[8]:
-                _store(results, 15, start, size, gh)
+                _store(results[15 * LANES :], start, size, gh)
 
 
 def _flat(operand: Tensor | None, shape: torch.Size, like: Tensor, trailing: tuple[int, ...]) -> np.ndarray:
-    """An operand as ``[N, *trailing]``, or ``[1, *trailing]`` if all samples share it; zero for None."""
+    """An operand as ``[N, *trailing]``, or ``[1, *trailing]`` if all samples share it; zero for None.
+
+    Side by side in memory: for every other order numba would compile the kernel once more, which takes seconds.
+    """
     if operand is None:
         return np.zeros(1, like.detach().numpy().dtype)
     shared = operand.shape[: operand.ndim - len(trailing)].numel() == 1
     whole = operand.detach() if shared else operand.detach().expand(*shape, *trailing)
-    flat: np.ndarray = whole.reshape(-1, *trailing).numpy()
-    return flat
+    return np.ascontiguousarray(whole.reshape(-1, *trailing).numpy())
 
 
 class CompiledHapke(torch.autograd.Function):

@@ -206,6 +206,7 @@ def test_tiles_are_tasks_of_their_own_and_only_what_is_missing_is_done_again(fol
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_scenes_are_aligned_and_joined(folder: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Both scenes show the same area; B is brought onto a reference that stands 3 m higher, and so is A."""
     from sattools.scene.raster import read_raster, write_cog

@@ -312,7 +312,8 @@ def _correlate_tile(
                 hidden[i] = True
                 if not len(base) and len(pairs) > 2:  # two images have no third to ask
                     _mark_beyond(row, masks, parallax, heights[k] - z_ref, margin + r0 + i, margin + c0)
-            volume[i, k] = row
+            for j in range(cols):  # a row at once would take numba three seconds more to compile
+                volume[i, k, j] = row[j]
     for i in range(rows):
         if hidden[i]:
             _fill_unseen(volume[i], unseen, best[i])

@@ -136,7 +136,8 @@ def _across_rows(score, look, small, edge, more, steep, total, first, count, ste
     for n in range(count):
         row = first + n * step
         for k in range(depth):
-            looks[1 - turn, k, 1 : cols + 1] = look[row, k]
+            for col in range(cols):  # a row at once would take numba three seconds more to compile
+                looks[1 - turn, k, col + 1] = look[row, k, col]
         for way in range(3):  # from the left, straight, from the right
             _step(
                 state[turn, way], way, least[turn, way], looks[turn], looks[1 - turn], score[row], small, edge, more,
