@@ -236,6 +236,10 @@ def test_auto_finds_the_sky_that_is_there_and_none_else(tmp_path: Path, sky: flo
     asked: dict[str, Any] = {"endmembers": 4, "smooth": 0.0, "seed": 0, "sky": "auto"}
     found, _ = reflective(start, "hapke", views, [1.0] * 3, 2.0, **asked)
     assert found.has_sky == (sky > 0)
+    if not sky:
+        plain, _ = reflective(start, "hapke", views, [1.0] * 3, 2.0, **asked | {"sky": "none"})
+        assert torch.equal(found.amplitude, plain.amplitude)
+        assert torch.equal(found.endmembers, plain.endmembers)
     bounced, _ = reflective(start, "hapke", views, [1.0] * 3, 2.0, **asked, bounce=True)
     assert (bounced.opened.numel() > 0) == (sky > 0)
     if sky:

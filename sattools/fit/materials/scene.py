@@ -229,7 +229,7 @@ class ReflectiveScene(SurfaceScene):
             sky: `fitted`, `auto` or its share per band, or one for all.
             bounce: so does the ground around.
         """
-        bands = self.amplitude.shape[-1]
+        bands, without = self.amplitude.shape[-1], (self.amplitude.clone(), self.endmembers.clone())
         self.sky = torch.ones_like(self.amplitude)  # until `_look_up` knows better
         self.sky_share = self.amplitude.new_tensor([0.0] if isinstance(sky, str) else sky).expand(bands).clone()
         self.opened = torch.ones_like(self.height) if bounce else torch.zeros(0)
@@ -240,9 +240,9 @@ class ReflectiveScene(SurfaceScene):
                 faint = self.sky_ratio < LEAST_RATIO or float(self.sky_share.max()) < LEAST_SHARE
                 if (sky == "auto" and faint) or self.sky_ratio == 0.0:
                     self.sky, self.sky_share, self.opened = torch.zeros(0), torch.zeros(0), torch.zeros(0)
+                    self.amplitude, self.endmembers = without  # as if nobody had asked
+                    return
             self.solve(views, visibility, 4, amplitudes=True)
-            if not self.has_sky:
-                return
 
     def _read_shade(self, whole: Samples, visibility: Sequence[Tensor | None]) -> None:
         """The sky's share as deep shade shows it, taking the ground there for its material's mean."""
