@@ -28,9 +28,7 @@ LEAST_RATIO = 3.0  # a sky is taken where its share is more than so many standar
 LEAST_SHARE = 0.01  # and lights the ground by more than what strays into shade anyway
 LEAST_BLOCKS = 5  # of ground in deep shade; fewer say nothing
 SHADE = 0.05  # visibility of the sun below which a cell shows the sky's light alone
-AROUND_M = (
-    40.0  # standard deviation of the mean over the ground around: slopes face each other over some tens of metres
-)
+AROUND_M = 40.0  # standard deviation of the mean over the ground around: slopes face each other over tens of metres
 EDGE_CELLS = 2  # shade is deep so far from its border, where neither optics nor a wrong place bring in sunlight
 
 
@@ -144,11 +142,5 @@ def share_in_shade(ratio: Tensor, shade: Tensor, shape: tuple[int, ...]) -> tupl
 
 
 __all__ = [
-    "LEAST_RATIO",
-    "LEAST_SHARE",
-    "deep_shade",
-    "light_of_ground",
-    "share_in_shade",
-    "sky_directions",
-    "sky_gain",
-]
+    "LEAST_RATIO", "LEAST_SHARE", "deep_shade", "light_of_ground", "share_in_shade", "sky_directions", "sky_gain",
+]  # fmt: skip
