@@ -1,6 +1,6 @@
 """Light of the air: what it adds to the darkest ground, and what it lets through, of reflectances.
 
-Above a plane atmosphere rho = rho_path + T(sun) T(view) rho_surface, where what goes to and fro between air and ground
+Above a plane atmosphere rho = rho_path + T(sun) T(view) rho_surface, where light that goes back and forth between both
 is left out. The path's reflectance is that of the darkest ground less what such ground has itself (dark-object
 subtraction, Chavez 1988; 1 % of reflectance, Chavez 1996). If it is one of molecules, it tells their optical depth by
 single scattering, and that the transmittance by a two-stream form (Vermote et al. 1997, 6S). "DOS4" (Moran et al. 1992,
