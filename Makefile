@@ -30,7 +30,7 @@ install: $(VENV)/.installed $(VENV)/.tried ## make .venv and install sattools in
 
 dev: $(VENV)/.installed-dev $(VENV)/.tried ## the same with the tools for tests
 
-# every process of the tests would compile what it imports (13 seconds of each worker) where bytecode is not kept
+# where the environment keeps no bytecode, every process that the tests start would compile again what it imports
 test: lint ## check style and types, then run the tests
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest $(TEST_ARGS)
 
