@@ -44,9 +44,8 @@ format: dev ## put the code into the project's format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-docs: dev ## write docs/commands.md from the commands' help, and build the site in build/site; warnings are errors
+docs: dev $(VENV)/.installed-docs ## write docs/commands.md from the commands' help, and build the site in build/site; warnings are errors
 	$(BIN)/python docs/generate_commands.py
-	$(INSTALL) -q --only-binary :all: -e ".[docs]"
 	$(BIN)/mkdocs build --strict --quiet
 
 qgis-zip: ## pack the QGIS plugin for "install from zip"
@@ -79,6 +78,10 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.torch
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.torch
 	$(INSTALL) -e ".[dev]"
 	touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: $(VENV)/.installed-dev
+	$(INSTALL) -q --only-binary :all: -e ".[docs]"
+	touch $@
 
 # a small scene through every step: it works, and kernels are compiled now and not by the first run
 $(VENV)/.tried: | $(VENV)/.installed
