@@ -116,7 +116,7 @@ def test_an_archive_that_is_not_there_leaves_not_even_folders(out: Any) -> None:
 
 def test_a_folder_instead_of_an_image(images: Any, out: Any) -> None:
     # it stands for its images, which are then given twice
-    assert_refused(prep(*images, images[0].parent, "--out", out), "prep", "TOWN_001.tif", "expected unique file names")
+    assert_refused(prep(*images, images[0].parent, "--out", out), "prep", "TOWN_001.tif", "found this image twice")
     empty = out.with_name("empty")
     empty.mkdir()
     assert_refused(prep(*images, empty, "--out", out), "prep", "empty: found a folder without images")
