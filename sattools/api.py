@@ -265,6 +265,7 @@ def change(
     from sattools.change.stage import change as stage
 
     own = _options(ChangeOptions, options)
+    Flag().check(overwrite, "overwrite")
     for surface in (before, after):
         if not isinstance(surface, Scene | str | PathLike):
             expected = "expected a Scene, the path of a scene.json or that of a raster of heights"

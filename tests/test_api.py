@@ -145,6 +145,14 @@ def test_a_value_that_an_option_does_not_take_is_named(options: Any, why: str) -
         sattools.fit("scene.json", options)
 
 
+@pytest.mark.parametrize("call", [sattools.fit, sattools.export, sattools.normalise])
+def test_a_text_does_not_say_that_outputs_may_be_replaced(call: Any, make_hamlet: Any) -> None:
+    with pytest.raises(InputError, match="overwrite: found 'no', expected true or false"):
+        call(make_hamlet(), overwrite="no")
+    with pytest.raises(InputError, match="overwrite: found 'no', expected true or false"):
+        sattools.change("before.tif", "after.tif", overwrite="no")
+
+
 def test_a_name_that_is_empty_is_not_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"option 'out': found '', expected text that is not empty$"):

@@ -20,6 +20,7 @@ from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Item, Scene
 from sattools.scene.jsonio import JsonObject
 
+UP = np.array([0.0, 0.0, 1.0])
 DARKEST = 0.1  # [%] of the pixels, which are in deep shade or wet: fewer are noise
 ROUNDS = 4  # dark ground is seen through the air as well; each round leaves less than a tenth of the error
 ENOUGH = 1000  # pixels of which one is the darkest
@@ -89,16 +90,14 @@ def air_of(item: Item, values: np.ndarray, quantity: str, options: NormaliseOpti
     """
     if not np.isfinite(values).any(axis=1).all():
         return None
-    sun = direction(*item.sun) if item.sun else np.array([0.0, 0.0, 1.0])
+    sun = direction(*item.sun) if item.sun else UP
     unit = 1.0 if quantity == "toa_reflectance" else float(sun[2])
     dark, own = darkest(values), options.dark_reflectance * unit
     path, through = np.maximum(dark - own, 0.0), np.ones_like(dark)
     if options.atmosphere == "dark-object":
         return Air(path, through)
     azimuth, incidence = (item.properties.get(f"view:{name}") for name in ("azimuth", "incidence_angle"))
-    view = np.array([0.0, 0.0, 1.0])
-    if azimuth is not None and incidence is not None:
-        view = direction(azimuth, 90.0 - incidence)
+    view = UP if azimuth is None or incidence is None else direction(azimuth, 90.0 - incidence)
     for _ in range(ROUNDS):
         through = rayleigh_transmittance(path / unit, sun, view)
         path = np.maximum(dark - through * own, 0.0)

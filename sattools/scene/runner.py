@@ -24,6 +24,7 @@ from sattools.scene.dependencies import SOURCES
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.schema import Flag
 from sattools.settings import as_dict
 
 Work = Callable[[Scene, Progress], dict[str, Any] | None]
@@ -39,12 +40,18 @@ class Step:
         options: of the stage, a dataclass; None = none.
         overwrite: whether outputs may replace what is there.
         progress: told the share done.
+
+    Raises:
+        InputError: `overwrite` is neither True nor False.
     """
 
     command: str
     options: Any = None
     overwrite: bool = False
     progress: Progress = silent
+
+    def __post_init__(self) -> None:
+        Flag().check(self.overwrite, "overwrite")  # a text such as "no" would count as true
 
 
 def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
