@@ -163,18 +163,23 @@ def test_tf32_on_a_cpu_is_refused() -> None:
     check_precision(resolve("fast", {"field": "neural", "precision": "tf32"}), CPU)  # told that it does nothing
 
 
-@pytest.mark.parametrize(("there", "lines"), [(True, 0), (False, 1)])
-def test_a_cpu_that_does_not_multiply_bfloat16_is_told(
-    there: bool, lines: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("can", "lines"),
+    [
+        ({"avx512_bf16": True, "amx_bf16": True}, 0),
+        ({"avx512_bf16": True, "amx_bf16": False}, 1),
+        ({"sve": True}, 0),  # not an x86: nothing is known
+    ],
+)
+def test_that_a_cpu_without_amx_is_slower_is_told(
+    can: dict[str, bool], lines: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        torch.cpu, "get_capabilities", lambda: {"avx2": True, "avx512_bf16": there, "amx_bf16": False}, raising=False
-    )
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: can, raising=False)
     with caplog.at_level(logging.WARNING):
         check_precision(resolve("eonerf", {"precision": "bf16"}), CPU)
         check_precision(resolve("eonerf", {}), CPU)
     assert [r.getMessage() for r in caplog.records] == [
-        "--precision bf16: this CPU has no instructions for it, float32 is faster"
+        "--precision bf16: found a CPU without AMX for it, where it takes longer than float32"
     ] * lines
 
 
