@@ -1,6 +1,7 @@
 """The papers' networks and the fields of our own on one scene in equal seconds: heights, a new view, memory, samples.
 
     python benchmarks/papers.py [--seconds 300] [--seed 1] [--size 64] [--width N] [--threads 1] [--fields ...]
+        [--precision float32 bf16] [--steps N] [--start noise] [--rays N] [--samples N]
         [--scene SCENE.json=REFERENCE.tif[@REGION]] [--out FILE.json]
     python benchmarks/papers.py --tables hdr|natural --scene SCENE.json=REFERENCE.tif [--seconds 300] [--width N]
         [--resolution M] [--fields ...] [--out FILE.json]
@@ -11,7 +12,9 @@ exported. Columns: mean absolute error by the protocol, about the median, at mos
 signed and absolute, away from them; PSNR of the held-out views, colours matched on their western and scored on their
 eastern half; seconds and CPU seconds of the fit; points at which the field was evaluated in training, per CPU second
 (rays to the sun included, reading-off in the seconds but not in the points); largest memory of the process. The prior
-has a row of its own, and one of its means over cells of 1 m. Not measured on a GPU.
+has a row of its own, and one of its means over cells of 1 m. Not measured on a GPU. `--precision`: networks once with
+each, beside each other; `--steps`: after so many steps instead of seconds. Of a simulated city, the error of the albedo
+over its mean, too (`albedo.py`).
 
 `--tables`: those of the papers by their networks (`paper_tables.py`), in the same seconds each, with maps (w.tif, ...
 beside the reference) and held-out views where the scene has them; rows that are in `--out` already are kept. On a CPU
@@ -31,14 +34,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from albedo import errors as albedo_errors
 from paper_tables import TABLES, cell_text, with_prior, write_tables
 from steps import averaged, reference
 
 PRESETS = ("satnerf", "eonerf", "eonerf-learned-shadow", "spsnerf", "rpv-nerf", "hapke-nerf")
 SURFACES = {"surface": "lambert", "surface, rpv": "rpv", "surface, hapke": "hapke"}
 FIELDS = [*SURFACES, "neural", *PRESETS]
+NETWORK = ("width", "start", "rays", "samples")  # options of networks
 ERRORS = ("MAE", "centred", "capped", "near, signed", "near", "away")
-COLUMNS = ["field", *ERRORS, "PSNR", "steps", "seconds", "CPU s", "M samples/CPU s", "peak GB"]
+COLUMNS = ["field", *ERRORS, "albedo", "PSNR", "steps", "seconds", "CPU s", "M samples/CPU s", "peak GB"]
 AVERAGE_M = 1.0
 
 
@@ -49,6 +54,11 @@ def main() -> None:
     parser.add_argument("--size", type=float, default=64.0)
     parser.add_argument("--width", type=int, help="of the networks (default: the papers')")
     parser.add_argument("--resolution", type=float, help="of networks with --tables [m] (default: the prior's cells)")
+    parser.add_argument("--precision", nargs="+", default=["float32"], help="of networks, one after the other")
+    parser.add_argument("--steps", type=int, help="of fields of rays, instead of --seconds")
+    parser.add_argument("--start", choices=["surface", "prior", "noise"], help="of networks")
+    parser.add_argument("--rays", type=int, help="of networks")
+    parser.add_argument("--samples", type=int, help="of networks")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
         "--fields", nargs="*", help="surface (also with rpv or hapke), neural, voxel, a preset; with --tables its rows"
@@ -65,8 +75,10 @@ def main() -> None:
         path, against = scene_of(options, Path(folder))
         rows = starts(path, against)
         print(table(rows), flush=True)
-        for name in options.fields or FIELDS:
-            given = (name, path, against, Path(folder) / name, options.seconds, options.width, options.threads)
+        asked = [(name, each) for name in options.fields or FIELDS
+                 for each in (options.precision if name in PRESETS else ["float32"])]  # fmt: skip
+        for name, precision in asked:
+            given = (name, precision, path, against, Path(folder) / f"{name}_{precision}", options)
             # a process of its own: its memory is its own, and nothing is warm
             with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
                 rows.append(pool.submit(run, given).result())
@@ -113,15 +125,15 @@ def scored(height: Any, grid: Any, against: str) -> dict[str, float]:
     return dict(zip(ERRORS, values, strict=True))
 
 
-def run(given: tuple[str, str, str, Path, float, int | None, int]) -> dict[str, Any]:
-    """One field for the given seconds, exported and scored."""
-    name, path, against, folder, seconds, width, threads = given
+def run(given: tuple[str, str, str, str, Path, argparse.Namespace]) -> dict[str, Any]:
+    """One field for the given seconds or steps, exported and scored."""
+    name, precision, path, against, folder, asked = given
     from sattools.cli import set_threads
 
-    set_threads(threads)
+    set_threads(asked.threads)
     import torch
 
-    torch.set_num_threads(threads)
+    torch.set_num_threads(asked.threads)
     from sattools.compare.images import compare_views
     from sattools.export.options import ExportOptions
     from sattools.export.stage import export
@@ -131,7 +143,7 @@ def run(given: tuple[str, str, str, Path, float, int | None, int]) -> dict[str, 
     from sattools.scene.raster import read_raster
 
     scene = absolute_copy(Scene.from_file(path), folder)
-    options = chosen(name, seconds, width)
+    options = chosen(name, precision, asked)
     if name in SURFACES:
         fit(scene, replace(options, epochs=[1]))  # compiles
     points = counted_points()
@@ -145,8 +157,9 @@ def run(given: tuple[str, str, str, Path, float, int | None, int]) -> dict[str, 
     training = [(count, text) for count, text in told if text.startswith("step ")]
     samples, last = training[-1] if training else (points(), "")
     return {
-        "field": name,
+        "field": name if len(asked.precision) == 1 else f"{name}, {precision}",
         **scored(height[0], grid, against),
+        "albedo": None if asked.scene else albedo_errors(scene, folder.parent / "TOWN")[0],
         "PSNR": compare_views(scene)["psnr"] if held_out else None,
         "steps": last.removeprefix("step ").split("/")[0],
         "seconds": round(begun, 1),
@@ -156,15 +169,17 @@ def run(given: tuple[str, str, str, Path, float, int | None, int]) -> dict[str, 
     }
 
 
-def chosen(name: str, seconds: float, width: int | None) -> Any:
-    """Options of a field that ends after so many seconds."""
+def chosen(name: str, precision: str, asked: argparse.Namespace) -> Any:
+    """Options of a field that ends after the seconds or steps that are asked for."""
     from sattools.fit.presets import resolve
 
+    end = {"steps": asked.steps} if asked.steps else {"budget": asked.seconds, "steps": 10**6}
     if name in PRESETS:
-        return resolve(name, {"budget": seconds, "width": width, "steps": 10**6})
+        own = {option: value for option in NETWORK if (value := getattr(asked, option)) is not None}
+        return resolve(name, {**end, **own, "precision": precision})
     if name in SURFACES:
-        return resolve("fast", {"budget": seconds, "brdf": SURFACES[name]})
-    return resolve("fast", {"budget": seconds, "field": name, "steps": 10**6})
+        return resolve("fast", {"budget": asked.seconds, "brdf": SURFACES[name]})
+    return resolve("fast", {**end, "field": name})
 
 
 def counted_points() -> Any:

@@ -31,14 +31,14 @@ class FitCommand(GroupedCommand):
         "Light": ("loss", "robust", "shadow", "shadow_weight", "shadow_start", "transient"),
         "Reflectance": ("brdf", "brdf_at", "pretrain", "normals", "materials", "material_smooth", "sky", "sky_share",
                         "bounce"),
-        "Network": ("start", "network", "width", "rays", "samples", "guided", "steps", "rate", "depth_weight", "beta",
-                    "solar_weight"),
+        "Network": ("start", "network", "width", "rays", "samples", "guided", "steps", "rate", "precision",
+                    "depth_weight", "beta", "solar_weight"),
         "Resources": ("device", "tile", "overlap", "part", "budget", "resume", "seed"),
     }  # fmt: skip
     expert = frozenset(
         ("coarsest", "epochs", "softness", "smooth", "height_rate", "robust", "shadow_weight", "shadow_start",
          "brdf_at", "pretrain", "normals", "materials", "material_smooth", "bounce", "network", "width", "rays",
-         "samples", "guided", "steps", "rate", "depth_weight", "beta", "solar_weight", "part")
+         "samples", "guided", "steps", "rate", "precision", "depth_weight", "beta", "solar_weight", "part")
     )  # fmt: skip
 
 

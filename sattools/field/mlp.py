@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import relu, softplus
 
+from sattools.field.mixed import mixed_linear
 from sattools.field.networks import AGAIN, DEPTH, EMBEDDING, Head, Network
 from sattools.field.protocol import Box
 from sattools.field.surface_base import SurfaceBase, before_sigmoid, before_softplus
@@ -59,6 +60,7 @@ class MlpField:
             albedo = replace(network.heads["albedo"], high=WIDE)
             self.network = replace(self.network, heads={**network.heads, "albedo": albedo})
         self.box = box
+        self.hidden = torch.float32  # type of what layers hand on to each other; see `sattools.field.mixed`
         self.heads = frozenset(network.heads) - {"transient"}
         if "transient" in network.heads:
             self.heads |= {"tau", "beta"}
@@ -127,10 +129,10 @@ class MlpField:
         start = positional_encoding(self.box.scaled(points), network.frequencies)
         x = start
         for k, layer in enumerate(self.trunk):
-            x = layer(torch.cat([start, x], dim=-1) if k == AGAIN else x)
-            x = torch.sin(W0 * x if k == 0 else x) if network.siren else relu(x)
-        raw = self.sigma(x)[..., 0]
-        features = self.bottleneck(x) if self.bottleneck is not None else x
+            x = mixed_linear(layer, [start, x] if k == AGAIN else [x])
+            x = (torch.sin(W0 * x if k == 0 else x) if network.siren else relu(x)).to(self.hidden)
+        raw = self.sigma(x.float())[..., 0]
+        features = (mixed_linear(self.bottleneck, [x]) if self.bottleneck is not None else x).float()
         if self.base is not None:
             density, colour = self.base.at(points)
             raw = raw + before_softplus(density / self.per_metre)
@@ -174,7 +176,7 @@ class MlpField:
                 # what an image has of its own is no reason to move the surface: the logarithm of the uncertainty has
                 # the steepest gradient of all, and through the trunk, which the density reads too, all would sink
                 parts[0] = features.detach()
-            raw = self._hidden(head, self.head_layers[name], torch.cat(parts, dim=-1))  # type: ignore[arg-type]
+            raw = self._raw(head, self.head_layers[name], parts)  # type: ignore[arg-type]
             if name in begun:
                 raw = raw + before_sigmoid(begun[name], head.low, head.high)
             answer = self._answer(head, raw)
@@ -184,10 +186,14 @@ class MlpField:
                 outputs[name] = answer
         return outputs
 
-    def _hidden(self, head: Head, layers: list[nn.Linear], x: Tensor) -> Tensor:
+    def _raw(self, head: Head, layers: list[nn.Linear], parts: list[Tensor]) -> Tensor:
+        """What a head answers before its activation, of features and what else it reads."""
+        if head.inputs[0] == "features":
+            parts = [parts[0].to(self.hidden), *parts[1:]]
         for layer in layers[:-1]:
-            x = torch.sin(layer(x)) if self.network.siren and not head.relu else relu(layer(x))
-        return layers[-1](x)
+            x = mixed_linear(layer, parts)
+            parts = [(torch.sin(x) if self.network.siren and not head.relu else relu(x)).to(self.hidden)]
+        return layers[-1](parts[0].float())
 
     def _answer(self, head: Head, raw: Tensor) -> Tensor:
         if head.activation == "tau and beta":

@@ -59,7 +59,7 @@ _SOLAR = Needed(
 NEEDED = {
     **dict.fromkeys(("coarsest", "epochs", "softness", "smooth", "height_rate"), _SURFACE),
     **dict.fromkeys(("rays", "samples", "guided", "steps", "depth_weight"), _RAYS),
-    **dict.fromkeys(("network", "width", "rate"), _NETWORK),
+    **dict.fromkeys(("network", "width", "rate", "precision"), _NETWORK),
     **dict.fromkeys(("pretrain", "normals"), _REFLECTING),
     **dict.fromkeys(("materials", "material_smooth"), _MATERIALS),
     "start": _STARTED, "brdf_at": _REFLECTING_NETWORK, "shadow_weight": _LEARNED, "shadow_start": _LIGHT,

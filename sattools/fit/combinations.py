@@ -96,11 +96,12 @@ def check_step(options: FitOptions) -> None:
 
 def step_bytes(options: FitOptions) -> float:
     """Bytes that one step of a field of rays surely takes."""
-    held = LEAST_HELD  # numbers of a sample that wait for the way back
+    size, held = 4.0, LEAST_HELD  # bytes of a number; numbers of a sample that wait for the way back
     if options.field == "mlp":
         network = NETWORKS[options.network]
         held = DEPTH * (options.width or network.width)
-    return 4.0 * held * options.rays * (options.samples + options.guided)
+        size = 2.0 if options.precision == "bf16" else size
+    return size * held * options.rays * (options.samples + options.guided)
 
 
 __all__ = ["check_combination", "check_sky", "check_step", "starts_from_prior", "step_bytes"]

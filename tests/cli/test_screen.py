@@ -58,7 +58,7 @@ def test_help_of_fit_is_in_groups_and_leaves_out_what_experts_need() -> None:
                       "How it runs"]  # fmt: skip
     assert "--resolution" in text
     assert "--depth-weight" not in text
-    assert "25 more options for experts: main fit --help-all" in text
+    assert "26 more options for experts: main fit --help-all" in text
     assert len(text.splitlines()) < 130
 
 

@@ -21,6 +21,8 @@ from sattools.fit.presets import PRESETS, resolve, with_preset
             "--field surface, expected --field mlp, neural or voxel",
         ),
         (["--field", "voxel", "--width", "32"], "--field voxel, expected --field mlp"),
+        (["--precision", "bf16"], "--field surface, expected --field mlp"),
+        (["--field", "neural", "--precision", "tf32"], "--field neural, expected --field mlp"),
         (
             ["--preset", "satnerf", "--epochs", "3"],
             "--field mlp, expected --field surface",

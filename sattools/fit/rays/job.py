@@ -184,11 +184,16 @@ class RayJob:
     @property
     def _foreseen_s(self) -> float:
         """Seconds of a step before one was taken: its way back takes twice as long as its prediction."""
-        return self._prediction_s * 3 * self.trainer.count / AT_ONCE
+        with self.trainer.multiplied():
+            prediction_s = self._prediction_s if self.trainer.options.precision == "float32" else self._predicted_s()
+        return prediction_s * 3 * self.trainer.count / AT_ONCE
 
     @functools.cached_property
     def _prediction_s(self) -> float:
-        """Seconds of the prediction of `AT_ONCE` rays."""
+        """Seconds of the prediction of `AT_ONCE` rays, in float32."""
+        return self._predicted_s()
+
+    def _predicted_s(self) -> float:
         begun = time.perf_counter()
         held_out_losses(self.trainer, torch.zeros(AT_ONCE, dtype=torch.long))
         return time.perf_counter() - begun

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Hashable, Mapping
@@ -19,6 +20,7 @@ from sattools.fit.options import FitOptions
 from sattools.fit.rays.followed import ColumnSteps
 from sattools.fit.rays.heldout import held_out
 from sattools.fit.rays.losses import BETA_MIN, beta_loss, depth_loss
+from sattools.fit.rays.precision import multiplied
 from sattools.fit.rays.rays import RaySet
 from sattools.fit.rays.recorded import RecordedSteps
 from sattools.fit.rays.scene import ALL_IN, SEEN, RayScene
@@ -162,8 +164,9 @@ class RayTrainer(RayScene):
         self.adam.zero_grad(set_to_none=True)
         if self.columns:
             self.columns.begin()
-        loss, extra = self.losses(chosen, epoch, share, random)
-        (loss + extra).backward()
+        with self.multiplied():
+            loss, extra = self.losses(chosen, epoch, share, random)
+            (loss + extra).backward()
         for name in ("gain", "offset"):
             grad = self.colour[name].grad
             if grad is not None:
@@ -176,6 +179,10 @@ class RayTrainer(RayScene):
             self.colour["ambient"].clamp_(0.02, 1.0)
             self.colour["gain"].clamp_(0.05, 20.0)
         return loss.detach()
+
+    def multiplied(self) -> contextlib.AbstractContextManager[None]:
+        """The field with layers that are multiplied as in training; what it is asked outside of it is float32."""
+        return multiplied(self.field, self.options.precision)
 
     def _draw(self, random: torch.Generator) -> Tensor:
         """Numbers ``[R]`` of the rays of a step: none that is held out, where a start is there to be judged against."""
