@@ -8,7 +8,7 @@ from typing import Any
 
 PARAMETERS = ("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc")
 MATERIAL = ("reflectance", *PARAMETERS, "identifiable", *(f"{name}_std" for name in PARAMETERS))
-MATERIAL += ("normal", "normal_std")
+MATERIAL += ("lambert_share", "normal", "normal_std")
 # commands in the order of work: name -> (title, group, products that are loaded afterwards)
 ALGORITHMS = {
     "prep": ("Prepare images", "Steps", ("footprints", "tie_points")),

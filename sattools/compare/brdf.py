@@ -16,6 +16,7 @@ from sattools.scene.jsonio import JsonObject
 Model = Literal["lambert", "rpv", "hapke"]
 AMPLITUDE: dict[Model, str] = {"hapke": "w", "rpv": "rho0", "lambert": "albedo"}
 SHAPE: dict[Model, tuple[str, ...]] = {"hapke": ("b", "c", "theta"), "rpv": ("k", "asymmetry", "rhoc"), "lambert": ()}
+PLAIN = "lambert_share"  # map of the ground that a fit by material gives to Lambert's law
 LIMIT_DEG = 60.0  # of the view from the vertical: beyond, no satellite looks
 STEPS = (7, 37)  # view zenith and azimuth, of a plot and of its error: every 10 degrees
 REACH = 0.05  # cosine's width about the images' own directions: some 18 degrees
@@ -72,16 +73,28 @@ def place_in(values: Mapping[str, np.ndarray], band: int) -> Place | None:
     """The place whose maps hold these values ``[B]``; None where they make no model or are not known.
 
     Args:
-        values: by name of the map: w, b, c, theta; rho0, k, asymmetry, rhoc; albedo.
+        values: by name of the map: w, b, c, theta; rho0, k, asymmetry, rhoc; albedo; `PLAIN`.
         band: which one of the amplitude.
     """
+    plain = PLAIN in values and float(values[PLAIN][0]) > 0.5
     for model, amplitude in AMPLITUDE.items():
         names = (amplitude, *SHAPE[model])
         if all(name in values for name in names):
             of_band = values[amplitude][min(band, len(values[amplitude]) - 1)]
+            if plain:
+                share = from_all_sides(model, float(of_band))
+                return Place("lambert", share) if math.isfinite(share) else None
             numbers = [float(of_band), *(float(values[name][0]) for name in SHAPE[model])]
             return Place(model, numbers[0], tuple(numbers[1:])) if np.isfinite(numbers).all() else None
     return None
+
+
+def from_all_sides(model: Model, amplitude: float) -> float:
+    """Reflectance for light from all sides: Hapke's diffusive reflectance r0 of w, else the amplitude itself."""
+    if model != "hapke":
+        return amplitude
+    root = math.sqrt(max(1.0 - amplitude, 0.0))
+    return (1.0 - root) / (1.0 + root)
 
 
 def unit_vector(azimuth_deg: float, zenith_deg: float) -> np.ndarray:
@@ -179,4 +192,15 @@ def brdf_figure(
     return figure
 
 
-__all__ = ["AMPLITUDE", "SHAPE", "Place", "brdf_figure", "directions", "errors", "place_in", "place_of", "unit_vector"]
+__all__ = [
+    "AMPLITUDE",
+    "PLAIN",
+    "SHAPE",
+    "Place",
+    "brdf_figure",
+    "directions",
+    "errors",
+    "place_in",
+    "place_of",
+    "unit_vector",
+]

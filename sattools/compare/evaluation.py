@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sattools.compare.brdf import AMPLITUDE, SHAPE, brdf_figure, errors, place_in, place_of, unit_vector
+from sattools.compare.brdf import AMPLITUDE, PLAIN, SHAPE, brdf_figure, errors, place_in, place_of, unit_vector
 from sattools.compare.images import FIGURES
 from sattools.compare.options import CompareOptions, name_and_file
 from sattools.compare.points import Point, Values, band_of, compare_points, filed, read_points, sampled, with_values_of
@@ -230,14 +230,14 @@ def _add_places(
 
 
 def _place(scene: Scene, point: Point, shift: Sequence[float], band: int) -> Any:
-    wanted = {name for model, amplitude in AMPLITUDE.items() for name in (amplitude, *SHAPE[model])}
+    wanted = {name for model, amplitude in AMPLITUDE.items() for name in (amplitude, *SHAPE[model])} | {PLAIN}
     values = {}
     for name in wanted & scene.products.keys():
         there = sampled(*filed(scene.path(scene.products[name])), point, (shift[0], shift[1]))
         if there is not None:
             values[name] = there
     place = place_in(values, band)
-    if place is None or place.model != "lambert":
+    if place is None or place.model != "lambert" or PLAIN in values:
         return place
     # a colour holds the light that falls on level ground, where the numbers are those of the sun's own beam
     item = next(item for item in scene.items if not item.held_out)

@@ -33,6 +33,8 @@ def material_maps(surface: ReflectiveScene, tensors: Mapping[str, Tensor]) -> di
     maps = _parameter_maps(surface.kind, *surface.values(), tensors)
     if surface.identifiable.numel():
         maps["identifiable"] = surface.identifiable.permute(2, 0, 1)
+    if (plain := surface.plain_share()) is not None:
+        maps["lambert_share"] = plain[None]
     maps["normal"] = surface.normals().permute(2, 0, 1)
     tilt = torch.atan(torch.full_like(surface.height, SLOPE_STD))
     maps["normal_std"] = torch.rad2deg(tilt)[None]
@@ -75,6 +77,7 @@ def material_names(model: FittedModel) -> list[str]:
     names = [AMPLITUDE[model.brdf].name, *(p.name for p in SHAPE[model.brdf])]
     stds = [f"{name}_std" for name in names if f"{name}_std" in model.extra]
     stds += ["identifiable"] if "identifiable" in model.extra else []
+    stds += ["lambert_share"] if "plain" in model.extra else []
     stds += ["normal_std"] if model.field == "surface" else []
     return [*names, *stds, "normal", "reflectance"]
 
@@ -112,6 +115,11 @@ def write_material(exported: Exported, maps: Mapping[str, np.ndarray], undetermi
             else:
                 own["DETERMINED"] = share + "no data elsewhere, where it would be mostly the prior" + of_start
                 array = np.where(known, array, np.float32(np.nan))
+        if name == "lambert_share":
+            own["CONTENT"] = (
+                f"share of the ground that reflects as Lambert's law has it, with the reflectance for light from all "
+                f"sides that belongs to {AMPLITUDE[model.brdf].name}"
+            )
         if stem == "normal" and array.shape[0] == 3:
             bands = ["normal east", "normal north", "normal up"]
         elif name == "identifiable":

@@ -213,10 +213,14 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor], sky: str = "n
     """
     _, shape = scene.values()
     notes = [f"{scene.endmembers.shape[0]} endmembers"]
+    own = torch.ones_like(scene.height, dtype=torch.bool)  # ground that has shape parameters
+    if (plain := scene.plain_share()) is not None:
+        notes[0] += f", {int(scene.plain.sum())} of them Lambert's ({100 * float(plain.mean()):.0f} % of the ground)"
+        own = plain <= plain.min().clamp_min(0.5)
     for k, (parameter, value) in enumerate(zip(SHAPE[scene.kind], shape, strict=True)):
-        spread = float(std[parameter.name].median())
-        text = f"{parameter.name} {float(value.min()):.2f} to {float(value.max()):.2f}, std {spread:.2f}"
-        found = float(scene.identifiable[..., k].median()) if scene.identifiable.numel() else 1.0
+        spread, here = float(std[parameter.name][own].median()), value[own]
+        text = f"{parameter.name} {float(here.min()):.2f} to {float(here.max()):.2f}, std {spread:.2f}"
+        found = float(scene.identifiable[..., k][own].median()) if scene.identifiable.numel() else 1.0
         if spread > UNKNOWN_SHARE * (parameter.high - parameter.low) or found < LEAST_KNOWN:
             text += " (not determined by these views: its prior)"
         notes.append(text)
@@ -233,7 +237,7 @@ def material_notes(scene: ReflectiveScene, std: dict[str, Tensor], sky: str = "n
             hidden = 100 * (1 - float(scene.opened.mean()))
             note += f"; where other ground hides it ({hidden:.0f} %), that ground's light"
         notes.append(note)
-    return ["; ".join(notes), *_without_sky(scene, sky)]
+    return [*scene.reasons, "; ".join(notes), *_without_sky(scene, sky)]
 
 
 def _without_sky(scene: ReflectiveScene, sky: str) -> list[str]:

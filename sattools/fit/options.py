@@ -44,7 +44,7 @@ class FitOptions(RayOptions):
     brdf: Literal["lambert", "rpv", "hapke", "auto"] = option(
         "lambert",
         "Reflectance: lambert = one colour per cell; rpv, hapke = models of normal, sun and view; "
-        "auto = the plainest that predicts held-out views as well as the others.",
+        "auto = the plainest that predicts held-out views as well, by material.",
     )
     sky: Literal["none", "fitted", "auto"] = option(
         "none",

@@ -256,7 +256,7 @@ def _surface_job(
     if job.options.brdf == "auto":
         choice = job.choose_brdf(stages[-1])
         notes += choice.notes
-        job.options = replace(job.options, brdf=choice.model)
+        job.options, job.by_material = replace(job.options, brdf=choice.model), True
         job.stages = stages_of(job.options)
     if prior is not None and radiance == "relative" and job.options.brdf == "lambert":
         job.options = replace(job.options, prior_weight=job.options.prior_weight * certainty(prior))

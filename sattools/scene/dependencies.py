@@ -63,7 +63,7 @@ STAGES: dict[str, Stage] = {
                 "normal",
                 "relit",
             ),
-            *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc", "identifiable"),
+            *("w", "b", "c", "theta", "rho0", "k", "asymmetry", "rhoc", "identifiable", "lambert_share"),
             *("points", "points_ply", "contours", "dtm", "dtm_validity", "ndsm", "ortho", "ortho_source"),
             *("mesh", "mesh_obj", "mesh_mtl", "mesh_texture", "tileset", "collection", "collection_item"),
         ),

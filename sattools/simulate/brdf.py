@@ -50,9 +50,16 @@ def hapke(i: float, e: float, psi: float, g: float, w: float, b: float, c: float
 
 
 @_jit
+def diffusive(w: float) -> float:
+    """Diffusive reflectance r0 of isotropic scatterers (Hapke 2012, eq. 8.25)."""
+    gamma = math.sqrt(1.0 - w)
+    return (1.0 - gamma) / (1.0 + gamma)
+
+
+@_jit
 def chandrasekhar(x: float, w: float) -> float:
     """H(x), Hapke (2002), equation 13."""
-    r0 = (1.0 - math.sqrt(1.0 - w)) / (1.0 + math.sqrt(1.0 - w))
+    r0 = diffusive(w)
     return 1.0 / (1.0 - w * x * (r0 + (1.0 - 2.0 * r0 * x) / 2.0 * math.log((1.0 + x) / x)))
 
 
@@ -88,14 +95,17 @@ def radiance_factor(
         p1: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
         p2: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
         p3: b, c, theta-bar [degrees] of Hapke; k, asymmetry, rhoc of RPV; not used by Lambert.
+
+    Where p1 is not a number the facet reflects as Lambert's law has it, with the model's reflectance for light from all
+    sides (w's diffusive reflectance, or rho0).
     """
     cos_i = nx * sx + ny * sy + nz * sz
     cos_e = nx * vx + ny * vy + nz * vz
     if cos_i <= _TINY or cos_e <= _TINY:
         return 0.0
     cos_i, cos_e = min(cos_i, 1.0), min(cos_e, 1.0)
-    if model == LAMBERT:
-        return amplitude * cos_i
+    if model == LAMBERT or math.isnan(p1):
+        return (diffusive(amplitude) if model == HAPKE else amplitude) * cos_i
     i, e = math.acos(cos_i), math.acos(cos_e)
     cos_g = min(max(sx * vx + sy * vy + sz * vz, -1.0), 1.0)
     g = math.acos(cos_g)

@@ -55,6 +55,7 @@ def simulate_natural(scene: Scene, options: SimulateOptions, progress: Progress)
         options.units,
         options.slope,
         reflectance=options.reflectance,
+        plain=options.plain_units,
         lonlat=(options.lon, options.lat),
         dsm=options.dsm,
         rng=np.random.default_rng(seeds[0]),
@@ -245,6 +246,8 @@ def _write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance
     maps: dict[str, np.ndarray] = {AMOUNT[reflectance]: _pooled(world, world.albedo, grid).transpose(2, 0, 1)}
     shape = world.on_grid(world.parameters, grid)
     maps |= {name: shape[..., k] for k, name in enumerate(PARAMETERS[reflectance])}
+    if np.isnan(shape).any():
+        maps["lambert_share"] = np.isnan(shape[..., 0])
     slope = np.stack([-world.slope_x, world.slope_y, np.ones_like(world.slope_x)])
     normal = slope / np.linalg.norm(slope, axis=0)
     mean = _pooled(world, normal.transpose(1, 2, 0), grid).transpose(2, 0, 1)

@@ -51,7 +51,7 @@ class NaturalWorld(World):
 
     Attributes:
         model: `brdf.LAMBERT`, `RPV` or `HAPKE`.
-        parameters: ``[H, W, 3]`` b, c, theta-bar [degrees], or k, asymmetry, rhoc.
+        parameters: ``[H, W, 3]`` b, c, theta-bar [degrees], or k, asymmetry, rhoc; NaN where ground is Lambert's.
         units: ``[H, W]`` uint8 number of the unit.
     """
 
@@ -67,6 +67,7 @@ def build_natural(
     slope_deg: float,
     *,
     reflectance: Literal["lambert", "rpv", "hapke"],
+    plain: int = 0,
     lonlat: tuple[float, float],
     dsm: str | None,
     rng: np.random.Generator,
@@ -78,7 +79,8 @@ def build_natural(
         gsd: pixel [m]; the world's own cells are half as large.
         units: number of geological units.
         slope_deg: mean slope of the fractal relief.
-        reflectance: model of all units.
+        reflectance: model of the units.
+        plain: number of units that reflect as Lambert's law has it, whatever the model.
         lonlat: where the scene lies, for fractal relief.
         dsm: relief to take instead (any projected raster).
         rng: random numbers.
@@ -98,6 +100,8 @@ def build_natural(
     west, south, east, north = grid.bounds
     slope_y, slope_x = (np.asarray(g) for g in np.gradient(height, cell))
     codes, amplitude, parameters = paint(count, cell, units, reflectance, rng)
+    if plain:
+        parameters[np.isin(codes, rng.permutation(np.unique(codes))[:plain])] = np.nan
     world = NaturalWorld(
         ((west + east) / 2, (south + north) / 2),
         0.0,

@@ -79,6 +79,9 @@ class SimulateOptions:
     lat: float = option(30.35, "Latitude of the city [degrees].", minimum=-60, maximum=60)
     reflectance: Literal["lambert", "rpv", "hapke"] = option("hapke", "Reflectance model of natural ground.")
     units: int = option(5, "Geological units of natural ground.", minimum=1, maximum=6)
+    plain_units: int = option(
+        0, "Units, of those, that reflect as Lambert's law has it, whatever the others' model.", minimum=0, maximum=6
+    )
     slope: float = option(15.0, "Mean slope of the fractal relief of natural ground [degrees].", minimum=0, maximum=60)
     sun_azimuth: float = option(135.0, "Sun over natural ground, from north [degrees].", minimum=0, maximum=360)
     sun_elevation: float = option(48.0, "Sun over natural ground, above the horizon [degrees].", minimum=2, maximum=90)
@@ -120,7 +123,7 @@ class SimulateOptions:
             raise InputError(f"--bits: found {self.bits}, expected 8 or 11 for a city")
 
 
-NATURAL_ONLY = ("reflectance", "units", "slope", "sun_azimuth", "sun_elevation", "sky", "train")
+NATURAL_ONLY = ("reflectance", "units", "plain_units", "slope", "sun_azimuth", "sun_elevation", "sky", "train")
 TOWN_ONLY = ("dates", "test_views", "bits", "trees", "cars", "clouds", "hdr", "classes")
 WITHOUT_DSM_ONLY = ("lon", "lat", "slope", "trees")
 

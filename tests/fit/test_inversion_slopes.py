@@ -6,7 +6,7 @@ import torch
 from sattools.fit.materials.inversion import Samples, differences, predict, start_endmembers, with_slope, with_slopes
 
 
-def samples(sky: bool) -> Samples:
+def samples(sky: bool, plain: bool) -> Samples:
     torch.manual_seed(3)
     count, bands = 60, 3
     normal = torch.randn(count, 3, dtype=torch.float64) * 0.3 + torch.tensor([0.0, 0.0, 1.0])
@@ -22,12 +22,13 @@ def samples(sky: bool) -> Samples:
         [vectors[1], vectors[2]],
         0.5 + torch.rand(count, bands, dtype=torch.float64) if sky else None,
         torch.tensor([0.03, 0.04, 0.05], dtype=torch.float64) if sky else torch.zeros(0),
+        plain=torch.tensor([0.0, 1.0], dtype=torch.float64) if plain else None,
     )
 
 
-@pytest.mark.parametrize("sky", [False, True])
-def test_slopes_of_the_compiled_model_are_its_finite_differences(sky: bool) -> None:
-    s = samples(sky)
+@pytest.mark.parametrize(("sky", "plain"), [(False, False), (True, False), (False, True), (True, True)])
+def test_slopes_of_the_compiled_model_are_its_finite_differences(sky: bool, plain: bool) -> None:
+    s = samples(sky, plain)
     amplitude = torch.randn(60, 3, dtype=torch.float64)
     endmembers = start_endmembers("hapke", 2, amplitude) + 0.3 * torch.randn(2, 3, dtype=torch.float64)
     here, slopes = with_slopes("hapke", s, amplitude, endmembers)

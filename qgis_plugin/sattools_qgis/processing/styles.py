@@ -47,6 +47,7 @@ RAMPS = {
     "asymmetry": ("Plasma", -0.6, 0.6),
     "rhoc": ("Plasma", None, None),
     "identifiable": ("Cividis", 0.0, 1.0),
+    "lambert_share": ("Cividis", 0.0, 1.0),
 }
 RAMPS |= {f"{name}_std": ("Magma", 0.0, None) for name in (*PARAMETERS, "normal")}
 SURFACES = ("dsm", "dtm", "prior_dsm")

@@ -33,6 +33,7 @@ class Samples:
         sky: ``[N, C]`` gain of the sky's light, see `sattools.fit.materials.sky`, or None = no sky.
         share: ``[C]`` of the sky.
         shown: ``[V, N]`` 1 = the view has a value there, in shade as well; or None = not told.
+        plain: ``[K]`` 1 = the material reflects as Lambert's law has it, else 0; or None = none does.
     """
 
     normal: Tensor
@@ -44,6 +45,12 @@ class Samples:
     sky: Tensor | None = None
     share: Tensor = field(default_factory=lambda: torch.zeros(0))
     shown: Tensor | None = None
+    plain: Tensor | None = None
+
+    @property
+    def plain_share(self) -> Tensor | None:
+        """Share ``[N]`` of every cell that reflects as Lambert's law has it, or None."""
+        return None if self.plain is None else self.abundances @ self.plain
 
     def subset(self, index: Tensor) -> Samples:
         """Some of the cells."""
@@ -93,7 +100,8 @@ def predict(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> Te
     """
     value, shape = AMPLITUDE[kind].bounded(amplitude), shape_of(kind, s.abundances, endmembers)
     pairs = zip(s.suns, s.views, strict=True)
-    direct = torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape) for sun, view in pairs])
+    plain = s.plain_share
+    direct = torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape, plain=plain) for sun, view in pairs])
     if s.sky is None:
         return direct
     more = value.shape[-1] // s.sky.shape[-1]  # `with_slope` asks for several values of every band
@@ -167,10 +175,18 @@ def _slopes(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, shape
     if shapes:
         for k, p in enumerate(SHAPE[kind]):
             slopes[..., 1 + k] *= p.slope(s.abundances @ endmembers[:, k])[:, None]
+    if s.sky is None and s.plain is None:
+        return here, slopes
+    glow = diffuse(kind, value)
+    rising = (diffuse(kind, limits.bounded(amplitude + STEP)) - glow) / STEP
+    if (share := s.plain_share) is not None:
+        cosines = torch.stack([s.normal @ sun for sun in s.suns]).clamp_min(0)[..., None]
+        slopes *= (1 - share)[:, None, None]
+        slopes[..., 0] += share[:, None] * cosines * rising
+        here += share[:, None] * (cosines * glow - here)
     if s.sky is not None:
-        glow = diffuse(kind, value)
         here += s.share * s.sky * glow
-        slopes[..., 0] += s.share * s.sky * (diffuse(kind, limits.bounded(amplitude + STEP)) - glow) / STEP
+        slopes[..., 0] += s.share * s.sky * rising
     return here, slopes
 
 

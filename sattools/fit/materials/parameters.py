@@ -64,7 +64,14 @@ SHAPE: dict[Kind, tuple[Parameter, Parameter, Parameter]] = {
 
 
 def radiance_factor(
-    kind: Kind, normal: Tensor, sun: Tensor, view: Tensor, amplitude: Tensor, shape: tuple[Tensor, Tensor, Tensor]
+    kind: Kind,
+    normal: Tensor,
+    sun: Tensor,
+    view: Tensor,
+    amplitude: Tensor,
+    shape: tuple[Tensor, Tensor, Tensor],
+    *,
+    plain: Tensor | None = None,
 ) -> Tensor:
     """BRF * cos i = pi L / E ``[..., C]``, E the sun's irradiance across its beam.
 
@@ -77,13 +84,18 @@ def radiance_factor(
         view: ``[3]`` unit vectors.
         amplitude: ``[..., C]``.
         shape: three ``[...]``.
+        plain: share ``[...]`` of the ground that reflects as Lambert's law has it, `diffuse` to all sides; None = none.
     """
     if kind == "hapke" and normal.device.type == "cpu":
-        return hapke_light(normal, sun, view, amplitude, shape)
-    facet = normal[..., None, :]
-    parts = [p[..., None] for p in shape]
-    model = hapke if kind == "hapke" else rpv
-    return model(facet, sun, view, amplitude, *parts) * (normal @ sun).clamp_min(0)[..., None]
+        light = hapke_light(normal, sun, view, amplitude, shape)
+    else:
+        facet = normal[..., None, :]
+        parts = [p[..., None] for p in shape]
+        model = hapke if kind == "hapke" else rpv
+        light = model(facet, sun, view, amplitude, *parts) * (normal @ sun).clamp_min(0)[..., None]
+    if plain is None:
+        return light
+    return light + plain[..., None] * (diffuse(kind, amplitude) * (normal @ sun).clamp_min(0)[..., None] - light)
 
 
 def diffuse(kind: Kind, amplitude: Tensor) -> Tensor:

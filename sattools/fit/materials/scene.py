@@ -67,6 +67,7 @@ class ReflectiveScene(SurfaceScene):
         identifiable: ``[H, W, 3]`` share of the shapes' prior variance that the images took away; or empty.
         sky: ``[H, W, C]`` gain of the sky's light, see `sattools.fit.materials.sky`; empty = no sky.
         sky_share: ``[C]`` of the sky; what shade shows at the start, or as given.
+        plain: ``[K]`` 1 = the endmember reflects as Lambert's law has it, else 0; empty = none does.
         opened: ``[H, W]`` open sky of every cell, whose rest is ground that sends light as well; empty = it sends none.
     """
 
@@ -84,7 +85,9 @@ class ReflectiveScene(SurfaceScene):
     sky: Tensor = field(default_factory=lambda: torch.zeros(0))
     sky_share: Tensor = field(default_factory=lambda: torch.zeros(0))
     opened: Tensor = field(default_factory=lambda: torch.zeros(0))
+    plain: Tensor = field(default_factory=lambda: torch.zeros(0))
     correlation: float = field(default=0.0, init=False)  # of the errors of the first two shape parameters
+    reasons: list[str] = field(default_factory=list, init=False)  # for which materials the model was chosen
     sky_ratio: float = field(default=0.0, init=False)  # share over its standard deviation, in the surest band
 
     @property
@@ -108,6 +111,10 @@ class ReflectiveScene(SurfaceScene):
         """Amplitude ``[H, W, C]`` in [0, 1] and the three shape parameters ``[H, W]``, within their ranges."""
         return AMPLITUDE[self.kind].bounded(self.amplitude), shape_of(self.kind, self.abundances, self.endmembers)
 
+    def plain_share(self) -> Tensor | None:
+        """Share ``[H, W]`` of every cell that reflects as Lambert's law has it, or None."""
+        return self.abundances @ self.plain if self.plain.numel() else None
+
     def colour(self, index: int, visibility: Tensor | None) -> Tensor:
         """Radiance ``[H, W, C]`` of every cell towards image ``index``; visibility ``[H, W]`` or None = all lit."""
         light = self.light(self.suns[index], self.view_vectors[index], visibility, self.ambient[index])
@@ -123,7 +130,8 @@ class ReflectiveScene(SurfaceScene):
             ambient: ``[C]`` share of the light that reaches shade.
         """
         amplitude, shape = self.values()
-        light = radiance_factor(self.kind, self.normals(), sun, towards, amplitude, shape)
+        plain = self.plain_share()
+        light = radiance_factor(self.kind, self.normals(), sun, towards, amplitude, shape, plain=plain)
         if self.has_sky:
             light = light if visibility is None else visibility[..., None] * light
             around = self.sky_share * self.sky
@@ -162,8 +170,7 @@ class ReflectiveScene(SurfaceScene):
             own["identifiable"] = self.identifiable
         if self.has_sky:
             own |= {"sky": self.sky, "sky_share": self.sky_share}
-        if self.opened.numel():
-            own["opened"] = self.opened
+        own |= {name: part for name in ("opened", "plain") if (part := getattr(self, name)).numel()}
         return {**super().tensors(), **own}
 
     def resized(self, shape: tuple[int, int], extent: tuple[float, float]) -> SurfaceScene:
@@ -215,6 +222,7 @@ class ReflectiveScene(SurfaceScene):
             self.sky.reshape(count, -1) if self.has_sky else None,
             self.sky_share,
             torch.stack(values).reshape(len(views), count),
+            self.plain if self.plain.numel() else None,
         )
 
     @torch.no_grad()
@@ -260,7 +268,9 @@ class ReflectiveScene(SurfaceScene):
         """The samples with the sky's gain, for the present heights and materials."""
         amplitude, shape = self.values()
         height, normal = self.casting().detach(), self.normals().detach()
-        self.sky, opened = sky_gain(self.kind, height, normal, self.cell_size, amplitude.detach(), shape)
+        self.sky, opened = sky_gain(
+            self.kind, height, normal, self.cell_size, amplitude.detach(), shape, plain=self.plain_share()
+        )
         if self.opened.numel():
             self.opened = opened
         return replace(whole, sky=self.sky.reshape(whole.normal.shape[0], -1), share=self.sky_share)
@@ -335,7 +345,7 @@ class ReflectiveScene(SurfaceScene):
         self.frozen = normal.reshape(*self.height.shape, 3)
         whole = replace(whole, normal=normal)
         self.identifiable = self.abundances @ known_share(self.kind, solution).to(self.abundances)
-        self.correlation = shape_correlation(solution)
+        self.correlation = shape_correlation(solution, whole.plain)
         std = parameter_std(self.kind, whole, amplitude, solution)
         self.albedo = standard_reflectance(self)
         rows, cols = self.height.shape
@@ -344,22 +354,25 @@ class ReflectiveScene(SurfaceScene):
 
 def standard_reflectance(scene: ReflectiveScene) -> Tensor:
     """BRF ``[H, W, C]`` of level ground seen from above, the sun `STANDARD_SUN_DEG` from the vertical."""
-    return level_reflectance(scene.kind, *scene.values())
+    return level_reflectance(scene.kind, *scene.values(), plain=scene.plain_share())
 
 
-def level_reflectance(kind: Kind, amplitude: Tensor, shape: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+def level_reflectance(
+    kind: Kind, amplitude: Tensor, shape: tuple[Tensor, Tensor, Tensor], *, plain: Tensor | None = None
+) -> Tensor:
     """`standard_reflectance` ``[H, W, C]`` of an amplitude ``[H, W, C]`` and shape parameters ``[H, W]``.
 
     Args:
         kind: model.
         amplitude: w or rho0.
         shape: in their own units.
+        plain: share ``[H, W]`` of the ground that reflects as Lambert's law has it, or None.
     """
     up = amplitude.new_tensor([0.0, 0.0, 1.0])
     tilt = math.radians(STANDARD_SUN_DEG)
     sun = amplitude.new_tensor([math.sin(tilt), 0.0, math.cos(tilt)])
     level = up.expand(*amplitude.shape[:-1], 3)
-    return radiance_factor(kind, level, sun, up, amplitude, shape) / math.cos(tilt)
+    return radiance_factor(kind, level, sun, up, amplitude, shape, plain=plain) / math.cos(tilt)
 
 
 def restored(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -26,6 +27,9 @@ CELLS = 3000
 OUTLIER = 5.0  # residuals beyond this many standard deviations are something else than reflectance
 STANDARD_ERRORS = 2.0  # twice what is asked for at least: a wrong step up the ladder costs more than a missing one
 PLAIN_ROUNDS = 10
+MOSTLY = 0.5  # abundance from which a cell is one of a material's
+LEAST_BLOCKS = 12  # of a material, that say whether it needs a model
+LEAST_PART, SURE_ERRORS, SURE_GAIN = 0.05, 4.0, 0.1  # of a material that alone needs a model: ground, certainty, gain
 LEAST_GAIN = 0.01  # share of the held-out error that a richer model must take away
 
 
@@ -44,8 +48,110 @@ def extreme_views(s: Samples) -> list[int]:
     return list(dict.fromkeys([order[0], order[-1]]))
 
 
+@dataclass(frozen=True)
+class Need:
+    """Whether a material needs a model, by held-out views: what it takes from the error of Lambert's law there.
+
+    Attributes:
+        material: its number.
+        share: of the cells that are mostly of it.
+        gain: share of the error that the model takes away; below 0 = it errs by more.
+        doubt: standard error of that; infinite where too few blocks say anything.
+    """
+
+    material: int
+    share: float
+    gain: float
+    doubt: float
+
+    @property
+    def known(self) -> bool:
+        """Whether there is enough of it to tell."""
+        return math.isfinite(self.doubt)
+
+    @property
+    def needed(self) -> bool:
+        """Whether it keeps the model of the scene: a small material unless it surely does without."""
+        doubt = STANDARD_ERRORS * self.doubt
+        if not self.known or self.gain > max(doubt, LEAST_GAIN):
+            return True
+        return self.share < LEAST_PART and self.gain + doubt > LEAST_GAIN
+
+    @property
+    def surely(self) -> bool:
+        """Whether the model is needed even if the scene as a whole does without: one material of many may look so."""
+        return self.share >= LEAST_PART and self.gain > max(SURE_ERRORS * self.doubt, SURE_GAIN)
+
+    def told(self, kind: Kind, taken: bool) -> str:
+        """The reason, as a line."""
+        return (
+            f"brdf auto: material {self.material + 1} ({100 * self.share:.0f} % of the ground): {kind} changes the "
+            f"error of held-out views by {-100 * self.gain:+.1f} % (standard error {100 * self.doubt:.1f} %) of "
+            + (f"lambert's: took {kind}" if taken else "lambert's, which is enough")
+        )
+
+
+class _Held:
+    """Errors of held-out views, by model and by material."""
+
+    def __init__(self, s: Samples, block: Tensor, relative: bool) -> None:
+        self.s, self.block, self.relative = s, block, relative
+        self.views = extreme_views(s)
+        self.scored = (block % 2 == 1) if relative else torch.ones_like(block, dtype=torch.bool)
+        self.own = s.abundances > MOSTLY
+        self._modelled: dict[Kind, list[Tensor]] = {}
+        self._plain: dict[Kind, list[Tensor]] = {}
+
+    def errors(self, predicted: list[Tensor]) -> Tensor:
+        """Mean error ``[N]`` over the held-out views."""
+        found = [_error(p, self.s, j, self.block, self.relative) for p, j in zip(predicted, self.views, strict=True)]
+        return torch.stack(found).mean(0)
+
+    def modelled(self, kind: Kind) -> list[Tensor]:
+        """Held-out views by the model."""
+        if kind not in self._modelled:
+            self._modelled[kind] = [_modelled(kind, self.s, j) for j in self.views]
+        return self._modelled[kind]
+
+    def mixed(self, kind: Kind, rich: Tensor) -> list[Tensor]:
+        """The same where some materials ``[K]`` have the model and the others Lambert's law."""
+        if kind not in self._plain:
+            self._plain[kind] = [_all_plain(kind, self.s, j) for j in self.views]
+        mostly = (self.s.abundances @ rich.to(self.s.abundances) > MOSTLY)[:, None]
+        pairs = zip(self.modelled(kind), self._plain[kind], strict=True)
+        return [torch.where(mostly, one, other) for one, other in pairs]
+
+    def gain(self, before: Tensor, after: Tensor, cells: Tensor) -> tuple[float, float]:
+        """Share of the error ``before`` ``[N]`` that is gone ``after`` in some cells, and its standard error."""
+        cells = cells & self.scored
+        if len(torch.unique(self.block[cells])) < LEAST_BLOCKS:
+            return 0.0, math.inf
+        level = max(typical(before[cells], self.block[cells])[0], 1e-12)
+        usual, error = typical((before - after)[cells], self.block[cells])
+        return usual / level, error / level
+
+    def needs(self, kind: Kind) -> list[Need]:
+        """What every material gains by a model."""
+        count = self.own.shape[1]
+        every, none = torch.ones(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
+        with_it, without = self.errors(self.mixed(kind, every)), self.errors(self.mixed(kind, none))
+        usual = torch.tensor([self.gain(without, with_it, self.own[:, k])[0] > 0 for k in range(count)])
+        found = []
+        for k in range(count):
+            # as the others do best: a view's scale is found from all of them
+            one, other = usual.clone(), usual.clone()
+            one[k], other[k] = True, False
+            errors = [self.errors(self.mixed(kind, rich)) for rich in (other, one)]
+            gain, doubt = self.gain(errors[0], errors[1], self.own[:, k])
+            found.append(Need(k, float(self.own[:, k].float().mean()), gain, doubt))
+        return found
+
+
 def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
     """Climb from Lambert to RPV to Hapke on shared geometry; each is fitted without a view and has to predict it.
+
+    Where that leaves Lambert or RPV, the materials are asked one by one: ground of which some is Lambert's errs by more
+    under a richer model as a whole, whatever the rest of it gains.
 
     Args:
         s: cells as the views see them; at least three views.
@@ -55,26 +161,78 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
     """
     if len(s.views) < 3:
         return Choice("lambert", [f"brdf auto: {len(s.views)} views leave none to hold out; kept lambert"])
-    held = extreme_views(s)
-    scored = (block % 2 == 1) if relative else torch.ones_like(block, dtype=torch.bool)
-    errors: dict[str, list[Tensor]] = {"lambert": [_error(_plain(s, j), s, j, block, relative) for j in held]}
+    held = _Held(s, block, relative)
+    errors = {"lambert": held.errors([_plain(s, j) for j in held.views])}
     best: Model = "lambert"
     notes = []
     for kind in LADDER:
-        errors[kind] = [_error(_modelled(kind, s, j), s, j, block, relative) for j in held]
-        # how much less the richer model errs in every cell, over the held-out views
-        gain = torch.stack(errors[best]).mean(0) - torch.stack(errors[kind]).mean(0)
-        before, _ = typical(torch.stack(errors[best]).mean(0)[scored], block[scored])
-        usual, error = typical(gain[scored], block[scored])
-        better = usual > STANDARD_ERRORS * error and usual > LEAST_GAIN * before
+        errors[kind] = held.errors(held.modelled(kind))
+        gain, doubt = held.gain(errors[best], errors[kind], torch.ones_like(held.scored))
+        better = gain > max(STANDARD_ERRORS * doubt, LEAST_GAIN)
         notes.append(
-            f"brdf auto: {kind} changes the error of held-out views by {-100 * usual / max(before, 1e-12):+.1f} % "
-            f"(standard error {100 * error / max(before, 1e-12):.1f} %) of {best}'s: "
-            + (f"took {kind}" if better else f"kept {best}")
+            f"brdf auto: {kind} changes the error of held-out views by {-100 * gain:+.1f} % "
+            f"(standard error {100 * doubt:.1f} %) of {best}'s: " + (f"took {kind}" if better else f"kept {best}")
         )
         if better:
             best = kind
+    return _by_material(held, best, notes) if s.abundances.shape[1] > 1 and best != LADDER[-1] else Choice(best, notes)
+
+
+def _by_material(held: _Held, whole: Model, notes: list[str]) -> Choice:
+    """The model for a scene of which some materials need none, where all ground together chose ``whole``."""
+    best = whole
+    rich: dict[Model, Tensor] = {}
+    for kind in LADDER:
+        needs = held.needs(kind)
+        if whole == "lambert":
+            rich[kind] = torch.tensor([need.surely for need in needs])
+            told = [need for need in needs if need.surely]
+        else:
+            rich[kind] = torch.tensor([need.needed for need in needs])
+            told = []
+        if kind == whole or not rich[kind].any():
+            if rich[kind].all():
+                break
+            continue
+        if best == "lambert":
+            best = kind
+            notes += [need.told(kind, taken=True) for need in told]
+            continue
+        # compared where either has a say
+        cells = held.own[:, rich[best] | rich[kind]].any(1)
+        before, after = (held.errors(held.mixed(k, rich[k])) for k in (best, kind))
+        gain, doubt = held.gain(before, after, cells)
+        if gain > max(STANDARD_ERRORS * doubt, LEAST_GAIN):
+            notes.append(
+                f"brdf auto: without the materials that need none, {kind} changes the error of held-out views by "
+                f"{-100 * gain:+.1f} % (standard error {100 * doubt:.1f} %) of {best}'s: took {kind}"
+            )
+            best = kind
     return Choice(best, notes)
+
+
+def plain_materials(kind: Kind, s: Samples, block: Tensor, relative: bool) -> tuple[Tensor, list[str]]:
+    """Which materials do without the model: 1 = Lambert's law predicts held-out views of it as well ``[K]``, else 0.
+
+    A material of too few cells to tell keeps the model, and all do where none is found to need it: the scene does.
+
+    Args:
+        kind: model of the scene.
+        s: cells as the views see them; at least three views.
+        block: ``[N]`` number of the block that each cell lies in.
+        relative: see `choose_model`.
+
+    Returns:
+        That, and what was found of every material.
+    """
+    count = s.abundances.shape[1]
+    if count < 2 or len(s.views) < 3:
+        return s.abundances.new_zeros(count), []
+    needs = _Held(s, block, relative).needs(kind)
+    plain = torch.tensor([not need.needed for need in needs]).to(s.abundances)
+    if plain.all():
+        return torch.zeros_like(plain), []
+    return plain, [need.told(kind, need.needed) for need in needs if need.known]
 
 
 def _without(s: Samples, j: int) -> Samples:
@@ -111,6 +269,14 @@ def _modelled(kind: Kind, s: Samples, j: int) -> Tensor:
     return predict(kind, _only(s, j), amplitude, solution.endmembers)[0]
 
 
+def _all_plain(kind: Kind, s: Samples, j: int) -> Tensor:
+    """View j ``[N, C]`` by Lambert's law fitted to the others, in the terms of a model."""
+    flat = replace(s, plain=s.abundances.new_ones(s.abundances.shape[1]))
+    endmembers = start_endmembers(kind, s.abundances.shape[-1], s.normal)
+    amplitude, _ = solve_amplitudes(kind, _without(flat, j), endmembers, rounds=8)
+    return predict(kind, _only(flat, j), amplitude, endmembers)[0]
+
+
 def _error(predicted: Tensor, s: Samples, j: int, block: Tensor, relative: bool) -> Tensor:
     """Bounded squared error ``[N]`` of a prediction ``[N, C]`` of view j, in units of its noise; 0 where not seen."""
     seen, weight = s.seen[j], s.weight[j] * (_without(s, j).weight.sum(0) >= 2)
@@ -140,4 +306,4 @@ def draw(s: Samples, shape: tuple[int, int], seed: int) -> tuple[Samples, Tensor
     return s.subset(chosen), blocks_of(shape)[chosen]
 
 
-__all__ = ["Choice", "choose_model", "draw", "extreme_views"]
+__all__ = ["Choice", "choose_model", "draw", "extreme_views", "plain_materials"]

@@ -56,6 +56,8 @@ def sky_gain(
     cell_size: float,
     amplitude: Tensor,
     shape: tuple[Tensor, Tensor, Tensor],
+    *,
+    plain: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Light ``[H, W, C]`` that a cell sends up of a sky of share 1, over `diffuse` of its amplitude, and its open sky.
 
@@ -69,6 +71,7 @@ def sky_gain(
         cell_size: edge of a cell [m].
         amplitude: ``[H, W, C]`` within its range.
         shape: three ``[H, W]``.
+        plain: share ``[H, W]`` of the ground that reflects as Lambert's law has it, or None.
     """
     from sattools.render import sun_visibility
 
@@ -76,11 +79,12 @@ def sky_gain(
     height, normal, amplitude = (_thinned(part) for part in (height, normal, amplitude))
     normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-6)
     shape = (_thinned(shape[0]), _thinned(shape[1]), _thinned(shape[2]))
+    plain = None if plain is None else _thinned(plain)
     up = normal.new_tensor([0.0, 0.0, 1.0])
     total, opened = torch.zeros_like(amplitude), torch.zeros_like(height)
     for direction, weight in sky_directions():
         seen, towards = sun_visibility(height, EVERY * cell_size, direction), normal.new_tensor(direction)
-        light = radiance_factor(kind, normal, towards, up, amplitude, shape)
+        light = radiance_factor(kind, normal, towards, up, amplitude, shape, plain=plain)
         total += weight * seen[..., None] * light
         opened += weight * seen * (normal @ towards).clamp_min(0)
     found = total / diffuse(kind, amplitude).clamp_min(1e-4), opened.clamp_max(1.0)

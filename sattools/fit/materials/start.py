@@ -12,6 +12,7 @@ from sattools.fit.materials.inversion import start_endmembers
 from sattools.fit.materials.normals import surface_normals
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse
 from sattools.fit.materials.scene import LIT, ReflectiveScene, Sky
+from sattools.fit.materials.selection import draw, plain_materials
 from sattools.fit.materials.sky import deep_shade
 from sattools.fit.materials.steps import normals_within, smooth_heights
 from sattools.fit.surface.scene import SurfaceScene
@@ -36,6 +37,7 @@ def reflective(
     solve: bool = True,
     sky: Sky = "none",
     bounce: bool = False,
+    by_material: bool = False,
     cast: Cast = sun_visibility,
 ) -> tuple[ReflectiveScene, list[Tensor]]:
     """A scene with a reflectance model from one without: materials by colour, parameters by inversion.
@@ -53,6 +55,7 @@ def reflective(
         solve: find endmembers and amplitudes, too.
         sky: light of the sky: none, fitted, auto = fitted and kept if it is surely there, or its share per band.
         bounce: with a sky, the ground around sends light as well.
+        by_material: let materials that do without the model reflect as Lambert's law has it.
         cast: sun visibility of heights on cells under a sun.
 
     Returns:
@@ -85,7 +88,13 @@ def reflective(
         smooth=smooth,
     )
     if solve:
-        modelled.solve(views, visibility, 8, amplitudes=True)
+        whole, _ = modelled.solve(views, visibility, 8, amplitudes=True)
+        if by_material:
+            cells, block = draw(whole, (height.shape[0], height.shape[1]), seed)
+            plain, modelled.reasons = plain_materials(kind, cells, block, not scene.absolute)
+            if plain.any():
+                modelled.plain = plain
+                modelled.solve(views, visibility, 8, amplitudes=True)
         if sky != "none":
             modelled.add_sky(views, visibility, sky, bounce)
         modelled.ambient = ambient_in_shade(modelled, shaded)

@@ -83,15 +83,16 @@ def known_share(kind: Kind, solution: Solution) -> Tensor:
 
 
 @torch.no_grad()
-def shape_correlation(solution: Solution) -> float:
+def shape_correlation(solution: Solution, plain: Tensor | None = None) -> float:
     """Correlation of the errors of the first two shape parameters (b and c, k and Theta), median over the endmembers.
 
     Args:
         solution: of the inversion.
+        plain: ``[K]`` 1 = the endmember has no shape and does not count; or None.
     """
     count = solution.endmembers.shape[0]
     blocks = solution.covariance.reshape(count, 3, count, 3)
-    own = torch.stack([blocks[k, :, k] for k in range(count)])
+    own = torch.stack([blocks[k, :, k] for k in range(count) if plain is None or not plain[k]])
     return float((own[:, 0, 1] / (own[:, 0, 0] * own[:, 1, 1]).sqrt()).median())
 
 

@@ -64,6 +64,7 @@ class SurfaceJob:
     coarse: Coarse | None = None
     around: Around | None = None
     basis: JsonObject = field(default_factory=dict)  # of a checkpoint, see `Interrupted`
+    by_material: bool = False  # the reflectance model may be left out for materials that do without it
     lasting: bool = True  # leaves checkpoints; the start of another field is fitted anew
 
     def run(self, progress: Progress) -> tuple[SurfaceScene, Grid, list[str]]:
@@ -216,6 +217,7 @@ class SurfaceJob:
             seed=options.seed,
             sky=options.sky_share or options.sky,
             bounce=options.bounce,
+            by_material=self.by_material,
             cast=self._cast,
         )
         return modelled
