@@ -39,6 +39,8 @@ class Registration:
     method: Method
     correlation: float | None = None
     """Zero-mean normalised cross-correlation at the shift found; None where none was computed."""
+    peak: tuple[float, float] | None = None
+    """Where the correlation around the shift peaks: (columns, rows) beyond its whole cells, within half a cell."""
 
     def metres(self, cell_size: float) -> tuple[float, float, float]:
         """Shift as (east, north, up) in metres."""
@@ -87,9 +89,9 @@ def register(predicted: np.ndarray, reference: np.ndarray, method: Method = "ncc
         raise InputError(f"registration: found {method!r}, expected one of {', '.join(METHODS)}")
     if method == "none":
         return Registration(0.0, 0.0, 0.0, method)
-    columns, rows, correlation = 0.0, 0.0, None
+    columns, rows, correlation, peak = 0.0, 0.0, None, None
     if method == "ncc":
-        whole_rows, whole_columns, correlation = _ncc_shift(predicted, reference, margin)
+        whole_rows, whole_columns, correlation, peak = _ncc_shift(predicted, reference, margin)
         columns, rows = float(whole_columns), float(whole_rows)
     elif method == "nuth-kaab":
         columns, rows = _nuth_kaab_shift(predicted, reference, margin)
@@ -100,7 +102,7 @@ def register(predicted: np.ndarray, reference: np.ndarray, method: Method = "ncc
         count, total = count + difference.size, total + float(difference.sum(dtype=np.float64))
     if not count:
         raise InputError("prediction: found no cell in common with the reference, expected overlap")
-    return Registration(columns, rows, total / count, method, correlation)
+    return Registration(columns, rows, total / count, method, correlation, peak)
 
 
 def shifted(
@@ -138,8 +140,10 @@ def shifted(
     return result
 
 
-def _ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) -> tuple[int, int, float]:
-    """Whole-cell shift (rows, columns) of largest zero-mean normalised cross-correlation, and that correlation.
+def _ncc_shift(
+    predicted: np.ndarray, reference: np.ndarray, margin: int = 0
+) -> tuple[int, int, float, tuple[float, float]]:
+    """Whole-cell shift (rows, columns) of largest zero-mean normalised cross-correlation, that, and `Registration.peak`.
 
     From coarse (at most 100 cells a side) to fine, within ±5 cells of the coarser level's shift; cells that are NaN
     in either raster do not count. Where nothing correlates (a constant surface) the shift stays zero.
@@ -157,12 +161,12 @@ def _ncc_shift(predicted: np.ndarray, reference: np.ndarray, margin: int = 0) ->
     pairs = [(predicted, reference)]
     for _ in range(levels):
         pairs.append((halved(pairs[-1][0]), halved(pairs[-1][1])))
-    rows, columns, best = 0, 0, 0.0
+    rows, columns, best, peak = 0, 0, 0.0, (0.0, 0.0)
     for level in range(levels, -1, -1):
         rows, columns = 2 * rows * (level < levels), 2 * columns * (level < levels)
         coarse_predicted, coarse_reference = pairs[level]
-        rows, columns, best = _search(coarse_predicted, coarse_reference, margin >> level, rows, columns)
-    return rows, columns, best
+        rows, columns, best, peak = _search(coarse_predicted, coarse_reference, margin >> level, rows, columns)
+    return rows, columns, best, peak
 
 
 def halved(array: np.ndarray) -> np.ndarray:
@@ -289,8 +293,11 @@ def _box(array: np.ndarray, top: int, left: int, height: int, width: int) -> np.
 
 def _search(
     predicted: np.ndarray, reference: np.ndarray, margin: int, rows: int, columns: int
-) -> tuple[int, int, float]:
-    """Best whole-cell shift within ±5 cells of (rows, columns); nearer shifts win ties."""
+) -> tuple[int, int, float, tuple[float, float]]:
+    """Best whole-cell shift within ±5 cells of (rows, columns), its correlation and `Registration.peak`.
+
+    Nearer shifts win ties.
+    """
     height, width = reference.shape
     offsets = range(-SEARCH_CELLS, SEARCH_CELLS + 1)
     trials = sorted(((dr, dc) for dr in offsets for dc in offsets), key=lambda t: t[0] ** 2 + t[1] ** 2)
@@ -322,11 +329,29 @@ def _search(
         scores.append((count, -np.inf if flat else (mean_rp - mean_r * mean_p) / np.sqrt(var_r * var_p)))
     # a small overlap correlates by chance: it needs half the cells of the largest one to count
     enough = 0.5 * max(count for count, _ in scores)
-    best, place = -np.inf, (rows, columns)
-    for (dr, dc), (count, score) in zip(trials, scores, strict=True):
+    best, place = -np.inf, (0, 0)
+    for trial, (count, score) in zip(trials, scores, strict=True):
         if count >= enough and score > best + 1e-12:
-            best, place = score, (rows + dr, columns + dc)
-    return *place, min(float(best), 1.0) if np.isfinite(best) else 0.0
+            best, place = score, trial
+    found = {trial: score for trial, (count, score) in zip(trials, scores, strict=True) if count >= enough}
+    peak = _peak([found.get((place[0] + k // 3 - 1, place[1] + k % 3 - 1), np.nan) for k in range(9)])
+    return rows + place[0], columns + place[1], min(float(best), 1.0) if np.isfinite(best) else 0.0, peak
+
+
+def _peak(scores: list[float]) -> tuple[float, float]:
+    """Where a quadratic surface through the scores of 3 x 3 cells peaks: (columns, rows) from the middle, within half one.
+
+    (0, 0) where it has no peak, or a score is not known.
+    """
+    if not np.isfinite(scores).all():
+        return 0.0, 0.0
+    y, x = (part.ravel() for part in np.mgrid[-1:2, -1:2])
+    design = np.stack([np.ones(9), x, y, x * x / 2, x * y, y * y / 2], axis=1)
+    _, east, south, xx, xy, yy = np.linalg.lstsq(design, np.array(scores), rcond=None)[0]
+    if xx >= -1e-12 or xx * yy - xy * xy <= 1e-24:
+        return 0.0, 0.0
+    column, row = np.linalg.solve([[xx, xy], [xy, yy]], [-east, -south]).clip(-0.5, 0.5)
+    return float(column), float(row)
 
 
 def _mean(array: np.ndarray) -> float:

@@ -169,7 +169,7 @@ def compare_surface(surface: Surface, truth: Truth, method: Method = "ncc", fold
     figures, difference = errors_of(moved, reference, truth.classes, grid.cell_size, limited=method != "none")
     figures |= {
         "shift_m": [round(value, 4) for value in shift.metres(grid.cell_size)],
-        "registration": {"method": shift.method, "correlation": shift.correlation},
+        "registration": {"method": shift.method, "correlation": shift.correlation, "peak_cells": shift.peak},
         "protocol": truth.protocol,
         "reference": truth.name,
         "mask": truth.mask_text(),

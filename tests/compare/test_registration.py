@@ -46,6 +46,20 @@ def test_whole_cell_shift_and_height_offset_are_recovered_with_their_signs() -> 
     assert found.correlation == pytest.approx(1.0)
 
 
+def test_where_the_correlation_peaks_between_two_cells_is_told() -> None:
+    world = hills(261)
+    reference = world[30:230, 30:230]
+    # 0.1 cells west and 0.4 north of where it belongs
+    predicted = shifted(np.pad(world, 10, constant_values=np.nan), -0.1, -0.4, 10)[20:240, 20:240]
+    found = register(predicted, reference, margin=10)
+    assert (found.columns, found.rows) == (0, 0)
+    # heights between cells are linear, which smooths them
+    assert found.peak == pytest.approx((0.1, 0.4), abs=0.01)
+    flat = register(np.zeros((80, 80)), np.zeros((60, 60)), margin=10)
+    assert flat.peak == (0.0, 0.0)
+    assert register(predicted, reference, "z", margin=10).peak is None
+
+
 def test_shift_of_five_cells_of_the_coarsest_of_four_levels_is_found() -> None:
     world = blocks(700, seed=3)
     margin = search_margin((512, 512))

@@ -138,7 +138,8 @@ def share_in_shade(ratio: Tensor, shade: Tensor, shape: tuple[int, ...]) -> tupl
         return ratio.new_zeros(ratio.shape[-1]), 0.0
     weight = shade[:, dark, None]
     light = (weight * ratio[:, dark].nan_to_num(0.0)).sum(0) / weight.sum(0)  # [N, C]
-    found = [typical(light[:, band], block) for band in range(light.shape[1])]
+    # sunlight that strays in, past heights and by optics, only ever adds
+    found = [typical(light[:, band], block, strayed=True) for band in range(light.shape[1])]
     share = ratio.new_tensor([value for value, _ in found]).clamp_min(0.0)
     if float(share.max()) > BRIGHTEST:
         return torch.zeros_like(share), 0.0
