@@ -143,7 +143,7 @@ def shifted(
 def _ncc_shift(
     predicted: np.ndarray, reference: np.ndarray, margin: int = 0
 ) -> tuple[int, int, float, tuple[float, float]]:
-    """Whole-cell shift (rows, columns) of largest zero-mean normalised cross-correlation, that, and `Registration.peak`.
+    """Whole-cell shift (rows, columns) of largest zero-mean normalised cross-correlation, that, and where it peaks.
 
     From coarse (at most 100 cells a side) to fine, within ±5 cells of the coarser level's shift; cells that are NaN
     in either raster do not count. Where nothing correlates (a constant surface) the shift stays zero.
@@ -329,17 +329,18 @@ def _search(
         scores.append((count, -np.inf if flat else (mean_rp - mean_r * mean_p) / np.sqrt(var_r * var_p)))
     # a small overlap correlates by chance: it needs half the cells of the largest one to count
     enough = 0.5 * max(count for count, _ in scores)
-    best, place = -np.inf, (0, 0)
-    for trial, (count, score) in zip(trials, scores, strict=True):
-        if count >= enough and score > best + 1e-12:
-            best, place = score, trial
+    # nearer shifts come first
     found = {trial: score for trial, (count, score) in zip(trials, scores, strict=True) if count >= enough}
+    best, place = -np.inf, (0, 0)
+    for shift, score in found.items():
+        if score > best + 1e-12:
+            best, place = score, shift
     peak = _peak([found.get((place[0] + k // 3 - 1, place[1] + k % 3 - 1), np.nan) for k in range(9)])
     return rows + place[0], columns + place[1], min(float(best), 1.0) if np.isfinite(best) else 0.0, peak
 
 
 def _peak(scores: list[float]) -> tuple[float, float]:
-    """Where a quadratic surface through the scores of 3 x 3 cells peaks: (columns, rows) from the middle, within half one.
+    """Where a quadratic surface through the scores of 3 x 3 cells peaks: (columns, rows), within half a cell.
 
     (0, 0) where it has no peak, or a score is not known.
     """
