@@ -9,7 +9,7 @@ against choice. lambert, rpv and hapke have 7 training views within 18 degrees o
 span more than 40 degrees. "rpv half" and "hapke half" are as wide, with two of the four units Lambert's; they are
 fitted to the end with `auto`, and with the model of the others for all ground. Printed are the share of the ground that
 got the right one of the two, and the amplitude's RMSE over its mean where ground is Lambert's, and elsewhere.
-Seeds 100 to 199 were used for tuning, those below 320 for "half".
+Seeds 100 to 199 were used for tuning, those below 320, and towns, for "half".
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ STANDARD_ERRORS = 2.0  # twice what is asked for at least: a wrong step up the l
 PLAIN_ROUNDS = 10
 MOSTLY = 0.5  # abundance from which a cell is one of a material's
 LEAST_BLOCKS = 12  # of a material, that say whether it needs a model
-LEAST_PART, SURE_ERRORS, SURE_GAIN = 0.05, 4.0, 0.1  # of a material that alone needs a model: ground, certainty, gain
+LEAST_PART, SURE_ERRORS, SURE_GAIN = 0.05, 4.0, 0.5  # of a material that alone needs a model: ground, certainty, gain
 LEAST_GAIN = 0.01  # share of the held-out error that a richer model must take away
 
 
@@ -230,7 +230,7 @@ def plain_materials(kind: Kind, s: Samples, block: Tensor, relative: bool) -> tu
         return s.abundances.new_zeros(count), []
     needs = _Held(s, block, relative).needs(kind)
     plain = torch.tensor([not need.needed for need in needs]).to(s.abundances)
-    if plain.all():
+    if not any(need.known and need.needed for need in needs):
         return torch.zeros_like(plain), []
     return plain, [need.told(kind, need.needed) for need in needs if need.known]
 
