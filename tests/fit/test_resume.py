@@ -110,6 +110,16 @@ def test_interrupted_anywhere_and_resumed(whole: Any, make_hamlet: Any) -> None:
         assert len(rows) == 1 + 10 + 9
 
 
+def test_a_resumed_fit_tells_why_its_light_was_chosen(make_hamlet: Any) -> None:
+    options = replace(SHORT, shadow="auto", transient="auto")
+    notes = fit(make_hamlet("TOLD"), options)["notes"]
+    scene = make_hamlet("CUT_TOLD")
+    with pytest.raises(Interrupted):
+        fit(scene, options, interrupt_after(6))
+    assert any(note.startswith("shadow ") for note in notes)
+    assert fit(scene, replace(options, resume=True))["notes"] == notes
+
+
 def test_killed_at_a_random_moment_and_resumed(make_hamlet: Any) -> None:
     reference, scene = make_hamlet("WHOLE"), make_hamlet("KILLED")
     command = ["--threads", "1", "--progress", "json", "fit", *LONGER]
