@@ -112,6 +112,10 @@ def check_checkpoint(path: Path, basis: JsonObject) -> None:
         old, new = found.get(name), basis.get(name)
         if old == new:
             continue
+        if name.startswith("--") and name not in found:
+            raise SceneError(
+                f"{path}: found a checkpoint of an earlier version, without {name}, expected this one's; {ANEW}"
+            )
         if name.startswith("--"):
             raise SceneError(
                 f"{path}: found a checkpoint of other options ({name} {shown(old)}), expected {name} {shown(new)}; "

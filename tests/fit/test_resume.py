@@ -269,6 +269,14 @@ def test_a_checkpoint_of_another_scene_is_refused_before_an_image_is_read(
             begin(begun, replace(SHORT, resume=True))
 
 
+def test_a_checkpoint_of_an_earlier_version_is_told_by_the_option_that_it_lacks(begun: Scene) -> None:
+    tensors, description = load(begun.root / "fit/checkpoint.safetensors")
+    del description["basis"]["--precision"]
+    save(begun.root / "fit/checkpoint.safetensors", tensors, description)
+    with pytest.raises(SceneError, match="found a checkpoint of an earlier version, without --precision, expected"):
+        check_start(begun, replace(SHORT, resume=True))
+
+
 def test_resuming_on_another_prior_is_refused(make_hamlet: Any) -> None:
     scene = make_hamlet()
     with_prior = replace(SHORT, prior_weight=1.0)
