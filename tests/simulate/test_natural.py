@@ -205,7 +205,7 @@ def test_passes_need_natural_ground_and_a_sun_above_the_horizon() -> None:
 
 def test_plain_units_are_some_of_ground_that_has_a_model(tmp_path: Path) -> None:
     """All of Lambertian ground is plain: a map that gave a part of it to Lambert's law would be wrong elsewhere."""
-    lambert = SimulateOptions(**{**PAIR, "reflectance": "lambert", "plain_units": 1})
+    lambert = SimulateOptions(**{**PAIR, "reflectance": "lambert", "plain_units": 2})
     assert "truth_lambert_share" not in simulate(lambert, tmp_path).products
     assert without_effect(lambert, ["plain_units"]) == {
         "plain_units": "found --reflectance lambert, expected rpv or hapke"
