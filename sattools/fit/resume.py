@@ -41,6 +41,7 @@ class Interrupted:
         rows: of the trace so far.
         stage, epoch: where a surface is; step: where a field of rays is.
         illumination: of a surface.
+        light: why that was chosen; reasons: for which materials a model was, and sky_ratio: see `ReflectiveScene`.
         basis: what was known before an image was read, see `sattools.fit.inputs.basis_of`; older checkpoints have none.
     """
 
@@ -51,6 +52,9 @@ class Interrupted:
     epoch: int = 0
     step: int = 0
     illumination: IlluminationOptions | None = None
+    light: list[str] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+    sky_ratio: float = 0.0
     basis: JsonObject = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
@@ -108,6 +112,10 @@ def check_checkpoint(path: Path, basis: JsonObject) -> None:
         old, new = found.get(name), basis.get(name)
         if old == new:
             continue
+        if name.startswith("--") and name not in found:
+            raise SceneError(
+                f"{path}: found a checkpoint of an earlier version, without {name}, expected this one's; {ANEW}"
+            )
         if name.startswith("--"):
             raise SceneError(
                 f"{path}: found a checkpoint of other options ({name} {shown(old)}), expected {name} {shown(new)}; "

@@ -118,6 +118,8 @@ class SimulateOptions:
         if self.passes > 1 and self.terrain != "natural":
             raise InputError(f"--passes: found --terrain {self.terrain}, expected natural (a city has --dates)")
         if self.terrain == "natural":
+            if self.plain_units > self.units:
+                raise InputError(f"--plain-units: found {self.plain_units}, expected at most --units, {self.units}")
             self.bits = 12
         elif self.bits not in (8, 11):
             raise InputError(f"--bits: found {self.bits}, expected 8 or 11 for a city")
@@ -138,6 +140,8 @@ def without_effect(options: SimulateOptions, given: Iterable[str]) -> dict[str, 
     natural, found = options.terrain == "natural", f"found --terrain {options.terrain}, expected"
     idle = dict.fromkeys(TOWN_ONLY, f"{found} city or downtown") if natural else {}
     idle |= {} if natural else dict.fromkeys(NATURAL_ONLY, f"{found} natural")
+    if natural and options.reflectance == "lambert":
+        idle["plain_units"] = "found --reflectance lambert, expected rpv or hapke"
     if options.dsm is not None:
         idle = dict.fromkeys(WITHOUT_DSM_ONLY, "found --dsm, expected none") | idle
     elif not natural:

@@ -1,12 +1,14 @@
 """`--brdf auto` by material: ground that Lambert's law explains has no other model, whatever the rest of it needs."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from made_up_cells import made_up, unit
+from towns import copied
 
 from sattools.compare.brdf import Place, place_in
 from sattools.export.options import ExportOptions
@@ -100,7 +102,8 @@ def test_one_material_that_needs_a_model_is_enough_to_take_it() -> None:
     assert "kept lambert" in choice.notes[0]
     assert "kept lambert" in choice.notes[1]
     assert choice.model in ("rpv", "hapke")
-    assert "material 5 (" in choice.notes[2]
+    # materials are found again on the fitted surface, where the same one may have another number
+    assert "auto: one material (" in choice.notes[2]
 
 
 def test_ground_of_lamberts_law_alone_takes_no_model_for_one_material_of_many() -> None:
@@ -124,6 +127,12 @@ def test_shapes_of_plain_materials_stay_their_prior_and_count_as_unknown() -> No
     torch.testing.assert_close(solution.endmembers[1:], start[1:])
     assert float(known_share("hapke", solution)[1:].max()) < 1e-9
     assert float(known_share("hapke", solution)[0].min()) > 0.5
+    # cells of two materials, as their borders have: the rest of a cell is no reason to know a shape that is none
+    share = torch.tensor([[0.1, 0.9, 0.0]], dtype=torch.float64)
+    borders = replace(s, abundances=torch.where(s.abundances[:, :1] > 0.5, share, s.abundances))
+    solution_there = invert("hapke", borders, start)
+    assert float(known_share("hapke", solution_there)[1, 0]) > 0.5
+    assert float(known_share("hapke", solution_there, plain)[1:].max()) == 0.0
     # the errors of what has no shape do not correlate, and two of three would be the median
     assert shape_correlation(solution) == pytest.approx(0.0, abs=1e-6)
     assert shape_correlation(solution, plain) < -0.9
@@ -154,6 +163,32 @@ def test_a_map_says_which_ground_is_lamberts_and_no_shape_is_claimed_there(mixed
     assert any("of them Lambert's" in note for note in notes)
     theta = read_raster(scene.path(scene.products["theta"]))[0][0]
     assert np.isnan(theta[found > 0.9]).all()
+
+
+def test_a_fit_that_was_interrupted_and_resumed_has_the_same_model_and_tells_the_same(
+    mixed: tuple[Scene, list[str]], tmp_path: Path
+) -> None:
+    """Why a material has no model is found once, where the model comes in; the checkpoint is of a later epoch."""
+
+    class Interrupted(Exception):
+        pass
+
+    def progress(fraction: float, message: str) -> None:
+        if "epoch 5/5" in message:
+            raise Interrupted
+
+    options = FitOptions(brdf="auto", resolution=2.0, epochs=[6])
+    whole, cut = (copied(mixed[0], tmp_path / name) for name in ("WHOLE", "CUT"))
+    notes = fit(whole, options)["notes"]
+    with pytest.raises(Interrupted):
+        fit(cut, options, progress)
+    again = fit(cut, replace(options, resume=True))["notes"]
+    assert any("which is enough" in note for note in notes)
+    assert again == notes
+    tensors = [load(scene.path(scene.products["model"]))[0] for scene in (whole, cut)]
+    assert tensors[0].keys() == tensors[1].keys()
+    for name, value in tensors[0].items():
+        assert torch.equal(tensors[1][name], value), name
 
 
 def test_pictures_of_the_model_hold_its_plain_ground(mixed: tuple[Scene, list[str]]) -> None:

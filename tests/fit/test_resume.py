@@ -110,6 +110,16 @@ def test_interrupted_anywhere_and_resumed(whole: Any, make_hamlet: Any) -> None:
         assert len(rows) == 1 + 10 + 9
 
 
+def test_a_resumed_fit_tells_why_its_light_was_chosen(make_hamlet: Any) -> None:
+    options = replace(SHORT, shadow="auto", transient="auto")
+    notes = fit(make_hamlet("TOLD"), options)["notes"]
+    scene = make_hamlet("CUT_TOLD")
+    with pytest.raises(Interrupted):
+        fit(scene, options, interrupt_after(6))
+    assert any(note.startswith("shadow ") for note in notes)
+    assert fit(scene, replace(options, resume=True))["notes"] == notes
+
+
 def test_killed_at_a_random_moment_and_resumed(make_hamlet: Any) -> None:
     reference, scene = make_hamlet("WHOLE"), make_hamlet("KILLED")
     command = ["--threads", "1", "--progress", "json", "fit", *LONGER]
@@ -257,6 +267,14 @@ def test_a_checkpoint_of_another_scene_is_refused_before_an_image_is_read(
             SceneError, match=f"found a checkpoint of {why}, expected the same; give --overwrite in place of --resume"
         ):
             begin(begun, replace(SHORT, resume=True))
+
+
+def test_a_checkpoint_of_an_earlier_version_is_told_by_the_option_that_it_lacks(begun: Scene) -> None:
+    tensors, description = load(begun.root / "fit/checkpoint.safetensors")
+    del description["basis"]["--precision"]
+    save(begun.root / "fit/checkpoint.safetensors", tensors, description)
+    with pytest.raises(SceneError, match="found a checkpoint of an earlier version, without --precision, expected"):
+        check_start(begun, replace(SHORT, resume=True))
 
 
 def test_resuming_on_another_prior_is_refused(make_hamlet: Any) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sattools.fit.materials.parameters import AMPLITUDE, SHAPE
 from sattools.report import figures
-from sattools.report.scene import _maps
+from sattools.report.scene import MAPS, _maps
 from sattools.scene import Grid, Scene
 from sattools.scene.raster import write_cog
 
@@ -33,3 +34,9 @@ def test_a_map_is_shown_by_its_red_green_and_blue_bands(
     monkeypatch.setattr(figures, "map_figure", lambda array, *more: (seen.append(array), real(array, *more))[1])
     _maps(Scene("TOWN", tmp_path, [], GRID, products={"albedo": "albedo.tif"}))
     assert [float(band.max()) for band in seen[0]] == shown
+
+
+def test_every_parameter_of_a_reflectance_model_has_a_picture_and_so_has_where_there_is_none() -> None:
+    amplitudes, shapes = {p.name for p in AMPLITUDE.values()}, {p.name for kind in SHAPE.values() for p in kind}
+    assert {"w", "theta", "asymmetry"} <= amplitudes | shapes
+    assert (amplitudes | shapes | {"lambert_share"}) - MAPS.keys() == set()

@@ -25,6 +25,7 @@ from sattools.scene.raster import read_image, read_raster
 from sattools.simulate import SimulateOptions, simulate
 from sattools.simulate.brdf import HAPKE, LAMBERT, RPV, radiance_factor
 from sattools.simulate.fan import pass_suns, spread
+from sattools.simulate.options import without_effect
 
 SMALL = {"terrain": "natural", "size": 64.0, "views": 5, "train": 3, "units": 3, "seed": 1}
 PAIR = {**SMALL, "size": 32.0, "views": 2, "train": 2}
@@ -200,3 +201,15 @@ def test_passes_need_natural_ground_and_a_sun_above_the_horizon() -> None:
     low = SimulateOptions(**{**SMALL, "passes": 2, "sun_azimuth": 180.0, "sun_elevation": 55.0})
     with pytest.raises(InputError, match="--passes: found a sun"):
         pass_suns(low, 10.0, 58.0)
+
+
+def test_plain_units_are_some_of_ground_that_has_a_model(tmp_path: Path) -> None:
+    """All of Lambertian ground is plain: a map that gave a part of it to Lambert's law would be wrong elsewhere."""
+    lambert = SimulateOptions(**{**PAIR, "reflectance": "lambert", "plain_units": 2})
+    assert "truth_lambert_share" not in simulate(lambert, tmp_path).products
+    assert without_effect(lambert, ["plain_units"]) == {
+        "plain_units": "found --reflectance lambert, expected rpv or hapke"
+    }
+    assert without_effect(SimulateOptions(**{**PAIR, "plain_units": 3}), ["plain_units"]) == {}
+    with pytest.raises(InputError, match="--plain-units: found 4, expected at most --units, 3"):
+        SimulateOptions(**{**PAIR, "plain_units": 4})

@@ -344,7 +344,7 @@ class ReflectiveScene(SurfaceScene):
         self.amplitude.copy_(amplitude.reshape(self.amplitude.shape))
         self.frozen = normal.reshape(*self.height.shape, 3)
         whole = replace(whole, normal=normal)
-        self.identifiable = self.abundances @ known_share(self.kind, solution).to(self.abundances)
+        self.identifiable = self.abundances @ known_share(self.kind, solution, whole.plain).to(self.abundances)
         self.correlation = shape_correlation(solution, whole.plain)
         std = parameter_std(self.kind, whole, amplitude, solution)
         self.albedo = standard_reflectance(self)

@@ -82,10 +82,11 @@ class Need:
         """Whether the model is needed even if the scene as a whole does without: one material of many may look so."""
         return self.share >= LEAST_PART and self.gain > max(SURE_ERRORS * self.doubt, SURE_GAIN)
 
-    def told(self, kind: Kind, taken: bool) -> str:
-        """The reason, as a line."""
+    def told(self, kind: Kind, taken: bool, *, numbered: bool = True) -> str:
+        """The reason, as a line; of a material without its number where it is none of the fit's own."""
+        which = f"material {self.material + 1}" if numbered else "one material"
         return (
-            f"brdf auto: material {self.material + 1} ({100 * self.share:.0f} % of the ground): {kind} changes the "
+            f"brdf auto: {which} ({100 * self.share:.0f} % of the ground): {kind} changes the "
             f"error of held-out views by {-100 * self.gain:+.1f} % (standard error {100 * self.doubt:.1f} %) of "
             + (f"lambert's: took {kind}" if taken else "lambert's, which is enough")
         )
@@ -196,7 +197,7 @@ def _by_material(held: _Held, whole: Model, notes: list[str]) -> Choice:
             continue
         if best == "lambert":
             best = kind
-            notes += [need.told(kind, taken=True) for need in told]
+            notes += [need.told(kind, taken=True, numbered=False) for need in told]
             continue
         # compared where either has a say
         cells = held.own[:, rich[best] | rich[kind]].any(1)

@@ -70,16 +70,19 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
 
 
 @torch.no_grad()
-def known_share(kind: Kind, solution: Solution) -> Tensor:
+def known_share(kind: Kind, solution: Solution, plain: Tensor | None = None) -> Tensor:
     """Share ``[K, 3]`` of each shape parameter's prior variance that the images took away: 0 = its prior, 1 = known.
 
     Args:
         kind: reflectance model.
         solution: of the inversion.
+        plain: ``[K]`` 1 = the endmember has no shape, and none is known of it; or None.
     """
     count = solution.endmembers.shape[0]
     prior = solution.covariance.new_tensor([p.prior_sigma**2 for p in SHAPE[kind]])
-    return (1 - solution.covariance.diagonal().reshape(count, 3) / prior).clamp(0, 1)
+    known = (1 - solution.covariance.diagonal().reshape(count, 3) / prior).clamp(0, 1)
+    # cells that it shares with a material that has a shape are many enough to seem to say something
+    return known if plain is None else known * (1 - plain.to(known))[:, None]
 
 
 @torch.no_grad()

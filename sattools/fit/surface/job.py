@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -61,6 +61,7 @@ class SurfaceJob:
     parameter_std: dict[str, Tensor] = field(default_factory=dict)
     illumination: IlluminationModel = field(default_factory=lambda: IlluminationModel({}))
     chosen: IlluminationOptions | None = None
+    why_light: list[str] = field(default_factory=list)
     coarse: Coarse | None = None
     around: Around | None = None
     basis: JsonObject = field(default_factory=dict)  # of a checkpoint, see `Interrupted`
@@ -114,7 +115,7 @@ class SurfaceJob:
             surface = surface.resized(grid.shape, (ratio, ratio))
             self.illumination = self.illumination.resized(grid.shape, ratio)
         if stage.reflective:
-            surface = self._reflective(surface, grid, saved.tensors if saved else None)
+            surface = self._reflective(surface, grid, saved)
         return surface
 
     def _views_on(self, grid: Grid, stage: StageSettings) -> list[View]:
@@ -155,11 +156,11 @@ class SurfaceJob:
             self.chosen = self.coarse.illumination
             return []
         if saved:
-            self.chosen = saved.illumination
-            return []
-        chosen, why = choose_light(surface, self.views, cell, self.options, self._cast)
+            self.chosen, self.why_light = saved.illumination, saved.light
+            return self.why_light
+        chosen, self.why_light = choose_light(surface, self.views, cell, self.options, self._cast)
         self.chosen = IlluminationOptions(chosen.shadow, chosen.transient)
-        return why
+        return self.why_light
 
     def _follow(self, surface: SurfaceScene, cell: float) -> None:
         """Learned shadows begin at those of the start surface."""
@@ -194,13 +195,15 @@ class SurfaceJob:
         scene = start_scene(height, albedo, torch.from_numpy(gain), torch.from_numpy(offset), START_AMBIENT, absolute)
         return (self.coarse.hold(scene) if self.coarse else scene).to(self.device)
 
-    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: Mapping[str, Tensor] | None) -> ReflectiveScene:
+    def _reflective(self, surface: SurfaceScene, grid: Grid, saved: Interrupted | None) -> ReflectiveScene:
         options = self.options
         assert options.brdf in ("rpv", "hapke")  # the schedule asks for a model only then
         if saved is not None:
-            own = {name.removeprefix("scene."): t for name, t in saved.items() if name.startswith("scene.")}
+            own = {n.removeprefix("scene."): t for n, t in saved.tensors.items() if n.startswith("scene.")}
             modelled = restored(own, options.brdf, grid.cell_size, options.material_smooth, surface.absolute)
-            return modelled.to(self.device)  # type: ignore[return-value]
+            modelled = modelled.to(self.device)  # type: ignore[assignment]
+            modelled.reasons, modelled.sky_ratio = saved.reasons, saved.sky_ratio
+            return modelled
         frozen = None
         if options.normals == "prior":
             frozen = prior_normals(self.prior, grid).to(self.device)
@@ -328,7 +331,11 @@ class SurfaceJob:
         if not self.lasting:
             return
         where = (self.trace.rows, stage, epoch)
-        state = Interrupted(trainer.state(), self._print, *where, illumination=self.chosen, basis=self.basis)
+        state = Interrupted(
+            trainer.state(), self._print, *where, illumination=self.chosen, light=self.why_light, basis=self.basis
+        )
+        if isinstance(trainer.scene, ReflectiveScene):
+            state = replace(state, reasons=trainer.scene.reasons, sky_ratio=trainer.scene.sky_ratio)
         state.save(self.scene.output(CHECKPOINT))
 
     def _resume(self) -> Interrupted | None:
