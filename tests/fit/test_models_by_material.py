@@ -16,7 +16,7 @@ from sattools.export.stage import export
 from sattools.fit.checkpoint import load
 from sattools.fit.materials.inversion import Samples, invert, predict, start_endmembers
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind, radiance_factor
-from sattools.fit.materials.selection import choose_model, plain_materials
+from sattools.fit.materials.selection import Need, choose_model, plain_materials
 from sattools.fit.materials.sky import sky_gain
 from sattools.fit.materials.uncertainty import known_share, shape_correlation
 from sattools.fit.options import FitOptions
@@ -104,6 +104,22 @@ def test_one_material_that_needs_a_model_is_enough_to_take_it() -> None:
     assert choice.model in ("rpv", "hapke")
     # materials are found again on the fitted surface, where the same one may have another number
     assert "auto: one material (" in choice.notes[2]
+
+
+def test_one_material_alone_needs_a_model_by_half_of_the_error_and_four_standard_errors() -> None:
+    """Of towns, models take up to a quarter off one material's error by chance and by wrong heights."""
+    assert Need(0, share=0.15, gain=0.75, doubt=0.11).surely
+    assert not Need(0, share=0.31, gain=0.26, doubt=0.01).surely
+    assert not Need(0, share=0.31, gain=0.75, doubt=0.2).surely
+    assert not Need(0, share=0.03, gain=0.75, doubt=0.11).surely
+
+
+def test_a_scenes_model_is_kept_for_what_is_too_little_to_tell() -> None:
+    assert Need(0, share=0.3, gain=0.5, doubt=0.1).needed
+    assert not Need(0, share=0.3, gain=0.1, doubt=0.1).needed
+    assert Need(0, share=0.03, gain=0.1, doubt=0.1).needed  # little of it, and it may
+    assert not Need(0, share=0.03, gain=-1.0, doubt=0.1).needed
+    assert Need(0, share=0.3, gain=0.0, doubt=float("inf")).needed
 
 
 def test_ground_of_lamberts_law_alone_takes_no_model_for_one_material_of_many() -> None:

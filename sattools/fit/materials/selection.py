@@ -307,4 +307,4 @@ def draw(s: Samples, shape: tuple[int, int], seed: int) -> tuple[Samples, Tensor
     return s.subset(chosen), blocks_of(shape)[chosen]
 
 
-__all__ = ["Choice", "choose_model", "draw", "extreme_views", "plain_materials"]
+__all__ = ["Choice", "Need", "choose_model", "draw", "extreme_views", "plain_materials"]
