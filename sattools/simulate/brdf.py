@@ -51,7 +51,7 @@ def hapke(i: float, e: float, psi: float, g: float, w: float, b: float, c: float
 
 @_jit
 def diffusive(w: float) -> float:
-    """Diffusive reflectance r0 of isotropic scatterers (Hapke 2012, eq. 8.25)."""
+    """Diffusive reflectance r0 of isotropic scatterers, of Hapke (2002), equation 13."""
     gamma = math.sqrt(1.0 - w)
     return (1.0 - gamma) / (1.0 + gamma)
 
