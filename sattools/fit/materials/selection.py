@@ -191,9 +191,9 @@ def _by_material(held: _Held, whole: Model, notes: list[str]) -> Choice:
         else:
             rich[kind] = torch.tensor([need.needed for need in needs])
             told = []
+        if kind == whole and rich[kind].all():
+            break  # all ground together has been asked
         if kind == whole or not rich[kind].any():
-            if rich[kind].all():
-                break
             continue
         if best == "lambert":
             best = kind
