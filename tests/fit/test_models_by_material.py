@@ -14,7 +14,14 @@ from sattools.compare.brdf import Place, place_in
 from sattools.export.options import ExportOptions
 from sattools.export.stage import export
 from sattools.fit.checkpoint import load
-from sattools.fit.materials.inversion import Samples, invert, predict, start_endmembers
+from sattools.fit.materials.inversion import (
+    Samples,
+    invert,
+    predict,
+    shape_of,
+    shape_shares,
+    start_endmembers,
+)
 from sattools.fit.materials.parameters import AMPLITUDE, SHAPE, Kind, radiance_factor
 from sattools.fit.materials.selection import Need, choose_model, plain_materials
 from sattools.fit.materials.sky import sky_gain
@@ -143,18 +150,37 @@ def test_shapes_of_plain_materials_stay_their_prior_and_count_as_unknown() -> No
     torch.testing.assert_close(solution.endmembers[1:], start[1:])
     assert float(known_share("hapke", solution)[1:].max()) < 1e-9
     assert float(known_share("hapke", solution)[0].min()) > 0.5
-    # cells of two materials, as their borders have: the rest of a cell is no reason to know a shape that is none
+    # cells of two materials, as their borders have: they say much of the one shape, and nothing of what has none
     share = torch.tensor([[0.1, 0.9, 0.0]], dtype=torch.float64)
     borders = replace(s, abundances=torch.where(s.abundances[:, :1] > 0.5, share, s.abundances))
     solution_there = invert("hapke", borders, start)
-    assert float(known_share("hapke", solution_there)[1, 0]) > 0.5
-    assert float(known_share("hapke", solution_there, plain)[1:].max()) == 0.0
+    assert float(known_share("hapke", solution_there)[0, 0]) > 0.5
+    assert float(known_share("hapke", solution_there)[1:].max()) < 1e-3
     # the errors of what has no shape do not correlate, and two of three would be the median
     assert shape_correlation(solution) == pytest.approx(0.0, abs=1e-6)
     assert shape_correlation(solution, plain) < -0.9
     # plain ground takes nothing of the other's phase function
     again = predict("hapke", s, solution.amplitude, solution.endmembers)
     assert float((again - s.seen).abs().mean() / s.seen.mean()) < 0.01  # noise of 1 % has 0.8 % in the mean
+
+
+def test_where_plain_ground_and_other_ground_meet_the_rest_has_the_others_shape() -> None:
+    plain = torch.tensor([0.0, 1.0], dtype=torch.float64)
+    meeting = torch.tensor([[1.0, 0.0], [0.1, 0.9], [0.0, 1.0]], dtype=torch.float64)
+    shares = shape_shares(meeting, plain)
+    # a plain material counts by a thousandth: 0.1 / (0.1 + 0.9e-3) = 0.991
+    assert shares[:, 0].tolist() == pytest.approx([1.0, 0.99108, 0.0], abs=1e-5)
+    assert shares.sum(-1).tolist() == pytest.approx([1.0, 1.0, 1.0])
+    torch.testing.assert_close(shape_shares(meeting, None), meeting)
+    # nine parts of ten are Lambert's and one is rough: theta of that one is known from such cells alone
+    s = replace(mixed_ground([0.0, 1.0]), plain=plain)
+    s = replace(s, abundances=torch.where(s.abundances[:, :1] > 0.5, meeting[1], meeting[2]))
+    truth = raw_shapes("hapke", ROUGH, (0.2, 0.3, 10.0))
+    amplitude = torch.zeros_like(s.seen[0])
+    s = replace(s, seen=predict("hapke", s, amplitude, truth))
+    found = invert("hapke", s, truth)
+    here = shape_of("hapke", s.shape_shares, found.endmembers)[2][s.abundances[:, 0] > 0.05]
+    assert here.tolist() == pytest.approx([25.0] * len(here), abs=1.0)  # the prior, of 20 degrees, pulls a little
 
 
 @pytest.fixture(scope="module")

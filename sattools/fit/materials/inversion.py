@@ -19,6 +19,7 @@ from sattools.reflectance.hapke_bands import hapke_slopes
 STEP = 1e-3  # of the finite differences in the unbounded form
 GAP_SHARE = 0.02  # error of the model and the geometry, as share of the signal
 LIKENESS = 1.0  # spread of the log amplitude of one material: wide, but it lets the shading of its slopes speak
+FAINT = 1e-3  # of a plain material in a cell's shape: it decides only where there is hardly anything else
 ROBUST = 2.5  # residual, in standard deviations, from which a view of a cell counts less
 
 
@@ -52,6 +53,11 @@ class Samples:
         """Share ``[N]`` of every cell that reflects as Lambert's law has it, or None."""
         return None if self.plain is None else self.abundances @ self.plain
 
+    @property
+    def shape_shares(self) -> Tensor:
+        """Shares ``[N, K]`` of the endmembers in the shape of every cell, see `shape_shares`."""
+        return shape_shares(self.abundances, self.plain)
+
     def subset(self, index: Tensor) -> Samples:
         """Some of the cells."""
         return replace(
@@ -65,15 +71,30 @@ class Samples:
         )
 
 
-def shape_of(kind: Kind, abundances: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Shape parameters ``[...]`` of cells: abundances ``[..., K]``, the endmembers' unbounded values ``[K, 3]``.
+def shape_shares(abundances: Tensor, plain: Tensor | None) -> Tensor:
+    """Shares ``[..., K]`` of the endmembers in the shape of a cell: its abundances, but of what has a shape alone.
+
+    Where ground of Lambert's law and other ground meet, all that is not Lambert's has the other ground's shape.
+
+    Args:
+        abundances: ``[..., K]`` in [0, 1].
+        plain: ``[K]`` 1 = the endmember reflects as Lambert's law has it and has no shape, else 0; or None = none does.
+    """
+    if plain is None:
+        return abundances
+    shares = abundances * (1 - (1 - FAINT) * plain)
+    return shares / shares.sum(-1, keepdim=True)
+
+
+def shape_of(kind: Kind, shares: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Shape parameters ``[...]`` of cells, within their ranges.
 
     Args:
         kind: reflectance model.
-        abundances: ``[N, K]`` in [0, 1].
+        shares: ``[..., K]`` of the endmembers in each cell, in [0, 1], see `shape_shares`.
         endmembers: ``[K, 3]`` unbounded shape parameters.
     """
-    a, b, c = (p.bounded(abundances @ endmembers[:, k]) for k, p in enumerate(SHAPE[kind]))
+    a, b, c = (p.bounded(shares @ endmembers[:, k]) for k, p in enumerate(SHAPE[kind]))
     return a, b, c
 
 
@@ -98,7 +119,7 @@ def predict(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> Te
         amplitude: ``[N, C]`` unbounded.
         endmembers: ``[K, 3]`` unbounded shape parameters.
     """
-    value, shape = AMPLITUDE[kind].bounded(amplitude), shape_of(kind, s.abundances, endmembers)
+    value, shape = AMPLITUDE[kind].bounded(amplitude), shape_of(kind, s.shape_shares, endmembers)
     pairs = zip(s.suns, s.views, strict=True)
     plain = s.plain_share
     direct = torch.stack([radiance_factor(kind, s.normal, sun, view, value, shape, plain=plain) for sun, view in pairs])
@@ -128,7 +149,7 @@ def with_slope(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) ->
 def with_slopes(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor) -> tuple[Tensor, Tensor]:
     """`predict` ``[V, N, C]`` and its derivatives ``[V, N, C, 4]`` with the amplitudes and the three shapes.
 
-    All unbounded; a shape changes in all endmembers together: cells differ by their abundances.
+    All unbounded; a shape changes in all endmembers together: cells differ by their shares.
 
     Args:
         kind: reflectance model.
@@ -167,14 +188,14 @@ def _compiled(kind: Kind, s: Samples) -> bool:
 def _slopes(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, shapes: bool) -> tuple[Tensor, Tensor]:
     """`with_slopes` by the compiled model; without ``shapes`` with the amplitudes alone ``[V, N, C, 1]``."""
     limits = AMPLITUDE[kind]
-    value, shape = limits.bounded(amplitude), shape_of(kind, s.abundances, endmembers)
+    value, shape = limits.bounded(amplitude), shape_of(kind, s.shape_shares, endmembers)
     pairs = zip(s.suns, s.views, strict=True)
     found = [hapke_slopes(s.normal, sun, view, value, shape, shapes=shapes) for sun, view in pairs]
     here, slopes = (torch.stack(parts) for parts in zip(*found, strict=True))
     slopes[..., 0] *= limits.slope(amplitude)
     if shapes:
         for k, p in enumerate(SHAPE[kind]):
-            slopes[..., 1 + k] *= p.slope(s.abundances @ endmembers[:, k])[:, None]
+            slopes[..., 1 + k] *= p.slope(s.shape_shares @ endmembers[:, k])[:, None]
     if s.sky is None and s.plain is None:
         return here, slopes
     glow = diffuse(kind, value)
@@ -291,8 +312,9 @@ def _system(kind: Kind, s: Samples, amplitude: Tensor, endmembers: Tensor, indep
     g_shape = torch.einsum("vncp,vnc->np", j_shape, weight * residual)
     g_amplitude = (weight * j_amplitude * residual).sum(0) + _amplitude_precision(centre) * (centre - amplitude)
     g = g_shape - torch.einsum("ncp,nc->np", cross, g_amplitude / a)
-    hessian = torch.einsum("nk,nl,npq->kplq", s.abundances, s.abundances, reduced).reshape(count, count) * independent
-    gradient = torch.einsum("nk,np->kp", s.abundances, g).reshape(count) * independent
+    shares = s.shape_shares
+    hessian = torch.einsum("nk,nl,npq->kplq", shares, shares, reduced).reshape(count, count) * independent
+    gradient = torch.einsum("nk,np->kp", shares, g).reshape(count) * independent
     return _System(hessian, gradient, cost, centre)
 
 
@@ -343,6 +365,7 @@ __all__ = [
     "noise_of",
     "predict",
     "shape_of",
+    "shape_shares",
     "solve_amplitudes",
     "start_endmembers",
     "with_slope",

@@ -17,6 +17,7 @@ from sattools.fit.materials.inversion import (
     invert,
     material_mean,
     shape_of,
+    shape_shares,
     solve_amplitudes,
 )
 from sattools.fit.materials.parameters import AMPLITUDE, Kind, diffuse, radiance_factor
@@ -109,7 +110,8 @@ class ReflectiveScene(SurfaceScene):
 
     def values(self) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
         """Amplitude ``[H, W, C]`` in [0, 1] and the three shape parameters ``[H, W]``, within their ranges."""
-        return AMPLITUDE[self.kind].bounded(self.amplitude), shape_of(self.kind, self.abundances, self.endmembers)
+        shares = shape_shares(self.abundances, self.plain if self.plain.numel() else None)
+        return AMPLITUDE[self.kind].bounded(self.amplitude), shape_of(self.kind, shares, self.endmembers)
 
     def plain_share(self) -> Tensor | None:
         """Share ``[H, W]`` of every cell that reflects as Lambert's law has it, or None."""
@@ -344,7 +346,7 @@ class ReflectiveScene(SurfaceScene):
         self.amplitude.copy_(amplitude.reshape(self.amplitude.shape))
         self.frozen = normal.reshape(*self.height.shape, 3)
         whole = replace(whole, normal=normal)
-        self.identifiable = self.abundances @ known_share(self.kind, solution, whole.plain).to(self.abundances)
+        self.identifiable = self.abundances @ known_share(self.kind, solution).to(self.abundances)
         self.correlation = shape_correlation(solution, whole.plain)
         std = parameter_std(self.kind, whole, amplitude, solution)
         self.albedo = standard_reflectance(self)

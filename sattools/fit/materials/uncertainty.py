@@ -56,7 +56,8 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
     factor = endmembers.new_tensor(MEMBER_FACTOR[kind]).repeat(endmembers.shape[0])
     covariance = solution.covariance.to(endmembers) * factor * factor[:, None]
     blocks = covariance.reshape(endmembers.shape[0], 3, endmembers.shape[0], 3)
-    own = torch.einsum("nk,kplq,nl->npq", s.abundances, blocks, s.abundances)  # [N, 3, 3]
+    shares = s.shape_shares
+    own = torch.einsum("nk,kplq,nl->npq", shares, blocks, shares)  # [N, 3, 3]
     j = torch.stack([answer(slopes[..., 1 + p]) for p in range(3)], -1)  # [N, C, 3]
     variance = variance + torch.einsum("ncp,npq,ncq->nc", j, own, j)
     value, slope = AMPLITUDE[kind].bounded(amplitude), AMPLITUDE[kind].slope(amplitude)
@@ -65,24 +66,21 @@ def parameter_std(kind: Kind, s: Samples, amplitude: Tensor, solution: Solution)
     result = {AMPLITUDE[kind].name: variance.sqrt().clamp_max(1.5) * slope}
     for p, parameter in enumerate(SHAPE[kind]):
         std = own[:, p, p].sqrt().clamp_max(1.5)
-        result[parameter.name] = std * parameter.slope(s.abundances @ endmembers[:, p])
+        result[parameter.name] = std * parameter.slope(shares @ endmembers[:, p])
     return result
 
 
 @torch.no_grad()
-def known_share(kind: Kind, solution: Solution, plain: Tensor | None = None) -> Tensor:
+def known_share(kind: Kind, solution: Solution) -> Tensor:
     """Share ``[K, 3]`` of each shape parameter's prior variance that the images took away: 0 = its prior, 1 = known.
 
     Args:
         kind: reflectance model.
         solution: of the inversion.
-        plain: ``[K]`` 1 = the endmember has no shape, and none is known of it; or None.
     """
     count = solution.endmembers.shape[0]
     prior = solution.covariance.new_tensor([p.prior_sigma**2 for p in SHAPE[kind]])
-    known = (1 - solution.covariance.diagonal().reshape(count, 3) / prior).clamp(0, 1)
-    # cells that it shares with a material that has a shape are many enough to seem to say something
-    return known if plain is None else known * (1 - plain.to(known))[:, None]
+    return (1 - solution.covariance.diagonal().reshape(count, 3) / prior).clamp(0, 1)
 
 
 @torch.no_grad()
