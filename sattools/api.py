@@ -36,7 +36,7 @@ from sattools.scene.called import by_a_program
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
 from sattools.scene.schema import Flag, Items, Kind, Maybe, Number, Text
-from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec, specs
+from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec, specs, tell_without_effect
 from sattools.simulate.options import SimulateOptions
 
 T = TypeVar("T")
@@ -84,9 +84,12 @@ def simulate(
         overwrite: replace outputs that are there.
         progress: see `prepare`.
     """
+    from sattools.simulate.options import without_effect
     from sattools.simulate.stage import simulate as stage
 
     own = _options(SimulateOptions, options)
+    if isinstance(options, Mapping):
+        tell_without_effect(without_effect(own, options).items())
     step = Step("simulate", own, overwrite, _progress(progress, "simulate"))
     with by_a_program():
         return run_first(step, lambda told: (stage(own, Path(own.out) / own.id, told, overwrite), None))
@@ -150,16 +153,21 @@ def fit(
     Raises:
         SceneError, InputError, OutputExistsError: as the command says in one line.
     """
+    from sattools.fit.applicable import NEEDED, without_effect
     from sattools.fit.presets import with_preset
     from sattools.fit.stage import fit as stage
 
+    given: Iterable[str] = NEEDED  # of a dataclass nobody knows which were; those that it has anyway ask for nothing
     if isinstance(options, Mapping):
+        given = list(options)
         _options(FitOptions, options)  # a preset that there is not is told like all else
         asked = (
             str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "surface"), ("field", ""))
         )
         options = {**with_preset(*asked), **options}
-    return _run(stage, "fit", scene, _options(FitOptions, options), overwrite, progress)
+    own = _options(FitOptions, options)
+    tell_without_effect(without_effect(own, given))
+    return _run(stage, "fit", scene, own, overwrite, progress)
 
 
 def export(

@@ -22,6 +22,16 @@ def some_of(names: Sequence[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things in words.
+
+    Args:
+        count: how many.
+        noun: what they are, in the plural, which is the singular and an s.
+    """
+    return f"{count} {noun[:-1] if count == 1 else noun}"
+
+
 class SattoolsError(Exception):
     """Root of all errors that sattools raises on purpose."""
 

@@ -7,12 +7,14 @@ described in one place only.
 from __future__ import annotations
 
 import dataclasses
+import logging
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Any, Literal
 
+log = logging.getLogger(__name__)
 LARGEST = 1e12  # of a number in an option: no length, weight or time of the suite is larger, and its square is finite
 LARGEST_COUNT = 10**9
 
@@ -140,9 +142,19 @@ def _resolve(hint: Any) -> tuple[type, tuple[str, ...] | None, bool, bool]:
     return hint, None, False, False
 
 
+def tell_without_effect(idle: Iterable[tuple[str, str]]) -> None:
+    """One line for each option that was given and does nothing beside the others.
+
+    Args:
+        idle: names of fields, each with what was found and expected.
+    """
+    for name, why in idle:
+        log.warning("--%s does nothing here: %s", name.replace("_", "-"), why)
+
+
 def as_dict(options: Any) -> dict[str, Any]:
     """Resolved options as plain types."""
     return dataclasses.asdict(options)
 
 
-__all__ = ["LARGEST", "LARGEST_COUNT", "OptionSpec", "as_dict", "option", "specs"]
+__all__ = ["LARGEST", "LARGEST_COUNT", "OptionSpec", "as_dict", "option", "specs", "tell_without_effect"]

@@ -17,7 +17,7 @@ from sattools.camera.ground import project
 from sattools.camera.rpc import RPC
 from sattools.compare.metrics import nmad
 from sattools.compare.registration import register, search_margin
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.progress import Progress, silent
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import reproject_map, resize_map
@@ -105,7 +105,9 @@ def shift_to_dem(
             target = target.resized(2 * target.cell_size)
     onto = reproject_map(reference, reference_grid, target)
     if np.isfinite(onto).sum() < LEAST_CELLS:
-        raise InputError(f"reference: found {int(np.isfinite(onto).sum())} cells there, expected {LEAST_CELLS} or more")
+        raise InputError(
+            f"reference: found {counted(int(np.isfinite(onto).sum()), 'cells')} there, expected {LEAST_CELLS} or more"
+        )
     west, south, east, north = grid.bounds
     shift = Shift(0.0, 0.0, 0.0, 0.0, 0.0, 0, x=(west + east) / 2, y=(south + north) / 2)
     first = onto - _on(target, height, grid)
@@ -135,7 +137,7 @@ def shift_to_dem(
     both = np.isfinite(onto - here)
     left, here = (onto - here)[both], here[both]
     if len(left) < LEAST_CELLS:
-        raise InputError(f"reference: found {len(left)} cells in common, expected {LEAST_CELLS} or more")
+        raise InputError(f"reference: found {counted(len(left), 'cells')} in common, expected {LEAST_CELLS} or more")
     before, after = nmad(first[np.isfinite(first)]), nmad(left)
     if method != "z" and after > WORSE * before + LEAST_WORSE_M:
         raise InputError(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sattools.align.shift import Shift
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.scene.grid import Grid
 from sattools.scene.regrid import resize_map
 
@@ -106,7 +106,9 @@ def shift_by_means(
         left, design, doubts = _equations(means, onto, target, shift, reach)
         design = design[:, : 5 if tilt else 3]
         if len(left) < 2 * design.shape[1]:
-            raise InputError(f"reference: found {len(left)} cells in common, expected {2 * design.shape[1]} or more")
+            raise InputError(
+                f"reference: found {counted(len(left), 'cells')} in common, expected {2 * design.shape[1]} or more"
+            )
         units = left / doubts
         spread = max(1.4826 * float(np.median(np.abs(units - np.median(units)))), LEAST_SPREAD)
         first = spread if step == 0 else first

@@ -19,7 +19,7 @@ from sattools.camera.bundle import Block, Solution, residual_norm, solve, triang
 from sattools.camera.heights import in_company
 from sattools.camera.rpc import RPC
 from sattools.camera.tracks import Tracks
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.progress import Progress, silent
 from sattools.scene.jsonio import JsonObject
 
@@ -144,7 +144,7 @@ class Adjustment:
     def to_text(self) -> str:
         """The residual report for people."""
         lines = [
-            f"Bundle adjustment of {len(self.views)} views, correction per view: {self.model}",
+            f"Bundle adjustment of {counted(len(self.views), 'views')}, correction per view: {self.model}",
             f"{self.tracks.n_points} ground points, {len(self.tracks.point)} observations, "
             f"{self.rejected} rejected as false matches",
             f"median residual {self.median_before_px:.2f} px before, {self.median_after_px:.2f} px after "

@@ -17,6 +17,7 @@ from sattools.change.detect import HeightChange, Region, cell_sigma, find_region
 from sattools.change.options import ChangeOptions
 from sattools.change.surfaces import Surface, check_surface, order_of_bands, read_surface
 from sattools.compare.picture import difference_picture
+from sattools.errors import counted
 from sattools.progress import Progress, silent
 from sattools.scene import Grid
 from sattools.scene.cog import CogWriter
@@ -149,7 +150,7 @@ def _other_bands(old: Surface, new: Surface) -> list[str]:
     """Why there is no map of the change of albedo although both dates have one."""
     if order_of_bands(old, new) or not (old.bands("albedo") and new.bands("albedo")):
         return []
-    said = (", ".join(one.band_names("albedo")) or f"{one.bands('albedo')} bands" for one in (old, new))
+    said = (", ".join(one.band_names("albedo")) or counted(one.bands("albedo"), "bands") for one in (old, new))
     return [f"albedo: found {' before and '.join(said)} after, expected the same bands: no map of its change"]
 
 

@@ -17,7 +17,7 @@ from sattools.cli.kinds import NamedPath
 from sattools.cli.options import build, dataclass_options, read_toml, scene_argument
 from sattools.cli.pipe import report_error
 from sattools.cli.streams import portable
-from sattools.errors import SattoolsError
+from sattools.errors import SattoolsError, counted
 from sattools.processors import cores
 from sattools.progress import make_progress
 
@@ -112,7 +112,7 @@ def _plan(plan: Batch) -> None:
 
 def _seams(made: JsonObject) -> str:
     """What is said of joined scenes on a screen."""
-    text = f"{len(made['scenes'])} scenes joined"
+    text = f"{counted(len(made['scenes']), 'scenes')} joined"
     if not made["seams"]:
         return f"{text}, none overlaps another"
     worst = max(made["seams"], key=lambda one: abs(one["median_m"]))

@@ -14,6 +14,7 @@ from sattools.cli.options import build, common_options, dataclass_options, scene
 from sattools.cli.pipe import Run, run_scenes
 from sattools.fit.options import FitOptions
 from sattools.progress import Progress
+from sattools.settings import tell_without_effect
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
@@ -69,8 +70,7 @@ def _tell_idle(options: FitOptions) -> None:
 
     context = click.get_current_context()
     given = [name for name in NEEDED if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
-    for name, why in without_effect(options, given):
-        log.warning("--%s does nothing here: %s", name.replace("_", "-"), why)
+    tell_without_effect(without_effect(options, given))
 
 
 def _refuse_overlap(options: FitOptions, tile: float) -> None:

@@ -196,9 +196,11 @@ def _load_config(ctx: click.Context, parameter: click.Parameter, value: str | No
             raise click.BadParameter(f"{value}: found option {key!r}, which `sattools {command}` does not have{hint}")
         try:
             check_value(option, given)
-        except InputError as error:
-            raise click.BadParameter(f"{value}: {key}: {error}") from None
-        resolved[str(option.name)] = given
+            # click itself would blame the option of the command line, which nobody gave
+            resolved[str(option.name)] = option.type_cast_value(ctx, given)
+        except (InputError, click.BadParameter) as error:
+            found = error.message if isinstance(error, click.BadParameter) else error
+            raise click.BadParameter(f"{value}: {key}: {found}") from None
     ctx.default_map = {**(ctx.default_map or {}), **resolved}
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
+from sattools.errors import counted
 from sattools.processors import takes
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def of_normalise(scene: Scene) -> str:
     shapes = [item.properties.get("proj:shape") for item in scene.items]
     pixels = sum(int(shape[0]) * int(shape[1]) for shape in shapes if shape)
     taken = takes(0.14 * _GIB, 1.0 + 4e-8 * pixels)
-    return f"{len(scene.items)} images, {pixels / 1e6:.3g} megapixels: {taken}; writes radiance/"
+    return f"{counted(len(scene.items), 'images')}, {pixels / 1e6:.3g} megapixels: {taken}; writes radiance/"
 
 
 def of_prep(shapes: Iterable[tuple[int, int]]) -> str:
@@ -66,7 +67,7 @@ def of_prep(shapes: Iterable[tuple[int, int]]) -> str:
     sizes = [rows * cols for rows, cols in shapes]
     seconds = 1.5 + sum(1e-3 * size**0.5 for size in sizes)
     memory = min(1.3, 0.35 + 2e-8 * max(sizes, default=0)) * _GIB
-    return f"{len(sizes)} images, {sum(sizes) / 1e6:.3g} megapixels: {takes(memory, seconds)}"
+    return f"{counted(len(sizes), 'images')}, {sum(sizes) / 1e6:.3g} megapixels: {takes(memory, seconds)}"
 
 
 def of_simulate(size_m: float, gsd_m: float, views: int) -> str:
@@ -79,7 +80,7 @@ def of_simulate(size_m: float, gsd_m: float, views: int) -> str:
     """
     pixels = views * (size_m / gsd_m) ** 2
     taken = takes(0.2 * _GIB + 80 * pixels, 1.0 + 6.5e-6 * pixels)
-    return f"{size_m**2 / 1e6:.3g} km2, {views} images, {pixels / 1e6:.3g} megapixels: {taken}"
+    return f"{size_m**2 / 1e6:.3g} km2, {counted(views, 'images')}, {pixels / 1e6:.3g} megapixels: {taken}"
 
 
 def of_change(grid: Grid) -> str:
@@ -99,7 +100,7 @@ def _cells(scene: Scene) -> int:
 
 def _size(scene: Scene) -> str:
     area = _cells(scene) * scene.require_grid().cell_size ** 2 / 1e6
-    return f"{area:.3g} km2, {_cells(scene)} cells, {len(scene.train_items())} images"
+    return f"{area:.3g} km2, {_cells(scene)} cells, {counted(len(scene.train_items()), 'images')}"
 
 
 of_export = _on_cells("export/", 0.4 * _GIB, 1.2, 8e-7, 2e-7)

@@ -12,7 +12,7 @@ from sattools.cli.kinds import Finite, NamedPath, PathText
 from sattools.cli.options import as_usage, build, common_options, dataclass_options
 from sattools.cli.pipe import Run, report_error, run_source
 from sattools.cli.plans import of_prep
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.prep.options import PrepOptions
 from sattools.progress import Progress
 
@@ -98,7 +98,7 @@ def command(
     except InputError as error:
         report_error("prep", error)
         raise SystemExit(1) from None
-    label = options.id or f"a scene of {len(paths)} images"
+    label = options.id or f"a scene of {counted(len(paths), 'images')}"
     run_source(Run("prep", options, dry_run, print_config, overwrite, tuple(paths)), make, label, check)
 
 

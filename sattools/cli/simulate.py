@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +11,12 @@ from sattools.cli.options import build, common_options, dataclass_options
 from sattools.cli.pipe import Run, run_source
 from sattools.cli.plans import of_simulate
 from sattools.progress import Progress
+from sattools.settings import tell_without_effect
 from sattools.simulate.options import SimulateOptions, without_effect
 
 if TYPE_CHECKING:
     from sattools.scene import Scene
     from sattools.scene.jsonio import JsonObject
-
-
-log = logging.getLogger(__name__)
 
 
 @click.command("simulate")
@@ -34,8 +31,7 @@ def command(overwrite: bool, dry_run: bool, print_config: bool, **values: Any) -
     options = build(SimulateOptions, values)
     context = click.get_current_context()
     given = [name for name in values if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE]
-    for name, why in without_effect(options, given).items():
-        log.warning("--%s does nothing here: %s", name.replace("_", "-"), why)
+    tell_without_effect(without_effect(options, given).items())
 
     root = Path(options.out) / options.id
     inputs = tuple(Path(path) for path in (options.dsm, options.classes) if path)

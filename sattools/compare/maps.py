@@ -9,7 +9,7 @@ import numpy as np
 
 from sattools.compare.metrics import MAP_FIGURES, MapErrors
 from sattools.compare.truth import grid_on_ground
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.scene.grid import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.raster import raster_bands, raster_grid, read_around, read_raster
@@ -39,7 +39,7 @@ def compare_map(name: str, path: Path, reference: Path, shift: tuple[float, floa
     """
     found, wanted = raster_bands(path), raster_bands(reference)
     if found != wanted:
-        raise InputError(f"{reference}: found {wanted} bands, expected {found} as in {name}")
+        raise InputError(f"{reference}: found {counted(wanted, 'bands')}, expected {found} as in {name}")
     grid, as_stored = grid_on_ground(reference, raster_grid(path).crs)
     step = math.ceil(math.sqrt(max(1.0, wanted * grid.width * grid.height / SHOWN)))
     errors = MapErrors()

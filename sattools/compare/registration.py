@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.scene.stored import map_like, pieces
 
 Method = Literal["ncc", "nuth-kaab", "z", "none"]
@@ -212,7 +212,9 @@ def _nuth_kaab_shift(predicted: np.ndarray, reference: np.ndarray, margin: int =
         spread = 1.4826 * np.median(np.abs(difference[finite]))
         use = finite & (slope > 0.02) & (slope <= steepest) & (np.abs(difference) <= 3 * spread + 1e-6)
         if use.sum() < 100:
-            raise InputError(f"reference: found {int(use.sum())} sloping cells, expected 100 or more for nuth-kaab")
+            raise InputError(
+                f"reference: found {counted(int(use.sum()), 'sloping cells')}, expected 100 or more for nuth-kaab"
+            )
         step_columns, step_rows = _cosine_fit(difference[use] / slope[use], aspect[use])
         columns, rows = columns + step_columns, rows + step_rows
         if np.hypot(step_columns, step_rows) < 0.01:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sattools.compare.steps import step_text
+from sattools.errors import counted
 
 
 def to_json(figures: Mapping[str, Any], indent: int | None = None) -> str:
@@ -31,7 +32,7 @@ def table(figures: Mapping[str, Any]) -> str:
         f"median {figures['median']:.3f} m   NMAD {figures['nmad']:.3f} m",
         f"  completeness {100 * figures['completeness']:.2f} % (MAE there {_text(figures['measured']['mae'])} m)   "
         f"within 1 m {100 * figures['within_1m']:.1f} %   within 2.5 m {100 * figures['within_2_5m']:.1f} %   "
-        f"of {figures['cells']} cells",
+        f"of {counted(figures['cells'], 'cells')}",
         f"  shift {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up ({figures['registration']['method']})",
         f"  {step_text(figures)}",
         f"  scored: {figures['mask']}",

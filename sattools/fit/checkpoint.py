@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # one key, with the checksum inside: safetensors writes several in any order, and the same fit gives the same file
 KEY, CHECKSUM, VERSION = "sattools", "sha256", "version"
 FORMAT_VERSION = 2
+# what a reader has to know lest it shows another scene than was fitted; a file names those that it has, if any
+NEEDS, KNOWN_NEEDS = "needs", ("opened", "plain")
 _PIECE = 1 << 22  # bytes that are read at a time
 _TYPES = {
     "F64": "torch.float64", "F32": "torch.float32", "F16": "torch.float16", "BF16": "torch.bfloat16",
@@ -108,7 +110,7 @@ def verify(path: Path) -> None:
     """Read a file of `save` piece by piece and compare it with its checksum.
 
     Raises:
-        InputError: missing, damaged, or not written by sattools.
+        InputError: missing, damaged, not written by sattools, or by a later version that says more than this one knows.
     """
     describe(path)
 
@@ -117,7 +119,7 @@ def describe(path: Path) -> JsonObject:
     """`verify` a file; its description, as it was written.
 
     Raises:
-        InputError: missing, damaged, or not written by sattools.
+        InputError: as `verify`.
     """
     try:
         with open(path, "rb") as file:
@@ -125,6 +127,8 @@ def describe(path: Path) -> JsonObject:
         description = dict(json.loads(table["__metadata__"][KEY]))
         _compare(path, description, lambda: _checksum_of(path))
         return description
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
         raise InputError(f"{path}: found no sattools model ({error})") from error
 
@@ -164,7 +168,7 @@ def load(path: Path) -> tuple[dict[str, Tensor], Mapping[str, Any]]:
     """Read what `save` wrote.
 
     Raises:
-        InputError: missing, damaged, or not written by sattools.
+        InputError: as `verify`.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -188,7 +192,14 @@ def load(path: Path) -> tuple[dict[str, Tensor], Mapping[str, Any]]:
 
 
 def _compare(path: Path, description: Mapping[str, Any], checksum: Callable[[], str]) -> None:
-    """Whether a file is what was written; models of before checksums had no version either."""
+    """Whether a file is what was written, and by no later version; models of before checksums had no version either."""
+    later = "; the version of sattools that wrote it, or a later one, reads it"
+    version, needs = description.get(VERSION, FORMAT_VERSION), description.get(NEEDS, [])
+    if isinstance(version, int) and version > FORMAT_VERSION:
+        raise InputError(f"{path}: found a model of format {version}, expected at most {FORMAT_VERSION}{later}")
+    if unknown := [name for name in needs if name not in KNOWN_NEEDS] if isinstance(needs, list) else [needs]:
+        known = ", ".join(KNOWN_NEEDS)
+        raise InputError(f"{path}: found a model that needs {unknown[0]!r}, expected no more than {known}{later}")
     if (CHECKSUM in description or VERSION in description) and description.get(CHECKSUM) != checksum():
         raise InputError(f"{path}: found other content than was written (checksum), expected an undamaged file")
 
@@ -209,4 +220,4 @@ def _checksum(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> 
     return known.hexdigest()
 
 
-__all__ = ["KEY", "VERSION", "Put", "describe", "load", "save", "save_in_pieces", "verify"]
+__all__ = ["KEY", "KNOWN_NEEDS", "NEEDS", "VERSION", "Put", "describe", "load", "save", "save_in_pieces", "verify"]

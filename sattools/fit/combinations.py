@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sattools.errors import SceneError
+from sattools.errors import SceneError, counted
 from sattools.field.networks import DEPTH, NETWORKS
 from sattools.fit.options import FitOptions
 from sattools.scene.memory import check_memory
@@ -38,7 +38,9 @@ def check_sky(options: FitOptions, bands: int) -> None:
             f"--sky: found --brdf {options.brdf} and --field {options.field}, expected rpv, hapke or auto on a surface"
         )
     if options.sky_share and len(options.sky_share) not in (1, bands):
-        raise SceneError(f"--sky-share: found {len(options.sky_share)} values, expected 1 or {bands}, one per band")
+        raise SceneError(
+            f"--sky-share: found {counted(len(options.sky_share), 'values')}, expected 1 or {bands}, one per band"
+        )
 
 
 def starts_from_prior(options: FitOptions) -> bool:

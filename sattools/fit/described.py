@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sattools.camera.view_direction import ViewDirection
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.scene import Grid
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.members import GRID, HEIGHT_LIMITS_M
@@ -110,11 +110,13 @@ class Description:
                 raise InputError(f"{path}: found {name} of {_by(size)} values, expected {expected} as its grid has")
         count = len(self.items)
         if len(self.suns) != count:
-            raise InputError(f"{path}: found {len(self.suns)} suns for {count} images, expected one for each")
+            raise InputError(
+                f"{path}: found {counted(len(self.suns), 'suns')} for {counted(count, 'images')}, expected one for each"
+            )
         for name in PER_IMAGE:
             size = shapes.get(name, (count, *self.grid.shape))
             if len(size) < 1 or size[0] != count:
-                raise InputError(f"{path}: found {name} of {_by(size)} values for {count} images")
+                raise InputError(f"{path}: found {name} of {_by(size)} values for {counted(count, 'images')}")
             if name in IMAGE_MAPS and size[1:] != self.grid.shape:
                 raise InputError(
                     f"{path}: found {name} of another size, expected {_by(self.grid.shape)} as its grid has"

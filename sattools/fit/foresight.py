@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sattools.camera.rpc import RPC
-from sattools.errors import SattoolsError, SceneError
+from sattools.errors import SattoolsError, SceneError, counted
 from sattools.fit.combinations import step_bytes
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import with_preset
@@ -121,7 +121,7 @@ def plan_of(options: FitOptions) -> str:
 
 
 def _training(options: FitOptions) -> str:
-    steps = f"at most {options.steps} steps of {options.rays} rays"
+    steps = f"at most {counted(options.steps, 'steps')} of {counted(options.rays, 'rays')}"
     if options.budget:
         return f"{steps}, ended by --budget {options.budget:g} s after the matching"
     return f"{steps}, whose seconds are not foretold (its progress tells them; --budget SECONDS ends it in time)"

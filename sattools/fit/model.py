@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sattools.fit.checkpoint import load, save
+from sattools.fit.checkpoint import KNOWN_NEEDS, NEEDS, load, save
 from sattools.fit.described import (
     CELL_MAPS,
     COLOURS,
@@ -94,7 +94,9 @@ class FittedModel(Description):
     def parts(self) -> tuple[dict[str, Tensor], JsonObject]:
         """What its file holds: tensors of any unit by name, and the description."""
         own = {name: getattr(self, name) for name in (*CELL_MAPS, *PER_IMAGE)}
-        return {**self.extra, **{n: t for n, t in own.items() if t is not None}}, self.to_dict()
+        needs = [name for name in KNOWN_NEEDS if name in self.extra]
+        described = self.to_dict() | ({NEEDS: needs} if needs else {})
+        return {**self.extra, **{n: t for n, t in own.items() if t is not None}}, described
 
     @classmethod
     def load(cls, path: Path) -> FittedModel:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sattools.camera.ground import crop_window, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.prep.beside import beside
 from sattools.prep.images import SourceImage
 from sattools.prep.loading import load_source
@@ -108,8 +108,8 @@ def load_colours(options_folder: str, metadata: Path | None, pans: Sequence[Sour
             raise InputError(f"--colours: found one band in {colour.path}, expected a multispectral image")
         if colour.bands != colours[0].bands:
             raise InputError(
-                f"--colours: found {colour.bands} bands in {colour.path}, expected {colours[0].bands} as in "
-                f"{colours[0].path}"
+                f"--colours: found {counted(colour.bands, 'bands')} in {colour.path}, expected {colours[0].bands} as "
+                f"in {colours[0].path}"
             )
     return partners(pans, colours)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.prep.camera_gate import check_camera
 from sattools.prep.images import SourceImage
 from sattools.prep.numbers import LARGEST_NUMBER, check_brightness, too_large
@@ -45,7 +45,7 @@ def check_sources(sources: Sequence[SourceImage]) -> None:
         odd = next(s for s in sources if s.bands != usual)
         hint = " (multispectral images of panchromatic ones go into a folder of their own, `--colours FOLDER`)"
         raise InputError(
-            f"{odd.path}: found {odd.bands} bands, expected {usual} as most of the other images have"
+            f"{odd.path}: found {counted(odd.bands, 'bands')}, expected {usual} as most of the other images have"
             f"{hint if 1 in counts else ''}"
         )
     _check_names(sources)

@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, SceneError, counted
 from sattools.radiometry.calibration import in_order, number_of
 from sattools.scene.jsonio import read_json
 from sattools.scene.opening import opened
@@ -65,7 +65,9 @@ class Declared:
         if len(self.gain) == 1:
             return self.gain[0], self.offset[0]
         if number > len(self.gain):
-            raise SceneError(f"{self.source}: found scales of {len(self.gain)} bands, expected one of band {number}")
+            raise SceneError(
+                f"{self.source}: found scales of {counted(len(self.gain), 'bands')}, expected one of band {number}"
+            )
         return self.gain[number - 1], self.offset[number - 1]
 
     def apply(self, numbers: np.ndarray, bands: list[int]) -> np.ndarray:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, SceneError, counted
 from sattools.radiometry.bands import WORLDVIEW_BANDS, names_of
 from sattools.radiometry.calibration import (
     BandCalibration,
@@ -101,7 +101,7 @@ class ImageScale:
         if not bands or any(b.irradiance is None for b in bands):
             return "no metadata with a calibration and a solar irradiance were found"
         if count is not None and len(bands) != count:
-            return f"the calibration has {len(bands)} bands, the image {count}"
+            return f"the calibration has {counted(len(bands), 'bands')}, the image {count}"
         if not properties.get("datetime"):
             return "its time is unknown"
         if sun and (self.item.sun is None or self.item.sun[1] <= 0):

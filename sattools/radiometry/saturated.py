@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.scene.document import Item
 
 NOTED = "sattools:saturated"  # of an asset `radiance`: a `Conversion`, where saturated pixels are masked
@@ -50,8 +50,9 @@ class Conversion:
             max(self.bands) > len(numbers) or numbers.shape[1:] != radiance.shape[1:]
         ):
             raise InputError(
-                f"found an image of {len(numbers)} bands and {numbers.shape[1]} x {numbers.shape[2]} pixels, expected "
-                f"the bands {self.bands} that became {len(radiance)} of {radiance.shape[1]} x {radiance.shape[2]}"
+                f"found an image of {counted(len(numbers), 'bands')} and {numbers.shape[1]} x {numbers.shape[2]} "
+                f"pixels, expected the bands {self.bands} that became {len(radiance)} of {radiance.shape[1]} x "
+                f"{radiance.shape[2]}"
             )
         own = numbers[[band - 1 for band in self.bands]]
         there = np.isfinite(own).all(axis=0) & (own != 0).any(axis=0) & ~np.isfinite(radiance).all(axis=0)

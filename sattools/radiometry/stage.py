@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sattools.camera.rpc import RPC
-from sattools.errors import SceneError, some_of
+from sattools.errors import SceneError, counted, some_of
 from sattools.progress import Progress, silent
 from sattools.radiometry.atmosphere import HAZY, Air, air_of, check_air, hazy
 from sattools.radiometry.bands import eo_bands, red_green_blue
@@ -99,7 +99,9 @@ def normalise(
     pooled = [[np.concatenate(band) for band in zip(*part, strict=True)] for part in (job.numbers, job.radiance)]
     label = LABELS[job.quantity] + (", without the air" if job.air else "")
     label += ", brought to the first image" if options.match else ""
-    histogram_figure(pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {len(items)} images", paths[FIGURE])
+    histogram_figure(
+        pooled[0], pooled[1], ("digital number", label), f"{scene.id}: {counted(len(items), 'images')}", paths[FIGURE]
+    )
     scene.products["radiance_histogram"] = FIGURE
     notes += _shared(job)
     for text in notes:
@@ -356,7 +358,9 @@ def _bands(scene: Scene, item: Item, count: int, options: NormaliseOptions) -> l
         return (named or RGB_OF_EIGHT) if eight else list(range(1, count + 1))
     wrong = [b for b in chosen if not 1 <= b <= count]
     if wrong:
-        raise SceneError(f"scene {scene.id}: item {item.id} has {count} bands, expected --bands within them: {wrong}")
+        raise SceneError(
+            f"scene {scene.id}: item {item.id} has {counted(count, 'bands')}, expected --bands within them: {wrong}"
+        )
     return chosen
 
 

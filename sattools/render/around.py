@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 from sattools.render.shadows import light_from
 from sattools.scene import Grid, Scene
 from sattools.scene.files import written
@@ -138,7 +138,9 @@ def read_around(scene: Scene) -> Around | None:
         if np.isfinite(height).any():
             layers.append((height[0], part))
     if bands != 1 or (everything and not layers):
-        raise InputError(f"{path}: found {bands} bands, or no data, expected one of heights around the area")
+        raise InputError(
+            f"{path}: found {counted(bands, 'bands')}, or no data, expected one of heights around the area"
+        )
     return Around(tuple(layers), area) if layers else None
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sattools.errors import counted
 from sattools.export.products.colours import rgb_bands
 from sattools.report import figures
 from sattools.report.alignment import alignment_section
@@ -97,7 +98,9 @@ def _images(scene: Scene) -> Section:
         if item.geometry and item.geometry.get("type") == "Polygon"
     }
     if outlines:
-        text = f"Footprints of {len(outlines)} images" + (" and the ground grid, shaded" if scene.grid else "")
+        text = f"Footprints of {counted(len(outlines), 'images')}" + (
+            " and the ground grid, shaded" if scene.grid else ""
+        )
         section.parts.append(Picture(figures.footprints(outlines, _area(scene)), "Map of footprints", f"{text}."))
     suns = [(item.sun[0], 90 - item.sun[1]) for item in scene.items if item.sun]
     views = [

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, SceneError, counted
 from sattools.scene.files import make_folder
 from sattools.scene.globe import box_of_all
 from sattools.scene.grid import Grid
@@ -157,7 +157,8 @@ class Scene:
 
     def __repr__(self) -> str:
         """In a line, as what a call in a notebook gives back is shown; `to_json` has everything."""
-        return f"Scene({self.id!r}, {str(self.root)!r}, {len(self.items)} images, products {list(self.products)})"
+        images = counted(len(self.items), "images")
+        return f"Scene({self.id!r}, {str(self.root)!r}, {images}, products {list(self.products)})"
 
     # ---- JSON -------------------------------------------------------------------------------------------
 

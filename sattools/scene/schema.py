@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from sattools.errors import InputError
+from sattools.errors import InputError, counted
 
 
 class Kind(Protocol):
@@ -127,7 +127,9 @@ class Items:
         """See `Kind`."""
         if not isinstance(value, list | tuple) or not self.shortest <= len(value) <= self.longest:
             few = f"{self.shortest}" if self.shortest == self.longest else f"{self.shortest} to {self.longest}"
-            expected = f"a list of {few} values" if self.longest < 1_000_000 else "a list"
+            expected = (
+                f"a list of {few} {'value' if few == '1' else 'values'}" if self.longest < 1_000_000 else "a list"
+            )
             raise InputError(f"{where}: found {shown(value)}, expected {expected}")
         for k, member in enumerate(value):
             self.kind.check(member, f"{where}[{k}]")
@@ -172,7 +174,7 @@ def shown(value: Any) -> str:
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, list | tuple):
         text = "[" + ", ".join(shown(member) for member in value) + "]"
-        return text if len(text) <= 60 else f"a list of {len(value)} values"
+        return text if len(text) <= 60 else f"a list of {counted(len(value), 'values')}"
     if isinstance(value, int | float):
         return f"{value:g}" if isinstance(value, float) else str(value)[:40]
     text = repr(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sattools.errors import printable
+from sattools.errors import counted, printable
 from sattools.scene.dependencies import STAGES, names_of
 from sattools.scene.document import Item, Scene
 from sattools.scene.jsonio import JsonObject
@@ -18,7 +18,7 @@ def summary(scene: Scene) -> str:
         )
     if scene.height_range_m:
         lines.append("  heights {:.1f} ... {:.1f} m above the ellipsoid".format(*scene.height_range_m))
-    lines.append(f"  {len(scene.items)} images, {len(scene.train_items())} for training{_left_out(scene)}")
+    lines.append(f"  {counted(len(scene.items), 'images')}, {len(scene.train_items())} for training{_left_out(scene)}")
     for item in scene.items:
         p = item.properties
         parts = [f"    {item.id:24s} {str(p.get('datetime') or 'no date')[:16]:16s}"]
@@ -56,7 +56,7 @@ def brief(scene: Scene, entry: JsonObject | None) -> str:
         entry: of the history, None where nothing was done.
     """
     command = str((entry or {}).get("command", ""))
-    lines = [f"scene {scene.id}: {len(scene.items)} images, {scene.path('scene.json')}"]
+    lines = [f"scene {scene.id}: {counted(len(scene.items), 'images')}, {scene.path('scene.json')}"]
     if entry is not None:
         lines[0] += f" ({command} {entry.get('seconds', 0.0):.1f} s, {entry.get('peak_memory_mb', 0.0):.0f} MB)"
     made = names_of(STAGES[command]) if command in STAGES else set()

@@ -9,7 +9,7 @@ import numpy as np
 
 from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, to_geographic, view_direction
 from sattools.camera.rpc import RPC
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, SceneError, counted
 from sattools.radiometry.linear import item_bits
 from sattools.scene import Grid, Item, Scene
 from sattools.scene.members import FINEST, LEAST_CELLS
@@ -138,7 +138,7 @@ def check_cells(grid: Grid, pixel_m: float, bands: int, images: int) -> None:
     cells = grid.width * grid.height
     check_memory(
         4.0 * cells * (bands + 2) * images * _COPIES,
-        f"{images} images on {grid.width} x {grid.height} cells of {grid.cell_size:g} m",
+        f"{counted(images, 'images')} on {grid.width} x {grid.height} cells of {grid.cell_size:g} m",
         "give coarser cells with --resolution, or fit with --tile",
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sattools.camera.ground import crop_window, ground_sample_distance, to_geographic
 from sattools.camera.rpc import RPC
-from sattools.errors import InputError, SceneError
+from sattools.errors import InputError, SceneError, counted
 from sattools.processors import side_by_side
 from sattools.radiometry.bands import chosen_bands
 from sattools.radiometry.holes import without_holes
@@ -115,7 +115,7 @@ def open_images(scene: Scene, items: Sequence[Item]) -> Opened:
     for part, count in zip(parts, counts, strict=True):
         if count != usual:
             raise SceneError(
-                f"{part.path}: found {count} bands, expected {usual} bands as most of the other images have"
+                f"{part.path}: found {counted(count, 'bands')}, expected {usual} as most of the other images have"
             )
     return Opened(names, cameras, parts, usual)
 

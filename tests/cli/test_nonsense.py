@@ -211,6 +211,9 @@ def test_too_little_memory_is_told_as_such_whoever_asked_for_it() -> None:
         ("[fit]\nbudget = inf", "budget: found inf"),
         ("[fit]\nepochs = 3", "epochs: found 3, expected a list"),
         ("[fit]\npose = 1", "pose: found 1, expected true or false"),
+        ('[fit]\nprecision = "bf17"', "c.toml: precision: 'bf17' is not one of 'float32', 'tf32', 'bf16'"),
+        ("[fit]\nsteps = -3", "c.toml: steps: -3 is not in the range 1<=x<=100000000"),
+        ("[fit]\nmaterials = 2000000000", "c.toml: materials: "),
     ],
 )
 @pytest.mark.parametrize("command", ["fit", "batch"])

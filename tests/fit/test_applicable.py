@@ -1,4 +1,4 @@
-"""Options that do nothing beside the others are told where they are given on the command line."""
+"""Options that do nothing beside the others are told where they are given on the command line or in Python."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+import sattools
 from sattools.cli import main
+from sattools.errors import SattoolsError, SceneError
 from sattools.fit.applicable import NEEDED, without_effect
 from sattools.fit.options import FitOptions
 from sattools.fit.presets import PRESETS, resolve, with_preset
@@ -85,3 +87,26 @@ def test_all_that_do_nothing_are_named() -> None:
     why = "found --field surface, expected --field mlp (or a preset with a network)"
     idle = without_effect(FitOptions(width=8, network="satnerf"), ["width", "network", "brdf"])
     assert idle == [("width", why), ("network", why)]
+
+
+@pytest.mark.parametrize("options", [{"precision": "bf16", "rays": 1024}, FitOptions(precision="bf16")])
+def test_from_python_it_is_told_as_well(tmp_path: Path, options: Any, caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(SceneError, match=r"none\.json"):
+        sattools.fit(tmp_path / "none.json", options)
+    why = "found --field surface, expected --field mlp (or a preset with a network)"
+    assert [record.getMessage() for record in caplog.records] == [f"--precision does nothing here: {why}"]
+
+
+def test_a_preset_brings_nothing_from_python_that_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for options in ({"preset": "satnerf"}, resolve("satnerf", {"width": 32})):
+        with pytest.raises(SceneError, match=r"none\.json"):
+            sattools.fit(tmp_path / "none.json", options)
+    assert caplog.records == []
+
+
+def test_of_a_simulation_from_python_as_well(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "taken").touch()
+    with pytest.raises(SattoolsError, match="taken"):
+        sattools.simulate({"units": 3, "out": str(tmp_path / "taken")})
+    why = "found --terrain city, expected natural"
+    assert [record.getMessage() for record in caplog.records] == [f"--units does nothing here: {why}"]

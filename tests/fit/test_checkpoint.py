@@ -10,9 +10,11 @@ from safetensors.torch import save_file
 
 from sattools.errors import InputError
 from sattools.fit import checkpoint
+from sattools.fit.model import FittedModel
 from sattools.fit.options import FitOptions
 from sattools.fit.stage import fit
 from sattools.fit.stored import StoredModel
+from sattools.scene import Grid
 
 
 def test_a_model_survives_its_file(tmp_path: Path) -> None:
@@ -78,11 +80,56 @@ def test_a_damaged_model_is_found_without_holding_it(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[-7] ^= 1
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"m\.safetensors: found other content than was written \(checksum\)"):
+    with pytest.raises(InputError, match=r"^[^:]*m\.safetensors: found other content than was written \(checksum\)"):
         checkpoint.verify(path)
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(InputError, match=r"m\.safetensors: found no sattools model \(truncated\)"):
         checkpoint.verify(path)
+
+
+LATER = "; the version of sattools that wrote it, or a later one, reads it"
+
+
+@pytest.mark.parametrize(
+    ("description", "found"),
+    [
+        ({"needs": ["plain", "fog"]}, "a model that needs 'fog', expected no more than opened, plain"),
+        ({"version": 3}, "a model of format 3, expected at most 2"),
+    ],
+)
+def test_a_model_of_a_later_version_is_refused_and_not_half_read(
+    tmp_path: Path, description: dict[str, Any], found: str
+) -> None:
+    path = tmp_path / "m.safetensors"
+    checkpoint.save(path, {"height": torch.zeros(2, 3)}, description)
+    for read in (checkpoint.load, checkpoint.verify, StoredModel.open):
+        with pytest.raises(InputError) as error:
+            read(path)
+        assert str(error.value) == f"{path}: found {found}{LATER}"
+
+
+@pytest.mark.parametrize(
+    ("extra", "needs"), [({}, None), ({"field.plain": 1}, None), ({"plain": 1, "opened": 2}, ["opened", "plain"])]
+)
+def test_a_model_names_what_a_reader_has_to_know_and_nothing_else(
+    tmp_path: Path, extra: dict[str, int], needs: list[str] | None
+) -> None:
+    """Materials of Lambert's law, and light from the ground around, were left out by versions that do not know them."""
+    model = a_model(extra={name: torch.ones(size) for name, size in extra.items()})
+    model.save(tmp_path / "m.safetensors")
+    assert checkpoint.describe(tmp_path / "m.safetensors").get("needs") == needs
+    again = FittedModel.load(tmp_path / "m.safetensors")
+    assert {name: tensor.tolist() for name, tensor in again.extra.items()} == {n: [1.0] * k for n, k in extra.items()}
+
+
+def a_model(**given: Any) -> FittedModel:
+    """A level surface of 2 x 3 cells in one image."""
+    grid = Grid("EPSG:32617", 500_000.0, 3_300_000.0, 1.0, 3, 2)
+    return FittedModel(
+        grid=grid, items=["A"], suns=[None], height=torch.zeros(2, 3), height_std=torch.zeros(2, 3),
+        albedo=torch.ones(2, 3, 1), gain=torch.ones(1, 1), offset=torch.zeros(1, 1), ambient=torch.zeros(1, 1),
+        pose=torch.zeros(1, 2), **given,
+    )  # fmt: skip
 
 
 def test_a_model_that_goes_away_while_it_is_read_is_named(make_town: Any) -> None:

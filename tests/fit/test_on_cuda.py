@@ -17,6 +17,7 @@ from sattools.export.stage import export
 from sattools.field.mlp import MlpField
 from sattools.fit.presets import PRESETS, resolve
 from sattools.fit.rays.maps import read_maps
+from sattools.fit.rays.precision import multiplied
 from sattools.fit.rays.stage import STEPS, FieldSteps
 from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
@@ -85,6 +86,29 @@ def test_losses_and_gradients_are_those_of_the_cpu(name: str, rest: bool) -> Non
     assert not wrong
 
 
+@pytest.mark.parametrize(("precision", "rounding"), [("tf32", 2**-11), ("bf16", 2**-9)])
+@pytest.mark.parametrize("name", ["eonerf", "satnerf", "hapke-nerf"])
+def test_gradients_of_rounded_products_are_those_of_float32_but_for_the_rounding(
+    name: str, precision: str, rounding: float
+) -> None:
+    """Some twenty products, ten there and ten back, that round by that much each."""
+    exact, rounded = house(name, CUDA), house(name, CUDA, precision=precision)
+    noise = torch.Generator("cpu").manual_seed(5)
+    with torch.no_grad():
+        for tensor in exact.tensors.values():
+            tensor += 0.05 * torch.randn(tensor.shape, generator=noise, device="cpu").to(CUDA)
+    rounded.load(exact.state())
+    expected = answers(exact, rest=False)
+    with multiplied(rounded.field, rounded.options.precision):
+        found = answers(rounded, rest=False)
+    assert found.keys() == expected.keys()
+    assert not torch.equal(found["field.trunk.1.weight"], expected["field.trunk.1.weight"])
+    for layer in {name.rpartition(".")[0] for name in expected if name.startswith("field.")}:
+        ours = [name for name in expected if name.rpartition(".")[0] == layer]
+        wrong = sum(float((found[name] - expected[name]).square().sum()) for name in ours)
+        assert wrong <= (20 * rounding) ** 2 * sum(float(expected[name].square().sum()) for name in ours), layer
+
+
 @pytest.mark.parametrize("name", ["neural", "eonerf", "hapke-nerf"])
 def test_what_is_read_off_is_that_of_the_cpu(name: str) -> None:
     maps = []
@@ -138,10 +162,17 @@ def test_a_step_goes_on_from_what_another_has_saved() -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize("name", FIELDS)
-def test_recorded_steps_are_those_that_are_not(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "precision"), [*((name, "float32") for name in FIELDS), ("eonerf", "bf16"), ("eonerf", "tf32")]
+)
+def test_recorded_steps_are_those_that_are_not(name: str, precision: str) -> None:
     """But for the order in which the device adds up, through what comes in late, and at rest."""
-    given = {"steps": 24, "rays": 64, **({"shadow": "geometric"} if name == "hapke-nerf" else {})}
+    given = {
+        "steps": 24,
+        "rays": 64,
+        "precision": precision,
+        **({"shadow": "geometric"} if name == "hapke-nerf" else {}),
+    }
     one, other = house(name, CUDA, **given), house(name, CUDA, **given)
     assert one.recorded is not None
     assert other.recorded is not None
@@ -162,7 +193,14 @@ def test_recorded_steps_are_those_that_are_not(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("preset", "more"),
-    [("fast", {}), ("fast", {"field": "neural", "steps": 60}), ("eonerf", {"steps": 20}), ("satnerf", {"steps": 8})],
+    [
+        ("fast", {}),
+        ("fast", {"field": "neural", "steps": 60}),
+        ("eonerf", {"steps": 20}),
+        ("eonerf", {"steps": 20, "precision": "bf16"}),
+        ("eonerf", {"steps": 20, "precision": "tf32"}),
+        ("satnerf", {"steps": 8}),
+    ],
 )
 def test_a_scene_is_fitted_and_exported(make_town: Callable[[str], Scene], preset: str, more: dict[str, Any]) -> None:
     scene = make_town("TOWN")

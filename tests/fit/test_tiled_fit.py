@@ -242,8 +242,8 @@ def test_a_tile_that_too_few_images_show_takes_the_coarse_surface(make_hamlet: A
             image.write(numbers)
     said = fit(scene, SHORT)["notes"]
     assert [text for text in said if text.startswith("tile")][:2] == [
-        "tile r0c1: 1 images show it, its surface is the coarse one",
-        "tile r1c1: 1 images show it, its surface is the coarse one",
+        "tile r0c1: 1 image shows it, its surface is the coarse one",
+        "tile r1c1: 1 image shows it, its surface is the coarse one",
     ]
     assert torch.isfinite(model(scene)[0]["height"]).all()
 

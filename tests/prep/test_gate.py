@@ -237,7 +237,7 @@ def test_pixels_of_one_bit_are_no_brightness(town: Any) -> None:
 
 def test_one_band_beside_three(town: Any) -> None:
     town.pixels(2, lambda values: values[:1])
-    refused(town, "TOWN_002.tif: found 1 bands, expected 3 as most of the other images have")
+    refused(town, "TOWN_002.tif: found 1 band, expected 3 as most of the other images have")
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])

@@ -112,5 +112,5 @@ def test_a_file_of_surroundings_that_holds_nothing_is_told(tmp_path: Path) -> No
     scene = Scene("A", tmp_path, grid=WHOLE)
     scene.products["prior_surroundings"] = "none.tif"
     write_cog(tmp_path / "none.tif", np.full((1, *WHOLE.shape), np.nan, np.float32), WHOLE)
-    with pytest.raises(InputError, match=r"none.tif: found 1 bands, or no data"):
+    with pytest.raises(InputError, match=r"none.tif: found 1 band, or no data"):
         read_around(scene)

@@ -9,6 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from sattools.errors import counted
 from sattools.fit.materials.blocks import blocks_of, typical
 from sattools.fit.materials.inversion import (
     ROBUST,
@@ -161,7 +162,7 @@ def choose_model(s: Samples, block: Tensor, relative: bool) -> Choice:
             block, and is scored on the others.
     """
     if len(s.views) < 3:
-        return Choice("lambert", [f"brdf auto: {len(s.views)} views leave none to hold out; kept lambert"])
+        return Choice("lambert", [f"brdf auto: {counted(len(s.views), 'views')} leave none to hold out; kept lambert"])
     held = _Held(s, block, relative)
     errors = {"lambert": held.errors([_plain(s, j) for j in held.views])}
     best: Model = "lambert"

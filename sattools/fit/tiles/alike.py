@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sattools.errors import SceneError, some_of
+from sattools.errors import SceneError, counted, some_of
 from sattools.fit.options import FitOptions
 from sattools.fit.stored import StoredModel
 from sattools.scene import Scene
@@ -42,7 +42,7 @@ def check_maps_alike(models: Mapping[str, StoredModel], path: Callable[[str], Pa
         return
     name = next(name for name, kind in kinds.items() if kind != (cell, bands))
     own, own_bands = kinds[name]
-    found, expected = (f"{own:g} m", f"{cell:g} m") if own != cell else (f"{own_bands} bands", f"{bands}")
+    found, expected = (f"{own:g} m", f"{cell:g} m") if own != cell else (counted(own_bands, "bands"), f"{bands}")
     raise SceneError(
         f"{path(name)}: found a tile of {'cells of ' if own != cell else ''}{found}, expected {expected} as in the "
         f"others; fit it again (--overwrite) with their options"

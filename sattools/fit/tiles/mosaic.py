@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.errors import SceneError
+from sattools.errors import SceneError, counted
 from sattools.fit.described import CELL_MAPS, COLOURS
 from sattools.fit.files import MODEL, TRACE, Fitted, one_result, save_fit
 from sattools.fit.model import FittedModel
@@ -118,7 +118,7 @@ def mosaic_tiles(plan: Plan, notes: list[str], read: Seen, progress: Progress) -
     for name in names:
         if not (plan.root(name) / MODEL).exists():
             raise SceneError(f"{plan.root(name) / MODEL}: no such file, expected the model of a fitted tile")
-    progress(1.0, f"joining {len(names)} tiles")
+    progress(1.0, f"joining {counted(len(names), 'tiles')}")
     common = FittedModel.load(scene.root / COMMON)
     models = {name: StoredModel.open(plan.root(name) / MODEL, in_memory=0) for name in names}
     check_maps_alike(models, lambda name: plan.root(name) / MODEL)
@@ -132,7 +132,7 @@ def mosaic_tiles(plan: Plan, notes: list[str], read: Seen, progress: Progress) -
             _mosaic_priors(plan, names)
             made = record(scene, "prior", scene.train_items(), implicit=True)
         model = _streamed(plan, models, common, whole)
-        notes = [f"{len(names)} tiles of up to {plan.options.tile:g} m", *notes]
+        notes = [f"{counted(len(names), 'tiles')} of up to {plan.options.tile:g} m", *notes]
         result = save_fit(scene, Fitted(model, _trace(plan, [COARSE, *names]), notes), made, read)
     if spent := plan.spent():
         result["parts"] = spent

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from sattools import __version__
-from sattools.errors import SceneError
+from sattools.errors import SceneError, counted
 from sattools.fit.described import COLOURS
 from sattools.fit.files import CHECKPOINT, MODEL
 from sattools.fit.foresight import side_by_side
@@ -158,7 +158,8 @@ class Plan:
                 continue  # its surface is the coarse one, which `export` leaves out
             shown = [item.id for item in self.scene.train_items() if item.id not in unseen[tile.name]]
             if len(shown) < 2:
-                notes.append(f"tile {tile.name}: {len(shown)} images show it, its surface is the coarse one")
+                told = f"{counted(len(shown), 'images')} {'shows' if len(shown) == 1 else 'show'} it"
+                notes.append(f"tile {tile.name}: {told}, its surface is the coarse one")
                 log.warning(notes[-1])
                 continue
             one = self._tile_scene(tile, tile.name, unseen)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter
 
+from sattools.errors import counted
 from sattools.prior.frame import Frame
 from sattools.prior.matching.penalties import penalties
 from sattools.prior.options import PriorOptions
@@ -127,7 +128,10 @@ def sweep_blocks(
     blocks = _blocks(frame.shape, int(task.options.memory * 1e6 / 12), wanted, guide is not None)
     maps: tuple[np.ndarray, ...] = tuple(np.empty(frame.shape, np.float32) for _ in range(3))
     for k, (rows, cols) in enumerate(blocks):
-        progress(k / len(blocks), f"matching {len(task.pairs)} pairs at up to {wanted} heights, cell {frame.cell:g} m")
+        progress(
+            k / len(blocks),
+            f"matching {counted(len(task.pairs), 'pairs')} at up to {wanted} heights, cell {frame.cell:g} m",
+        )
         top, left = max(0, rows.start - OVERLAP), max(0, cols.start - OVERLAP)
         bottom, right = min(frame.shape[0], rows.stop + OVERLAP), min(frame.shape[1], cols.stop + OVERLAP)
         near = task.z_range
