@@ -158,8 +158,8 @@ class Plan:
                 continue  # its surface is the coarse one, which `export` leaves out
             shown = [item.id for item in self.scene.train_items() if item.id not in unseen[tile.name]]
             if len(shown) < 2:
-                told = f"{counted(len(shown), 'images')} {'shows' if len(shown) == 1 else 'show'} it"
-                notes.append(f"tile {tile.name}: {told}, its surface is the coarse one")
+                who = f"{counted(len(shown), 'images')} {'shows' if len(shown) == 1 else 'show'} it"
+                notes.append(f"tile {tile.name}: {who}, its surface is the coarse one")
                 log.warning(notes[-1])
                 continue
             one = self._tile_scene(tile, tile.name, unseen)
