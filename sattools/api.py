@@ -16,10 +16,9 @@ shows a bar; any function of (share done, message) is told instead.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from sattools.align.options import AlignOptions
 from sattools.change.options import ChangeOptions
@@ -33,13 +32,13 @@ from sattools.progress import Progress, make_progress, silent
 from sattools.radiometry.options import NormaliseOptions
 from sattools.scene import Scene
 from sattools.scene.called import by_a_program
+from sattools.scene.given import options_of
 from sattools.scene.jsonio import JsonObject
 from sattools.scene.runner import Step, run_first, run_on
-from sattools.scene.schema import Flag, Items, Kind, Maybe, Number, Text
-from sattools.settings import LARGEST, LARGEST_COUNT, OptionSpec, specs, tell_without_effect
+from sattools.scene.schema import Flag, shown
+from sattools.settings import tell_without_effect
 from sattools.simulate.options import SimulateOptions
 
-T = TypeVar("T")
 SceneLike = Scene | str | PathLike[str]
 Told = Progress | bool | None
 
@@ -67,7 +66,7 @@ def prepare(
     from sattools.prep.stage import prepare as stage
     from sattools.scene.location import image_locations
 
-    own = _options(PrepOptions, options)
+    own = options_of(PrepOptions, options)
     paths = image_locations(_paths(images))
     step = Step("prep", own, overwrite, _progress(progress, "prep"))
     with by_a_program():
@@ -87,7 +86,7 @@ def simulate(
     from sattools.simulate.options import without_effect
     from sattools.simulate.stage import simulate as stage
 
-    own = _options(SimulateOptions, options)
+    own = options_of(SimulateOptions, options)
     if isinstance(options, Mapping):
         tell_without_effect(without_effect(own, options).items())
     step = Step("simulate", own, overwrite, _progress(progress, "simulate"))
@@ -112,7 +111,7 @@ def normalise(
     """
     from sattools.radiometry.stage import normalise as stage
 
-    return _run(stage, "normalise", scene, _options(NormaliseOptions, options), overwrite, progress)
+    return _run(stage, "normalise", scene, options_of(NormaliseOptions, options), overwrite, progress)
 
 
 def match(
@@ -132,7 +131,7 @@ def match(
     """
     from sattools.prior.stage import prior as stage
 
-    return _run(stage, "prior", scene, _options(PriorOptions, options), overwrite, progress)
+    return _run(stage, "prior", scene, options_of(PriorOptions, options), overwrite, progress)
 
 
 def fit(
@@ -160,12 +159,12 @@ def fit(
     given: Iterable[str] = NEEDED  # of a dataclass nobody knows which were; those that it has anyway ask for nothing
     if isinstance(options, Mapping):
         given = list(options)
-        _options(FitOptions, options)  # a preset that there is not is told like all else
+        options_of(FitOptions, options)  # a preset that there is not is told like all else
         asked = (
             str(options.get(name, usual)) for name, usual in (("preset", "fast"), ("start", "surface"), ("field", ""))
         )
         options = {**with_preset(*asked), **options}
-    own = _options(FitOptions, options)
+    own = options_of(FitOptions, options)
     tell_without_effect(without_effect(own, given))
     return _run(stage, "fit", scene, own, overwrite, progress)
 
@@ -187,7 +186,7 @@ def export(
     """
     from sattools.export.stage import export as stage
 
-    return _run(stage, "export", scene, _options(ExportOptions, options), overwrite, progress)
+    return _run(stage, "export", scene, options_of(ExportOptions, options), overwrite, progress)
 
 
 def compare(
@@ -210,7 +209,7 @@ def compare(
     """
     from sattools.compare.stage import compare as stage
 
-    own = _options(CompareOptions, options)
+    own = options_of(CompareOptions, options)
     aside = next((name for name in ("predicted", "fit", "out") if getattr(own, name)), None)
     if aside is not None:
         others = "`sattools.compare.compare_file` scores a file, `sattools.compare.evaluation.evaluate` several fits"
@@ -241,7 +240,7 @@ def align(
     """
     from sattools.align.stage import align as stage
 
-    own = _options(AlignOptions, options)
+    own = options_of(AlignOptions, options)
     if own.to is None:
         raise InputError("AlignOptions: found no option 'to', expected a raster of heights or ground control points")
     return _run(stage, "align", scene, own, overwrite, progress)
@@ -272,7 +271,7 @@ def change(
     """
     from sattools.change.stage import change as stage
 
-    own = _options(ChangeOptions, options)
+    own = options_of(ChangeOptions, options)
     Flag().check(overwrite, "overwrite")
     for surface in (before, after):
         if not isinstance(surface, Scene | str | PathLike):
@@ -309,6 +308,10 @@ def _scene(scene: SceneLike) -> Scene:
         return scene
     if not isinstance(scene, str | PathLike):
         raise InputError(f"found {type(scene).__name__}, expected a Scene or the path of a scene.json")
+    if str(scene).lstrip().startswith("{"):
+        raise InputError(
+            f"found {shown(str(scene))}, expected the path of a scene.json (`Scene.from_json` reads its text)"
+        )
     return Scene.from_file(str(scene))
 
 
@@ -318,76 +321,6 @@ def _progress(told: Told, label: str) -> Progress:
     if told is not True and not callable(told):
         raise InputError(f"progress: found {told!r}, expected True, or a function of (share done, message)")
     return make_progress("bar", label) if told is True else told
-
-
-def _options(cls: type[T], given: T | Mapping[str, Any] | None) -> T:
-    """The options dataclass. Raises InputError for names that it does not have and values that it does not take."""
-    if given is None:
-        return cls()
-    known = {spec.name: spec for spec in specs(cls)}
-    if not isinstance(given, Mapping):
-        if not isinstance(given, cls):
-            raise InputError(f"found {type(given).__name__}, expected {cls.__name__} or a dict of its options")
-        for name, spec in known.items():
-            _kind(spec).check(_plain(getattr(given, name)), f"{cls.__name__}: option {name!r}")
-        return given
-    unknown = sorted(set(given) - known.keys() - set(cls.__dataclass_fields__), key=str)  # type: ignore[attr-defined]
-    if unknown:
-        names = ", ".join(sorted(known.keys() | set(cls.__dataclass_fields__)))  # type: ignore[attr-defined]
-        raise InputError(f"{cls.__name__}: found option {unknown[0]!r}, expected some of {names}")
-    values = {name: _plain(value) for name, value in given.items()}
-    texts = {spec.name for spec in known.values() if spec.multiple and spec.kind is str} & values.keys()
-    # a text is an option that a command line gives once
-    values |= {name: [values[name]] for name in texts if isinstance(values[name], str)}
-    single = {spec.name for spec in known.values() if spec.kind is str and not spec.multiple} & values.keys()
-    # and what is a number in Python is text there, such as a scale
-    values |= {name: str(values[name]) for name in single if type(values[name]) in (int, float)}
-    for name, value in values.items():
-        if (own := known.get(name)) is not None:
-            _kind(own).check(value, f"{cls.__name__}: option {name!r}")
-            if isinstance(value, list | tuple):
-                values[name] = list(value) if own.multiple else tuple(value)
-    return cls(**values)
-
-
-def _plain(value: Any) -> Any:
-    """A value as the command line would have it: paths as text, numbers and arrays of numpy as Python's."""
-    if isinstance(value, PathLike):
-        return str(value)
-    if isinstance(value, list | tuple):
-        return [_plain(member) for member in value]
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
-def _kind(spec: OptionSpec) -> Kind:
-    """What an option takes, as `kind_of` of the command line has it."""
-    low, high = spec.minimum, spec.maximum
-    kind: Kind = Text(tuple(spec.choices or ()), empty=spec.path is None)
-    if spec.kind is bool:
-        kind = Flag()
-    elif spec.kind is int:
-        low = -LARGEST_COUNT if low is None else low
-        kind = Number(low, LARGEST_COUNT if high is None else high, whole=True)
-    elif spec.kind is float:
-        kind = Number(-LARGEST if low is None else low, LARGEST if high is None else high)
-    if spec.words:
-        kind = _Or(kind, spec.words)
-    if spec.multiple or spec.count > 1:
-        kind = Items(kind, spec.count, spec.count) if spec.count > 1 else Items(kind)
-    return Maybe(kind) if spec.optional or spec.default is None else kind
-
-
-@dataclass(frozen=True)
-class _Or:
-    """A value of a kind, or one of some words."""
-
-    kind: Kind
-    words: tuple[str, ...]
-
-    def check(self, value: Any, where: str) -> None:
-        """See `Kind`."""
-        if value not in self.words:
-            self.kind.check(value, where)
 
 
 __all__ = ["align", "change", "compare", "export", "fit", "match", "normalise", "prepare", "simulate"]

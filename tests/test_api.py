@@ -5,7 +5,7 @@ import json
 import pydoc
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +134,8 @@ def test_an_option_that_is_not_there_is_named() -> None:
         ({"resolution": "2"}, "option 'resolution': found '2', expected a finite number"),
         ({"resolution": float("nan")}, "option 'resolution': found nan"),
         ({"seed": None}, "option 'seed': found null"),
+        ({"seed": 2.5}, "option 'seed': found 2.5, expected a whole number"),
+        ({"prior-weight": 1.0}, r"found option 'prior-weight', expected some of .* \(did you mean 'prior_weight'\?\)"),
         ({"pose": "no"}, "option 'pose': found 'no', expected true or false"),
         ({"tile": "all"}, "option 'tile': found 'all', expected a finite number"),
         (FitOptions(loss="mae"), "option 'loss': found 'mae', expected mse"),
@@ -170,6 +172,7 @@ def test_a_name_that_is_empty_is_not_the_current_folder(tmp_path: Path, monkeypa
         (None, None, "found NoneType, expected a Scene or the path of a scene.json"),
         ([], None, "found list, expected a Scene or the path of a scene.json"),
         (3, None, "found int, expected a Scene or the path of a scene.json"),  # no file descriptor, that it closes
+        ('{"type": "FeatureCollection"}', None, r".*, expected the path .* \(`Scene.from_json` reads its text\)"),
         ("scene.json", "fast", "found str, expected FitOptions or a dict of its options"),
         ("scene.json", ExportOptions(), "found ExportOptions, expected FitOptions or a dict of its options"),
     ],
@@ -194,7 +197,7 @@ def test_options_are_python_values_of_any_make(make_town: Any) -> None:
     scene = sattools.export(sattools.fit(town, options), {"sun": [150, 40]})
     scene = sattools.compare(scene, {"dsm": town.root / "truth/TOWN_DSM.tif"})
     assert scene.history[-1]["options"]["dsm"] == str(town.root / "truth/TOWN_DSM.tif")
-    with pytest.raises(InputError, match="ExportOptions: option 'products': found 5, expected a list"):
+    with pytest.raises(InputError, match="--products: found '5', expected some of dsm"):
         sattools.export(scene, {"products": 5})
 
 
@@ -233,6 +236,26 @@ def test_a_number_is_taken_in_place_of_a_text_as_the_command_takes_it(make_town:
     for wrong in ([0.1, 0.2], np.array([0.1, 0.2]), True):
         with pytest.raises(InputError, match=r"NormaliseOptions: option 'scale': found .*, expected text"):
             sattools.normalise(scene, {"scale": wrong}, overwrite=True)
+
+
+@pytest.mark.parametrize("bands", [[1, 3], 3, np.array([1, 3]), (np.uint8(1), "3")], ids=str)
+def test_bands_are_numbers_or_texts(make_hamlet: Any, bands: Any) -> None:
+    scene = sattools.fit(make_hamlet(), {**QUICK, "bands": bands})
+    assert scene.history[-1]["options"]["bands"] == (["3"] if np.ndim(bands) == 0 else ["1", "3"])
+
+
+@pytest.mark.parametrize("options", [{"seed": 3.0}, FitOptions(seed=np.int64(3)), FitOptions(seed=3.0)], ids=str)
+def test_a_whole_number_is_one_whatever_its_type(make_hamlet: Any, options: Any) -> None:
+    """PyTorch refuses a seed of 3.0, after the matching."""
+    own = {"resolution": 4.0, "coarsest": 4.0, "epochs": [1], "prior_weight": 0.0}
+    options = {**own, **options} if isinstance(options, dict) else replace(options, **own)
+    scene = sattools.fit(make_hamlet(), options)
+    assert repr(scene.history[-1]["options"]["seed"]) == "3"
+
+
+def test_a_name_that_is_too_long_is_no_scene() -> None:
+    with pytest.raises(SceneError, match="found File name too long, expected a readable file with a scene document"):
+        sattools.fit(5000 * "a")
 
 
 def test_the_scene_that_is_given_is_the_one_that_is_changed(make_town: Any) -> None:

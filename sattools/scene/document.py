@@ -247,7 +247,7 @@ class Scene:
         try:
             text = read_text(path)
         except InputError as error:
-            if Path(path).is_dir():
+            if os.path.isdir(path):  # of names that are too long, `Path.is_dir` has an error of its own
                 inside = [*Path(path).glob("scene.json"), *sorted(Path(path).glob("*/scene.json"))]
                 wanted = f"the scene document {inside[0]}" if inside else "a scene document"
                 raise SceneError(f"{path}: found a folder, expected {wanted}") from None

@@ -227,7 +227,9 @@ def test_fit_of_an_image_with_nan_pixels(town: Any, images: Any) -> None:
 
 def test_fit_of_images_with_different_bands(town: Any, images: Any) -> None:
     rewrite(images[3], lambda p: p[:1])
-    assert_refused(run("fit", *QUICK, text=town.to_json()), "fit", "bands")
+    assert_refused(
+        run("fit", *QUICK, text=town.to_json()), "fit", "found 1 band, expected 3 as most of the other images have"
+    )
 
 
 def test_fit_of_an_image_that_does_not_show_the_grid(town: Any) -> None:
