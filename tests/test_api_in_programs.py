@@ -32,6 +32,16 @@ def test_a_program_may_go_to_another_folder(make_town: Any, tmp_path: Path, monk
     assert sattools.normalise(scene).history[-1]["command"] == "normalise"
 
 
+@pytest.mark.parametrize("call", [sattools.normalise, sattools.match, sattools.fit, sattools.export])
+def test_a_document_that_was_copied_away_from_its_files_is_told(make_hamlet: Any, tmp_path: Path, call: Any) -> None:
+    """A file was named that never was there, as if an earlier step had not been done."""
+    (tmp_path / "kept.json").write_text(make_hamlet().to_json(root="."))
+    found = rf"found none of its files in {tmp_path}, where {tmp_path}/kept\.json lies, expected the scene\.json in"
+    with pytest.raises(SceneError, match=found):
+        call(tmp_path / "kept.json")
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["kept.json"]
+
+
 @pytest.mark.parametrize("name", STAGES)
 def test_functions_can_be_handed_to_other_processes(name: str) -> None:
     function = getattr(sattools, name)

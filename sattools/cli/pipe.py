@@ -77,6 +77,8 @@ def run_scenes(
         return
 
     def handle(scene: Scene) -> str:
+        from sattools.scene.runner import check_place
+
         check_inputs(run.options)
         if not scene.root.is_dir():
             raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
@@ -145,28 +147,6 @@ def is_watched() -> bool:
         return False
     mode = (root.obj or {}).get("progress")
     return mode == "bar" or (mode == "auto" and sys.stderr.isatty())
-
-
-def check_place(scene: Scene) -> None:
-    """Raise SceneError where a `scene.json` came by a pipe from elsewhere: its root is "." and means this folder."""
-    from sattools.scene.location import is_remote
-
-    if scene.root != Path.cwd():
-        return
-    hrefs = [asset.href for item in scene.items for asset in item.assets.values()]
-    own = [href for href in hrefs if not (is_remote(href) or Path(href).is_absolute())]
-    if own and not any((scene.root / href).exists() for href in own):
-        if scene.origin is not None:
-            here = Path.cwd()
-            shown = scene.origin.relative_to(here) if scene.origin.is_relative_to(here) else scene.origin
-            raise SceneError(
-                f"scene {scene.id}: found none of its files in {scene.root}, where {shown} lies, "
-                "expected the scene.json in the scene's folder (was that moved?)"
-            )
-        raise SceneError(
-            f"scene {scene.id}: found none of its files in {scene.root}, the current folder, where a scene.json on a "
-            "pipe has them, expected its path on the command line instead"
-        )
 
 
 def check_inputs(options: Any) -> None:
@@ -303,7 +283,6 @@ __all__ = [
     "NOTHING",
     "Run",
     "apply",
-    "check_place",
     "each_scene",
     "is_watched",
     "progress_of",

@@ -10,7 +10,7 @@ import click
 
 from sattools.cli.documents import documents, parse
 from sattools.cli.kinds import NamedPath
-from sattools.cli.pipe import NOTHING, check_place, report_error
+from sattools.cli.pipe import NOTHING, report_error
 from sattools.errors import OutputExistsError, SattoolsError, SceneError
 
 
@@ -42,6 +42,7 @@ def command(source: str, out: Path | None, overwrite: bool) -> None:
             return
         from sattools.report.scene import scene_page
         from sattools.scene.dependencies import files_of
+        from sattools.scene.runner import check_place
 
         name = str(Path(source) / "scene.json") if Path(source).is_dir() and source != "-" else source
         done = False

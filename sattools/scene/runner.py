@@ -24,6 +24,7 @@ from sattools.scene.dependencies import SOURCES
 from sattools.scene.document import Scene
 from sattools.scene.files import all_or_nothing, locked
 from sattools.scene.jsonio import JsonObject
+from sattools.scene.location import is_remote
 from sattools.scene.schema import Flag
 from sattools.settings import as_dict
 
@@ -65,10 +66,11 @@ def run_on(scene: Scene, step: Step, work: Work) -> tuple[Scene, JsonObject]:
         work: what is done.
 
     Raises:
-        SceneError: the scene's folder is not there, or holds the document of something else.
+        SceneError: the scene's folder is not there, has none of its files, or holds the document of something else.
     """
     if not scene.root.is_dir():
         raise SceneError(f"scene {scene.id}: found no folder {scene.root}, expected the scene's root")
+    check_place(scene)
     with locked(scene.root), _log_of(step) as log, unchanged_unless_done(scene):
         log.place(scene.root)
         if scene.origin is not None:
@@ -209,6 +211,30 @@ def _settings(step: Step) -> JsonObject:
     return _plain(as_dict(step.options)) if step.options is not None else {}
 
 
+def check_place(scene: Scene) -> None:
+    """Raise SceneError where a `scene.json` lies elsewhere than its files: its root is "." and means another folder.
+
+    Args:
+        scene: as it was read: of a file, whose folder is meant, or of a pipe, where it is the current folder.
+    """
+    if scene.root not in (Path.cwd(), scene.origin and scene.origin.parent):
+        return
+    hrefs = [asset.href for item in scene.items for asset in item.assets.values()] + list(scene.products.values())
+    own = [href for href in hrefs if not (is_remote(href) or Path(href).is_absolute())]
+    if own and not any((scene.root / href).exists() for href in own):
+        if scene.origin is not None:
+            here = Path.cwd()
+            shown = scene.origin.relative_to(here) if scene.origin.is_relative_to(here) else scene.origin
+            raise SceneError(
+                f"scene {scene.id}: found none of its files in {scene.root}, where {shown} lies, "
+                "expected the scene.json in the scene's folder (was that moved?)"
+            )
+        raise SceneError(
+            f"scene {scene.id}: found none of its files in {scene.root}, the current folder, where a scene.json on a "
+            "pipe has them, expected its path on the command line instead"
+        )
+
+
 def document_of(scene: Scene, overwrite: bool) -> Scene | None:
     """The document in the scene's folder, None where there is none; SceneError where it is of something else.
 
@@ -277,4 +303,4 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-__all__ = ["Step", "Work", "at_the_end", "document_of", "run_first", "run_on", "unchanged_unless_done"]
+__all__ = ["Step", "Work", "at_the_end", "check_place", "document_of", "run_first", "run_on", "unchanged_unless_done"]
