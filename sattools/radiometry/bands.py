@@ -163,8 +163,11 @@ def chosen_bands(item: Item, wanted: Sequence[str], count: int) -> list[int]:
         number = numbers.get(word.strip().casefold())
         if number is None:
             known = ", ".join(str(band["name"]) for band in said)
+            own = item.properties.get("sattools:bands")
+            fewer = isinstance(own, int) and own > count and "radiance" in item.assets
+            more = f"; `sattools normalise --bands` has taken {count} of its {own}" if fewer else ""
             raise SceneError(
-                f"--bands: found {word!r}, expected a number up to {count} or a name that {item.id} has ({known})"
+                f"--bands: found {word!r}, expected a number up to {count} or a name that {item.id} has ({known}){more}"
             )
         chosen.append(number)
     if len(set(chosen)) < len(chosen):

@@ -255,6 +255,11 @@ def _one(job: _Job, item: Item, output: Path, notes: list[str]) -> dict[str, flo
         job.air[item.id] = item.properties["sattools:atmosphere"] = air.to_dict()
     if options.match and (flat := blocks.match()):
         job.flat.setdefault(", ".join(map(str, flat)), []).append(item.id)
+    if not options.bands and len(blocks.chosen) < part.bands:
+        taken = ", ".join(map(str, blocks.chosen))
+        job.alike.setdefault(
+            f"bands {taken} of {part.bands} are taken, red, green and blue (others: --bands)", []
+        ).append(item.id)
     bands_of = eo_bands(item.properties.get("platform"), job.scales[item.id].names, blocks.chosen)
     if part.referred:
         rpc = RPC.from_file(job.scene.path(item.assets["rpc"].href)).to_tags()

@@ -57,6 +57,9 @@ def test_bands_are_known_by_number_and_name() -> None:
     for wanted, told in ((["swir"], "'swir'"), (["0"], "'0'"), (["3"], "up to 2"), (["1", "red"], "once")):
         with pytest.raises(SceneError, match=told):
             chosen_bands(item, wanted, 2)
+    item.properties["sattools:bands"] = 8
+    with pytest.raises(SceneError, match=r"A has \(R, N\); `sattools normalise --bands` has taken 2 of its 8$"):
+        chosen_bands(item, ["coastal"], 2)
 
 
 @pytest.mark.parametrize("name", list(QUICK))

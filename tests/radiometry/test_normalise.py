@@ -167,9 +167,10 @@ def test_a_pixel_that_is_dark_in_one_band_is_no_frame() -> None:
 
 def test_red_green_and_blue_of_eight_worldview_bands(make_scene: Any) -> None:
     scene = make_scene(numbers(10, 20, bands=8))
-    normalise(scene, NormaliseOptions())
+    told = "i0: bands 5, 3, 2 of 8 are taken, red, green and blue (others: --bands)"
+    assert told in normalise(scene, NormaliseOptions())["notes"]
     assert result(scene)[:, 0] * 2047 == pytest.approx([50, 30, 20])
-    normalise(scene, NormaliseOptions(bands=[7, 1]))
+    assert not [note for note in normalise(scene, NormaliseOptions(bands=[7, 1]))["notes"] if "taken" in note]
     assert result(scene)[:, 0] * 2047 == pytest.approx([70, 10])
     with pytest.raises(SceneError, match=r"item i0 has 8 bands.*\[9\]"):
         normalise(scene, NormaliseOptions(bands=[9]))
@@ -197,9 +198,9 @@ def test_reflectance_from_the_calibration_of_a_worldview_image(make_scene: Any, 
     # without a time: the distance of the sun is not known
     scene.items[0].properties["datetime"] = None
     found = normalise(scene, options)
-    assert (found["quantity"], found["notes"]) == (
+    assert (found["quantity"], found["notes"][0]) == (
         "relative",
-        ["linear up to an unknown factor: its time is unknown"],
+        "linear up to an unknown factor: its time is unknown",
     )
     with pytest.raises(SceneError, match="reflectance_factor was asked for, but of i0 its time is unknown"):
         normalise(scene, replace(options, quantity="reflectance_factor"))
