@@ -263,6 +263,27 @@ def test_results_stand_in_a_group_in_their_order_and_no_map_is_black(environment
     assert 0.9 < float(lines["high"]) < 1.1
 
 
+def test_colours_of_four_bands_are_their_own(environment: Any, tmp_path: Path) -> None:
+    import numpy as np
+
+    from sattools.scene import Grid
+
+    grid = Grid("EPSG:32631", 5e5, 4e6, 1.0, 40, 40)
+    names = [f"albedo {name}" for name in ("blue", "green", "red", "nir08")]
+    values = np.random.default_rng(1).random((4, 40, 40)).astype(np.float32)
+    write_cog(tmp_path / "albedo.tif", values, grid, descriptions=names)
+    said = in_python(
+        environment,
+        "from sattools_qgis.processing.styles import natural\n"
+        f"layer = QgsRasterLayer('{tmp_path}/albedo.tif', 'albedo')\n"
+        "natural(layer)\n"
+        "shown = layer.renderer()\n"
+        "print('shown', shown.redBand(), shown.greenBand(), shown.blueBand(), flush=True)\n"
+        "shown = layer = None",  # before QGIS goes
+    )
+    assert "shown 3 2 1" in said
+
+
 def test_without_the_executable_the_toolbox_says_so_and_asks_for_it(environment: Any) -> None:
     said = in_python(
         environment,

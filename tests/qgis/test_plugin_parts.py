@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sattools_qgis import forms, runner
+from sattools_qgis import colours, forms, runner
 
 from sattools.cli import main
 from sattools.cli.usage import usage
@@ -120,6 +120,24 @@ def test_a_scene_that_has_been_moved_is_read_from_where_it_lies(tmp_path: Path) 
     (tmp_path / "scene.json").write_text(json.dumps(document))
     scene = forms.read_scene(str(tmp_path / "scene.json"))
     assert forms.products(scene, ["dsm"]) == {"dsm": str(tmp_path / "dsm.tif")}
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["albedo blue", "albedo green", "albedo red", "albedo nir08"], [3, 2, 1]),
+        (["coastal", "blue", "green", "yellow", "red", "rededge", "nir08", "nir09"], [5, 3, 2]),
+        (["albedo red (Red)", "albedo green (Green)", "albedo blue (Blue)"], [1, 2, 3]),  # as later versions of QGIS
+        (["rededge", "green", "blue", "nir"], [1, 2, 3]),
+        ([f"albedo band {k}" for k in range(1, 9)], [5, 3, 2]),
+        ([f"albedo band {k}" for k in range(1, 5)], [1, 2, 3]),
+        (["normal east", "normal north", "normal up"], [1, 2, 3]),
+        ([""] * 8, [1, 2, 3]),
+    ],
+)
+def test_bands_that_are_called_red_green_and_blue_are_shown_so(names: list[str], expected: list[int]) -> None:
+    """Four bands of WorldView come blue first: roofs of tiles were blue."""
+    assert colours.shown_bands([f"Band {k}: {name}" for k, name in enumerate(names, 1)]) == expected
 
 
 def test_the_plugins_metadata_has_no_placeholders() -> None:

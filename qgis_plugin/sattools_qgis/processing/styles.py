@@ -24,6 +24,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QColor, QPainter
 
+from ..colours import shown_bands
 from ..forms import PARAMETERS
 from .layers import place
 
@@ -133,16 +134,17 @@ def colour(layer: Any, ramp: Any, low: Any, high: Any) -> None:
 
 
 def natural(layer: Any) -> None:
-    """Three bands in one stretch, so that colours stay colours; a single band in grey as QGIS has it."""
+    """Red, green and blue in one stretch, so that colours stay colours; a single band in grey as QGIS has it."""
     if layer.bandCount() < 3:
         return
     provider = layer.dataProvider()
-    limits = [robust(layer, band) for band in (1, 2, 3)]
+    bands = shown_bands([layer.bandName(band) for band in range(1, layer.bandCount() + 1)])
+    limits = [robust(layer, band) for band in bands]
     low, high = min(pair[0] for pair in limits), max(pair[1] for pair in limits)
-    renderer = QgsMultiBandColorRenderer(provider, 1, 2, 3)
+    renderer = QgsMultiBandColorRenderer(provider, *bands)
     setters = (renderer.setRedContrastEnhancement, renderer.setGreenContrastEnhancement,
                renderer.setBlueContrastEnhancement)  # fmt: skip
-    for band, setter in zip((1, 2, 3), setters):
+    for band, setter in zip(bands, setters):
         enhancement = QgsContrastEnhancement(provider.dataType(band))
         enhancement.setContrastEnhancementAlgorithm(QgsContrastEnhancement.StretchToMinimumMaximum)
         enhancement.setMinimumValue(low)
