@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from steps import reference
 
+from sattools.camera.ground import grid_sun
 from sattools.compare import Truth, compare_dsm
-from sattools.export.novel import grid_sun
 from sattools.prior import PriorOptions
 from sattools.prior.matched import match_sources
 from sattools.render.shadows import light_from

@@ -47,7 +47,7 @@ def score(text: str, picture: Path | None) -> None:
     found = ground.bare_ground(surface, trusted, grid.cell_size, ExportOptions().ground_width)
     compared = compare_dsm(surface, truth, grid)
     east, north, up = compared.figures["shift_m"]
-    moved = Grid(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
+    moved = grid.moved(east, north)
     height = reproject_map(found.height, moved, truth.grid)
     seen = reproject_map(found.seen.astype(np.float32), moved, truth.grid) > 0.5
     name = Path(against.partition("@")[0])

@@ -292,14 +292,11 @@ def compared(scene: Any, height: Any, own: Any, truth: Any, truth_grid: Any, aro
     import numpy as np
     import torch
 
-    from sattools.camera.ground import grid_direction, to_geographic
+    from sattools.camera.ground import grid_sun
     from sattools.render import sun_visibility
 
-    west, south, east, north = own.bounds
-    lon, lat = (float(v) for v in to_geographic(own.crs, (west + east) / 2, (south + north) / 2))
     for item, (lit, seen) in zip(scene.train_items(), truth_on(scene, own, truth, truth_grid), strict=True):
-        azimuth, elevation = item.sun
-        sun = grid_direction(azimuth, elevation, own.crs, lon, lat)
+        sun = grid_sun(own, *item.sun)
         casting = torch.from_numpy(height if around is None else around)
         cast = sun_visibility(casting, own.cell_size, tuple(sun)).numpy() < 0.5
         if around is not None:

@@ -35,7 +35,7 @@ def error_and_confidence(scene: Scene, arguments: argparse.Namespace) -> tuple[n
     compared = compare_dsm(height[0], truth, grid, method=arguments.register)
     # the confidence must follow the heights where registration moved them
     east, north, _ = compared.figures["shift_m"]
-    moved = type(grid)(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
+    moved = grid.moved(east, north)
     cell_confidence = reproject_map(confidence[0], moved, truth.grid)
     known = np.isfinite(compared.difference) & np.isfinite(cell_confidence)
     return np.abs(compared.difference[known]), cell_confidence[known]

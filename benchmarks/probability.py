@@ -89,7 +89,7 @@ def cells(text: str, cache: Path | None, times: float = 1.0) -> Cells:
     height, confidence = (resize_map(values, own, grid) for values in (match.height, match_confidence(match)))
     compared = compare_dsm(height, truth, grid)
     east, north, _ = compared.figures["shift_m"]
-    moved = Grid(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
+    moved = grid.moved(east, north)
     every = np.moveaxis(features(height, confidence, grid.cell_size), -1, 0)
     if grid.cell_size > WIDER * truth.grid.cell_size:  # the height of a wide cell is that of its mean
         there, difference = np.moveaxis(every, 0, -1), height - means(truth.heights, truth.grid, moved)

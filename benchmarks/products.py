@@ -41,9 +41,7 @@ def made(out: Path, name: str, options: list[str], products: list[str]) -> Scene
 
 
 def moved(array: np.ndarray, grid: Grid) -> tuple[np.ndarray, Grid]:
-    return array + np.float32(SHIFT[2]), Grid(
-        grid.crs, grid.left + SHIFT[0], grid.top + SHIFT[1], grid.cell_size, grid.width, grid.height
-    )
+    return array + np.float32(SHIFT[2]), grid.moved(*SHIFT[:2])
 
 
 def align(out: Path, seed: int) -> dict[str, Any]:

@@ -168,7 +168,7 @@ def fitted(scene: Scene, found: Match, wide: Grid, grid: Grid) -> tuple[np.ndarr
 def coverage(figures: dict[str, Any], difference: np.ndarray, std: np.ndarray, grid: Grid, truth: Truth) -> str:
     """Share of the errors (about their median) within one and two standard deviations."""
     east, north, _ = figures["shift_m"]
-    moved = Grid(grid.crs, grid.left + east, grid.top + north, grid.cell_size, grid.width, grid.height)
+    moved = grid.moved(east, north)
     error = np.abs(difference - np.nanmedian(difference))
     sigmas = error / reproject_map(std, moved, truth.grid)
     known = np.isfinite(sigmas)

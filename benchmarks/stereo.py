@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.ground import ground_sample_distance, project, to_geographic
+from sattools.camera.ground import ground_sample_distance, middle_lon_lat, project
 from sattools.compare import compare_dsm, read_reference
 from sattools.compare.holes import fill_holes
 from sattools.compare.truth import Truth, read_dfc2019
@@ -286,9 +286,8 @@ def main() -> None:
     slopes = [v.slope for v in views]
     chosen = choose_pairs(slopes, [v.sun for v in views], arguments.best)[: arguments.best]
     pairs = arguments.pair or [[sources[a].id, sources[b].id] for a, b in chosen]
-    west, south, east, north = grid.bounds
-    lon, lat = to_geographic(grid.crs, 0.5 * (west + east), 0.5 * (south + north))
-    native = min(ground_sample_distance(s.rpc, float(lon), float(lat), z_range[0]) for s in sources)
+    lon, lat = middle_lon_lat(grid)
+    native = min(ground_sample_distance(s.rpc, lon, lat, z_range[0]) for s in sources)
     others = methods([grid.cell_size, native])
 
     machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"

@@ -108,8 +108,8 @@ def shift_to_dem(
         raise InputError(
             f"reference: found {counted(int(np.isfinite(onto).sum()), 'cells')} there, expected {LEAST_CELLS} or more"
         )
-    west, south, east, north = grid.bounds
-    shift = Shift(0.0, 0.0, 0.0, 0.0, 0.0, 0, x=(west + east) / 2, y=(south + north) / 2)
+    x, y = grid.middle
+    shift = Shift(0.0, 0.0, 0.0, 0.0, 0.0, 0, x=x, y=y)
     first = onto - _on(target, height, grid)
     if method != "z":
         progress(0.0, "registering, whole cells")

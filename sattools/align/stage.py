@@ -235,8 +235,7 @@ def _moves(scene: Scene, folder: str) -> dict[tuple[str | None, str], Move]:
 
 def _moved_cameras(scene: Scene, grid: Grid, shift: Shift) -> dict[str, RPC]:
     """The cameras that see at the moved place what they saw before, by the names of their files."""
-    west, south, east, north = grid.bounds
-    x, y = (west + east) / 2, (south + north) / 2
+    x, y = grid.middle
     (lon0, lat0), (lon1, lat1) = to_geographic(grid.crs, x, y), to_geographic(grid.crs, x + shift.east, y + shift.north)
 
     def moved(rpc: RPC) -> RPC:

@@ -158,11 +158,11 @@ def _of_parts(
         shifts.append(shift)
     if 2 * len(shifts) <= len(PARTS):
         return None
-    west, south, east, north = grid.bounds
+    x, y = grid.middle
     names = ("east", "north", "up", "before", "after", "left")
     middle = {name: float(np.median([getattr(shift, name) for shift in shifts])) for name in names}
     count = sum(shift.count for shift in shifts)
-    return replace(shifts[0], **middle, count=count, x=(west + east) / 2, y=(south + north) / 2), method
+    return replace(shifts[0], **middle, count=count, x=x, y=y), method
 
 
 def _square(grid: Grid, down: float, right: float) -> Grid:

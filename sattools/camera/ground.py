@@ -17,6 +17,7 @@ from pyproj.exceptions import CRSError
 
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError
+from sattools.scene.grid import Grid
 
 Array = NDArray[np.float64]
 
@@ -78,6 +79,16 @@ def to_geographic(crs: str, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
         y: northing [m].
     """
     return _transformer(crs, "EPSG:4326").transform(x, y)
+
+
+def middle_lon_lat(grid: Grid) -> tuple[float, float]:
+    """(lon, lat) in degrees of the middle of a grid.
+
+    Args:
+        grid: ground grid.
+    """
+    lon, lat = to_geographic(grid.crs, *grid.middle)
+    return float(lon), float(lat)
 
 
 def from_geographic(crs: str, lon: ArrayLike, lat: ArrayLike) -> tuple[Any, Any]:
@@ -352,9 +363,21 @@ def crop_window(
     return (col0, row0, max(0, col1 - col0), max(0, row1 - row0))
 
 
+def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
+    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon.
+
+    Args:
+        grid: ground grid.
+        azimuth_deg: from north, clockwise [degrees].
+        elevation_deg: above the horizon [degrees].
+    """
+    vector = grid_direction(azimuth_deg, elevation_deg, grid.crs, *middle_lon_lat(grid))
+    return float(vector[0]), float(vector[1]), float(vector[2])
+
+
 __all__ = [
     "azimuth_elevation", "check_ground_crs", "check_metres", "check_projected", "check_scale",
     "convergence_deg", "crop_window", "direction", "foreshortening", "from_geographic", "grid_direction",
-    "ground_area", "ground_rays", "ground_sample_distance", "localize", "metres_per_degree", "project",
-    "to_geographic", "to_grid_north", "utm_crs", "view_direction",
+    "grid_sun", "ground_area", "ground_rays", "ground_sample_distance", "localize", "metres_per_degree",
+    "middle_lon_lat", "project", "to_geographic", "to_grid_north", "utm_crs", "view_direction",
 ]  # fmt: skip

@@ -89,7 +89,7 @@ class Truth:
 def _region(grid: Grid, region: str) -> tuple[np.ndarray, np.ndarray]:
     """Rows ``[H]`` and columns ``[W]`` bool whose cells' centres lie in a region; InputError where none does."""
     west, south, east, north = grid.bounds
-    middle_x, middle_y = (west + east) / 2, (south + north) / 2
+    middle_x, middle_y = grid.middle
     halves = {
         "west": (west, south, middle_x, north),
         "east": (middle_x, south, east, north),

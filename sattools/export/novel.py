@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sattools.camera.ground import grid_direction, to_geographic
+from sattools.camera.ground import grid_sun
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
@@ -55,20 +55,6 @@ class Shown:
 
     scene: Scene
     parts: Parts
-
-
-def grid_sun(grid: Grid, azimuth_deg: float, elevation_deg: float) -> Vector:
-    """Unit vector (east, north, up) on the grid to a sun given from true north and the horizon.
-
-    Args:
-        grid: ground grid.
-        azimuth_deg: from north, clockwise [degrees].
-        elevation_deg: above the horizon [degrees].
-    """
-    west, south, east, north = grid.bounds
-    lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
-    vector = grid_direction(azimuth_deg, elevation_deg, grid.crs, float(lon), float(lat))
-    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 @torch.no_grad()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sattools.camera.cells import project_cells
-from sattools.camera.ground import ground_sample_distance, to_geographic
+from sattools.camera.ground import ground_sample_distance, middle_lon_lat
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import SMALLEST_ANGLE, angle_deg
 from sattools.export.blocks import Block, Surroundings
@@ -67,9 +67,8 @@ class Witness:
         return shown
 
     def _reduction(self, grid: Grid, height: float) -> int:
-        west, south, east, north = grid.bounds
-        lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
-        pixel = ground_sample_distance(self.rpc, float(lon), float(lat), height)
+        lon, lat = middle_lon_lat(grid)
+        pixel = ground_sample_distance(self.rpc, lon, lat, height)
         return max(1, int(grid.cell_size / pixel / _PIXELS_PER_CELL)) if math.isfinite(pixel) and pixel > 0 else 1
 
     def _valid(self, row: np.ndarray, col: np.ndarray, reduce: int) -> NDArray[np.bool_]:
@@ -103,7 +102,6 @@ class Witnesses:
     """
 
     def __init__(self, scene: Scene, ids: Sequence[str]) -> None:
-        self._scene = scene
         used = [item for item in scene.items if item.id in ids]
         named = all("rpc" in i.assets and {"radiance", "image"} & i.assets.keys() for i in used)
         #: whether the scene still names all images and cameras

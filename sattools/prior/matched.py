@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sattools.camera.ground import ground_sample_distance, to_geographic
+from sattools.camera.ground import ground_sample_distance, middle_lon_lat
 from sattools.prior.confidence import match_confidence
 from sattools.prior.frame import Frame
 from sattools.prior.leftout import left_out_agreement
@@ -191,8 +191,7 @@ def make_frame(
     for view, mask in zip(views, masks, strict=True):
         check_seen(view.id, mask[inside, inside])
     images = with_contrast(images, masks, contrast)
-    west, south, east, north = grid.bounds
-    lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
+    lon, lat = middle_lon_lat(grid)
     pixels = tuple(ground_sample_distance(source.rpc, lon, lat, z_ref) for source in sources)
     suns = tuple(view.sun for view in views)
     return Frame(images, masks, parallax, z_ref, cell, margin, suns, pixels, tone=tone), views

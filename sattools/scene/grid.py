@@ -83,6 +83,12 @@ class Grid:
             self.top,
         )
 
+    @property
+    def middle(self) -> tuple[float, float]:
+        """(easting, northing) of the middle [m]."""
+        west, south, east, north = self.bounds
+        return (west + east) / 2, (south + north) / 2
+
     def x(self) -> np.ndarray:
         """Eastings of the cell centres, ``[W]`` float64."""
         return self.left + (np.arange(self.width) + 0.5) * self.cell_size

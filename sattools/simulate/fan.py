@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from sattools.camera.ground import grid_direction, to_geographic
+from sattools.camera.ground import grid_direction, middle_lon_lat
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.progress import Progress
@@ -86,8 +86,8 @@ def _plan_fan(
         rng: random numbers.
     """
     west, south, east, north = grid.bounds
-    x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
-    lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
+    (x, y), z = grid.middle, (heights[0] + heights[1]) / 2
+    lon, lat = middle_lon_lat(grid)
     corners = np.array([(e, n, h) for e in (west, east) for n in (south, north) for h in heights])
     pitches = np.linspace(options.off_nadir, -options.off_nadir, options.views) if options.views > 1 else np.zeros(1)
     heading = np.radians(HEADING_DEG)
@@ -264,11 +264,7 @@ def _write_parameters(scene: Scene, world: NaturalWorld, grid: Grid, reflectance
 def _pooled(world: NaturalWorld, raster: np.ndarray, grid: Grid) -> np.ndarray:
     """Mean over the four cells of a world ``[H, W, C]`` that fill a cell of the grid."""
     quarter = grid.cell_size / 4
-    corners = [
-        replace(grid, left=grid.left + east, top=grid.top + north)
-        for east in (-quarter, quarter)
-        for north in (-quarter, quarter)
-    ]
+    corners = [grid.moved(east, north) for east in (-quarter, quarter) for north in (-quarter, quarter)]
     return np.asarray(np.mean([world.on_grid(raster, moved) for moved in corners], axis=0))
 
 

@@ -97,13 +97,12 @@ def build_natural(
     else:
         grid, height = _relief_of(dsm, size_m, gsd, cell)
         count = height.shape[0]
-    west, south, east, north = grid.bounds
     slope_y, slope_x = (np.asarray(g) for g in np.gradient(height, cell))
     codes, amplitude, parameters = paint(count, cell, units, reflectance, rng)
     if plain and reflectance != "lambert":  # all of that is plain, and has no parameters to leave out
         parameters[np.isin(codes, rng.permutation(np.unique(codes))[:plain])] = np.nan
     world = NaturalWorld(
-        ((west + east) / 2, (south + north) / 2),
+        grid.middle,
         0.0,
         cell,
         height.astype(np.float32),

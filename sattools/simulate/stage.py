@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sattools.camera.ground import from_geographic, grid_direction, to_geographic, utm_crs
+from sattools.camera.ground import from_geographic, grid_direction, middle_lon_lat, utm_crs
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
 from sattools.progress import Progress, silent
@@ -104,9 +104,7 @@ def check_start(options: SimulateOptions, root: Path, overwrite: bool = False) -
     place = options.lon, options.lat
     if options.dsm is not None:
         scene.grid = _given(options)[0].grid
-        west, south, east, north = scene.grid.bounds
-        lon, lat = to_geographic(scene.grid.crs, (west + east) / 2, (south + north) / 2)
-        place = float(lon), float(lat)
+        place = middle_lon_lat(scene.grid)
     if options.terrain == "natural":
         pass_suns(options, *place)
     elif options.test_views >= options.views:
@@ -128,8 +126,8 @@ def plan_views(
         rng: random numbers.
     """
     west, south, east, north = grid.bounds
-    x, y, z = (west + east) / 2, (south + north) / 2, (heights[0] + heights[1]) / 2
-    lon, lat = (float(v) for v in to_geographic(grid.crs, x, y))
+    (x, y), z = grid.middle, (heights[0] + heights[1]) / 2
+    lon, lat = middle_lon_lat(grid)
     corners = np.array([(e, n, h) for e in (west, east) for n in (south, north) for h in heights])
     tilts = np.linspace(min(5.0, options.off_nadir), options.off_nadir, options.views)[rng.permutation(options.views)]
     turn = rng.uniform(0, 360)
@@ -199,9 +197,8 @@ def world_of(options: SimulateOptions) -> tuple[Grid, World]:
     cells = max(1, round(options.size / options.gsd))
     half = cells * options.gsd / 2
     grid = Grid(crs, float(round(x - half)), float(round(y + half)), options.gsd, cells, cells)
-    west, south, east, north = grid.bounds
-    centre = ((west + east) / 2, (south + north) / 2)
-    size, cell = east - west, options.gsd / 2
+    west, _, east, _ = grid.bounds
+    centre, size, cell = grid.middle, east - west, options.gsd / 2
     if options.terrain == "downtown":
         from sattools.simulate.downtown import build_downtown
 

@@ -59,9 +59,8 @@ def build_terrain(
     fine_classes, fine_codes, fine_tint = (_repeated(a, factor) for a in (classes.astype(np.uint8), codes, tint))
     wall = np.full((*surface.shape, 3), 0.3, np.float32)
     wall[fine_classes == TREES] = (0.05, 0.08, 0.035)
-    west, south, east, north = grid.bounds
     return World(
-        ((west + east) / 2, (south + north) / 2),
+        grid.middle,
         0.0,
         cell,
         surface.astype(np.float32),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, to_geographic, view_direction
+from sattools.camera.ground import check_projected, check_scale, ground_sample_distance, middle_lon_lat, view_direction
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError, counted
 from sattools.radiometry.linear import item_bits
@@ -41,7 +41,7 @@ def check_scene(scene: Scene, items: Sequence[Item], cameras: Sequence[RPC], sha
     west, south, east, north = grid.bounds
     try:
         check_projected(grid.crs)
-        lon, lat = (float(v) for v in to_geographic(grid.crs, (west + east) / 2, (south + north) / 2))
+        lon, lat = middle_lon_lat(grid)
         if not (math.isfinite(lon) and math.isfinite(lat)):
             raise InputError(f"found corner {west:g} {south:g}, which {grid.crs} does not have, expected one on Earth")
         check_scale(grid.crs, lon, lat)

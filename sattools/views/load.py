@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sattools.camera.ground import crop_window, ground_sample_distance, to_geographic
+from sattools.camera.ground import crop_window, ground_sample_distance, middle_lon_lat
 from sattools.camera.rpc import RPC
 from sattools.errors import InputError, SceneError, counted
 from sattools.processors import side_by_side
@@ -214,9 +214,8 @@ def _needed(
     col, row, width, height = crop_window(rpc, around.crs, around.bounds, z_range, shape, 0)
     if min(width, height) == 0:
         return whole
-    west, south, east, north = around.bounds
-    lon, lat = to_geographic(around.crs, (west + east) / 2, (south + north) / 2)
-    pixels = around.cell_size / ground_sample_distance(rpc, float(lon), float(lat), z_range[0])
+    lon, lat = middle_lon_lat(around)
+    pixels = around.cell_size / ground_sample_distance(rpc, lon, lat, z_range[0])
     return slice(row, row + height), slice(col, col + width), max(1, int(pixels / _PIXELS_PER_CELL))
 
 
@@ -234,8 +233,8 @@ def views_on(sources: Sequence[Source], grid: Grid, z_ref: float, z_range: tuple
     """
     check_extent(grid)
     if sources:
-        lon, lat = to_geographic(grid.crs, sum(grid.bounds[::2]) / 2, sum(grid.bounds[1::2]) / 2)
-        pixel = max(ground_sample_distance(s.rpc, float(lon), float(lat), z_ref) for s in sources)
+        lon, lat = middle_lon_lat(grid)
+        pixel = max(ground_sample_distance(s.rpc, lon, lat, z_ref) for s in sources)
         check_cells(grid, pixel, sources[0].radiance.shape[0], len(sources))
 
     def view_of(s: Source) -> View:

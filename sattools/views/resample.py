@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sattools.camera.cells import project_plane
-from sattools.camera.ground import grid_direction, ground_rays, project, to_geographic
+from sattools.camera.ground import grid_sun, ground_rays, project
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.scene.grid import Grid
@@ -140,12 +140,7 @@ def make_view(
     """
     target, mask = read_at(image, *project_plane(rpc, grid, z_ref))
     slope, spread = line_of_sight(rpc, grid, z_ref, z_range)
-    direction = None
-    if sun is not None:
-        west, south, east, north = grid.bounds
-        lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
-        vector = grid_direction(sun[0], sun[1], grid.crs, float(lon), float(lat))
-        direction = (float(vector[0]), float(vector[1]), float(vector[2]))
+    direction = grid_sun(grid, *sun) if sun is not None else None
     return View(item_id, target, mask, slope, z_ref, direction, spread)
 
 

@@ -1,6 +1,7 @@
 """Rays in a projected grid, directions, grid north, and the sun."""
 
 import json
+import math
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
@@ -20,9 +21,11 @@ from sattools.camera.ground import (
     foreshortening,
     from_geographic,
     grid_direction,
+    grid_sun,
     ground_area,
     ground_rays,
     ground_sample_distance,
+    middle_lon_lat,
     project,
     to_geographic,
     to_grid_north,
@@ -31,6 +34,7 @@ from sattools.camera.ground import (
 )
 from sattools.camera.sun import sun_position
 from sattools.errors import InputError
+from sattools.scene.grid import Grid
 
 UTM33 = "EPSG:32633"
 X, Y = from_geographic(UTM33, LON0, LAT0)
@@ -74,6 +78,15 @@ def test_grid_and_geographic_coordinates_go_back_and_forth() -> None:
     x, y = from_geographic(UTM33, 15.0, 46.0)
     assert x == pytest.approx(500_000.0, abs=1e-6)
     assert to_geographic(UTM33, x, y) == pytest.approx((15.0, 46.0), abs=1e-10)
+
+
+def test_the_middle_of_a_grid_is_a_place_on_the_earth() -> None:
+    x, y = from_geographic(UTM33, 15.0, 46.0)
+    grid = Grid(UTM33, x - 40.0, y + 20.0, 0.5, 160, 80)
+    assert grid.middle == pytest.approx((x, y), abs=1e-8)
+    assert middle_lon_lat(grid) == pytest.approx((15.0, 46.0), abs=1e-10)
+    # on the central meridian, where grid north is true north
+    assert grid_sun(grid, 90.0, 30.0) == pytest.approx((math.sqrt(0.75), 0.0, 0.5), abs=1e-9)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2263", "nonsense"])

@@ -83,7 +83,7 @@ def make_model(maps: Maps, datum: str = ELLIPSOID) -> Model3D:
     name = "ortho" if "ortho" in maps.paths else "albedo"
     texture = Palette.of(maps, name).shown(maps.picture(name, LONGEST_TEXTURE))
     uv = np.stack([share[:, 0], 1.0 - share[:, 1]], axis=1)
-    origin = ((west + east) / 2, (south + north) / 2, base)
+    origin = (*grid.middle, base)
     return Model3D(mesh, place, uv, texture, origin, grid, datum)
 
 

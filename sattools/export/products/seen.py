@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from sattools.camera.ground import ground_sample_distance, project, to_geographic
+from sattools.camera.ground import ground_sample_distance, middle_lon_lat, project
 from sattools.camera.rpc import RPC
 from sattools.camera.view_direction import ViewDirection
 from sattools.errors import SceneError
@@ -149,9 +149,8 @@ def pixel_size(cameras: Sequence[Camera], grid: Grid, height: float) -> float:
         grid: of the ground.
         height: of the ground [m].
     """
-    west, south, east, north = grid.bounds
-    lon, lat = to_geographic(grid.crs, (west + east) / 2, (south + north) / 2)
-    sizes = [ground_sample_distance(camera.rpc, float(lon), float(lat), height) for camera in cameras]
+    lon, lat = middle_lon_lat(grid)
+    sizes = [ground_sample_distance(camera.rpc, lon, lat, height) for camera in cameras]
     return min((size for size in sizes if math.isfinite(size)), default=grid.cell_size)
 
 
