@@ -78,9 +78,9 @@ def camera(run: tuple[float, float], size: int, bias: tuple[float, float]) -> RP
     )
 
 
-def textures(seed: int = 0) -> list[np.ndarray]:
+def textures() -> list[np.ndarray]:
     """Two square pieces of random ground that continue themselves, cells of 0.5 m."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     pieces = []
     for period in PERIODS:
         noise = sum(

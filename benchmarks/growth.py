@@ -38,8 +38,8 @@ def main() -> None:
             parser.error("--seeds expects SCENE.json and DSM")
         spread(options.scene, options.dsm, options.seeds)
         return
-    rows = [measure("area", size, 6, size) for size in options.sizes]
-    rows += [measure("views", 128, views, views) for views in options.views]
+    rows = [measure("area", size, 6) for size in options.sizes]
+    rows += [measure("views", 128, views) for views in options.views]
     with open(options.out / "growth.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
@@ -53,7 +53,7 @@ def main() -> None:
             print(f"{kind}: {name} grows with exponent {exponent(amount, [row[name] for row in own]):.2f}")
 
 
-def measure(kind: str, size: int, views: int, label: int) -> dict[str, Any]:
+def measure(kind: str, size: int, views: int) -> dict[str, Any]:
     """One simulated city through prior and fit."""
     with tempfile.TemporaryDirectory() as folder:
         run("simulate", "--out", folder, "--size", size, "--views", views, "--dates", min(6, views))

@@ -21,6 +21,7 @@ from sattools.camera.tracks import Tracks
 
 Array = NDArray[np.float64]
 
+_MOST_STEPS = 30  # of Gauss and Newton
 _LOSS_PX = 0.7  # width of the Cauchy loss once it is tight
 _LINEAR_PRIOR_PX = 2.0  # expected size of affine terms at the image's edge; fixes what tie points cannot see
 _SHIFT_PRIOR_PX = 10.0  # expected size of shifts: decides where tie points hardly see, as across a rim
@@ -160,9 +161,7 @@ def residual_norm(block: Block, points: Array, parameters: Array) -> Array:
     return np.hypot(residual[:, 0], residual[:, 1])
 
 
-def solve(
-    block: Block, affine: bool, initial: Solution | None = None, max_iterations: int = 30, least_gain: float = 2e-5
-) -> Solution:
+def solve(block: Block, affine: bool, initial: Solution | None = None, least_gain: float = 2e-5) -> Solution:
     """Points and corrections under a Cauchy loss that tightens (graduated non-convexity).
 
     The problem is nearly linear, so the wide loss finds the basin even when a view is tens of pixels off; from an
@@ -172,7 +171,6 @@ def solve(
         block: tie points and cameras.
         affine: correct by an affine map instead of a shift.
         initial: where to begin, or None.
-        max_iterations: Gauss-Newton steps.
         least_gain: share by which a step must lower the loss for another one to be taken.
     """
     if initial is None:
@@ -182,7 +180,7 @@ def solve(
     else:
         points, parameters, width = initial.points.copy(), initial.parameters.copy(), 1.5
     before = np.inf
-    for iteration in range(max_iterations):
+    for iteration in range(_MOST_STEPS):
         first = initial is None and iteration == 0
         step_points, step_parameters, cost = _step(block, points, parameters, 1e6 if first else width, affine)
         points += step_points

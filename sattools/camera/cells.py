@@ -36,7 +36,7 @@ def project_cells(rpc: RPC, grid: Grid, height: NDArray[np.float32]) -> tuple[Ar
     found = []
     for below, at, above in zip(*seen, strict=True):
         linear, curved = (above - below) / 2, (above + below) / 2 - at
-        a, b, c = (_between(part, rows, cols, grid.shape) for part in (at, linear, curved))
+        a, b, c = (_between(part, grid.shape) for part in (at, linear, curved))
         found.append(a + t * (b + t * c))
     return found[0], found[1]
 
@@ -54,7 +54,7 @@ def project_plane(rpc: RPC, grid: Grid, z: float) -> tuple[Array, Array]:
     """
     rows, cols = _nodes(grid.height), _nodes(grid.width)
     x, y = np.meshgrid(grid.x()[0] + cols * grid.cell_size, grid.y()[0] - rows * grid.cell_size)
-    col, row = (_between(part, rows, cols, grid.shape) for part in project(rpc, grid.crs, x, y, z))
+    col, row = (_between(part, grid.shape) for part in project(rpc, grid.crs, x, y, z))
     return col, row
 
 
@@ -63,7 +63,7 @@ def _nodes(count: int) -> Array:
     return np.arange(0, count + STEP, STEP, dtype=np.float64)
 
 
-def _between(values: Array, rows: Array, cols: Array, shape: tuple[int, int]) -> Array:
+def _between(values: Array, shape: tuple[int, int]) -> Array:
     """Bilinear values ``[H, W]`` of those at nodes, in the same unit."""
     row, down = np.divmod(np.arange(shape[0]), STEP)
     col, across = np.divmod(np.arange(shape[1]), STEP)

@@ -54,7 +54,7 @@ def read_rpc_fields(path: Path) -> Fields:
     if b"\0" not in head and not head.startswith((b"NITF", b"NSIF")):
         text = read_text(path)
         if re.search(r"(?im)^\s*lineOffset\s*=", text):
-            return _from_rpb(path, text)
+            return _from_rpb(text)
         if re.search(r"(?im)^\s*LINE_OFF\s*[:=]", text):
             return _from_rpc_txt(path, text)
         raise InputError(f"{path}: found text without RPC members, expected `LINE_OFF: ...` or `lineOffset = ...`")
@@ -102,7 +102,7 @@ def _from_isd(block: Any) -> Fields:
     return {key: texts[name] for key, name in _RPB.items() if name in texts}
 
 
-def _from_rpb(path: Path, text: str) -> Fields:
+def _from_rpb(text: str) -> Fields:
     """`.RPB` (and `.IMD`-like) text: `name = value;`, lists in parentheses over several lines."""
     values = {m[1].upper(): m[2] for m in re.finditer(r"(\w+)\s*=\s*(\([^)]*\)|[^;\n]*)", text)}
     fields: Fields = {}

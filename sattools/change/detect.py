@@ -135,7 +135,6 @@ def find_regions(heights: HeightChange, options: ChangeOptions) -> tuple[np.ndar
     for number in found.regions():
         region = _region(
             found.sums(number, heights.cell_area, heights.correlation),
-            heights,
             options,
             (len(regions) + 1, sure.get(number), known),
         )
@@ -193,9 +192,7 @@ def _large_enough(found: Sums, options: ChangeOptions) -> bool:
     return found.area_m2 >= options.min_area and abs(found.mean_m) >= options.min_height
 
 
-def _region(
-    found: Sums, heights: HeightChange, options: ChangeOptions, about: tuple[int, float | None, float]
-) -> Region | None:
+def _region(found: Sums, options: ChangeOptions, about: tuple[int, float | None, float]) -> Region | None:
     """The region of some cells, or None where it is too small, not significant or not sure.
 
     ``about``: its label, its median confidence, the area where both surfaces are known [m2].

@@ -9,8 +9,6 @@ from sattools.scene.files import write_text
 from sattools.scene.sensor_files import write_sensor_image
 from sattools.simulate.views import SimulatedView
 
-NAMES = ("red", "green", "blue")
-
 
 def colour_files(name: str) -> tuple[str, str]:
     """Hrefs of the multispectral image of a view and of its true camera."""
@@ -46,4 +44,4 @@ def write_colours(
     return np.asarray(np.rint(image.mean(axis=0, keepdims=True)).astype(image.dtype))
 
 
-__all__ = ["NAMES", "colour_files", "write_colours"]
+__all__ = ["colour_files", "write_colours"]

@@ -48,5 +48,5 @@ def test_a_step_reports_its_part_of_the_whole() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(50, "50 s"), (600, "10 min"), (10800, "3 h"), (2.2e6, "25 days")])
-def testdurations_are_said_in_units_that_people_use(seconds: Any, text: Any) -> None:
+def test_durations_are_said_in_units_that_people_use(seconds: Any, text: Any) -> None:
     assert duration(seconds) == text

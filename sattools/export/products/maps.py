@@ -14,6 +14,7 @@ from sattools.scene.opening import opened
 from sattools.scene.raster import raster_grid, read_on, read_raster
 
 BLOCK = 512  # cells along a side
+SAMPLE = 500_000  # cells of a map, about
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,9 @@ class Maps:
             shape = (data.count, max(1, round(share * data.height)), max(1, round(share * data.width)))
             return np.asarray(data.read(out_shape=shape, resampling=Resampling.average))
 
-    def sample(self, name: str, most: int = 500_000) -> np.ndarray:
-        """About as many cells ``[B, n]`` of a map, evenly from all of it."""
-        step = max(1, round((self.grid.height * self.grid.width / most) ** 0.5))
+    def sample(self, name: str) -> np.ndarray:
+        """About half a million cells ``[B, n]`` of a map, evenly from all of it."""
+        step = max(1, round((self.grid.height * self.grid.width / SAMPLE) ** 0.5))
         found = [self.read(name, rows, cols)[:, ::step, ::step] for rows, cols in self.blocks()]
         return np.concatenate([block.reshape(len(block), -1) for block in found], axis=1)
 

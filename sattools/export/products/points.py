@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,6 @@ from sattools.scene.datums import compound_crs
 from sattools.scene.files import write_with
 from sattools.scene.validity import FILLED, LEVELLED, MEASURED, UNSEEN
 
-log = logging.getLogger(__name__)
 UNCLASSIFIED, WATER_CLASS, FILLED_CLASS = 1, 9, 64  # of LAS: 64 and above are for users
 SCALE = 0.001  # m
 _ABOUT = {

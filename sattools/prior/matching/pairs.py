@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import logging
 from collections.abc import Sequence
 
 import numpy as np
 
 from sattools.camera.view_direction import SMALLEST_ANGLE, angle_deg
-
-log = logging.getLogger(__name__)
 
 ANGLE_WEIGHT = 0.5  # degrees of sun direction that one degree off the ideal intersection angle is worth
 FEWEST_PAIRS = 3  # below this, pairs outside the wanted angles are better than none
