@@ -6,7 +6,10 @@ import torch
 from sattools.camera.view_direction import ViewDirection
 from sattools.field.surface_base import SurfaceBase
 from sattools.fit.depth_prior import DepthPrior
-from sattools.fit.rays.start import box_over
+from sattools.fit.options import FitOptions
+from sattools.fit.rays.stage import STEPS, FieldSteps
+from sattools.fit.rays.start import box_over, make_field, ray_set
+from sattools.fit.rays.trainer import RayTrainer
 from sattools.scene import Grid
 from sattools.views import View
 
@@ -27,3 +30,11 @@ def a_house(bands: int = 3) -> tuple[list[View], DepthPrior, SurfaceBase]:
     views = [View(str(k), pixels[k], seen, ViewDirection(*slope), 2.0, SUNS[k], 0.0) for k, slope in enumerate(SLOPES)]
     base = SurfaceBase(box_over(GRID, Z_RANGE), height, torch.from_numpy(pixels[0]), 0.5)
     return views, DepthPrior(height, torch.full(GRID.shape, 0.5), GRID), base
+
+
+def house_trainer(options: FitOptions, bands: int = 3, from_base: bool = True) -> RayTrainer:
+    """What trains a field of that house by its rays; without its base from noise."""
+    views, prior, base = a_house(bands)
+    field = make_field(options, GRID, Z_RANGE, 2.0, bands, prior, base=base if from_base else None)
+    ones, steps = torch.ones(len(views), bands), STEPS.get(options.field, FieldSteps())
+    return RayTrainer(field, ray_set(views, GRID, Z_RANGE, prior), options, ones, 0 * ones, steps)

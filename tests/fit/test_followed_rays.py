@@ -6,23 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from four_sides import GRID, Z_RANGE, a_house
+from four_sides import house_trainer
 
 from sattools import compiled
 from sattools.field import neural
 from sattools.fit.presets import resolve
-from sattools.fit.rays.stage import STEPS
-from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
 
 
 def house(bands: int = 3, **given: Any) -> RayTrainer:
     """A house of 10 m under noise: shares, colours and relations are nowhere near where they begin."""
-    views, prior, base = a_house(bands)
     options = resolve("fast", {"field": "neural", "rays": 160, "steps": 40, **given})
-    field = make_field(options, GRID, Z_RANGE, 2.0, bands, prior, base=base)
-    ones = torch.ones(len(views), bands)
-    trainer = RayTrainer(field, ray_set(views, GRID, Z_RANGE, prior), options, ones, 0 * ones, STEPS["neural"])
+    trainer = house_trainer(options, bands)
     noise = torch.Generator().manual_seed(5)
     with torch.no_grad():
         for name, tensor in trainer.tensors.items():

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 from click.testing import CliRunner
-from four_sides import GRID, Z_RANGE, a_house
+from four_sides import house_trainer
 
 from sattools.cli import main
 from sattools.errors import SceneError
@@ -19,7 +19,6 @@ from sattools.fit.options import FitOptions
 from sattools.fit.presets import resolve
 from sattools.fit.rays import job as rays_job
 from sattools.fit.rays.precision import check_precision, multiplied
-from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
 from sattools.fit.stage import fit
 from sattools.scene import Scene
@@ -29,11 +28,7 @@ TINY: dict[str, Any] = {"width": 16, "rays": 64, "steps": 24, "resolution": 2.0,
 
 
 def trainer(preset: str, **given: Any) -> RayTrainer:
-    views, prior, base = a_house()
-    options = resolve(preset, {"width": 32, "steps": 40, "rays": 64, **given})
-    field = make_field(options, GRID, Z_RANGE, 2.0, 3, prior, base=base)
-    ones = torch.ones(len(views), 3)
-    return RayTrainer(field, ray_set(views, GRID, Z_RANGE, prior), options, ones, 0 * ones)
+    return house_trainer(resolve(preset, {"width": 32, "steps": 40, "rays": 64, **given}))
 
 
 def gradients(of: RayTrainer) -> dict[str, torch.Tensor]:

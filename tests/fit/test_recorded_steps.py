@@ -5,10 +5,9 @@ from typing import Any
 
 import pytest
 import torch
-from four_sides import GRID, Z_RANGE, a_house
+from four_sides import house_trainer
 
 from sattools.fit.presets import resolve
-from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
 
 STEPS = 24
@@ -35,11 +34,7 @@ class Replayed:
 
 
 def trainer(preset: str, **given: Any) -> RayTrainer:
-    views, prior, base = a_house()
-    options = resolve(preset, {"width": 16, "steps": STEPS, "rays": 32, **given})
-    field = make_field(options, GRID, Z_RANGE, 2.0, 3, prior, base=base)
-    ones = torch.ones(len(views), 3)
-    return RayTrainer(field, ray_set(views, GRID, Z_RANGE, prior), options, ones, 0 * ones)
+    return house_trainer(resolve(preset, {"width": 16, "steps": STEPS, "rays": 32, **given}))
 
 
 @pytest.mark.parametrize(

@@ -4,20 +4,15 @@ from typing import Any
 
 import pytest
 import torch
-from four_sides import GRID, Z_RANGE, a_house
+from four_sides import house_trainer
 
 from sattools.fit.presets import resolve
-from sattools.fit.rays.start import make_field, ray_set
 from sattools.fit.rays.trainer import RayTrainer
 
 
 def trainer(start: str, steps: int) -> RayTrainer:
-    views, prior, base = a_house()
     options = resolve("eonerf", {"width": 16, "steps": steps, "rays": 32, "transient": "off", "start": start})
-    known = {"base": base} if start == "prior" else {}
-    field = make_field(options, GRID, Z_RANGE, 2.0, 3, prior, **known)
-    ones = torch.ones(len(views), 3)
-    return RayTrainer(field, ray_set(views, GRID, Z_RANGE, prior), options, ones, 0 * ones)
+    return house_trainer(options, from_base=start == "prior")
 
 
 def depends_on_the_sun(one: RayTrainer, share: float) -> bool:
