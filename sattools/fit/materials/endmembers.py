@@ -8,7 +8,6 @@ CHROMA_NOISE = 0.025  # log colour ratios of one material differ at least by thi
 LIGHT_NOISE = 0.2  # log brightness: shading that is not yet known, and texture
 SAMPLE = 6000
 ROUNDS = 40
-PATCH = 1.5  # standard deviation of the smoothing of abundances [cells]: materials form patches
 DARKEST = 1e-3
 
 
@@ -19,7 +18,9 @@ def features(colour: np.ndarray) -> np.ndarray:
     return np.concatenate([light / LIGHT_NOISE, (log - light)[:, :-1] / CHROMA_NOISE], axis=1)
 
 
-def cluster_endmembers(colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int = 0) -> np.ndarray:
+def cluster_endmembers(
+    colour: np.ndarray, known: np.ndarray, most: int = 8, seed: int = 0, blur: float = 1.5
+) -> np.ndarray:
     """Abundances ``[H, W, K]`` (sum 1) of K <= ``most`` materials: a Gaussian mixture of colours, K by BIC.
 
     Args:
@@ -27,6 +28,7 @@ def cluster_endmembers(colour: np.ndarray, known: np.ndarray, most: int = 8, see
         known: ``[H, W]`` bool, cells whose colour is known; the others, in shade, belong to what lies nearest.
         most: largest K.
         seed: of the random start.
+        blur: standard deviation of the smoothing of the abundances [cells]: materials form patches.
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
@@ -47,7 +49,7 @@ def cluster_endmembers(colour: np.ndarray, known: np.ndarray, most: int = 8, see
     if not known.all():
         nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
         abundances = abundances[tuple(nearest)]
-    abundances = np.stack([gaussian_filter(abundances[..., k], PATCH) for k in range(abundances.shape[-1])], axis=-1)
+    abundances = np.stack([gaussian_filter(abundances[..., k], blur) for k in range(abundances.shape[-1])], axis=-1)
     return np.asarray((abundances / abundances.sum(axis=-1, keepdims=True)).astype(np.float32))
 
 
